@@ -1,0 +1,29 @@
+"""Errors that a user can act on. Only `cli.py` prints them, as one line, and exits with `exit_code`."""
+
+from __future__ import annotations
+
+
+class OysterbenchError(Exception):
+    """Expected failure; the message says what was expected, what was got, where, and what to do next."""
+
+    exit_code = 1
+
+
+class RecipeError(OysterbenchError):
+    """A split, rig or recipe is unknown, unreadable or holds a bad value."""
+
+
+class SequenceError(OysterbenchError):
+    """A sequence file is absent, truncated, damaged or of another kind."""
+
+
+class TrajectoryError(OysterbenchError):
+    """A trajectory file or the poses in it cannot be scored."""
+
+
+class MethodError(OysterbenchError):
+    """A method is unknown, cannot be loaded, or its run gave no estimate."""
+
+
+class ResultError(OysterbenchError):
+    """A result file is unreadable or its records are not what this version writes."""

@@ -1,0 +1,1 @@
+"""Evaluators: estimate and truth in, result out."""

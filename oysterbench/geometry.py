@@ -1,0 +1,112 @@
+"""Rotations, rigid transforms, interpolation and alignment. Quaternions are x y z w; `T_a_b` takes b into a."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+Array = NDArray[np.float64]
+
+
+def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
+    """Homogeneous (4, 4) transform from a (3, 3) rotation matrix and a (3,) translation in m."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    matrix[:3, 3] = translation
+    return matrix
+
+
+def invert(transform: ArrayLike) -> Array:
+    """Inverse of rigid transforms, shape (..., 4, 4)."""
+    matrix = np.asarray(transform, dtype=float)
+    rotation_t = np.swapaxes(matrix[..., :3, :3], -1, -2)
+    inverse = np.zeros_like(matrix)
+    inverse[..., :3, :3] = rotation_t
+    inverse[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation_t, matrix[..., :3, 3])
+    inverse[..., 3, 3] = 1.0
+    return inverse
+
+
+def poses_to_matrices(positions: ArrayLike, quaternions: ArrayLike) -> Array:
+    """(N, 4, 4) transforms from (N, 3) positions in m and (N, 4) unit quaternions."""
+    positions = np.asarray(positions, dtype=float).reshape(-1, 3)
+    matrices = np.zeros((len(positions), 4, 4))
+    matrices[:, :3, :3] = Rotation.from_quat(np.asarray(quaternions).reshape(-1, 4)).as_matrix()
+    matrices[:, :3, 3] = positions
+    matrices[:, 3, 3] = 1.0
+    return matrices
+
+
+def interpolate_poses(
+    stamps_ns: NDArray[np.int64], positions: Array, quaternions: Array, at_ns: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Linear positions and slerped attitudes at `at_ns` (M,), all inside [stamps_ns[0], stamps_ns[-1]].
+
+    stamps_ns (N,) int64 increasing, positions (N, 3), quaternions (N, 4); returns (M, 3) and (M, 4).
+    """
+    at_ns = np.asarray(at_ns, dtype=np.int64)
+    if len(at_ns) == 0:
+        return np.empty((0, 3)), np.empty((0, 4))
+    if at_ns.min() < stamps_ns[0] or at_ns.max() > stamps_ns[-1]:
+        raise ValueError("interpolation outside the trajectory's time span")
+    if len(stamps_ns) == 1:
+        return np.repeat(positions, len(at_ns), axis=0), np.repeat(quaternions, len(at_ns), axis=0)
+    # Seconds from the first stamp: nanoseconds of an epoch do not fit a float64, differences do.
+    known = (stamps_ns - stamps_ns[0]) * 1e-9
+    wanted = (at_ns - stamps_ns[0]) * 1e-9
+    at_positions = np.column_stack([np.interp(wanted, known, positions[:, k]) for k in range(3)])
+    at_rotations = Slerp(known, Rotation.from_quat(quaternions))(np.minimum(wanted, known[-1]))
+    return at_positions, at_rotations.as_quat()
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """x_ref = scale * rotation @ x_est + translation; rotation (3, 3), translation (3,) in m."""
+
+    rotation: Array
+    translation: Array
+    scale: float = 1.0
+
+    def apply(self, points: Array) -> Array:
+        """Transform (N, 3) points."""
+        return self.scale * points @ self.rotation.T + self.translation
+
+
+def align_umeyama(reference: Array, estimate: Array, with_scale: bool = False) -> Similarity:
+    """Least-squares rigid or similarity alignment of matched points (N, 3) (Umeyama 1991, eqs. 40 to 43).
+
+    Raises ValueError when the points do not determine a rotation (fewer than three, or all on one line).
+    """
+    mean_reference, mean_estimate = reference.mean(axis=0), estimate.mean(axis=0)
+    centred_reference, centred_estimate = reference - mean_reference, estimate - mean_estimate
+    covariance = centred_reference.T @ centred_estimate / len(reference)
+    u, d, vt = np.linalg.svd(covariance)
+    if np.count_nonzero(d > np.finfo(float).eps) < 2:
+        raise ValueError("the points lie on one line or in one place: rotation is not determined")
+    signs = np.ones(3)
+    if np.linalg.det(u) * np.linalg.det(vt) < 0:
+        signs[2] = -1.0
+    rotation = u @ np.diag(signs) @ vt
+    scale = 1.0
+    if with_scale:
+        scale = float(np.sum(d * signs) / np.mean(np.sum(centred_estimate**2, axis=1)))
+    return Similarity(rotation, mean_reference - scale * rotation @ mean_estimate, scale)
+
+
+def align_yaw(reference: Array, estimate: Array) -> Similarity:
+    """Least-squares rotation about z and translation of matched points (N, 3): the gravity-aligned alignment.
+
+    Maximises sum(ref . Rz(theta) est) over theta (Zhang & Scaramuzza 2018, sec. IV-B). Raises ValueError when
+    the points do not differ horizontally, so that yaw is not determined.
+    """
+    mean_reference, mean_estimate = reference.mean(axis=0), estimate.mean(axis=0)
+    p, q = (reference - mean_reference)[:, :2], (estimate - mean_estimate)[:, :2]
+    cosine = float(np.sum(p * q))
+    sine = float(np.sum(p[:, 1] * q[:, 0] - p[:, 0] * q[:, 1]))
+    if np.hypot(cosine, sine) <= np.finfo(float).eps * max(1.0, float(np.sum(p * p))):
+        raise ValueError("the points do not differ horizontally: yaw is not determined")
+    rotation = Rotation.from_euler("z", np.arctan2(sine, cosine)).as_matrix()
+    return Similarity(rotation, mean_reference - rotation @ mean_estimate)

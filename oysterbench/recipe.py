@@ -1,0 +1,324 @@
+"""Recipes: TOML files that say what a split, a sequence and a rig are, read into validated frozen dataclasses.
+
+Everything that makes the bytes of a sequence is in here; keys carry their unit, angles are in degrees. A bad
+value is refused with file, key, value and the allowed range. The fields below are the documentation of the keys.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import tomllib
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from oysterbench.errors import RecipeError
+
+CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone"}
+"""What the numbers of a class image mean."""
+
+JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
+PATH_KINDS = ("survey_loop",)
+TRACKS = ("slam",)
+
+
+def number(low: float, high: float, default: Any = dataclasses.MISSING) -> Any:
+    """A numeric key with its allowed range, both ends included."""
+    return field(default=default, metadata={"range": (low, high)})
+
+
+def choice(options: tuple[str, ...], default: Any = dataclasses.MISSING) -> Any:
+    """A text key with its allowed values."""
+    return field(default=default, metadata={"options": options})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReefRecipe:
+    """The bottom and what lies on it, in a square centred on the origin of `map`."""
+
+    size_m: float = number(4, 200)
+    depth_m: float = number(0.5, 60)  # mean depth of the bottom
+    relief_rms_m: float = number(0, 3)  # of the fractal seabed
+    oysters: int = number(0, 60_000)
+    oyster_size_mm: float = number(25, 170, 85.0)  # median shell height
+    clump_size: float = number(1, 30, 7.0)  # mean oysters in a clump
+    stones: int = number(0, 5_000, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaterRecipe:
+    """The water's optical type."""
+
+    jerlov: str = choice(JERLOV_TYPES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightRecipe:
+    """Sun and sky above the surface."""
+
+    sun_elevation_deg: float = number(5, 90)
+    sun_azimuth_deg: float = number(-360, 360)  # direction towards the sun, from east, counter-clockwise
+    sky_fraction: float = number(0, 1, 0.3)  # share of the downwelling irradiance that comes from the sky
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathRecipe:
+    """How the vehicle moves: a closed survey loop over the reef, with the small motions of a hovering ROV."""
+
+    kind: str = choice(PATH_KINDS)
+    length_m: float = number(0.1, 10_000)  # nominal length along the loop
+    radius_m: float = number(0.2, 100)  # mean radius of the loop
+    altitude_m: float = number(0.2, 20)  # above the smoothed bottom
+    sway_m: float = number(0, 0.5, 0.06)  # amplitude of surge, sway and heave about the nominal path
+    tilt_deg: float = number(0, 30, 4.0)  # amplitude of roll and pitch
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceRecipe:
+    """One sequence: a reef, its water and light, and the path over it."""
+
+    name: str
+    duration_s: float = number(1, 7200)
+    reef: ReefRecipe
+    water: WaterRecipe
+    light: LightRecipe
+    path: PathRecipe
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraRecipe:
+    """A pinhole camera on the rig. Pitch is positive below the horizon."""
+
+    name: str
+    width: int = number(16, 8192)
+    height: int = number(16, 8192)
+    hfov_deg: float = number(10, 150)  # in water
+    rate_hz: float = number(0.1, 200)
+    layer_rate_hz: float = number(0, 200, 0.0)  # of depth, class and instance images; a divisor of rate_hz
+    position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
+    pitch_deg: float = number(-90, 90, 0.0)
+    yaw_deg: float = number(-180, 180, 0.0)
+    jpeg_quality: int = number(50, 100, 95)
+    max_range_m: float = number(1, 100, 20.0)  # farther than this is water
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuRecipe:
+    """Noise of an inertial unit: continuous white densities, bias random walks, and turn-on biases (1 sigma)."""
+
+    rate_hz: float = number(10, 4000)
+    gyro_noise_density: float = number(0, 1)  # rad/s/sqrt(Hz)
+    gyro_random_walk: float = number(0, 1)  # rad/s^2/sqrt(Hz)
+    gyro_turn_on: float = number(0, 1, 0.0)  # rad/s
+    accel_noise_density: float = number(0, 10)  # m/s^2/sqrt(Hz)
+    accel_random_walk: float = number(0, 10)  # m/s^3/sqrt(Hz)
+    accel_turn_on: float = number(0, 10, 0.0)  # m/s^2
+    position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
+    rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # imu to base_link
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigRecipe:
+    """A vehicle: its cameras and its inertial unit."""
+
+    name: str
+    summary: str
+    imu: ImuRecipe
+    camera: tuple[CameraRecipe, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitRecipe:
+    """A split: what the TOML file says, plus the rig that it names."""
+
+    name: str
+    version: str
+    track: str = choice(TRACKS)
+    seed: int = number(0, 2**63 - 1)
+    summary: str
+    sequence: tuple[SequenceRecipe, ...]
+    rig: RigRecipe
+    rig_source: str = field(repr=False)  # text of the rig's file
+    source: str = field(repr=False)  # text of the split's file
+
+    def find_sequence(self, name: str) -> SequenceRecipe:
+        """The sequence of that name."""
+        for sequence in self.sequence:
+            if sequence.name == name:
+                return sequence
+        names = ", ".join(sequence.name for sequence in self.sequence)
+        raise RecipeError(f"split {self.name} has no sequence {name!r}; it has {names}")
+
+    def digest(self) -> str:
+        """SHA-256 over the values of recipe and rig: two recipes with one digest make the same bytes."""
+        values = {k: v for k, v in dataclasses.asdict(self).items() if k not in ("source", "rig_source", "summary")}
+        return hashlib.sha256(repr(values).encode()).hexdigest()
+
+
+def split_names() -> list[str]:
+    """Names of the splits that come with oysterbench."""
+    folder = resources.files("oysterbench_datasets") / "splits"
+    return sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def load_split(name_or_path: str) -> SplitRecipe:
+    """Read a split by its name, or a TOML file by its path.
+
+    Raises RecipeError naming the file, the key, the value and what is allowed.
+    """
+    path = Path(name_or_path)
+    if name_or_path.endswith(".toml"):
+        source = _read_text(path, f"{path}: no such recipe; `oysterbench splits` lists the known splits")
+    else:
+        known = split_names()
+        if name_or_path not in known:
+            raise RecipeError(
+                f"unknown split {name_or_path!r}; known splits: {', '.join(known)} (or the path of a .toml recipe)"
+            )
+        path = Path(str(resources.files("oysterbench_datasets") / "splits" / f"{name_or_path}.toml"))
+        source = _read_text(path, f"{path}: no such recipe")
+    return parse_split(source, str(path))
+
+
+def parse_split(source: str, where: str, rig_source: str | None = None) -> SplitRecipe:
+    """Read a split from the text of its recipe; the rig is found by its name unless its text is given."""
+    table = _parse_toml(source, where)
+    rig_name = table.pop("rig", None)
+    if not isinstance(rig_name, str):
+        raise RecipeError(f"{where}: key 'rig': expected the name of a file in datasets/rigs, got {rig_name!r}")
+    if rig_source is None:
+        rig_path = Path(str(resources.files("oysterbench_datasets") / "rigs" / f"{rig_name}.toml"))
+        rig_source = _read_text(rig_path, f"{where}: key 'rig': there is no rig {rig_name!r} in datasets/rigs")
+    rig_where = f"rig {rig_name}"
+    rig = _build(RigRecipe, _parse_toml(rig_source, rig_where), rig_where, "")
+    table = {**table, "rig": rig, "rig_source": rig_source, "source": source}
+    split = _build(SplitRecipe, table, where, "")
+    _check_split(split, where)
+    return split
+
+
+def _check_split(split: SplitRecipe, where: str) -> None:
+    """What no single key can say."""
+    if not split.sequence:
+        raise RecipeError(f"{where}: expected at least one [[sequence]], got none")
+    names = [sequence.name for sequence in split.sequence]
+    if len(set(names)) != len(names):
+        raise RecipeError(f"{where}: key 'sequence.name': names must differ, got {names}")
+    for name in (split.name, *names):
+        if not name or not all(c.isalnum() or c in "-_" for c in name):
+            raise RecipeError(f"{where}: key 'name': expected letters, digits, '-' and '_', got {name!r}")
+    for camera in split.rig.camera:
+        if camera.layer_rate_hz and not (camera.rate_hz / camera.layer_rate_hz).is_integer():
+            raise RecipeError(
+                f"{where}: rig {split.rig.name}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = "
+                f"{camera.rate_hz}, got {camera.layer_rate_hz}"
+            )
+    for sequence in split.sequence:
+        reach = sequence.path.radius_m + sequence.path.sway_m
+        if 2 * reach > sequence.reef.size_m:
+            raise RecipeError(
+                f"{where}: sequence {sequence.name}: key 'path.radius_m': the path leaves the reef; expected at most "
+                f"{sequence.reef.size_m / 2 - sequence.path.sway_m:g} for reef.size_m = {sequence.reef.size_m:g}, "
+                f"got {sequence.path.radius_m:g}"
+            )
+        if sequence.path.altitude_m >= sequence.reef.depth_m:
+            raise RecipeError(
+                f"{where}: sequence {sequence.name}: key 'path.altitude_m': the vehicle would leave the water; "
+                f"expected less than reef.depth_m = {sequence.reef.depth_m:g}, got {sequence.path.altitude_m:g}"
+            )
+
+
+def _read_text(path: Path, absent: str) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RecipeError(absent) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecipeError(f"{path}: cannot be read: {error}") from None
+
+
+def _parse_toml(source: str, where: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(source)
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"{where}: not valid TOML: {error}") from None
+
+
+def _build(kind: type, table: Any, where: str, prefix: str) -> Any:
+    """Dataclass `kind` from a TOML table, key by key."""
+    if not isinstance(table, Mapping):
+        raise RecipeError(f"{where}: key {prefix[:-1]!r}: expected a table, got {table!r}")
+    hints = typing.get_type_hints(kind)
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    for key in table:
+        if key not in fields:
+            raise RecipeError(
+                f"{where}: unknown key {prefix + key!r}; known keys here: {', '.join(_documented(fields))}"
+            )
+    values = {}
+    for name, definition in fields.items():
+        if name in table:
+            values[name] = _convert(table[name], hints[name], definition, where, prefix + name)
+        elif definition.default is dataclasses.MISSING:
+            raise RecipeError(f"{where}: missing key {prefix + name!r}{_allowed(definition)}")
+    return kind(**values)
+
+
+def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: str, key: str) -> Any:
+    """One value, checked against its type and range."""
+    if dataclasses.is_dataclass(hint):
+        return value if isinstance(value, hint) else _build(typing.cast(type, hint), value, where, f"{key}.")
+    if typing.get_origin(hint) is tuple:
+        inner = typing.get_args(hint)
+        if not isinstance(value, list):
+            raise RecipeError(f"{where}: key {key!r}: expected a list, got {value!r}")
+        if len(inner) == 2 and inner[1] is Ellipsis:
+            return tuple(_convert(item, inner[0], definition, where, key) for item in value)
+        if len(value) != len(inner):
+            raise RecipeError(f"{where}: key {key!r}: expected {len(inner)} numbers, got {value!r}")
+        return tuple(_convert(v, t, definition, where, key) for v, t in zip(value, inner, strict=True))
+    if hint is str:
+        options = definition.metadata.get("options")
+        if not isinstance(value, str) or (options and value not in options):
+            raise RecipeError(f"{where}: key {key!r}: expected {_text(options)}, got {value!r}")
+        return value
+    if isinstance(value, bool) or not isinstance(value, int if hint is int else (int, float)):
+        kind = "a whole number" if hint is int else "a number"
+        raise RecipeError(f"{where}: key {key!r}: expected {kind}{_allowed(definition)}, got {value!r}")
+    low, high = definition.metadata.get("range", (-math.inf, math.inf))
+    if not low <= value <= high:
+        raise RecipeError(f"{where}: key {key!r}: expected {low:g} to {high:g}, got {value!r}")
+    return hint(value)
+
+
+def _documented(fields: Mapping[str, Any]) -> list[str]:
+    return [name for name in fields if name not in ("source", "rig_source")]
+
+
+def _allowed(definition: dataclasses.Field[Any]) -> str:
+    if "range" in definition.metadata:
+        low, high = definition.metadata["range"]
+        return f" from {low:g} to {high:g}"
+    if "options" in definition.metadata:
+        return f" ({_text(definition.metadata['options'])})"
+    return ""
+
+
+def _text(options: tuple[str, ...] | None) -> str:
+    return "one of " + ", ".join(options) if options else "text"
+
+
+def as_plain(value: Any) -> Any:
+    """A recipe as nested dicts and lists, for JSON."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: as_plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, tuple | list):
+        return [as_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {key: as_plain(item) for key, item in value.items()}
+    return value

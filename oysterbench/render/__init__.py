@@ -1,0 +1,1 @@
+"""Image formation: light, water and cameras; the only home of ray-casting kernels."""

@@ -1,0 +1,1 @@
+"""The reef: geometry, materials and motion."""

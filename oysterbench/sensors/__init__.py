@@ -1,0 +1,1 @@
+"""Sensors: truth in, measurement out."""

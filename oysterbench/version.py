@@ -1,0 +1,3 @@
+"""The version of the library, and of everything it writes."""
+
+VERSION = "0.1.0"
