@@ -23,7 +23,9 @@ CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone"}
 """What the numbers of a class image mean."""
 
 JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
-PATH_KINDS = ("survey_loop",)
+PATH_KINDS = ("loop",)
+LOOP_RIPPLE = 0.25
+"""The radius of a loop varies by this share of its mean."""
 TRACKS = ("slam",)
 
 
@@ -68,14 +70,16 @@ class LightRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class PathRecipe:
-    """How the vehicle moves: a closed survey loop over the reef, with the small motions of a hovering ROV."""
+    """How the vehicle moves: from rest along a loop over the reef, with the small motions of a hovering ROV."""
 
     kind: str = choice(PATH_KINDS)
-    length_m: float = number(0.1, 10_000)  # nominal length along the loop
     radius_m: float = number(0.2, 100)  # mean radius of the loop
+    speed_m_s: float = number(0.01, 5)  # along the loop, once the ramp is over
+    ramp_s: float = number(0.5, 60, 3.0)  # time from rest to full speed
     altitude_m: float = number(0.2, 20)  # above the smoothed bottom
     sway_m: float = number(0, 0.5, 0.06)  # amplitude of surge, sway and heave about the nominal path
-    tilt_deg: float = number(0, 30, 4.0)  # amplitude of roll and pitch
+    tilt_deg: float = number(0, 30, 4.0)  # amplitude of roll, pitch and yaw about the nominal attitude
+    clearance_m: float = number(0, 10, 0.3)  # least distance kept above oysters and stones
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +132,7 @@ class RigRecipe:
 
     name: str
     summary: str
+    truth_rate_hz: float = number(1, 4000, 200.0)
     imu: ImuRecipe
     camera: tuple[CameraRecipe, ...]
 
@@ -219,11 +224,11 @@ def _check_split(split: SplitRecipe, where: str) -> None:
                 f"{camera.rate_hz}, got {camera.layer_rate_hz}"
             )
     for sequence in split.sequence:
-        reach = sequence.path.radius_m + sequence.path.sway_m
-        if 2 * reach > sequence.reef.size_m:
+        room = sequence.reef.size_m / 2 / (1 + LOOP_RIPPLE) - 2 * sequence.path.sway_m
+        if sequence.path.radius_m > room:
             raise RecipeError(
                 f"{where}: sequence {sequence.name}: key 'path.radius_m': the path leaves the reef; expected at most "
-                f"{sequence.reef.size_m / 2 - sequence.path.sway_m:g} for reef.size_m = {sequence.reef.size_m:g}, "
+                f"{room:.3g} for reef.size_m = {sequence.reef.size_m:g}, "
                 f"got {sequence.path.radius_m:g}"
             )
         if sequence.path.altitude_m >= sequence.reef.depth_m:

@@ -40,7 +40,7 @@ class ImuSample:
 
 @dataclass(frozen=True)
 class CameraCalibration:
-    """Pinhole camera: matrix (3, 3) in px, Brown-Conrady distortion (k1, k2, p1, p2), pose of the camera in base_link."""
+    """Pinhole camera: matrix (3, 3) in px, Brown-Conrady distortion (k1, k2, p1, p2), pose of its optical frame."""
 
     width: int
     height: int
@@ -52,7 +52,7 @@ class CameraCalibration:
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """Continuous noise densities and bias random walks (units as in `recipe.ImuRecipe`), 1-sigma turn-on biases, pose."""
+    """Continuous noise densities, bias random walks, 1-sigma turn-on biases (units as in `recipe.ImuRecipe`), pose."""
 
     rate_hz: float
     gyro_noise_density: float
