@@ -165,6 +165,11 @@ class SplitRecipe:
         return hashlib.sha256(repr(values).encode()).hexdigest()
 
 
+def count(duration_s: float, rate_hz: float) -> int:
+    """Number of samples at times 0, 1 / rate, 2 / rate, ... below the duration."""
+    return math.ceil(duration_s * rate_hz - 1e-9)
+
+
 def split_names() -> list[str]:
     """Names of the splits that come with oysterbench."""
     folder = resources.files("oysterbench_datasets") / "splits"
@@ -277,7 +282,8 @@ def _build(kind: type, table: Any, where: str, prefix: str) -> Any:
 def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: str, key: str) -> Any:
     """One value, checked against its type and range."""
     if dataclasses.is_dataclass(hint):
-        return value if isinstance(value, hint) else _build(typing.cast(type, hint), value, where, f"{key}.")
+        kind = typing.cast(type, hint)
+        return value if isinstance(value, kind) else _build(kind, value, where, f"{key}.")
     if typing.get_origin(hint) is tuple:
         inner = typing.get_args(hint)
         if not isinstance(value, list):
@@ -293,8 +299,8 @@ def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: s
             raise RecipeError(f"{where}: key {key!r}: expected {_text(options)}, got {value!r}")
         return value
     if isinstance(value, bool) or not isinstance(value, int if hint is int else (int, float)):
-        kind = "a whole number" if hint is int else "a number"
-        raise RecipeError(f"{where}: key {key!r}: expected {kind}{_allowed(definition)}, got {value!r}")
+        wanted = "a whole number" if hint is int else "a number"
+        raise RecipeError(f"{where}: key {key!r}: expected {wanted}{_allowed(definition)}, got {value!r}")
     low, high = definition.metadata.get("range", (-math.inf, math.inf))
     if not low <= value <= high:
         raise RecipeError(f"{where}: key {key!r}: expected {low:g} to {high:g}, got {value!r}")

@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array, transform
+from oysterbench.geometry import Array
 from oysterbench.recipe import ImuRecipe
 from oysterbench.scene.path import Motion, Path
+from oysterbench.scene.rig import GRAVITY, imu_pose
 from oysterbench.streams import Streams
-
-GRAVITY = 9.80665
-"""Standard gravity, m/s^2, along -z of `map`."""
-
-
-def imu_pose(recipe: ImuRecipe) -> Array:
-    """T_base_imu, (4, 4)."""
-    rotation = Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix()
-    return transform(rotation, recipe.position_m)
 
 
 def ideal_imu(motion: Motion, T_base_imu: Array) -> tuple[Array, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +21,7 @@ GRAVITY = 9.81  # m/s^2; the layout has no key for it
 class EurocSequence(Sequence):
     """Reads a folder that holds `mav0`. The body frame is the IMU's, as the layout defines it."""
 
-    def __init__(self, folder: str | Path) -> None:
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
         root = self.folder / "mav0"
         self._root = root

@@ -1,0 +1,62 @@
+"""The calibration of a rig: where its sensors sit in base_link, and what they are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oysterbench.geometry import Array, transform
+from oysterbench.recipe import CameraRecipe, ImuRecipe, RigRecipe
+
+R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Turns an optical frame (z forward, x right, y down) into x forward, y left, z up (REP 103)."""
+
+GRAVITY = 9.80665
+"""Standard gravity, m/s^2, along -z of `map`."""
+
+
+def camera_pose(recipe: CameraRecipe) -> Array:
+    """T_base_cam (4, 4) of the optical frame."""
+    mount = Rotation.from_euler("ZY", [recipe.yaw_deg, recipe.pitch_deg], degrees=True).as_matrix()
+    return transform(mount @ R_FORWARD_OPTICAL, recipe.position_m)
+
+
+def camera_matrix(recipe: CameraRecipe) -> Array:
+    """Pinhole matrix (3, 3) in px; the centre of the first pixel is at (0, 0)."""
+    focal = recipe.width / 2 / np.tan(np.radians(recipe.hfov_deg) / 2)
+    return np.array([[focal, 0.0, (recipe.width - 1) / 2], [0.0, focal, (recipe.height - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def imu_pose(recipe: ImuRecipe) -> Array:
+    """T_base_imu (4, 4)."""
+    return transform(Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix(), recipe.position_m)
+
+
+def rig_calibration(rig: RigRecipe) -> dict[str, Any]:
+    """What a perfect calibration of the rig would find, as it travels in a sequence file (JSON values)."""
+    cameras = {
+        camera.name: {
+            "width": camera.width,
+            "height": camera.height,
+            "rate_hz": camera.rate_hz,
+            "matrix": camera_matrix(camera).tolist(),
+            "distortion": [0.0, 0.0, 0.0, 0.0],
+            "T_base_cam": camera_pose(camera).tolist(),
+        }
+        for camera in rig.camera
+    }
+    unit = rig.imu
+    inertial = {
+        "rate_hz": unit.rate_hz,
+        "gyro_noise_density": unit.gyro_noise_density,
+        "gyro_random_walk": unit.gyro_random_walk,
+        "gyro_turn_on": unit.gyro_turn_on,
+        "accel_noise_density": unit.accel_noise_density,
+        "accel_random_walk": unit.accel_random_walk,
+        "accel_turn_on": unit.accel_turn_on,
+        "gravity": GRAVITY,
+        "T_base_imu": imu_pose(unit).tolist(),
+    }
+    return {"imu": inertial, "cameras": cameras}

@@ -1,0 +1,90 @@
+"""One sequence, built: its path and cameras, and the messages that they send."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from oysterbench.geometry import transform
+from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe, SplitRecipe, count
+from oysterbench.render.camera import CameraRenderer
+from oysterbench.scene.path import Path, build_path
+from oysterbench.scene.rig import camera_pose, rig_calibration
+from oysterbench.scene.world import build_world
+from oysterbench.sensors import imu
+from oysterbench.sequence import topics
+from oysterbench.sequence.read import camera_calibration
+from oysterbench.sequence.topics import EPOCH_NS, Message
+from oysterbench.sequence.types import ImuSample
+from oysterbench.streams import Streams
+
+
+def stamps(n: int, rate_hz: float) -> np.ndarray:
+    """(n,) int64 stamps at times k / rate from the epoch."""
+    return EPOCH_NS + np.rint(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A built sequence: the path, and a renderer per camera."""
+
+    rig: RigRecipe
+    path: Path
+    renderers: dict[str, CameraRenderer]
+    streams: Streams
+
+
+@lru_cache(maxsize=1)
+def build_stage(split: SplitRecipe, name: str, salt: bytes) -> Stage:
+    """Built once per process and sequence; a worker's next job is most often of the same sequence."""
+    recipe = split.find_sequence(name)
+    streams = Streams(split.seed, salt, (recipe.name,))
+    world = build_world(recipe, streams)
+    path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
+    renderers = {camera.name: CameraRenderer(world, camera, recipe) for camera in split.rig.camera}
+    return Stage(split.rig, path, renderers, streams)
+
+
+def render_frames(stage: Stage, camera: CameraRecipe, first: int, last: int) -> Iterator[Message]:
+    """Messages of frames [first, last): colour and calibration of each, layers at their own rate."""
+    calibration = camera_calibration(rig_calibration(stage.rig)["cameras"][camera.name])
+    times = np.arange(first, last) / camera.rate_hz
+    motion = stage.path.at(times)
+    frame_stamps = stamps(last, camera.rate_hz)
+    every = round(camera.rate_hz / camera.layer_rate_hz) if camera.layer_rate_hz else 0
+    for row, index in enumerate(range(first, last)):
+        pose = transform(motion.rotation[row], motion.position[row]) @ camera_pose(camera)
+        noise = stage.streams.generator("camera", camera.name, "noise", index)
+        frame = stage.renderers[camera.name].render(pose, noise)
+        stamp = int(frame_stamps[index])
+        yield topics.camera_info(stamp, camera.name, calibration)
+        yield topics.colour_message(stamp, camera.name, frame.colour, camera.jpeg_quality)
+        if every and index % every == 0:
+            yield topics.layer_message(stamp, camera.name, "depth", frame.depth)
+            yield topics.layer_message(stamp, camera.name, "class", frame.classes)
+            yield topics.layer_message(stamp, camera.name, "instance", frame.instances)
+
+
+def measure_sensors(stage: Stage, split: SplitRecipe, recipe: SequenceRecipe) -> Iterator[Message]:
+    """Messages of the inertial unit, then of the truth."""
+    unit = split.rig.imu
+    n = count(recipe.duration_s, unit.rate_hz)
+    gyro, accel = imu.measure(stage.path, unit, np.arange(n) / unit.rate_hz, stage.streams)
+    gyro_variance, accel_variance = (
+        density**2 * unit.rate_hz for density in (unit.gyro_noise_density, unit.accel_noise_density)
+    )
+    for stamp, rate, force in zip(stamps(n, unit.rate_hz), gyro, accel, strict=True):
+        yield topics.imu_message(ImuSample(int(stamp), rate, force), gyro_variance, accel_variance)
+
+    n = count(recipe.duration_s, split.rig.truth_rate_hz)
+    times = np.arange(n) / split.rig.truth_rate_hz
+    motion = stage.path.at(times)
+    truth = stage.path.trajectory(times, stamps(n, split.rig.truth_rate_hz))
+    velocity = np.einsum("nji,nj->ni", motion.rotation, motion.velocity)
+    for row in range(n):
+        yield topics.truth_message(
+            int(truth.stamps_ns[row]), truth.positions[row], truth.quaternions[row], velocity[row], motion.rate[row]
+        )
