@@ -62,6 +62,11 @@ def interpolate_poses(
     return at_positions, at_rotations.as_quat()
 
 
+def rotation_angle(quaternions_a: Array, quaternions_b: Array) -> Array:
+    """Angle (N,) in rad, 0 to pi, of the rotations R_a^T R_b; quaternions (N, 4)."""
+    return np.asarray((Rotation.from_quat(quaternions_a).inv() * Rotation.from_quat(quaternions_b)).magnitude())
+
+
 @dataclass(frozen=True)
 class Similarity:
     """x_ref = scale * rotation @ x_est + translation; rotation (3, 3), translation (3,) in m."""
@@ -74,18 +79,57 @@ class Similarity:
         """Transform (N, 3) points."""
         return self.scale * points @ self.rotation.T + self.translation
 
+    def rotate(self, quaternions: Array) -> Array:
+        """Attitudes (N, 4) turned from the left: body to the estimate's world becomes body to the reference's."""
+        return (Rotation.from_matrix(self.rotation) * Rotation.from_quat(quaternions)).as_quat()
+
+
+IDENTITY = Similarity(np.eye(3), np.zeros(3))
+
+MIN_SPREAD_M = 1e-3
+"""A reference whose points lie closer together than this (rms distance from their mean) does not move."""
+
+MIN_SPREAD_RATIO = 1e-2
+"""Spread across the main direction over spread along it, below which rotation about that direction is a guess.
+
+A straight transect with a millimetre of noise has 1e-4: the best rotation about it is any, and evo's answer was 86 deg.
+"""
+
+MIN_MOTION_RATIO = 1e-3
+"""Spread of the estimate over that of the reference, below which the estimate is stuck.
+
+Umeyama's scale of a stuck estimate is its noise blown up to the reference (1e8 and more).
+"""
+
+
+def spread(points: Array) -> float:
+    """Root mean square distance in m of points (N, K) from their mean."""
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+
+
+def align_origin(reference: Array, estimate: Array) -> Similarity:
+    """The rigid transform that takes one estimated pose onto its reference, both (4, 4)."""
+    change = np.asarray(reference) @ invert(estimate)
+    return Similarity(change[:3, :3], change[:3, 3])
+
 
 def align_umeyama(reference: Array, estimate: Array, with_scale: bool = False) -> Similarity:
     """Least-squares rigid or similarity alignment of matched points (N, 3) (Umeyama 1991, eqs. 40 to 43).
 
-    Raises ValueError when the points do not determine a rotation (fewer than three, or all on one line).
+    Raises ValueError when the points do not determine a rotation: fewer than three, all in one place, or so close
+    to one line that the rotation about it is a guess (`MIN_SPREAD_RATIO`).
     """
+    _check_matched(reference, estimate)
+    _check_motion(spread(reference), spread(estimate))
     mean_reference, mean_estimate = reference.mean(axis=0), estimate.mean(axis=0)
     centred_reference, centred_estimate = reference - mean_reference, estimate - mean_estimate
     covariance = centred_reference.T @ centred_estimate / len(reference)
     u, d, vt = np.linalg.svd(covariance)
-    if np.count_nonzero(d > np.finfo(float).eps) < 2:
-        raise ValueError("the points lie on one line or in one place: rotation is not determined")
+    if d[1] < MIN_SPREAD_RATIO**2 * d[0]:
+        raise ValueError(
+            f"the points lie on one line: they spread {np.sqrt(d[1] / d[0]):.2%} as far across it as along it, "
+            f"at least {MIN_SPREAD_RATIO:.0%} is needed to determine the rotation about it"
+        )
     signs = np.ones(3)
     if np.linalg.det(u) * np.linalg.det(vt) < 0:
         signs[2] = -1.0
@@ -102,11 +146,36 @@ def align_yaw(reference: Array, estimate: Array) -> Similarity:
     Maximises sum(ref . Rz(theta) est) over theta (Zhang & Scaramuzza 2018, sec. IV-B). Raises ValueError when
     the points do not differ horizontally, so that yaw is not determined.
     """
+    _check_matched(reference, estimate)
     mean_reference, mean_estimate = reference.mean(axis=0), estimate.mean(axis=0)
     p, q = (reference - mean_reference)[:, :2], (estimate - mean_estimate)[:, :2]
+    _check_motion(spread(p), spread(q), "horizontally ")
+    if spread(p) < MIN_SPREAD_RATIO * spread(reference):
+        raise ValueError(
+            f"the reference moves straight up or down: it spreads {spread(p):.3g} m horizontally against "
+            f"{spread(reference):.3g} m in all, so that yaw is not determined"
+        )
     cosine = float(np.sum(p * q))
     sine = float(np.sum(p[:, 1] * q[:, 0] - p[:, 0] * q[:, 1]))
-    if np.hypot(cosine, sine) <= np.finfo(float).eps * max(1.0, float(np.sum(p * p))):
-        raise ValueError("the points do not differ horizontally: yaw is not determined")
+    if np.hypot(cosine, sine) <= np.finfo(float).eps * len(p) * spread(p) * spread(q):
+        raise ValueError("the points have no horizontal direction in common: yaw is not determined")
     rotation = Rotation.from_euler("z", np.arctan2(sine, cosine)).as_matrix()
     return Similarity(rotation, mean_reference - rotation @ mean_estimate)
+
+
+def _check_matched(reference: Array, estimate: Array) -> None:
+    if reference.shape != estimate.shape or reference.ndim != 2 or reference.shape[1] != 3:
+        raise ValueError(f"expected matched points (N, 3), got {reference.shape} and {estimate.shape}")
+    if len(reference) < 3:
+        raise ValueError(f"expected at least 3 matched points, got {len(reference)}")
+
+
+def _check_motion(reference_m: float, estimate_m: float, how: str = "") -> None:
+    """Refuse points without motion, given the two spreads in m."""
+    if reference_m < MIN_SPREAD_M:
+        raise ValueError(f"the reference does not move {how}(it spreads {reference_m:.3g} m): nothing to align to")
+    if estimate_m < MIN_MOTION_RATIO * reference_m:
+        raise ValueError(
+            f"the estimate does not move {how}: it spreads {estimate_m:.3g} m where the reference spreads "
+            f"{reference_m:.3g} m"
+        )

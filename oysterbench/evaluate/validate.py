@@ -1,0 +1,117 @@
+"""What must hold of a trajectory before it can be scored, and what a scored one looks like that was written wrongly."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from oysterbench.errors import TrajectoryError
+from oysterbench.geometry import Array, Similarity, rotation_angle
+from oysterbench.trajectory import Trajectory, ns_to_seconds
+
+MIN_POSES = 2
+NORM_TOLERANCE = 2e-3
+"""Of a quaternion's norm: three written decimals err by 1e-3 at most."""
+
+SUSPICIOUS_RAD = np.deg2rad(20.0)
+"""Attitudes that err by less than this are taken as they are."""
+SUSPICIOUS_GAIN = 4.0
+"""How many times better another reading of the attitudes must fit before it is mentioned."""
+
+
+def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
+    """The same trajectory with quaternions of norm one, or TrajectoryError in one line that starts with `name`.
+
+    Refused are: fewer than two poses, NaN or infinity, stamps that repeat or go back, quaternions that are not
+    rotations. Poses are counted from 1.
+    """
+    n = len(trajectory)
+    if n < MIN_POSES:
+        raise TrajectoryError(f"{name}: expected at least {MIN_POSES} poses, got {n}")
+    if not np.issubdtype(trajectory.stamps_ns.dtype, np.integer):
+        raise TrajectoryError(f"{name}: expected stamps in int64 nanoseconds, got {trajectory.stamps_ns.dtype}")
+    _check_finite(trajectory, name)
+    _check_order(trajectory.stamps_ns, name)
+    norms = np.linalg.norm(trajectory.quaternions, axis=1)
+    wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise TrajectoryError(
+            f"{name}: expected unit quaternions x y z w, got norm {norms[i]:.4g} at {_pose(trajectory, i)}"
+            f"{_others(wrong)}; check the order of the columns or normalise them"
+        )
+    return Trajectory(
+        trajectory.stamps_ns.astype(np.int64), trajectory.positions, trajectory.quaternions / norms[:, None]
+    )
+
+
+def _check_finite(trajectory: Trajectory, name: str) -> None:
+    values = np.column_stack([trajectory.positions, trajectory.quaternions])
+    wrong = np.asarray(~np.isfinite(values).all(axis=1))
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        column = ("x", "y", "z", "qx", "qy", "qz", "qw")[int(np.argmin(np.isfinite(values[i])))]
+        raise TrajectoryError(
+            f"{name}: expected finite numbers, got {column} = {values[i][~np.isfinite(values[i])][0]} at "
+            f"{_pose(trajectory, i)}{_others(wrong)}; leave out poses that are not known"
+        )
+
+
+def _check_order(stamps_ns: NDArray[np.int64], name: str) -> None:
+    # Compared, not subtracted: a difference of two int64 may overflow.
+    wrong = np.asarray(stamps_ns[1:] <= stamps_ns[:-1])
+    if not wrong.any():
+        return
+    i = int(np.argmax(wrong)) + 1
+    before, here = ns_to_seconds(stamps_ns[i - 1]), ns_to_seconds(stamps_ns[i])
+    if stamps_ns[i] == stamps_ns[i - 1]:
+        raise TrajectoryError(
+            f"{name}: expected increasing stamps, got {here} s twice, at poses {i} and {i + 1}{_others(wrong)}; "
+            "keep one pose for each stamp"
+        )
+    raise TrajectoryError(
+        f"{name}: expected increasing stamps, got {here} s after {before} s at pose {i + 1}{_others(wrong)}; "
+        "sort the poses by time"
+    )
+
+
+def _pose(trajectory: Trajectory, i: int) -> str:
+    return f"pose {i + 1} of {len(trajectory)} ({ns_to_seconds(trajectory.stamps_ns[i])} s)"
+
+
+def _others(wrong: NDArray[np.bool_]) -> str:
+    count = int(np.count_nonzero(wrong)) - 1
+    return f" and {count} more" if count else ""
+
+
+def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list[str]:
+    """What the attitudes look like, if not like those of `base_link`: one sentence for each suspicion.
+
+    truth (N, 4) and estimate (N, 4) are matched quaternions x y z w, the estimate's before alignment. Scores are
+    never changed by this: it names the two mistakes that are made most often in writing a trajectory.
+    """
+    aligned = alignment.rotate(estimate)
+    error = _rms(rotation_angle(truth, aligned))
+    if error < SUSPICIOUS_RAD:
+        return []
+    reordered = _rms(rotation_angle(truth, alignment.rotate(estimate[:, [1, 2, 3, 0]])))
+    if reordered * SUSPICIOUS_GAIN < error:
+        return [
+            f"the attitudes err by {np.rad2deg(error):.1f} deg as they are and by {np.rad2deg(reordered):.1f} deg when "
+            "read as w x y z: were they written in that order? x y z w is expected"
+        ]
+    turns = Rotation.from_quat(truth).inv() * Rotation.from_quat(aligned)
+    turn = turns.mean()
+    rest = _rms((turns * turn.inv()).magnitude())
+    if rest * SUSPICIOUS_GAIN < error:
+        return [
+            f"the attitudes differ from the truth by one constant turn of {np.rad2deg(turn.magnitude()):.1f} deg "
+            f"(the rest errs by {np.rad2deg(rest):.1f} deg): are they of a camera or an IMU? Poses of base_link are "
+            "expected"
+        ]
+    return []
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
