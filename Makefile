@@ -1,0 +1,38 @@
+# make demo: from nothing to a table of how well two methods localise an ROV over a rendered reef.
+# make test: the tests, the linter and the type checker. make test-slow: the tests that take minutes, too.
+
+PYTHON ?= python3
+VENV ?= .venv
+PIP = $(VENV)/bin/pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
+
+.PHONY: demo test test-slow lint clean
+
+demo: $(VENV)/.demo
+	$(VENV)/bin/oysterbench eval --track slam
+
+test: lint
+	$(VENV)/bin/pytest
+
+test-slow: $(VENV)/.dev
+	$(VENV)/bin/pytest -m "slow or not slow"
+
+lint: $(VENV)/.dev
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+
+$(VENV)/bin/pip:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.demo: $(VENV)/bin/pip pyproject.toml .ci/constraints.txt
+	@echo "installing oysterbench and what the demo needs into $(VENV)"
+	$(PIP) --editable ".[render,slam]"
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/bin/pip pyproject.toml .ci/constraints.txt
+	@echo "installing oysterbench and what the tests need into $(VENV)"
+	$(PIP) --editable ".[dev]"
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build *.egg-info

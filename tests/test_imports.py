@@ -1,0 +1,101 @@
+"""The import directions of the design, held by reading every import in the tree."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+GROUND = {"errors", "files", "version", "geometry", "trajectory", "streams", "recipe"}
+"""Rooms that everything may stand on; among themselves they import only what is listed before them."""
+
+MAY_IMPORT = {
+    "version": set(),
+    "errors": set(),
+    "files": set(),
+    "streams": set(),
+    "geometry": {"errors"},
+    "trajectory": {"errors", "files", "geometry"},
+    "recipe": {"errors"},
+    "scene": GROUND,
+    "render": GROUND | {"scene"},
+    "sensors": GROUND | {"scene"},
+    "sequence": GROUND,
+    "stage": GROUND | {"scene", "render", "sensors", "sequence"},
+    "generate": GROUND | {"scene", "render", "sensors", "sequence", "stage"},
+    "methods": GROUND | {"sequence"},
+    "evaluate": GROUND,
+    "results": GROUND | {"evaluate"},
+    "plots": GROUND,
+    "report": GROUND | {"evaluate", "results", "plots"},
+    "tracks": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report"},
+    "cli": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report", "tracks"},
+    "": {"sequence", "version"},
+}
+"""Room of oysterbench (module or folder; "" is `oysterbench/__init__.py`) -> rooms that it may import."""
+
+HOMES = {
+    "warp": ("oysterbench/scene", "oysterbench/render", "oysterbench/sensors", "tests"),
+    "trimesh": ("oysterbench/scene", "oysterbench/render", "oysterbench/sensors", "tests"),
+    "gtsam": ("baselines", "tests"),
+    "torch": ("baselines", "tests"),
+    "starlette": ("oysterbench/hub", "leaderboard", "tests"),
+    "evo": ("tests",),
+    "oysterbench_baselines": ("baselines", "leaderboard", "tests"),
+    "oysterbench_leaderboard": ("leaderboard", "tests"),
+}
+"""Packages that live in some folders only."""
+
+SOURCES = sorted(
+    path for folder in ("oysterbench", "baselines", "leaderboard", "tests") for path in (ROOT / folder).rglob("*.py")
+)
+
+
+def imported(path: Path) -> set[str]:
+    """Absolute names of the modules that a file imports, at its top or inside a function."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: imports are absolute"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def room(path: Path) -> str:
+    """Room of a file of the library."""
+    parts = path.relative_to(ROOT / "oysterbench").with_suffix("").parts
+    return "" if parts == ("__init__",) else parts[0]
+
+
+def test_sources_are_found():
+    assert len(SOURCES) > 20
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_point_one_way(path):
+    where = path.relative_to(ROOT)
+    for name in imported(path):
+        package, *rest = name.split(".")
+        if package in HOMES:
+            assert str(where).startswith(HOMES[package]), f"{where} imports {name}"
+        if package == "oysterbench" and where.parts[0] == "oysterbench" and rest:
+            here = room(path)
+            assert here in MAY_IMPORT, f"{where}: say in MAY_IMPORT which rooms {here!r} may import"
+            assert rest[0] in MAY_IMPORT[here] | {here}, f"{where} imports {name}"
+
+
+def test_sequence_reading_knows_nothing_of_how_sequences_are_made():
+    for path in (ROOT / "oysterbench" / "sequence").glob("*.py"):
+        assert not any(name.startswith(("oysterbench.scene", "oysterbench.render")) for name in imported(path))
+
+
+def test_baselines_use_the_public_library_only():
+    for path in (ROOT / "baselines").rglob("*.py"):
+        for name in imported(path):
+            assert "._" not in name
+            assert not name.startswith(("oysterbench.scene", "oysterbench.render", "oysterbench.generate")), name
