@@ -1,0 +1,186 @@
+"""A pinhole camera in a world: colour, depth along the axis, classes and instances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from oysterbench.recipe import CameraRecipe, SequenceRecipe
+from oysterbench.render import kernels
+from oysterbench.render.casting import Geometry
+from oysterbench.render.light import build_light, exposure
+from oysterbench.render.water import build_water
+from oysterbench.scene.world import World
+
+RANGE_STEP_M = 0.02
+DEPTH_STEP_M = 0.05
+MAX_DEPTH_M = 70.0
+CREVICE_BLUR_CELLS = 2.0
+SHOT_NOISE = 1.0 / 6000.0  # variance per signal: a full well of 6000 electrons
+READ_NOISE = 0.0015  # of full scale
+GAMMA_LEVELS = 8192
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a camera sees at one pose.
+
+    colour (H, W, 3) uint8 RGB; depth (H, W) float32, m along the optical axis, 0 where nothing is within the camera's
+    max_range_m; classes (H, W) uint8 as in recipe.CLASSES; instances (H, W) uint16, 0 for none. Depth, classes and
+    instances are those of the ray through the pixel's centre.
+    """
+
+    colour: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    classes: NDArray[np.uint8]
+    instances: NDArray[np.uint16]
+
+
+def camera_matrix(camera: CameraRecipe) -> NDArray[np.float64]:
+    """Pinhole matrix (3, 3) in pixels; the centre of the first pixel is at (0, 0), pixels are square."""
+    focal = 0.5 * camera.width / np.tan(np.deg2rad(camera.hfov_deg) / 2)
+    return np.array([[focal, 0.0, (camera.width - 1) / 2], [0.0, focal, (camera.height - 1) / 2], [0.0, 0.0, 1.0]])
+
+
+def warm_up(device: str = "cpu") -> None:
+    """Compile and load the kernels, into Warp's cache, so that processes started later find them there."""
+    _start_warp()
+    wp.load_module(kernels, device=device)
+
+
+class CameraRenderer:
+    """Renders a world for one camera; the world goes to the device once."""
+
+    def __init__(self, world: World, camera: CameraRecipe, recipe: SequenceRecipe, device: str = "cpu") -> None:
+        _start_warp()
+        self.camera = camera
+        self.device = device
+        self._upload(world)
+        self._light(world, recipe)
+        shape = (camera.height, camera.width)
+        self._radiance = wp.zeros(shape, dtype=wp.vec3, device=device)
+        self._smooth = wp.zeros(shape, dtype=wp.vec3, device=device)
+        self._depth = wp.zeros(shape, dtype=wp.float32, device=device)
+        self._classes = wp.zeros(shape, dtype=wp.uint8, device=device)
+        self._instances = wp.zeros(shape, dtype=wp.uint16, device=device)
+        self._colour = wp.zeros((*shape, 3), dtype=wp.uint8, device=device)
+
+    def render(self, T_map_cam: NDArray[np.float64], generator: np.random.Generator) -> Frame:
+        """Frame from the pose T_map_cam (4, 4) of the optical frame in `map`; `generator` gives the sensor's noise."""
+        view = kernels.View()
+        matrix = camera_matrix(self.camera)
+        pose = np.asarray(T_map_cam, dtype=np.float32)
+        view.position = wp.vec3(*pose[:3, 3].tolist())
+        view.rotation = wp.mat33(*pose[:3, :3].ravel().tolist())
+        view.focal, view.cx, view.cy = float(matrix[0, 0]), float(matrix[0, 2]), float(matrix[1, 2])
+        view.max_range = self.camera.max_range_m
+        shape = (self.camera.height, self.camera.width)
+        scene = [self._geometry, self._looks, self._optics, view]
+        truth = [self._depth, self._classes, self._instances]
+        wp.launch(kernels.trace, shape, inputs=scene, outputs=[self._radiance, *truth], device=self.device)
+        wp.launch(
+            kernels.refine,
+            shape,
+            inputs=[*scene, self._radiance, self._instances],
+            outputs=[self._smooth],
+            device=self.device,
+        )
+        noise = wp.array(generator.standard_normal((*shape, 3), dtype=np.float32), device=self.device)
+        wp.launch(
+            kernels.develop,
+            shape,
+            inputs=[self._smooth, noise, self._gain, SHOT_NOISE, READ_NOISE, self._gamma],
+            outputs=[self._colour],
+            device=self.device,
+        )
+        return Frame(*(array.numpy().copy() for array in (self._colour, *truth)))
+
+    def _upload(self, world: World) -> None:
+        """The world's arrays, meshes and tree of boxes on the device."""
+        device = self.device
+        instances = world.instances
+        seabed = world.terrain.mesh()
+        self._seabed = _mesh(seabed.vertices, seabed.faces, device)
+        self._library = [_mesh(mesh.vertices, mesh.faces, device) for mesh in world.meshes]
+        corner_counts = [mesh.faces.size for mesh in world.meshes]
+        vertex_counts = [len(mesh.vertices) for mesh in world.meshes]
+        first_corner = np.cumsum([0, *corner_counts[:-1]])
+        first_vertex = np.cumsum([0, *vertex_counts[:-1]])
+        corners = [m.faces.ravel() + start for m, start in zip(world.meshes, first_vertex, strict=True)]
+        ids = np.array([mesh.id for mesh in self._library], dtype=np.uint64)
+        geometry = Geometry()
+        geometry.seabed = self._seabed.id
+        geometry.seabed_corners = self._seabed.indices
+        geometry.seabed_normals = wp.array(seabed.normals, dtype=wp.vec3, device=device)
+        geometry.count = len(instances)
+        geometry.mesh = wp.array(ids[instances.shapes], dtype=wp.uint64, device=device)
+        geometry.first_corner = wp.array(first_corner[instances.shapes], dtype=wp.int32, device=device)
+        geometry.corners = wp.array(np.concatenate(corners), dtype=wp.int32, device=device)
+        normals = np.concatenate([mesh.normals for mesh in world.meshes])
+        geometry.normals = wp.array(normals, dtype=wp.vec3, device=device)
+        geometry.position = wp.array(instances.positions, dtype=wp.vec3, device=device)
+        geometry.rotation = wp.array(instances.rotations, dtype=wp.mat33, device=device)
+        geometry.scale = wp.array(instances.scales, dtype=wp.vec3, device=device)
+        if len(instances):
+            lowers, uppers = world.boxes()
+            self._boxes = wp.Bvh(
+                wp.array(lowers, dtype=wp.vec3, device=device), wp.array(uppers, dtype=wp.vec3, device=device)
+            )
+            geometry.boxes = self._boxes.id
+        self._geometry = geometry
+
+        looks = kernels.Looks()
+        looks.classes = wp.array(instances.classes, dtype=wp.uint8, device=device)
+        looks.colour = wp.array(instances.colours, dtype=wp.vec3, device=device)
+        looks.silt = wp.array(instances.silt, dtype=wp.float32, device=device)
+        looks.seed = world.texture_seed
+        blurred = ndimage.gaussian_filter(world.envelope, CREVICE_BLUR_CELLS)
+        looks.envelope = wp.array(blurred, dtype=wp.float32, device=device)
+        looks.envelope_start = float(world.envelope_lines[0])
+        looks.envelope_step = float(world.envelope_lines[1] - world.envelope_lines[0])
+        self._looks = looks
+
+    def _light(self, world: World, recipe: SequenceRecipe) -> None:
+        """Tables of water and light, and the camera's fixed exposure."""
+        water, light = build_water(recipe.water), build_light(recipe.light)
+        ranges = np.arange(0.0, 150.0, RANGE_STEP_M)
+        depths = np.arange(0.0, MAX_DEPTH_M, DEPTH_STEP_M)
+        optics = kernels.Optics()
+        optics.sun_direction = wp.vec3(*light.sun_direction.tolist())
+        optics.sun, optics.sky = light.sun, light.sky
+        optics.seabed_shadows = int(world.terrain.steepest() > light.steepest_lit_slope())
+        optics.direct = self._table(water.transmission(ranges))
+        optics.saturation = self._table(water.saturation(ranges))
+        optics.range_step = RANGE_STEP_M
+        optics.daylight = self._table(water.daylight(depths))
+        optics.depth_step = DEPTH_STEP_M
+        optics.veil = wp.vec3(*water.veil.tolist())
+        optics.veil_length = float(1.0 / water.backscatter.mean())
+        self._optics = optics
+        self._gain = wp.vec3(*exposure(water, recipe.reef.depth_m).tolist())
+        self._gamma = wp.array(_gamma_table(), dtype=wp.uint8, device=self.device)
+
+    def _table(self, values: NDArray[np.float64]) -> wp.array:
+        return wp.array(values.astype(np.float32), dtype=wp.vec3, device=self.device)
+
+
+def _start_warp() -> None:
+    """Start Warp without its greeting."""
+    wp.config.log_level = wp.LOG_ERROR
+    wp.init()
+
+
+def _mesh(vertices: NDArray[np.float32], faces: NDArray[np.int32], device: str) -> wp.Mesh:
+    points = wp.array(vertices, dtype=wp.vec3, device=device)
+    return wp.Mesh(points, wp.array(faces.ravel(), dtype=wp.int32, device=device))
+
+
+def _gamma_table() -> NDArray[np.uint8]:
+    """sRGB code (GAMMA_LEVELS,) of equally spaced linear levels (IEC 61966-2-1)."""
+    linear = np.linspace(0.0, 1.0, GAMMA_LEVELS)
+    curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.round(255 * curve).astype(np.uint8)

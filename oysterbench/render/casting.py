@@ -1,0 +1,109 @@
+"""Rays against a world: a seabed mesh and a tree of boxes over the instances, each traced in its own frame.
+
+Every ray sensor uses these functions. A ray is origin + t * direction; the direction need not have unit length, t
+counts in its lengths.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+
+@wp.struct
+class Geometry:
+    """A world on a device. Instance arrays are (N,); corners and normals of all library meshes are end to end."""
+
+    seabed: wp.uint64
+    seabed_corners: wp.array(dtype=wp.int32)
+    seabed_normals: wp.array(dtype=wp.vec3)
+    boxes: wp.uint64
+    count: wp.int32
+    mesh: wp.array(dtype=wp.uint64)
+    first_corner: wp.array(dtype=wp.int32)
+    corners: wp.array(dtype=wp.int32)
+    normals: wp.array(dtype=wp.vec3)
+    position: wp.array(dtype=wp.vec3)
+    rotation: wp.array(dtype=wp.mat33)
+    scale: wp.array(dtype=wp.vec3)
+
+
+@wp.struct
+class Hit:
+    """Nearest surface: instance -1 is the seabed, -2 nothing; u, v weigh the face's first two corners."""
+
+    t: wp.float32
+    instance: wp.int32
+    face: wp.int32
+    u: wp.float32
+    v: wp.float32
+
+
+@wp.func
+def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
+    """Nearest hit of a ray."""
+    hit = Hit()
+    hit.t = max_t
+    hit.instance = -2
+    ground = wp.mesh_query_ray(world.seabed, origin, direction, max_t)
+    if ground.result:
+        hit.t = ground.t
+        hit.instance = -1
+        hit.face = ground.face
+        hit.u = ground.u
+        hit.v = ground.v
+    if world.count > 0:
+        query = wp.bvh_query_ray(world.boxes, origin, direction)
+        i = 0
+        while wp.bvh_query_next(query, i, hit.t):
+            to_local = wp.transpose(world.rotation[i])
+            scale = world.scale[i]
+            start = wp.cw_div(to_local * (origin - world.position[i]), scale)
+            along = wp.cw_div(to_local * direction, scale)
+            found = wp.mesh_query_ray(world.mesh[i], start, along, hit.t)
+            if found.result:
+                hit.t = found.t
+                hit.instance = i
+                hit.face = found.face
+                hit.u = found.u
+                hit.v = found.v
+    return hit
+
+
+@wp.func
+def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, with_seabed: int):
+    """Whether anything lies on a ray before max_t."""
+    if with_seabed != 0 and wp.mesh_query_ray_anyhit(world.seabed, origin, direction, max_t):
+        return True
+    if world.count > 0:
+        query = wp.bvh_query_ray(world.boxes, origin, direction)
+        i = 0
+        while wp.bvh_query_next(query, i, max_t):
+            to_local = wp.transpose(world.rotation[i])
+            scale = world.scale[i]
+            start = wp.cw_div(to_local * (origin - world.position[i]), scale)
+            along = wp.cw_div(to_local * direction, scale)
+            if wp.mesh_query_ray_anyhit(world.mesh[i], start, along, max_t):
+                return True
+    return False
+
+
+@wp.func
+def blend(normals: wp.array(dtype=wp.vec3), corners: wp.array(dtype=wp.int32), first: int, u: float, v: float):
+    """Vertex normals of the face whose corners start at `first`, weighed by u, v, 1 - u - v."""
+    a = normals[corners[first]]
+    b = normals[corners[first + 1]]
+    c = normals[corners[first + 2]]
+    return a * u + b * v + c * (1.0 - u - v)
+
+
+@wp.func
+def surface_normal(world: Geometry, hit: Hit):
+    """Smooth unit normal in `map` at a hit, outward."""
+    normal = wp.vec3(0.0, 0.0, 1.0)
+    if hit.instance == -1:
+        normal = blend(world.seabed_normals, world.seabed_corners, 3 * hit.face, hit.u, hit.v)
+    elif hit.instance >= 0:
+        first = world.first_corner[hit.instance] + 3 * hit.face
+        local = blend(world.normals, world.corners, first, hit.u, hit.v)
+        normal = world.rotation[hit.instance] * wp.cw_div(local, world.scale[hit.instance])
+    return wp.normalize(normal)

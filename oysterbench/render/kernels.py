@@ -1,0 +1,242 @@
+"""The camera's kernels: trace a sample through every pixel, add samples at edges, develop to 8 bits."""
+
+from __future__ import annotations
+
+import platform
+from typing import Any
+
+import warp as wp
+
+from oysterbench.render.casting import Geometry, blocked, cast, surface_normal
+from oysterbench.render.texture import scramble, seabed, shell, stone
+
+# One instruction set for every x86 processor and no fused multiply-add: the same bytes wherever a split is made.
+wp.set_module_options(
+    {
+        "cpu_compiler_flags": "-target-cpu x86-64-v2" if platform.machine().lower() in ("x86_64", "amd64") else "",
+        "fuse_fp": False,
+        "fast_math": False,
+        "enable_backward": False,
+    }
+)
+
+FAR_M = wp.constant(150.0)  # past the skirt of every seabed
+SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
+CREVICE_M = wp.constant(0.07)  # depth below the blurred envelope at which little sky is left
+BOUNCE = wp.constant(0.16)  # albedo of the bottom as seen by a surface that faces down
+
+
+@wp.struct
+class Looks:
+    """What surfaces look like; arrays (N,) by instance. envelope: blurred upper surface, for crevices' darkness."""
+
+    classes: wp.array(dtype=wp.uint8)
+    colour: wp.array(dtype=wp.vec3)
+    silt: wp.array(dtype=wp.float32)
+    seed: wp.uint32
+    envelope: wp.array2d(dtype=wp.float32)
+    envelope_start: wp.float32
+    envelope_step: wp.float32
+
+
+@wp.struct
+class Optics:
+    """Light and water. Tables run from 0 in steps of range_step or depth_step, in m."""
+
+    sun_direction: wp.vec3
+    sun: wp.float32
+    sky: wp.float32
+    seabed_shadows: wp.int32
+    direct: wp.array(dtype=wp.vec3)
+    saturation: wp.array(dtype=wp.vec3)
+    range_step: wp.float32
+    daylight: wp.array(dtype=wp.vec3)
+    depth_step: wp.float32
+    veil: wp.vec3
+    veil_length: wp.float32
+
+
+@wp.struct
+class View:
+    """A pinhole camera: rotation takes its optical axes into `map`; focal length and centre in pixels."""
+
+    position: wp.vec3
+    rotation: wp.mat33
+    focal: wp.float32
+    cx: wp.float32
+    cy: wp.float32
+    max_range: wp.float32
+
+
+@wp.func
+def look_up(table: wp.array(dtype=wp.vec3), place: float):
+    """Linear interpolation at a fractional index, clamped."""
+    last = table.shape[0] - 1
+    clamped = wp.clamp(place, 0.0, float(last) - 0.001)
+    i = int(clamped)
+    return table[i] + (table[i + 1] - table[i]) * (clamped - float(i))
+
+
+@wp.func
+def openness(looks: Looks, p: wp.vec3):
+    """Share of the sky that a point sees, from its depth below the blurred envelope: 1 in the open."""
+    x = (p[0] - looks.envelope_start) / looks.envelope_step
+    y = (p[1] - looks.envelope_start) / looks.envelope_step
+    last = float(looks.envelope.shape[0] - 2)
+    share = 1.0
+    if x > 0.0 and y > 0.0 and x < last and y < last:
+        j = int(x)
+        i = int(y)
+        u = x - float(j)
+        v = y - float(i)
+        low = looks.envelope[i, j] * (1.0 - u) + looks.envelope[i, j + 1] * u
+        high = looks.envelope[i + 1, j] * (1.0 - u) + looks.envelope[i + 1, j + 1] * u
+        below = (low * (1.0 - v) + high * v - p[2]) / CREVICE_M
+        share = 1.0 / (1.0 + 2.2 * wp.max(below, 0.0))
+    return share
+
+
+@wp.func
+def ray_through(view: View, u: float, v: float):
+    """Direction in `map` through pixel (u, v), of unit length along the optical axis, so that t is depth."""
+    return view.rotation * wp.vec3((u - view.cx) / view.focal, (v - view.cy) / view.focal, 1.0)
+
+
+@wp.func
+def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, direction: wp.vec3, hit: Any):
+    """Radiance that leaves the surface at a hit towards the camera."""
+    p = view.position + direction * hit.t
+    length = wp.length(direction)
+    smooth = surface_normal(world, hit)
+    facing = wp.max(-wp.dot(smooth, direction) / length, 0.08)
+    footprint = hit.t / (view.focal * wp.sqrt(facing))
+    material = seabed(p, smooth, footprint, looks.seed)
+    i = hit.instance
+    if i >= 0:
+        rotation = world.rotation[i]
+        q = wp.transpose(rotation) * (p - world.position[i])
+        seed = scramble(looks.seed + wp.uint32(i))
+        if looks.classes[i] == wp.uint8(2):
+            share = q[0] / world.scale[i][0]
+            material = shell(q, share, smooth, rotation, looks.colour[i], looks.silt[i], footprint, seed)
+        else:
+            material = stone(q, smooth, rotation, looks.colour[i], looks.silt[i], footprint, seed)
+    n = material.normal
+    sun = wp.dot(n, optics.sun_direction)
+    light = 0.0
+    if sun > 0.0 and wp.dot(smooth, optics.sun_direction) > 0.0:
+        start = p + smooth * (0.0005 + 0.0005 * hit.t)
+        if not blocked(world, start, optics.sun_direction, SHADOW_M, optics.seabed_shadows):
+            light = optics.sun * sun / optics.sun_direction[2]
+    opening = openness(looks, p)
+    light += opening * (optics.sky * 0.5 * (1.0 + n[2]) + BOUNCE * 0.5 * (1.0 - n[2]))
+    return wp.cw_mul(material.albedo, look_up(optics.daylight, -p[2] / optics.depth_step)) * light
+
+
+@wp.func
+def sample(world: Geometry, looks: Looks, optics: Optics, view: View, direction: wp.vec3, hit: Any):
+    """Radiance at the camera along a ray whose nearest hit is given."""
+    length = wp.length(direction)
+    distance = hit.t * length
+    middle = view.position[2] + 0.5 * wp.min(distance, optics.veil_length) * direction[2] / length
+    veil = wp.cw_mul(optics.veil, look_up(optics.daylight, -middle / optics.depth_step))
+    radiance = wp.cw_mul(veil, look_up(optics.saturation, distance / optics.range_step))
+    if hit.instance > -2:
+        surface = surface_light(world, looks, optics, view, direction, hit)
+        radiance += wp.cw_mul(surface, look_up(optics.direct, distance / optics.range_step))
+    return radiance
+
+
+@wp.kernel
+def trace(
+    world: Geometry,
+    looks: Looks,
+    optics: Optics,
+    view: View,
+    radiance: wp.array2d(dtype=wp.vec3),
+    depth: wp.array2d(dtype=wp.float32),
+    classes: wp.array2d(dtype=wp.uint8),
+    instances: wp.array2d(dtype=wp.uint16),
+):
+    """One sample through the centre of each pixel, and the ground truth there."""
+    row, column = wp.tid()
+    direction = ray_through(view, float(column), float(row))
+    hit = cast(world, view.position, direction, FAR_M)
+    radiance[row, column] = sample(world, looks, optics, view, direction, hit)
+    within = hit.instance > -2 and hit.t * wp.length(direction) <= view.max_range
+    distance = 0.0
+    kind = wp.uint8(0)
+    number = wp.uint16(0)
+    if within:
+        distance = hit.t
+        kind = wp.uint8(1)
+        if hit.instance >= 0:
+            kind = looks.classes[hit.instance]
+            number = wp.uint16(hit.instance + 1)
+    depth[row, column] = distance
+    classes[row, column] = kind
+    instances[row, column] = number
+
+
+@wp.func
+def differs(
+    radiance: wp.array2d(dtype=wp.vec3), instances: wp.array2d(dtype=wp.uint16), i: int, j: int, k: int, m: int
+):
+    """Whether an edge runs between two pixels: another instance, or a step in brightness."""
+    a = radiance[i, j][1]
+    b = radiance[k, m][1]
+    return instances[i, j] != instances[k, m] or wp.abs(a - b) > 0.45 * wp.max(a, b)
+
+
+@wp.kernel
+def refine(
+    world: Geometry,
+    looks: Looks,
+    optics: Optics,
+    view: View,
+    radiance: wp.array2d(dtype=wp.vec3),
+    instances: wp.array2d(dtype=wp.uint16),
+    smooth: wp.array2d(dtype=wp.vec3),
+):
+    """Where an edge runs between neighbours, the mean of the centre and four more samples (a rotated grid)."""
+    i, j = wp.tid()
+    last_row = radiance.shape[0] - 1
+    last_column = radiance.shape[1] - 1
+    total = radiance[i, j]
+    edge = differs(radiance, instances, i, j, wp.max(i - 1, 0), j)
+    edge = edge or differs(radiance, instances, i, j, wp.min(i + 1, last_row), j)
+    edge = edge or differs(radiance, instances, i, j, i, wp.max(j - 1, 0))
+    edge = edge or differs(radiance, instances, i, j, i, wp.min(j + 1, last_column))
+    if edge:
+        du = 0.375
+        dv = 0.125
+        samples = 4
+        for _k in range(samples):
+            direction = ray_through(view, float(j) + du, float(i) + dv)
+            hit = cast(world, view.position, direction, FAR_M)
+            total += sample(world, looks, optics, view, direction, hit)
+            turned = du
+            du = -dv
+            dv = turned
+        total = total * 0.2
+    smooth[i, j] = total
+
+
+@wp.kernel
+def develop(
+    radiance: wp.array2d(dtype=wp.vec3),
+    noise: wp.array3d(dtype=wp.float32),
+    gain: wp.vec3,
+    shot: float,
+    read: float,
+    gamma: wp.array(dtype=wp.uint8),
+    colour: wp.array3d(dtype=wp.uint8),
+):
+    """Exposure, shot and read noise (variance = shot * signal + read^2), clipping, gamma by table, 8 bits."""
+    row, column = wp.tid()
+    signal = wp.cw_mul(radiance[row, column], gain)
+    levels = float(gamma.shape[0] - 1)
+    for channel in range(3):
+        s = signal[channel]
+        noisy = s + wp.sqrt(shot * s + read * read) * noise[row, column, channel]
+        colour[row, column, channel] = gamma[int(wp.clamp(noisy, 0.0, 1.0) * levels + 0.5)]

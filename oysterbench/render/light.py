@@ -1,0 +1,59 @@
+"""Daylight under water: the refracted sun, the sky, and the camera's fixed exposure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.recipe import LightRecipe
+from oysterbench.render.water import Water
+
+Array = NDArray[np.float64]
+
+WATER_INDEX = 1.34  # refractive index of sea water
+GREY_ALBEDO = 0.16  # a reef's mean; exposed to GREY_LEVEL at GREY_RANGE_M
+GREY_LEVEL = 0.20  # linear; 0.48 after gamma
+GREY_RANGE_M = 1.6
+WHITE_BALANCE = 0.55
+"""How far the fixed white balance goes from none (0) to neutral grey (1) in logarithm: cameras keep a cast."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """Daylight just below the surface.
+
+    sun_direction (3,): unit vector in `map` from a point under water towards the refracted sun. sun, sky: their
+    shares of the downwelling irradiance on a horizontal plane, which together are 1 in every channel.
+    """
+
+    sun_direction: Array
+    sun: float
+    sky: float
+
+    def steepest_lit_slope(self) -> float:
+        """Slope (rise over run) of the sun's ray: ground nowhere steeper than this casts no shadow on itself."""
+        return float(self.sun_direction[2] / max(np.hypot(*self.sun_direction[:2]), 1e-9))
+
+
+def build_light(recipe: LightRecipe) -> Light:
+    """Light of a recipe; the sun's ray is bent by Snell's law at a level surface."""
+    azimuth = np.deg2rad(recipe.sun_azimuth_deg)
+    horizontal = np.cos(np.deg2rad(recipe.sun_elevation_deg)) / WATER_INDEX  # sin of the zenith angle in water
+    vertical = np.sqrt(1.0 - horizontal**2)
+    direction = np.array([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), vertical])
+    return Light(np.round(direction, 7), 1.0 - recipe.sky_fraction, recipe.sky_fraction)
+
+
+def exposure(water: Water, depth_m: float) -> Array:
+    """Gain (3,) from radiance (white matte surface under unit irradiance = 1) to the sensor's linear scale.
+
+    Exposure and white balance of a camera that metered a grey reef at depth_m, GREY_RANGE_M away, and was then locked.
+    """
+    daylight = water.daylight(depth_m)
+    seen = GREY_ALBEDO * daylight * water.transmission(GREY_RANGE_M)
+    seen = seen + water.veil * daylight * water.saturation(GREY_RANGE_M)
+    brightness = float(np.mean(seen))
+    balance = (brightness / seen) ** WHITE_BALANCE
+    return GREY_LEVEL / brightness * balance / np.mean(balance * seen / brightness)
