@@ -53,7 +53,7 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
         hit.v = ground.v
     if world.count > 0:
         query = wp.bvh_query_ray(world.boxes, origin, direction)
-        i = 0
+        i = wp.int32(0)
         while wp.bvh_query_next(query, i, hit.t):
             to_local = wp.transpose(world.rotation[i])
             scale = world.scale[i]
@@ -76,7 +76,7 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
         return True
     if world.count > 0:
         query = wp.bvh_query_ray(world.boxes, origin, direction)
-        i = 0
+        i = wp.int32(0)
         while wp.bvh_query_next(query, i, max_t):
             to_local = wp.transpose(world.rotation[i])
             scale = world.scale[i]

@@ -83,7 +83,7 @@ def openness(looks: Looks, p: wp.vec3):
     x = (p[0] - looks.envelope_start) / looks.envelope_step
     y = (p[1] - looks.envelope_start) / looks.envelope_step
     last = float(looks.envelope.shape[0] - 2)
-    share = 1.0
+    share = wp.float32(1.0)
     if x > 0.0 and y > 0.0 and x < last and y < last:
         j = int(x)
         i = int(y)
@@ -123,7 +123,7 @@ def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, dir
             material = stone(q, smooth, rotation, looks.colour[i], looks.silt[i], footprint, seed)
     n = material.normal
     sun = wp.dot(n, optics.sun_direction)
-    light = 0.0
+    light = wp.float32(0.0)
     if sun > 0.0 and wp.dot(smooth, optics.sun_direction) > 0.0:
         start = p + smooth * (0.0005 + 0.0005 * hit.t)
         if not blocked(world, start, optics.sun_direction, SHADOW_M, optics.seabed_shadows):
@@ -164,7 +164,7 @@ def trace(
     hit = cast(world, view.position, direction, FAR_M)
     radiance[row, column] = sample(world, looks, optics, view, direction, hit)
     within = hit.instance > -2 and hit.t * wp.length(direction) <= view.max_range
-    distance = 0.0
+    distance = wp.float32(0.0)
     kind = wp.uint8(0)
     number = wp.uint16(0)
     if within:
@@ -208,9 +208,9 @@ def refine(
     edge = edge or differs(radiance, instances, i, j, i, wp.max(j - 1, 0))
     edge = edge or differs(radiance, instances, i, j, i, wp.min(j + 1, last_column))
     if edge:
-        du = 0.375
-        dv = 0.125
-        samples = 4
+        du = wp.float32(0.375)
+        dv = wp.float32(0.125)
+        samples = wp.int32(4)
         for _k in range(samples):
             direction = ray_through(view, float(j) + du, float(i) + dv)
             hit = cast(world, view.position, direction, FAR_M)

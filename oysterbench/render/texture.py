@@ -156,12 +156,12 @@ def fleck(x: float, y: float, cell: float, density: float, footprint: float, see
 @wp.func
 def seabed(p: wp.vec3, normal: wp.vec3, footprint: float, seed: wp.uint32):
     """Sediment with patches of mud, mottles, shell hash and pebbles, at p in `map`."""
-    patches = 0.0
-    grain = 0.0
-    slope_x = 0.0
-    slope_y = 0.0
-    wavelength = 2.3
-    octaves = 8
+    patches = wp.float32(0.0)
+    grain = wp.float32(0.0)
+    slope_x = wp.float32(0.0)
+    slope_y = wp.float32(0.0)
+    wavelength = wp.float32(2.3)
+    octaves = wp.int32(8)
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
@@ -185,8 +185,8 @@ def seabed(p: wp.vec3, normal: wp.vec3, footprint: float, seed: wp.uint32):
         wavelength *= 0.41
     tone = step_smoothly(-0.9, 0.9, patches)
     albedo = (MUD + (SAND - MUD) * tone) * wp.max(0.25, 1.0 + 0.34 * grain)
-    cell = 0.052
-    layers = 4
+    cell = wp.float32(0.052)
+    layers = wp.int32(4)
     for layer in range(layers):
         x = p[0] * 0.936 - p[1] * 0.352
         y = p[0] * 0.352 + p[1] * 0.936
@@ -225,9 +225,9 @@ def shell(
     coarse = noise3(q / 0.034, seed)
     value = float(coarse[0] * kept(0.034, footprint))
     gradient = wp.vec3(coarse[1], coarse[2], coarse[3]) * (0.35 * kept(0.034, footprint))
-    fine = 0.0
-    wavelength = 0.013
-    octaves = 3
+    fine = wp.float32(0.0)
+    wavelength = wp.float32(0.013)
+    octaves = wp.int32(3)
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
@@ -253,10 +253,10 @@ def stone(
     q: wp.vec3, normal: wp.vec3, rotation: wp.mat33, colour: wp.vec3, silt: float, footprint: float, seed: wp.uint32
 ):
     """A stone's surface: mottled, speckled, silted from above; q in the stone's frame in m."""
-    value = 0.0
+    value = wp.float32(0.0)
     gradient = wp.vec3(0.0, 0.0, 0.0)
-    wavelength = 0.07
-    octaves = 4
+    wavelength = wp.float32(0.07)
+    octaves = wp.int32(4)
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
