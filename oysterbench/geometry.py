@@ -62,9 +62,21 @@ def interpolate_poses(
     return at_positions, at_rotations.as_quat()
 
 
+def left_product(quaternion: ArrayLike) -> Array:
+    """(4, 4) matrix L with L @ q = quaternion * q, both x y z w: the rotation q followed by `quaternion`."""
+    x, y, z, w = np.asarray(quaternion, dtype=float)
+    return np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])
+
+
 def rotation_angle(quaternions_a: Array, quaternions_b: Array) -> Array:
-    """Angle (N,) in rad, 0 to pi, of the rotations R_a^T R_b; quaternions (N, 4)."""
-    return np.asarray((Rotation.from_quat(quaternions_a).inv() * Rotation.from_quat(quaternions_b)).magnitude())
+    """Angle (N,) in rad, 0 to pi, of the rotations R_a^T R_b; unit quaternions (N, 4).
+
+    From sine and cosine of the half angle, exact near 0 and near pi, where an arc cosine is not.
+    """
+    va, wa, vb, wb = quaternions_a[:, :3], quaternions_a[:, 3:], quaternions_b[:, :3], quaternions_b[:, 3:]
+    sine = np.linalg.norm(wa * vb - wb * va - np.cross(va, vb), axis=1)
+    cosine = np.abs(np.einsum("ij,ij->i", quaternions_a, quaternions_b))
+    return np.asarray(2.0 * np.arctan2(sine, cosine))
 
 
 @dataclass(frozen=True)
@@ -81,7 +93,7 @@ class Similarity:
 
     def rotate(self, quaternions: Array) -> Array:
         """Attitudes (N, 4) turned from the left: body to the estimate's world becomes body to the reference's."""
-        return (Rotation.from_matrix(self.rotation) * Rotation.from_quat(quaternions)).as_quat()
+        return quaternions @ left_product(Rotation.from_matrix(self.rotation).as_quat()).T
 
 
 IDENTITY = Similarity(np.eye(3), np.zeros(3))

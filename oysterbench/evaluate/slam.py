@@ -34,7 +34,7 @@ MIN_MATCHED = 5
 """Fewer poses are fitted by the alignment rather than scored: three are 9 numbers, of which sim3 fits 7."""
 
 RPE_TOLERANCE = 0.05
-"""Of rpe_delta_s: how far the distance in time of a pair may be from it, where truth stamps do not fall on it."""
+"""Of rpe_delta_s: how far a pair's distance in time may be from it, where no stamp falls on start + rpe_delta_s."""
 
 MIN_PATH_M = 1e-3
 """A shorter path has no percentages."""
@@ -221,14 +221,16 @@ def nearest_pairs(
 def pairs_over_time(stamps_ns: NDArray[np.int64], delta_s: float) -> Index:
     """Index pairs (M, 2) of stamps (N,) that lie delta_s apart, from every start that has such an end.
 
-    The end is the stamp nearest to start + delta_s, if within RPE_TOLERANCE of delta_s.
+    The end is the stamp nearest to start + delta_s, if within half the median step, so that the last starts do not
+    take an earlier end instead of none, and within RPE_TOLERANCE of delta_s.
     """
     delta_ns = round(delta_s * 1e9)
     ends_ns = stamps_ns + delta_ns
     after = np.clip(np.searchsorted(stamps_ns, ends_ns), 1, len(stamps_ns) - 1)
     ends = after - (ends_ns - stamps_ns[after - 1] <= stamps_ns[after] - ends_ns)
     starts = np.arange(len(stamps_ns))
-    fits = (np.abs(stamps_ns[ends] - ends_ns) <= RPE_TOLERANCE * delta_ns) & (ends > starts)
+    allowed_ns = min(RPE_TOLERANCE * delta_ns, 0.5 * float(np.median(np.diff(stamps_ns))))
+    fits = (np.abs(stamps_ns[ends] - ends_ns) <= allowed_ns) & (ends > starts)
     return np.column_stack([starts[fits], ends[fits]])
 
 

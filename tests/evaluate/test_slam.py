@@ -1,0 +1,269 @@
+"""Association, alignment, coverage, relative errors, and the cases in which other tools answer silently."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from oysterbench.errors import TrajectoryError
+from oysterbench.evaluate.metrics import SLAM, find_metric
+from oysterbench.evaluate.slam import SlamSettings, covered_stamps, nearest_pairs, pairs_over_time, score
+from oysterbench.streams import stream
+from oysterbench.trajectory import Trajectory
+
+EPOCH_NS = 1_700_000_000 * 10**9
+
+
+def survey(duration_s: float = 20.0, rate_hz: float = 50.0, start_ns: int = EPOCH_NS) -> Trajectory:
+    """A smooth loop at 3 m depth."""
+    t = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
+    positions = np.column_stack([4 * np.cos(t / 3), 3 * np.sin(t / 3), -3 + 0.2 * np.sin(t)])
+    attitude = Rotation.from_euler("zyx", np.column_stack([t / 3, 0.1 * np.sin(t), 0.1 * np.cos(t)]))
+    return Trajectory(start_ns + np.round(t * 1e9).astype(np.int64), positions, attitude.as_quat())
+
+
+def noisy(trajectory: Trajectory, sigma_m: float = 0.01) -> Trajectory:
+    rng = stream(3, b"", "noise")
+    return replace(trajectory, positions=trajectory.positions + rng.normal(0, sigma_m, trajectory.positions.shape))
+
+
+def moved(trajectory: Trajectory, turn: Rotation, by: tuple[float, float, float]) -> Trajectory:
+    return Trajectory(
+        trajectory.stamps_ns,
+        turn.apply(trajectory.positions) + by,
+        (turn * Rotation.from_quat(trajectory.quaternions)).as_quat(),
+    )
+
+
+def refusal(truth: Trajectory, estimate: Trajectory, **settings) -> str:
+    with pytest.raises(TrajectoryError) as caught:
+        score(truth, estimate, SlamSettings(**settings))
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+# --- what a score is -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("align", ["none", "origin", "posyaw", "se3", "sim3"])
+def test_the_truth_scores_zero_against_itself(align):
+    metrics = score(survey(), survey(), SlamSettings(align=align)).metrics
+    for key in metrics:
+        if key.endswith("_m") and key != "path_length_m":
+            assert metrics[key] == pytest.approx(0, abs=1e-12), key
+        if key.endswith("_deg"):
+            assert metrics[key] == pytest.approx(0, abs=1e-5), key
+    assert metrics["coverage"] == 1
+    assert metrics["scale"] == pytest.approx(1)
+
+
+def test_posyaw_undoes_a_turn_about_gravity_and_leaves_a_tilt():
+    truth = survey()
+    turned = moved(truth, Rotation.from_euler("z", 70, degrees=True), (5, -2, 1))
+    assert score(truth, turned).metrics["ate_rmse_m"] < 1e-12
+    tilted = moved(truth, Rotation.from_euler("x", 10, degrees=True), (0, 0, 0))
+    assert score(truth, tilted).metrics["ate_rotation_rmse_deg"] == pytest.approx(10, abs=0.5)
+    assert score(truth, tilted, SlamSettings(align="se3")).metrics["ate_rmse_m"] < 1e-12
+
+
+def test_errors_are_in_metres_and_percent_of_the_true_path():
+    truth = survey()
+    shifted = moved(truth, Rotation.identity(), (0.3, 0.4, 0))
+    metrics = score(truth, shifted, SlamSettings(align="none")).metrics
+    for key in ("ate_rmse_m", "ate_mean_m", "ate_median_m", "ate_max_m"):
+        assert metrics[key] == pytest.approx(0.5), key
+    assert metrics["path_length_m"] == pytest.approx(truth.path_length)
+    assert metrics["ate_percent"] == pytest.approx(50 / truth.path_length)
+
+
+def test_a_steady_drift_is_the_relative_error_per_second():
+    truth = survey()
+    seconds = (truth.stamps_ns - truth.stamps_ns[0])[:, None] * 1e-9
+    drifting = replace(truth, positions=truth.positions + seconds * [0.03, 0.04, 0])
+    metrics = score(truth, drifting, SlamSettings(align="none")).metrics
+    assert metrics["rpe_1s_translation_rmse_m"] == pytest.approx(0.05)
+    assert metrics["rpe_1s_rotation_rmse_deg"] == pytest.approx(0, abs=1e-6)
+    assert metrics["rpe_1s_pairs"] == len(truth) - 50
+
+
+def test_result_holds_the_aligned_poses_and_their_errors():
+    truth, estimate = survey(), noisy(survey(rate_hz=10))
+    result = score(truth, estimate)
+    distance = np.linalg.norm(result.estimate.positions - result.truth.positions, axis=1)
+    np.testing.assert_allclose(result.error_m, distance)
+    np.testing.assert_array_equal(result.stamps_ns, result.estimate.stamps_ns)
+    assert len(result.rotation_error_deg) == result.metrics["matched"] == len(truth)
+
+
+def test_scale_is_found_by_sim3_alone():
+    truth = survey()
+    half = replace(truth, positions=truth.positions * 0.5)
+    assert score(truth, half, SlamSettings(align="sim3")).metrics["scale"] == pytest.approx(2)
+    assert score(truth, half, SlamSettings(align="sim3")).metrics["ate_rmse_m"] < 1e-12
+    assert score(truth, half, SlamSettings(align="se3")).metrics["ate_rmse_m"] > 1
+
+
+@pytest.mark.parametrize("delta", [1.0, 0.5])
+def test_every_metric_is_defined(delta):
+    metrics = score(survey(), noisy(survey()), SlamSettings(rpe_delta_s=delta)).metrics
+    for key in metrics:
+        metric = find_metric(key)
+        assert metric is not None, f"{key} is missing from evaluate/metrics.py"
+        if metric.unit not in ("", "%"):
+            assert key.endswith(f"_{metric.unit}"), f"{key} does not carry its unit {metric.unit}"
+    assert find_metric("rpe_0.5s_rotation_rmse_deg").definition.count("0.5 s") == 1
+    assert find_metric("nonsense") is None
+
+
+def test_every_definition_is_a_sentence():
+    for key, metric in SLAM.items():
+        assert metric.definition[0].isupper(), key
+        assert metric.definition.endswith("."), key
+        assert metric.short, key
+
+
+def test_scoring_takes_milliseconds():
+    truth, estimate = survey(rate_hz=200), noisy(survey(rate_hz=20))
+    score(truth, estimate)
+    best = min(_timed(lambda: score(truth, estimate)) for _ in range(5))
+    assert best < 0.1
+
+
+def _timed(call) -> float:
+    begin = time.perf_counter()
+    call()
+    return time.perf_counter() - begin
+
+
+# --- association and coverage --------------------------------------------------------------------------------------
+
+
+def test_a_gap_in_the_estimate_is_not_interpolated_and_lowers_coverage():
+    truth, estimate = survey(), noisy(survey(rate_hz=10))
+    seconds = (estimate.stamps_ns - EPOCH_NS) * 1e-9
+    result = score(truth, estimate.select((seconds <= 5) | (seconds >= 10)))
+    assert result.metrics["coverage"] == pytest.approx(0.75, abs=0.002)
+    answered = (result.stamps_ns - EPOCH_NS) * 1e-9
+    assert not ((answered > 5) & (answered < 10)).any()
+
+
+def test_keyframes_farther_apart_than_the_gap_answer_their_own_stamps_only():
+    stamps = np.arange(0, 11) * 10
+    np.testing.assert_array_equal(
+        np.flatnonzero(covered_stamps(stamps, np.array([0, 50, 60, 100]), 20e-9)), [0, 5, 6, 10]
+    )
+
+
+def test_coverage_does_not_depend_on_the_association():
+    truth, estimate = survey(rate_hz=200), noisy(survey(rate_hz=20))
+    nearest = score(truth, estimate, SlamSettings(associate="nearest")).metrics
+    interpolated = score(truth, estimate).metrics
+    assert nearest["coverage"] == interpolated["coverage"] == 1
+    assert nearest["matched"] == len(estimate)
+    assert interpolated["matched"] == len(truth)
+
+
+def test_nearest_association_uses_no_pose_twice_and_prefers_the_closest():
+    stamps = np.array([0, 10, 20, 30, 40]) * 1_000_000
+    estimate = np.array([4, 12, 33]) * 1_000_000
+    mine, theirs = nearest_pairs(stamps, estimate, 0.01)
+    np.testing.assert_array_equal(mine, [0, 1, 3])
+    np.testing.assert_array_equal(theirs, [0, 1, 2])
+
+
+def test_relative_pairs_are_the_asked_time_apart_or_left_out():
+    stamps = np.array([0.0, 0.5, 1.0, 1.5, 2.02, 5.0])
+    pairs = pairs_over_time(np.round(stamps * 1e9).astype(np.int64), 1.0)
+    np.testing.assert_array_equal(pairs, [[0, 2], [1, 3], [2, 4]])
+
+
+def test_relative_error_without_pairs_is_nan_with_a_reason():
+    truth = survey(duration_s=0.8)
+    result = score(truth, noisy(truth, 0.001))
+    assert np.isnan(result.metrics["rpe_1s_translation_rmse_m"])
+    assert "1 s apart" in result.reasons["rpe_1s_translation_rmse_m"]
+    assert result.metrics["rpe_1s_pairs"] == 0
+
+
+# --- answers that are refused --------------------------------------------------------------------------------------
+
+
+def test_no_common_time_is_refused_with_both_spans_and_the_offset():
+    message = refusal(survey(), survey(start_ns=0))
+    for part in ("1700000000.000000000 to 1700000020.000000000", "0.000000000 to 20.000000000", "before it"):
+        assert part in message
+    assert "1700000000.000000000 s before" in message
+
+
+def test_common_time_without_a_match_is_refused_with_the_cause():
+    sparse = survey(rate_hz=0.7, start_ns=EPOCH_NS + 5_000_000)
+    assert "max_gap_s = 0.3" in refusal(survey(), sparse)
+    assert "max_difference_s = 0.001" in refusal(survey(), sparse, associate="nearest", max_difference_s=0.001)
+
+
+def test_a_handful_of_matched_poses_is_refused():
+    assert "answers 4 of 1001 truth stamps" in refusal(survey(), survey().select(slice(0, 4)))
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.001])
+@pytest.mark.parametrize("align", ["se3", "sim3"])
+def test_a_straight_transect_is_refused_where_its_rotation_is_a_guess(align, noise_m):
+    truth = survey()
+    line = replace(truth, positions=np.linspace([0, 0, -3], [10, 2, -3], len(truth)))
+    message = refusal(line, noisy(line, noise_m), align=align)
+    assert "one line" in message
+    assert "posyaw" in message
+
+
+def test_a_straight_transect_is_scored_by_posyaw():
+    truth = survey()
+    line = replace(truth, positions=np.linspace([0, 0, -3], [10, 2, -3], len(truth)))
+    turned = moved(noisy(line, 0.001), Rotation.from_euler("z", 40, degrees=True), (1, 2, 3))
+    metrics = score(line, turned).metrics
+    assert metrics["ate_rmse_m"] < 0.002
+    assert metrics["ate_rotation_rmse_deg"] < 0.1
+
+
+def test_a_descent_is_refused_by_posyaw():
+    truth = survey()
+    descent = replace(truth, positions=np.linspace([0, 0, 0], [0, 0, -8], len(truth)))
+    assert "straight up or down" in refusal(noisy(descent, 0.005), noisy(descent, 0.005))
+
+
+@pytest.mark.parametrize("align", ["posyaw", "se3", "sim3"])
+@pytest.mark.parametrize("noise_m", [0.0, 1e-8])
+def test_a_stuck_estimate_is_refused_instead_of_scaled(align, noise_m):
+    truth = survey()
+    stuck = noisy(replace(truth, positions=np.zeros_like(truth.positions)), noise_m)
+    assert "the estimate does not move" in refusal(truth, stuck, align=align)
+
+
+@pytest.mark.parametrize("align", ["posyaw", "se3"])
+def test_a_truth_that_stands_still_is_refused_by_fits_and_scored_by_origin(align):
+    truth = survey()
+    still = replace(truth, positions=np.zeros_like(truth.positions))
+    assert "the reference does not move" in refusal(still, truth, align=align)
+    result = score(still, truth, SlamSettings(align="origin"))
+    assert np.isnan(result.metrics["ate_percent"])
+    assert "does not move" in result.reasons["ate_percent"]
+
+
+def test_a_tenth_of_the_sequence_is_scored_and_said_to_be_a_tenth():
+    truth = survey()
+    result = score(truth, noisy(truth.select(slice(0, 100))))
+    assert result.metrics["coverage"] == pytest.approx(0.1, abs=0.001)
+    assert any("10%" in note for note in result.notes)
+
+
+def test_settings_that_mean_nothing_are_refused_by_name():
+    with pytest.raises(TrajectoryError, match="'align': expected one of none, origin"):
+        SlamSettings(align="yaw")
+    with pytest.raises(TrajectoryError, match="'max_gap_s': expected more than 0"):
+        SlamSettings(max_gap_s=0)
+    with pytest.raises(TrajectoryError, match="'rpe_delta_s'"):
+        SlamSettings(rpe_delta_s=float("nan"))

@@ -1,0 +1,109 @@
+"""A trajectory that cannot be scored is refused in one line that names the pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from oysterbench.errors import TrajectoryError
+from oysterbench.evaluate.slam import SlamSettings, score
+from oysterbench.evaluate.validate import check_trajectory
+from oysterbench.streams import stream
+from oysterbench.trajectory import Trajectory
+
+
+def walk(n: int = 200) -> Trajectory:
+    rng = stream(5, b"", "walk")
+    attitudes = Rotation.from_rotvec(np.cumsum(rng.normal(0, 0.05, (n, 3)), axis=0))
+    positions = np.cumsum(rng.normal(0, 0.1, (n, 3)), axis=0)
+    return Trajectory(np.arange(n, dtype=np.int64) * 50_000_000 + 10**18, positions, attitudes.as_quat())
+
+
+def refusal(trajectory: Trajectory) -> str:
+    with pytest.raises(TrajectoryError) as caught:
+        check_trajectory(trajectory, "estimate")
+    message = str(caught.value)
+    assert message.startswith("estimate: expected ")
+    assert "\n" not in message
+    return message
+
+
+def changed(array: str, index, value) -> Trajectory:
+    trajectory = walk()
+    values = getattr(trajectory, array).copy()
+    values[index] = value
+    return replace(trajectory, **{array: values})
+
+
+def test_a_good_trajectory_is_given_back():
+    checked = check_trajectory(walk(), "estimate")
+    np.testing.assert_array_equal(checked.positions, walk().positions)
+    np.testing.assert_allclose(checked.quaternions, walk().quaternions, rtol=0, atol=1e-15)
+
+
+def test_nan_is_named_by_pose_and_column():
+    assert "y = nan at pose 8 of 200 (1000000000.350000000 s);" in refusal(changed("positions", (7, 1), np.nan))
+    assert "qw = inf at pose 1 of 200" in refusal(changed("quaternions", (0, 3), np.inf))
+    assert "pose 3 of 200 (1000000000.100000000 s) and 1 more" in refusal(changed("positions", [2, 3], np.nan))
+
+
+def test_repeated_stamps_are_named():
+    duplicated = walk().select(np.repeat(np.arange(200), 2))
+    assert "1000000000.000000000 s twice, at poses 1 and 2 and 199 more" in refusal(duplicated)
+
+
+def test_unsorted_stamps_are_named():
+    swapped = walk().select(np.r_[0:5, 6, 5, 7:200])
+    assert "got 1000000000.250000000 s after 1000000000.300000000 s at pose 7" in refusal(swapped)
+
+
+def test_a_quaternion_that_is_no_rotation_is_named():
+    assert "norm 1.1 at pose 4 of 200" in refusal(changed("quaternions", 3, [0, 0, 0, 1.1]))
+    assert "norm 0 at pose 4 of 200" in refusal(changed("quaternions", 3, 0))
+
+
+def test_quaternions_rounded_in_text_are_normalised():
+    rounded = replace(walk(), quaternions=np.round(walk().quaternions, 3))
+    assert not np.allclose(np.linalg.norm(rounded.quaternions, axis=1), 1, rtol=0, atol=1e-5)
+    checked = check_trajectory(rounded, "estimate")
+    np.testing.assert_allclose(np.linalg.norm(checked.quaternions, axis=1), 1, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("n", [0, 1])
+def test_fewer_than_two_poses_are_refused(n):
+    assert f"got {n}" in refusal(walk().select(slice(0, n)))
+
+
+def test_stamps_in_seconds_are_refused():
+    with pytest.raises(TrajectoryError, match="int64 nanoseconds, got float64"):
+        check_trajectory(replace(walk(), stamps_ns=walk().stamps_ns * 1e-9), "estimate")
+
+
+def test_score_says_which_of_the_two_is_wrong():
+    bad = changed("positions", (7, 1), np.nan)
+    with pytest.raises(TrajectoryError, match=r"^truth: "):
+        score(bad, walk())
+    with pytest.raises(TrajectoryError, match=r"^estimate: "):
+        score(walk(), bad)
+
+
+def test_quaternions_in_another_order_are_suspected():
+    mixed = replace(walk(), quaternions=walk().quaternions[:, [3, 0, 1, 2]])
+    (note,) = score(walk(), mixed, SlamSettings(align="none")).notes
+    assert "w x y z" in note
+
+
+def test_poses_of_a_camera_are_suspected():
+    optical = Rotation.from_euler("zyx", [-90, 0, -90], degrees=True)
+    camera = replace(walk(), quaternions=(Rotation.from_quat(walk().quaternions) * optical).as_quat())
+    (note,) = score(walk(), camera, SlamSettings(align="none")).notes
+    assert "one constant turn of 120.0 deg" in note
+
+
+def test_attitudes_that_are_merely_bad_raise_no_suspicion():
+    rng = stream(6, b"", "bad")
+    bad = replace(walk(), quaternions=Rotation.random(200, rng=rng).as_quat())
+    assert score(walk(), bad, SlamSettings(align="none")).notes == ()

@@ -1,0 +1,160 @@
+"""Trajectory files as they are found in the wild, and stamps to the nanosecond."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oysterbench.errors import TrajectoryError
+from oysterbench.trajectory import Trajectory, ns_to_seconds, read_trajectory, seconds_to_ns, write_tum
+
+POSE = "1 2 3 0 0 0.6 0.8"
+
+
+def read(tmp_path, text: str | bytes):
+    path = tmp_path / "poses.txt"
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return read_trajectory(path)
+
+
+def refusal(tmp_path, text: str | bytes) -> str:
+    with pytest.raises(TrajectoryError) as caught:
+        read(tmp_path, text)
+    message = str(caught.value).removeprefix(str(tmp_path) + "/")
+    assert message.startswith("poses.txt")
+    assert "\n" not in message
+    return message
+
+
+@given(st.integers(-(2**63) + 1, 2**63 - 1))
+def test_stamps_survive_text(stamp_ns):
+    assert seconds_to_ns(ns_to_seconds(stamp_ns)) == stamp_ns
+
+
+@pytest.mark.parametrize(
+    ("text", "stamp_ns"),
+    [
+        ("1403636580.838555648", 1403636580838555648),
+        ("1403636580.8385556480", 1403636580838555648),
+        ("1.403636580838555648e+09", 1403636580838555648),
+        ("1.499999999999999944e-01", 150_000_000),
+        ("0.14999999999999999", 150_000_000),
+        ("-0.5", -500_000_000),
+        ("5", 5_000_000_000),
+        (" .25 ", 250_000_000),
+    ],
+)
+def test_seconds_are_read_to_the_nanosecond(text, stamp_ns):
+    assert seconds_to_ns(text) == stamp_ns
+
+
+@pytest.mark.parametrize("text", ["", "nan", "inf", "1e400", "12:30", "1.2.3"])
+def test_a_text_that_is_no_time_is_refused(text):
+    with pytest.raises(ValueError, match="not a"):
+        seconds_to_ns(text)
+
+
+def test_tum_file_is_read_with_comments_blanks_tabs_and_repeated_spaces(tmp_path):
+    head = "\ufeff# timestamp tx ty tz qx qy qz qw\r\n\r\n  # more\n"
+    trajectory = read(tmp_path, head + f"1403636580.838555648\t1  2\t3 0 0 0.6   0.8 \r\n\n2e9 {POSE}")
+    np.testing.assert_array_equal(trajectory.stamps_ns, [1403636580838555648, 2 * 10**18])
+    np.testing.assert_array_equal(trajectory.positions, [[1, 2, 3]] * 2)
+    np.testing.assert_array_equal(trajectory.quaternions, [[0, 0, 0.6, 0.8]] * 2)
+
+
+@pytest.mark.parametrize(
+    "header", ["", "#timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z\n", "timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z\n"]
+)
+def test_euroc_file_has_the_quaternion_as_w_x_y_z(tmp_path, header):
+    trajectory = read(tmp_path, header + "1403636580838555648, 1,2,3, 0.8,0,0,0.6, 9,9,9,0,0,0,0,0,0\n")
+    assert trajectory.stamps_ns[0] == 1403636580838555648
+    np.testing.assert_array_equal(trajectory.quaternions, [[0, 0, 0.6, 0.8]])
+
+
+def test_nanoseconds_with_spaces_are_read_as_orb_slam_writes_them(tmp_path):
+    trajectory = read(tmp_path, f"1403636579763555584.000000 {POSE}\n1403636579813555456.000000 {POSE}\n")
+    np.testing.assert_array_equal(trajectory.stamps_ns, [1403636579763555584, 1403636579813555456])
+    np.testing.assert_array_equal(trajectory.quaternions[0], [0, 0, 0.6, 0.8])
+
+
+@pytest.mark.parametrize("stamp", ["1403636579763", "1403636579763555"])
+def test_milli_and_microseconds_are_refused(tmp_path, stamp):
+    assert "poses.txt:1: expected a stamp in seconds" in refusal(tmp_path, f"{stamp} {POSE}")
+
+
+def test_a_change_of_layout_within_a_file_is_refused(tmp_path):
+    message = refusal(tmp_path, f"1 {POSE}\n1403636579763555584 {POSE}")
+    assert message.startswith("poses.txt:2: expected spaces and stamps in s as on the lines before")
+    assert ":2: expected spaces" in refusal(tmp_path, f"1 {POSE}\n1,1,2,3,1,0,0,0")
+
+
+def test_seconds_with_commas_are_refused_with_the_way_out(tmp_path):
+    message = refusal(tmp_path, "1403636580.84,1,2,3,1,0,0,0")
+    assert "whole nanoseconds" in message
+    assert "with spaces" in message
+
+
+@pytest.mark.parametrize("columns", [7, 9, 12])
+def test_a_wrong_number_of_columns_is_refused_with_file_and_line(tmp_path, columns):
+    message = refusal(tmp_path, f"# header\n1 {POSE}\n" + " ".join(["1"] * columns))
+    assert message.startswith(f"poses.txt:3: expected 8 numbers `t x y z qx qy qz qw`, got {columns} fields")
+    assert ("KITTI" in message) == (columns == 12)
+
+
+@pytest.mark.parametrize(
+    "line", ["1 2 x 3 0 0 0 1", "1 2 nan 3 0 0 0 1", "1 inf 2 3 0 0 0 1", "soon 1 2 3 0 0 0 1", "nan " + POSE]
+)
+def test_what_is_no_finite_number_is_refused_with_file_and_line(tmp_path, line):
+    assert refusal(tmp_path, f"1 {POSE}\n\n{line}\n").startswith("poses.txt:3: expected ")
+
+
+def test_a_second_line_of_names_is_not_skipped(tmp_path):
+    assert refusal(tmp_path, f"t x y z qx qy qz qw\n1 {POSE}\nt x y z qx qy qz qw").startswith("poses.txt:3")
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "# only a comment\n", "t x y z qx qy qz qw\n"])
+def test_an_empty_file_is_refused(tmp_path, text):
+    assert "holds no pose" in refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize("content", [bytes(range(256)), b"\0\1\2" * 50, f"1 {POSE}\n".encode("utf-16")])
+def test_a_binary_file_is_refused(tmp_path, content):
+    assert "is not text" in refusal(tmp_path, content)
+
+
+def test_what_is_no_file_is_refused(tmp_path):
+    with pytest.raises(TrajectoryError, match="no such file"):
+        read_trajectory(tmp_path / "absent.txt")
+    with pytest.raises(TrajectoryError, match="is a folder"):
+        read_trajectory(tmp_path)
+
+
+def test_a_written_file_reads_back(tmp_path):
+    rng = np.random.Generator(np.random.Philox(1))
+    quaternions = rng.normal(size=(5, 4))
+    trajectory = Trajectory(
+        np.arange(5, dtype=np.int64) * 33_333_333 + 1_700_000_000_123_456_789,
+        rng.normal(size=(5, 3)) * 1000,
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
+    )
+    write_tum(tmp_path / "out" / "poses.txt", trajectory)
+    again = read_trajectory(tmp_path / "out" / "poses.txt")
+    np.testing.assert_array_equal(again.stamps_ns, trajectory.stamps_ns)
+    np.testing.assert_allclose(again.positions, trajectory.positions, rtol=1e-11)
+    np.testing.assert_allclose(again.quaternions, trajectory.quaternions, rtol=0, atol=1e-11)
+
+
+def test_arrays_of_different_lengths_are_refused():
+    with pytest.raises(TrajectoryError, match="expected 2 positions"):
+        Trajectory(np.array([1, 2]), np.zeros((3, 3)), np.zeros((2, 4)))
+
+
+def test_path_length_and_selection():
+    trajectory = Trajectory(
+        np.arange(3), np.array([[0.0, 0, 0], [3, 4, 0], [3, 4, 2]]), np.tile([0.0, 0, 0, 1], (3, 1))
+    )
+    assert trajectory.path_length == 7
+    assert trajectory.select(slice(0, 2)).path_length == 5
+    np.testing.assert_allclose(trajectory.matrices[1, :3, 3], [3, 4, 0])
