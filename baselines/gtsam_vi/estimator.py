@@ -1,0 +1,307 @@
+"""The estimator behind the front end: key frames, initialisation, fixed lag, final smoothing. It sees tracks only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import X
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from oysterbench.geometry import Array, invert
+from oysterbench.sequence.types import CameraCalibration, ImuCalibration
+from oysterbench.trajectory import Trajectory
+from oysterbench_baselines.gtsam_vi.frontend import homogeneous
+from oysterbench_baselines.gtsam_vi.graph import Bundle, Keyframe, Model, State, adjust, make_state, read_state
+from oysterbench_baselines.gtsam_vi.inertial import Segment, extend, integrate, preintegrate, relative_rotation
+from oysterbench_baselines.gtsam_vi.initialisation import Start, View, closed_form_start, level_rotation
+from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.window import Window
+
+
+@dataclass
+class Frame:
+    """A frame: the key frame before it (or itself), the measurements since, and the pose that was known at once."""
+
+    stamp_ns: int
+    keyframe: int
+    since: Segment
+    online: Array | None = None  # T_odom_imu
+
+
+@dataclass
+class Estimator:
+    """Takes frames of tracks, with the inertial measurements before each, in time order."""
+
+    camera: CameraCalibration
+    imu: ImuCalibration
+    settings: Settings
+    keyframes: list[Keyframe] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
+    info: dict[str, float | int | str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.model = Model(self.camera, self.imu, self.settings)
+        self._window: Window | None = None
+        self._since: list[Segment] = []
+        self._measurements: gtsam.PreintegratedCombinedMeasurements | None = None
+        self._next_attempt_s = 0.0
+        self._first = 0  # key frame at which the search for a start begins
+        self._anchor: State | None = None  # its state, when there was a start before
+        self._bad_keyframes = 0
+
+    @property
+    def gyro_bias(self) -> Array:
+        """Latest estimate (3,) rad/s; zero before there is one."""
+        return self.keyframes[-1].state.bias.gyroscope() if self._window else np.zeros(3)
+
+    def add_frame(self, stamp_ns: int, segment: Segment, ids: NDArray[np.int64], rays: Array) -> None:
+        """The next frame: measurements since the last one, and tracks: ids (N,) and undistorted rays (N, 2)."""
+        order = np.argsort(ids, kind="stable")
+        view = View(np.asarray(ids, dtype=np.int64)[order], np.asarray(rays, dtype=float)[order])
+        if self.keyframes:
+            self._since.append(segment)
+        if self._measurements is not None:
+            extend(self._measurements, segment)
+        predicted = self._predict()
+        if self._is_keyframe(view):
+            self._add_keyframe(stamp_ns, view, predicted)
+            predicted = self.keyframes[-1].state if self._window else None
+        frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since))
+        frame.online = predicted.matrix if predicted else None
+        self.frames.append(frame)
+
+    def _predict(self) -> State | None:
+        if self._window is None:
+            return None
+        last = self.keyframes[-1].state
+        return State(self._measurements.predict(last.nav, last.bias), last.bias)
+
+    # Key frames.
+
+    def _is_keyframe(self, view: View) -> bool:
+        """Enough parallax, enough tracks lost, or enough time since the last key frame."""
+        settings = self.settings
+        if not self.keyframes:
+            return True
+        since = Segment.join(self._since)
+        if since.duration < settings.keyframe_min_s:
+            return False
+        if since.duration >= settings.keyframe_max_s:
+            return True
+        last = self.keyframes[-1].view
+        shared, in_last, in_view = np.intersect1d(last.ids, view.ids, assume_unique=True, return_indices=True)
+        if len(shared) < settings.keyframe_shared * len(last.ids):
+            return True
+        if len(shared) == 0:
+            return False
+        turn = self.model.T_imu_cam[:3, :3].T @ relative_rotation(since, self.gyro_bias) @ self.model.T_imu_cam[:3, :3]
+        return self._parallax(last.rays[in_last], view.rays[in_view], turn) >= settings.keyframe_parallax_px
+
+    def _parallax(self, before: Array, after: Array, R_before_after: Array) -> float:
+        """Median flow (px) between rays (N, 2) that a rotation does not explain."""
+        turned = homogeneous(before) @ R_before_after
+        flow = after - turned[:, :2] / np.maximum(turned[:, 2:], 0.1)
+        return float(np.median(np.linalg.norm(flow, axis=1))) * self.model.focal
+
+    def _at_rest(self, view: View, duration: float) -> bool:
+        """The picture has not moved since the last key frame."""
+        last = self.keyframes[-1].view
+        shared, in_last, in_view = np.intersect1d(last.ids, view.ids, assume_unique=True, return_indices=True)
+        if len(shared) < self.settings.init_min_tracks or duration < self.settings.rest_s:
+            return False
+        flow = self._parallax(last.rays[in_last], view.rays[in_view], np.eye(3))
+        return flow < self.settings.rest_px
+
+    def _add_keyframe(self, stamp_ns: int, view: View, predicted: State | None) -> None:
+        segment = Segment.join(self._since)
+        rest = bool(self.keyframes) and self._at_rest(view, segment.duration)
+        self.keyframes.append(Keyframe(len(self.keyframes), stamp_ns, view, segment, rest))
+        self._since = []
+        if self._window is not None:
+            self._window.add(self.keyframes, predicted)
+            if self._has_diverged():
+                self._restart()
+        else:
+            self._try_to_start(self.settings.init_scale_sigma)
+        if self._window is not None:
+            self._measurements = preintegrate(Segment.join([]), self.keyframes[-1].state.bias, self.model.params)
+
+    # Initialisation.
+
+    def _try_to_start(self, max_scale_sigma: float) -> None:
+        """Search the latest key frames for a start; accept it when its scale is well determined."""
+        settings = self.settings
+        stretch = self.keyframes[self._first :][-settings.init_max_keyframes :]
+        now = (stretch[-1].stamp_ns - self.keyframes[0].stamp_ns) * 1e-9
+        moving = sum(k.segment.duration for k in stretch[1:] if not k.at_rest)
+        if len(stretch) < settings.init_min_keyframes or moving < settings.init_min_s or now < self._next_attempt_s:
+            return
+        self._next_attempt_s = now + settings.init_retry_s
+        start = closed_form_start(
+            [k.view for k in stretch],
+            [k.segment for k in stretch[1:]],
+            self.model.T_imu_cam,
+            self.imu.gravity,
+            self.model.gyro_turn_on,
+            self.model.accel_turn_on,
+            settings.pixel_sigma_px / self.model.focal,
+        )
+        states = _states(start, self._anchor)
+        bundle = adjust(self.model, stretch, states, (30.0, 6.0, settings.max_landmark_error_px))
+        if len(bundle.landmarks) < settings.init_min_tracks:
+            return
+        sigma = _scale_sigma(bundle, stretch)
+        self.info["init_error_px"] = float(np.median(bundle.errors_px))
+        self.info["init_scale_sigma"] = sigma
+        if sigma > max_scale_sigma or self.info["init_error_px"] > settings.init_max_error_px:
+            return
+        for keyframe in stretch:
+            keyframe.state = read_state(bundle.values, keyframe.index)
+        self.info["init_s"] = now
+        self._window = Window(self.model, stretch, bundle)
+        self._fill_back(stretch[0].index)
+
+    def _fill_back(self, index: int) -> None:
+        """States of the key frames before `index`, back along the inertial measurements; poses of all frames."""
+        for k in range(index - 1, -1, -1):
+            if self.keyframes[k].state is not None:
+                break
+            self.keyframes[k].state = self._back(self.keyframes[k + 1].state, self.keyframes[k + 1].segment)
+        for frame in self.frames:
+            if frame.online is None:
+                frame.online = self._forward(self.keyframes[frame.keyframe].state, frame.since)
+
+    def _back(self, state: State, segment: Segment) -> State:
+        """The state at the beginning of a segment from that at its end."""
+        bias = state.bias
+        part = integrate([segment], bias.gyroscope())
+        time = part.time[-1]
+        down = np.array([0.0, 0.0, -self.imu.gravity])
+        rotation = state.nav.attitude().matrix() @ part.rotation[-1].T
+        gained = part.velocity[-1] - part.velocity_rate[-1] @ bias.accelerometer()
+        moved = part.position[-1] - part.position_rate[-1] @ bias.accelerometer()
+        velocity = state.nav.velocity() - down * time - rotation @ gained
+        position = state.nav.position() - velocity * time - 0.5 * down * time**2 - rotation @ moved
+        return make_state(rotation, position, velocity, bias.gyroscope(), bias.accelerometer())
+
+    def _forward(self, state: State, segment: Segment) -> Array:
+        """T_odom_imu (4, 4) after a segment."""
+        measurements = preintegrate(segment, state.bias, self.model.params)
+        return measurements.predict(state.nav, state.bias).pose().matrix()
+
+    # Divergence.
+
+    def _has_diverged(self) -> bool:
+        """Speed or biases beyond belief, or most landmarks far from where they were predicted, time and again."""
+        settings, state = self.settings, self.keyframes[-1].state
+        if not np.isfinite(state.matrix).all() or np.linalg.norm(state.nav.velocity()) > settings.max_speed:
+            return True
+        gyro = np.abs(state.bias.gyroscope()).max() / self.model.gyro_turn_on
+        accel = np.abs(state.bias.accelerometer()).max() / self.model.accel_turn_on
+        self._bad_keyframes = self._bad_keyframes + 1 if self._window.lost_share > settings.max_lost_share else 0
+        return max(gyro, accel) > settings.max_bias_sigmas or self._bad_keyframes >= settings.max_bad_keyframes
+
+    def _restart(self) -> None:
+        """Search for a start anew; the path goes on from a key frame before things went wrong."""
+        self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
+        self._first = max(0, len(self.keyframes) - 1 - self.settings.max_bad_keyframes)
+        self._anchor = self.keyframes[self._first].state
+        for keyframe in self.keyframes[self._first + 1 :]:
+            keyframe.state = None
+        self._window = None
+        self._measurements = None
+        self._bad_keyframes = 0
+
+    # Results.
+
+    def finish(self) -> None:
+        """The end of the sequence: the last chance for a start, or a path without one."""
+        if self._window is None and len(self.keyframes) > 1:
+            self._next_attempt_s = 0.0
+            self._try_to_start(self.settings.init_relaxed_scale_sigma)
+        self.info["keyframes"] = len(self.keyframes)
+        self.info["initialised"] = int(self._window is not None)
+        if self._window is None:
+            self._reckon()
+
+    def _reckon(self) -> None:
+        """States from the inertial measurements alone, from rest and level (or the last good state) on."""
+        if self.keyframes and self.keyframes[0].state is None:
+            segment = Segment.join([k.segment for k in self.keyframes[1:6]])
+            up = segment.accel.mean(axis=0) if len(segment.dt) else np.array([0.0, 0.0, 1.0])
+            self.keyframes[0].state = make_state(level_rotation(up), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
+        for before, keyframe in zip(self.keyframes[:-1], self.keyframes[1:], strict=True):
+            if keyframe.state is None:
+                measurements = preintegrate(keyframe.segment, before.state.bias, self.model.params)
+                keyframe.state = State(measurements.predict(before.state.nav, before.state.bias), before.state.bias)
+        self._fill_back(0)
+
+    def online(self) -> Trajectory:
+        """T_odom_base at every frame as it was known at that frame; before the start, as it was known at the start."""
+        return self._trajectory([frame.online for frame in self.frames])
+
+    def smoothed(self) -> Trajectory:
+        """T_odom_base at every frame after an adjustment of all key frames."""
+        if self._window is None or len(self.keyframes) < 3:
+            return self.online()
+        states = [keyframe.state for keyframe in self.keyframes]
+        gate = self.settings.max_landmark_error_px
+        bundle = adjust(self.model, self.keyframes, states, (3 * gate, gate))
+        self.info["smoothed_error_px"] = float(np.median(bundle.errors_px)) if len(bundle.errors_px) else float("nan")
+        states = [read_state(bundle.values, keyframe.index) for keyframe in self.keyframes]
+        slips = [self._slip(k, states) for k in range(len(states) - 1)]
+        poses = []
+        for frame in self.frames:
+            pose = self._forward(states[frame.keyframe], frame.since)
+            if frame.keyframe < len(slips):
+                # What the measurements of the whole interval miss at its end is spread evenly over it.
+                share = frame.since.duration / max(self.keyframes[frame.keyframe + 1].segment.duration, 1e-9)
+                turn, shift = slips[frame.keyframe]
+                pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
+                pose[:3, 3] += share * shift
+            poses.append(pose)
+        return self._trajectory(poses)
+
+    def _slip(self, k: int, states: list[State]) -> tuple[Array, Array]:
+        """What is missing from key frame k, moved on by the inertial measurements, to key frame k + 1."""
+        reached, wanted = self._forward(states[k], self.keyframes[k + 1].segment), states[k + 1].matrix
+        return Rotation.from_matrix(reached[:3, :3].T @ wanted[:3, :3]).as_rotvec(), wanted[:3, 3] - reached[:3, 3]
+
+    def _trajectory(self, poses: list[Array]) -> Trajectory:
+        stamps = np.array([frame.stamp_ns for frame in self.frames], dtype=np.int64)
+        matrices = np.array(poses).reshape(-1, 4, 4) @ invert(self.imu.T_base_imu)
+        quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat() if len(poses) else np.empty((0, 4))
+        return Trajectory(stamps, matrices[:, :3, 3].copy(), quaternions)
+
+
+def _states(start: Start, anchor: State | None) -> list[State]:
+    """States of a start; with an anchor, moved and turned about z so that the first has its position and heading."""
+    turn, shift = np.eye(3), np.zeros(3)
+    if anchor is not None:
+        now, wanted = start.rotations[0][:, 0], anchor.matrix[:3, 0]
+        angle = np.arctan2(wanted[1], wanted[0]) - np.arctan2(now[1], now[0])
+        turn, shift = Rotation.from_euler("z", angle).as_matrix(), anchor.matrix[:3, 3]
+    return [
+        make_state(turn @ rotation, turn @ position + shift, turn @ velocity, start.gyro_bias, start.accel_bias)
+        for rotation, position, velocity in zip(start.rotations, start.positions, start.velocities, strict=True)
+    ]
+
+
+def _scale_sigma(bundle: Bundle, keyframes: list[Keyframe]) -> float:
+    """Relative 1-sigma uncertainty of scale: of the longest way from the first key frame, along it."""
+    positions = np.array([bundle.values.atPose3(X(k.index)).translation() for k in keyframes])
+    offsets = positions - positions[0]
+    far = int(np.argmax(np.linalg.norm(offsets, axis=1)))
+    length = float(np.linalg.norm(offsets[far]))
+    if length < 1e-3:
+        return float("inf")
+    try:
+        covariance = gtsam.Marginals(bundle.graph, bundle.values).marginalCovariance(X(keyframes[far].index))
+    except RuntimeError:
+        return float("inf")
+    # GTSAM states the translation in the axes of the pose itself.
+    along = bundle.values.atPose3(X(keyframes[far].index)).rotation().matrix().T @ offsets[far] / length
+    return float(np.sqrt(along @ covariance[3:, 3:] @ along)) / length

@@ -1,0 +1,153 @@
+"""Front end: corners, tracked from frame to frame and verified against the epipolar geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array
+from oysterbench.sequence.types import CameraCalibration
+from oysterbench.streams import stream
+from oysterbench_baselines.gtsam_vi.settings import Settings
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Tracked corners of one frame: ids (N,) int64, pixels (N, 2) as seen, rays (N, 2) undistorted at depth 1."""
+
+    ids: NDArray[np.int64]
+    pixels: Array
+    rays: Array
+
+
+def undistort(pixels: Array, calibration: CameraCalibration) -> Array:
+    """Normalised coordinates (N, 2) of pixels (N, 2), Brown-Conrady distortion removed."""
+    if len(pixels) == 0:
+        return np.empty((0, 2))
+    points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+    return cv2.undistortPoints(points, calibration.matrix, calibration.distortion).reshape(-1, 2)
+
+
+def homogeneous(rays: Array) -> Array:
+    """(N, 3) directions (x, y, 1) of normalised coordinates (N, 2)."""
+    return np.column_stack([rays, np.ones(len(rays))])
+
+
+def epipolar_inliers(
+    before: Array, after: Array, R_after_before: Array, tolerance: float, trials: int, generator: np.random.Generator
+) -> NDArray[np.bool_]:
+    """Which pairs of rays (N, 2), (N, 2) agree with one translation, for a known rotation between the views.
+
+    RANSAC over the direction of translation: with the rotation known, two pairs determine it, as the direction
+    perpendicular to the normals of both epipolar planes. Unlike a five- or eight-point solution this has no
+    degenerate scenes (a flat bottom is one for both) and none at rest. The error is the distance from the epipolar
+    line in the later view.
+    """
+    n = len(before)
+    if n < 3:
+        return np.ones(n, dtype=bool)
+    turned = homogeneous(before) @ R_after_before.T
+    seen = homogeneous(after)
+    normals = np.cross(turned, seen)
+    first, second = generator.integers(0, n, size=(2, trials))
+    directions = np.cross(normals[first], normals[second])
+    lengths = np.linalg.norm(directions, axis=1)
+    directions = directions[lengths > 1e-15] / lengths[lengths > 1e-15, None]
+    if len(directions) == 0:
+        return np.linalg.norm(normals, axis=1) < tolerance
+    # Epipolar line of a pair: the plane of direction and turned ray, cut with the image plane.
+    lines = np.cross(directions[:, None, :], turned[None, :, :])
+    scale = np.hypot(lines[..., 0], lines[..., 1])
+    distance = np.abs(np.einsum("tni,ni->tn", lines, seen)) / np.maximum(scale, 1e-12)
+    inliers = distance < tolerance
+    return inliers[int(np.argmax(inliers.sum(axis=1)))]
+
+
+class FrontEnd:
+    """Tracks corners through the frames of one camera."""
+
+    def __init__(self, calibration: CameraCalibration, settings: Settings) -> None:
+        self.calibration = calibration
+        self.settings = settings
+        self._focal = float(calibration.matrix[0, 0] + calibration.matrix[1, 1]) / 2
+        self._clahe = cv2.createCLAHE(settings.clahe_clip, (settings.clahe_tiles, settings.clahe_tiles))
+        self._generator = stream(0, b"", "gtsam_vi", "epipolar")
+        self._last: NDArray[np.uint8] | None = None
+        self._next_id = 0
+        self._tracks = Tracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
+
+    def track(self, pixels: NDArray[np.uint8], R_before_now: Array) -> Tracks:
+        """Corners in the next frame.
+
+        pixels (H, W, 3) RGB or (H, W) grey, uint8. R_before_now (3, 3): rotation of the camera since the last frame.
+        """
+        grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+        equalised = self._clahe.apply(grey)
+        if self._last is not None and len(self._tracks.ids):
+            self._tracks = self._follow(equalised, R_before_now)
+        self._last = equalised
+        self._tracks = self._replenish(equalised)
+        return self._tracks
+
+    def _follow(self, image: NDArray[np.uint8], R_before_now: Array) -> Tracks:
+        """The last frame's tracks in this one: Lucas-Kanade forth and back, then the epipolar check."""
+        settings, tracks = self.settings, self._tracks
+        start = tracks.pixels.astype(np.float32)
+        guess = self._predict(tracks, R_before_now).astype(np.float32)
+        size = (settings.flow_window_px, settings.flow_window_px)
+        criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
+        flow = {"winSize": size, "maxLevel": settings.flow_levels, "criteria": criteria}
+        flow["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
+        end, found, _ = cv2.calcOpticalFlowPyrLK(self._last, image, start, guess.copy(), **flow)
+        # Back from where the forward pass ended, with the prediction's own error as the guess, not the answer.
+        back_guess = (end - (guess - start)).astype(np.float32)
+        back, found_back, _ = cv2.calcOpticalFlowPyrLK(image, self._last, end, back_guess, **flow)
+        good = (found.ravel() == 1) & (found_back.ravel() == 1)
+        good &= np.linalg.norm(back - start, axis=1) < settings.backward_error_px
+        good &= (end[:, 0] >= 1) & (end[:, 0] < self.calibration.width - 1)
+        good &= (end[:, 1] >= 1) & (end[:, 1] < self.calibration.height - 1)
+        ids, before, now = tracks.ids[good], tracks.rays[good], end[good].astype(np.float64)
+        rays = undistort(now, self.calibration)
+        tolerance = settings.epipolar_error_px / self._focal
+        keep = epipolar_inliers(before, rays, R_before_now.T, tolerance, settings.epipolar_trials, self._generator)
+        return Tracks(ids[keep], now[keep], rays[keep])
+
+    def _predict(self, tracks: Tracks, R_before_now: Array) -> Array:
+        """Where the rotation alone would take the tracks: (N, 2) px."""
+        turned = homogeneous(tracks.rays) @ R_before_now
+        turned[:, 2] = np.maximum(turned[:, 2], 0.1)
+        points, _ = cv2.projectPoints(
+            turned.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), self.calibration.matrix, self.calibration.distortion
+        )
+        return points.reshape(-1, 2)
+
+    def _replenish(self, image: NDArray[np.uint8]) -> Tracks:
+        """New corners (Shi-Tomasi) where there are none, spread over a grid by their spacing."""
+        settings, tracks = self.settings, self._tracks
+        missing = settings.max_tracks - len(tracks.ids)
+        # Looking for corners costs more than tracking them: only when it pays.
+        if missing < settings.max_tracks // 8:
+            return tracks
+        mask = np.full(image.shape, 255, dtype=np.uint8)
+        for x, y in tracks.pixels:
+            cv2.circle(mask, (round(x), round(y)), round(settings.track_spacing_px), 0, -1)
+        corners = cv2.goodFeaturesToTrack(
+            image, missing, settings.corner_quality, settings.track_spacing_px, mask=mask, blockSize=5
+        )
+        if corners is None:
+            return tracks
+        pixels = corners.reshape(-1, 2)
+        border = settings.flow_window_px // 2
+        inside = (pixels >= border).all(axis=1)
+        inside &= (pixels < np.array([self.calibration.width, self.calibration.height]) - border).all(axis=1)
+        pixels = pixels[inside].astype(np.float64)
+        ids = np.arange(self._next_id, self._next_id + len(pixels), dtype=np.int64)
+        self._next_id += len(pixels)
+        return Tracks(
+            np.concatenate([tracks.ids, ids]),
+            np.concatenate([tracks.pixels, pixels]),
+            np.concatenate([tracks.rays, undistort(pixels, self.calibration)]),
+        )

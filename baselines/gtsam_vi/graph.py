@@ -1,0 +1,208 @@
+"""The factor graph: states and their keys, factors, landmarks from rays, and bundle adjustment of a stretch of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, L, V, X
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array, invert, transform
+from oysterbench.sequence.types import CameraCalibration, ImuCalibration
+from oysterbench_baselines.gtsam_vi.frontend import homogeneous
+from oysterbench_baselines.gtsam_vi.inertial import Segment, preintegrate, preintegration_params
+from oysterbench_baselines.gtsam_vi.initialisation import View
+from oysterbench_baselines.gtsam_vi.settings import Settings
+
+
+@dataclass(frozen=True)
+class State:
+    """Pose and velocity of the IMU in odom, and its biases."""
+
+    nav: gtsam.NavState
+    bias: gtsam.imuBias.ConstantBias
+
+    @property
+    def matrix(self) -> Array:
+        """T_odom_imu (4, 4)."""
+        return self.nav.pose().matrix()
+
+
+@dataclass
+class Keyframe:
+    """A key frame: its stamp, what it saw, the inertial measurements since the last key frame, its latest estimate."""
+
+    index: int
+    stamp_ns: int
+    view: View
+    segment: Segment
+    at_rest: bool
+    state: State | None = None
+
+
+class Model:
+    """Noise models, calibrations and the factors made of them."""
+
+    def __init__(self, camera: CameraCalibration, imu: ImuCalibration, settings: Settings) -> None:
+        self.settings = settings
+        self.imu = imu
+        self.focal = float(camera.matrix[0, 0] + camera.matrix[1, 1]) / 2
+        self.T_imu_cam = invert(imu.T_base_imu) @ camera.T_base_cam
+        self.params = preintegration_params(imu, settings)
+        # Rays at depth 1 are pixels of a camera with unit focal length; the front end has dealt with distortion.
+        self._unit_camera = gtsam.Cal3_S2()
+        self._sensor = gtsam.Pose3(self.T_imu_cam)
+        pixel = gtsam.noiseModel.Isotropic.Sigma(2, settings.pixel_sigma_px / self.focal)
+        huber = gtsam.noiseModel.mEstimator.Huber.Create(settings.huber)
+        self._pixel = gtsam.noiseModel.Robust.Create(huber, pixel)
+        self._rest = gtsam.noiseModel.Isotropic.Sigma(3, settings.rest_speed)
+        # A file may say that the unit has no turn-on bias; a little is left, for what its model leaves out.
+        self.gyro_turn_on = max(imu.gyro_turn_on, 1e-4)
+        self.accel_turn_on = max(imu.accel_turn_on, 1e-3)
+
+    def projection(self, keyframe: int, landmark: int, ray: Array) -> gtsam.NonlinearFactor:
+        """A landmark seen along `ray` (2,) at depth 1. Behind the camera it has no gradient, and raises nothing."""
+        return gtsam.GenericProjectionFactorCal3_S2(
+            ray, self._pixel, X(keyframe), L(landmark), self._unit_camera, False, False, self._sensor
+        )
+
+    def inertial(self, before: int, after: int, segment: Segment, bias: gtsam.imuBias.ConstantBias):  # type: ignore[no-untyped-def]
+        """Preintegrated measurements between two key frames."""
+        measurements = preintegrate(segment, bias, self.params)
+        return gtsam.CombinedImuFactor(X(before), V(before), X(after), V(after), B(before), B(after), measurements)
+
+    def rest(self, keyframe: int) -> gtsam.NonlinearFactor:
+        """No velocity."""
+        return gtsam.PriorFactorVector(V(keyframe), np.zeros(3), self._rest)
+
+    def start_priors(self, keyframe: int, state: State) -> list[gtsam.NonlinearFactor]:
+        """Position and yaw, which nothing measures, held; roll, pitch and velocity free; bias as at turn-on."""
+        rotation = state.nav.attitude().matrix()
+        # In the world's axes (roll and pitch, yaw), turned into those of the body, in which GTSAM states it.
+        sigmas = np.diag(np.array([0.5, 0.5, 1e-4]) ** 2)
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = rotation.T @ sigmas @ rotation
+        covariance[3:, 3:] = np.eye(3) * 1e-4**2
+        turn_on = np.array([self.accel_turn_on] * 3 + [self.gyro_turn_on] * 3)
+        return [
+            gtsam.PriorFactorPose3(X(keyframe), state.nav.pose(), gtsam.noiseModel.Gaussian.Covariance(covariance)),
+            gtsam.PriorFactorVector(V(keyframe), state.nav.velocity(), gtsam.noiseModel.Isotropic.Sigma(3, 2.0)),
+            gtsam.PriorFactorConstantBias(
+                B(keyframe), gtsam.imuBias.ConstantBias(), gtsam.noiseModel.Diagonal.Sigmas(turn_on)
+            ),
+        ]
+
+    def triangulate(
+        self, track: NDArray[np.int64], rays: Array, T_odom_imu: Array, max_error_px: float
+    ) -> tuple[NDArray[np.int64], Array]:
+        """Ids (L,) and points (L, 3) of the tracks that make good landmarks.
+
+        track (M,), rays (M, 2) and T_odom_imu (M, 4, 4): one row a view. The point minimises the distances from its
+        rays, weighted by inverse depth; it must have parallax, lie before every view and project near every ray.
+        """
+        settings = self.settings
+        order = np.argsort(track, kind="stable")
+        track, rays, cameras = track[order], rays[order], T_odom_imu[order] @ self.T_imu_cam
+        if len(track) == 0:
+            return track, np.empty((0, 3))
+        ids, starts, row = np.unique(track, return_index=True, return_inverse=True)
+        directions = homogeneous(rays)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        directions = np.einsum("mij,mj->mi", cameras[:, :3, :3], directions)
+        centres = cameras[:, :3, 3]
+        across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+        weight = np.ones(len(track))
+        for _ in range(2):
+            information = np.add.reduceat(across * weight[:, None, None], starts) + np.eye(3) * 1e-9
+            right = np.add.reduceat((across @ centres[:, :, None])[..., 0] * weight[:, None], starts)
+            points = np.linalg.solve(information, right[:, :, None])[..., 0]
+            weight = 1.0 / np.maximum(np.einsum("mi,mi->m", points[row] - centres, directions), 0.1) ** 2
+        local = np.einsum("mji,mj->mi", cameras[:, :3, :3], points[row] - centres)
+        depth = local[:, 2]
+        error = np.linalg.norm(local[:, :2] / np.maximum(depth, 1e-6)[:, None] - rays, axis=1) * self.focal
+        angle = np.degrees(np.arccos(np.clip(np.einsum("mi,mi->m", directions, directions[starts][row]), -1, 1)))
+        good = np.maximum.reduceat(angle, starts) >= settings.min_ray_angle_deg
+        good &= np.minimum.reduceat(depth, starts) > settings.min_depth_m
+        good &= np.maximum.reduceat(depth, starts) < settings.max_depth_m
+        good &= np.maximum.reduceat(error, starts) < max_error_px
+        return ids[good], points[good]
+
+    def errors_px(self, T_odom_imu: Array, points: Array, rays: Array) -> Array:
+        """Reprojection errors (N,) px of points (N, 3) seen along rays (N, 2) from poses (4, 4) or (N, 4, 4)."""
+        cameras = invert(T_odom_imu @ self.T_imu_cam)
+        local = np.einsum("...ij,...j->...i", cameras[..., :3, :3], points) + cameras[..., :3, 3]
+        error = np.linalg.norm(local[:, :2] / np.maximum(local[:, 2:], 1e-6) - rays, axis=1) * self.focal
+        return np.where(local[:, 2] > 0, error, np.inf)
+
+
+def make_state(rotation: Array, position: Array, velocity: Array, gyro_bias: Array, accel_bias: Array) -> State:
+    """State from a rotation (3, 3), position, velocity and biases (3,)."""
+    nav = gtsam.NavState(gtsam.Pose3(transform(rotation, position)), velocity)
+    return State(nav, gtsam.imuBias.ConstantBias(accel_bias, gyro_bias))
+
+
+def insert_state(values: gtsam.Values, index: int, state: State) -> None:
+    """Put a state into values under its keys."""
+    values.insert(X(index), state.nav.pose())
+    values.insert(V(index), state.nav.velocity())
+    values.insert(B(index), state.bias)
+
+
+def read_state(values: gtsam.Values, index: int) -> State:
+    """The state at its keys."""
+    return State(gtsam.NavState(values.atPose3(X(index)), values.atVector(V(index))), values.atConstantBias(B(index)))
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """An adjusted stretch: the graph, its values, the ids of its landmarks (L,), reprojection errors (M,) px."""
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    landmarks: NDArray[np.int64]
+    errors_px: Array
+
+
+def adjust(model: Model, keyframes: list[Keyframe], states: list[State], gates_px: tuple[float, ...]) -> Bundle:
+    """Visual-inertial bundle adjustment of consecutive key frames from given states.
+
+    Landmarks are triangulated anew and adjusted once for each gate on their reprojection error: wide first, while the
+    states are rough.
+    """
+    track = np.concatenate([k.view.ids for k in keyframes])
+    rays = np.concatenate([k.view.rays for k in keyframes])
+    row = np.concatenate([np.full(len(k.view.ids), n) for n, k in enumerate(keyframes)])
+    first = keyframes[0].index
+    for gate in gates_px:
+        poses = np.array([state.matrix for state in states])
+        ids, points = model.triangulate(track, rays, poses[row], gate)
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for factor in model.start_priors(first, states[0]):
+            graph.push_back(factor)
+        for keyframe, state in zip(keyframes, states, strict=True):
+            insert_state(values, keyframe.index, state)
+            if keyframe.index > first:
+                # Integrated about one bias for all: the average, whose corrections are smallest.
+                graph.push_back(model.inertial(keyframe.index - 1, keyframe.index, keyframe.segment, states[-1].bias))
+            if keyframe.at_rest:
+                graph.push_back(model.rest(keyframe.index))
+        for landmark, point in zip(ids, points, strict=True):
+            values.insert(L(int(landmark)), point)
+        seen = np.flatnonzero(np.isin(track, ids))
+        for m in seen:
+            graph.push_back(model.projection(first + int(row[m]), int(track[m]), rays[m]))
+        values = _optimise(graph, values, model.settings.smoothing_iterations)
+        states = [read_state(values, k.index) for k in keyframes]
+    poses = np.array([state.matrix for state in states])
+    points = np.array([values.atPoint3(L(int(i))) for i in ids]).reshape(-1, 3)
+    errors = model.errors_px(poses[row[seen]], points[np.searchsorted(ids, track[seen])], rays[seen])
+    return Bundle(graph, values, ids, errors)
+
+
+def _optimise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int) -> gtsam.Values:
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(iterations)
+    params.setRelativeErrorTol(1e-4)
+    return gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()

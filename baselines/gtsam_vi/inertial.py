@@ -1,0 +1,167 @@
+"""Inertial samples: cut at the frames' stamps, integrated by hand for the initialisation and by GTSAM for factors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oysterbench.geometry import Array
+from oysterbench.sequence.types import ImuCalibration, ImuSample
+from oysterbench_baselines.gtsam_vi.settings import Settings
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Inertial measurements between two stamps: dt (N,) s, and over each the mean gyro, accel (N, 3), SI, IMU frame."""
+
+    dt: Array
+    gyro: Array
+    accel: Array
+
+    @property
+    def duration(self) -> float:
+        return float(self.dt.sum())
+
+    @staticmethod
+    def join(segments: list[Segment]) -> Segment:
+        """Consecutive segments as one."""
+        if not segments:
+            return Segment(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+        return Segment(
+            np.concatenate([s.dt for s in segments]),
+            np.concatenate([s.gyro for s in segments]),
+            np.concatenate([s.accel for s in segments]),
+        )
+
+
+class SampleBuffer:
+    """Collects samples and hands out what lies between consecutive cuts.
+
+    Between samples the signal is taken to be linear, so that the mean over an interval is that of its ends: an error
+    of second order in the sampling interval. After the last sample the signal is held.
+    """
+
+    def __init__(self) -> None:
+        self._samples: list[ImuSample] = []
+        self._cut: ImuSample | None = None
+
+    def add(self, sample: ImuSample) -> None:
+        self._samples.append(sample)
+
+    def cut(self, stamp_ns: int) -> Segment:
+        """The measurements from the last cut (or the first sample) to `stamp_ns`."""
+        inside = [sample for sample in self._samples if sample.stamp_ns <= stamp_ns]
+        after = self._samples[len(inside) :]
+        nodes = ([self._cut] if self._cut is not None else []) + inside
+        if not nodes:
+            return Segment.join([])
+        last = nodes[-1]
+        if last.stamp_ns < stamp_ns:
+            if after:
+                share = (stamp_ns - last.stamp_ns) / (after[0].stamp_ns - last.stamp_ns)
+                gyro = last.gyro + share * (after[0].gyro - last.gyro)
+                accel = last.accel + share * (after[0].accel - last.accel)
+                last = ImuSample(stamp_ns, gyro, accel)
+            else:
+                last = ImuSample(stamp_ns, last.gyro, last.accel)
+            nodes.append(last)
+        self._cut, self._samples = last, after
+        stamps = np.array([node.stamp_ns for node in nodes], dtype=np.int64)
+        dt = np.diff(stamps) * 1e-9
+        gyro = np.array([node.gyro for node in nodes])
+        accel = np.array([node.accel for node in nodes])
+        real = dt > 0
+        return Segment(dt[real], (0.5 * (gyro[1:] + gyro[:-1]))[real], (0.5 * (accel[1:] + accel[:-1]))[real])
+
+
+def relative_rotation(segment: Segment, gyro_bias: Array) -> Array:
+    """R_start_end (3, 3): the rotation over a segment."""
+    rotation = np.eye(3)
+    for step in Rotation.from_rotvec((segment.gyro - gyro_bias) * segment.dt[:, None]).as_matrix():
+        rotation = rotation @ step
+    return rotation
+
+
+@dataclass(frozen=True)
+class Integral:
+    """Inertial integrals from the first of K stamps to each, in the IMU frame at the first.
+
+    rotation (K, 3, 3): R_0_k. rate (K, 3, 3): integral of R, so that a change db of the gyro bias turns R_0_k by
+    -rate db (rotation vector in frame 0). velocity, position (K, 3): of the specific force. velocity_rate,
+    position_rate (K, 3, 3): minus their derivatives to the accelerometer bias. time (K,) s.
+    """
+
+    time: Array
+    rotation: Array
+    rate: Array
+    velocity: Array
+    position: Array
+    velocity_rate: Array
+    position_rate: Array
+
+
+def integrate(segments: list[Segment], gyro_bias: Array) -> Integral:
+    """Integrals at the K = len(segments) + 1 ends of segments, for a gyro bias and no accelerometer bias."""
+    whole = Segment.join(segments)
+    steps = Rotation.from_rotvec((whole.gyro - gyro_bias) * whole.dt[:, None]).as_matrix()
+    half_steps = Rotation.from_rotvec(0.5 * (whole.gyro - gyro_bias) * whole.dt[:, None]).as_matrix()
+    rotation = np.empty((len(steps) + 1, 3, 3))
+    rotation[0] = np.eye(3)
+    for k, step in enumerate(steps):
+        rotation[k + 1] = rotation[k] @ step
+    middle = rotation[:-1] @ half_steps  # attitude in the middle of the interval: second-order integration
+    dt = whole.dt[:, None, None]
+    force = (middle @ whole.accel[:, :, None])[..., 0]
+    velocity = _cumulate(force * whole.dt[:, None])
+    velocity_rate = _cumulate(middle * dt)
+    position = _cumulate((velocity[:-1] + 0.5 * force * whole.dt[:, None]) * whole.dt[:, None])
+    position_rate = _cumulate((velocity_rate[:-1] + 0.5 * middle * dt) * dt)
+    ends = np.concatenate([[0], np.cumsum([len(s.dt) for s in segments])]).astype(int)
+    time = _cumulate(whole.dt)
+    rate = velocity_rate
+    return Integral(
+        time[ends], rotation[ends], rate[ends], velocity[ends], position[ends], velocity_rate[ends], position_rate[ends]
+    )
+
+
+def _cumulate(steps: Array) -> Array:
+    return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
+
+
+def preintegration_params(calibration: ImuCalibration, settings: Settings) -> gtsam.PreintegrationCombinedParams:
+    """Noise of the inertial unit as GTSAM wants it: continuous variances, every one of them set (z of the world up).
+
+    The states are those of the IMU itself, not of base_link: GTSAM's `body_P_sensor` leaves the tangential
+    acceleration of the lever arm out.
+    """
+    params = gtsam.PreintegrationCombinedParams.MakeSharedU(calibration.gravity)
+    eye = np.eye(3)
+    # A file may say zero; a zero variance makes the factor singular.
+    gyro = max(calibration.gyro_noise_density, 1e-5) * settings.imu_inflation
+    accel = max(calibration.accel_noise_density, 1e-4) * settings.imu_inflation
+    gyro_walk = max(calibration.gyro_random_walk, 1e-6) * settings.bias_inflation
+    accel_walk = max(calibration.accel_random_walk, 1e-5) * settings.bias_inflation
+    params.setGyroscopeCovariance(eye * gyro**2)
+    params.setAccelerometerCovariance(eye * accel**2)
+    params.setIntegrationCovariance(eye * settings.integration_sigma**2)
+    params.setBiasOmegaCovariance(eye * gyro_walk**2)
+    params.setBiasAccCovariance(eye * accel_walk**2)
+    return params
+
+
+def preintegrate(
+    segment: Segment, bias: gtsam.imuBias.ConstantBias, params: gtsam.PreintegrationCombinedParams
+) -> gtsam.PreintegratedCombinedMeasurements:
+    """Preintegrated measurements of a segment (Forster et al. 2017) at a bias."""
+    measurements = gtsam.PreintegratedCombinedMeasurements(params, bias)
+    extend(measurements, segment)
+    return measurements
+
+
+def extend(measurements: gtsam.PreintegratedCombinedMeasurements, segment: Segment) -> None:
+    """Integrate a further segment."""
+    for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
+        measurements.integrateMeasurement(accel, gyro, dt)

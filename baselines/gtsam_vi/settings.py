@@ -1,0 +1,69 @@
+"""Settings of the visual-inertial baseline. Units are in the names or the comments; a comment says why the value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All settings. None depends on the sequence: what does comes from its calibrations."""
+
+    # Front end.
+    max_tracks: int = 140  # enough for 1.5 mm of attitude-free motion per frame; more costs time, not error
+    track_spacing_px: float = 22.0  # keeps corners from crowding on the best-lit texture
+    corner_quality: float = 0.005  # share of the best corner's score; low, since turbid water has little contrast
+    clahe_clip: float = 3.0  # contrast limit of the equalisation: lifts veiled texture without lifting sensor noise
+    clahe_tiles: int = 8  # tiles per side
+    flow_window_px: int = 21  # side of the tracked patch
+    flow_levels: int = 3  # pyramid levels above the image: with the gyroscope's prediction, 80 px of flow
+    backward_error_px: float = 0.7  # a track must return to where it came from
+    epipolar_error_px: float = 1.5  # of verified tracks, at a known rotation
+    epipolar_trials: int = 64  # two-point hypotheses: 1e-6 chance to miss with half of the tracks wrong
+
+    # Key frames.
+    keyframe_parallax_px: float = 22.0  # median flow without its rotational part
+    keyframe_shared: float = 0.55  # share of the last key frame's tracks that must be left
+    keyframe_min_s: float = 0.12  # at least two frames of 20 Hz: a single IMU interval has a singular covariance
+    keyframe_max_s: float = 0.5  # bounds the prediction with the inertial unit alone
+    rest_px: float = 0.35  # median flow below this over rest_s means: not moving
+    rest_s: float = 0.2
+    rest_speed: float = 0.01  # m/s, 1 sigma of the velocity at rest: 0.35 px in 0.2 s at 3 m
+
+    # Noise models.
+    pixel_sigma_px: float = 0.8  # of a tracked corner, drift over the track's life included
+    huber: float = 1.5  # sigmas; beyond, a residual counts linearly
+    imu_inflation: float = 2.0  # on the densities of the data sheet: interpolation, vibration, scale errors
+    bias_inflation: float = 2.0  # on the random walks
+    integration_sigma: float = 1e-4  # m/s/sqrt(s): error of the integration itself; keeps covariances regular
+
+    # Landmarks.
+    min_ray_angle_deg: float = 1.5  # between the rays of a new landmark: 2.6 cm of baseline at 1 m
+    max_landmark_error_px: float = 3.0  # of a new landmark in each of its views
+    min_views: int = 3  # two determine a point, the third checks it
+    max_slide_px: float = 8.0  # from where a landmark was predicted: it has slid off its point
+    max_depth_m: float = 50.0
+    min_depth_m: float = 0.1
+
+    # Initialisation.
+    init_min_s: float = 1.5  # shorter windows cannot tell scale from accelerometer bias
+    init_max_keyframes: int = 40  # size of the window that is searched
+    init_min_keyframes: int = 8
+    init_min_tracks: int = 15
+    init_retry_s: float = 0.5
+    init_scale_sigma: float = 0.03  # accepted 1-sigma uncertainty of scale
+    init_relaxed_scale_sigma: float = 0.15  # accepted when the sequence ends before better is reached
+    init_max_error_px: float = 2.0  # median reprojection error of an accepted window
+
+    # Fixed lag.
+    lag_keyframes: int = 12  # about 2 s: as long as a corner lives
+    lag_iterations: int = 4
+
+    # Final smoothing.
+    smoothing_iterations: int = 15
+
+    # Divergence.
+    max_speed: float = 8.0  # m/s; beyond any vehicle meant here
+    max_bias_sigmas: float = 8.0  # of the turn-on bias
+    max_lost_share: float = 0.7  # of the landmarks seen, farther than max_slide_px from their prediction
+    max_bad_keyframes: int = 3  # with so many lost, one after the other, before the estimator starts anew
