@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
+from oysterbench.errors import SequenceError
 from oysterbench.sequence.types import (
     CameraCalibration,
     Image,
@@ -13,7 +15,7 @@ from oysterbench.sequence.types import (
     Sequence,
 )
 
-__all__ = ["CameraCalibration", "Image", "ImuCalibration", "ImuSample", "Sequence", "open_sequence"]
+__all__ = ["CameraCalibration", "Image", "ImuCalibration", "ImuSample", "Sequence", "describe", "open_sequence"]
 
 
 def open_sequence(path: str | os.PathLike[str]) -> Sequence:
@@ -25,3 +27,27 @@ def open_sequence(path: str | os.PathLike[str]) -> Sequence:
     from oysterbench.sequence.read import McapSequence
 
     return McapSequence(path)
+
+
+def describe(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """What a sequence holds, as JSON values: names, duration, path length, cameras, topics with counts and rates."""
+    sequence = open_sequence(path)
+    cameras = {
+        name: {"width": camera.width, "height": camera.height, "rate_hz": camera.rate_hz}
+        for name, camera in sequence.cameras.items()
+    }
+    try:
+        truth = sequence.truth()
+    except SequenceError:
+        truth = None
+    return {
+        "sequence": sequence.name,
+        "duration_s": round(sequence.duration_s, 9),
+        "path_length_m": None if truth is None else truth.path_length,
+        "metadata": dict(sequence.metadata),
+        "cameras": cameras,
+        "topics": [
+            {"topic": topic, "type": kind, "messages": n, "rate_hz": round(n / max(sequence.duration_s, 1e-9), 1)}
+            for topic, kind, n in sequence.contents()
+        ],
+    }

@@ -73,6 +73,15 @@ class EurocSequence(Sequence):
             values = np.array(fields[1:7], dtype=float)
             yield ImuSample(int(fields[0]), values[:3], values[3:])
 
+    @property
+    def duration_s(self) -> float:
+        stamps = [int(row.split(",")[0]) for row in _rows(self._root / "imu0" / "data.csv")]
+        return (stamps[-1] - stamps[0]) * 1e-9 if stamps else 0.0
+
+    def contents(self) -> list[tuple[str, str, int]]:
+        files = [(self._root / "imu0", "imu"), *((self._root / name, "camera") for name in self.cameras)]
+        return [(folder.name, kind, sum(1 for _ in _rows(folder / "data.csv"))) for folder, kind in files]
+
     def truth(self) -> Trajectory:
         path = self._root / "state_groundtruth_estimate0" / "data.csv"
         if not path.is_file():

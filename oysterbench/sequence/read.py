@@ -20,7 +20,7 @@ from oysterbench.sequence.topics import Message
 from oysterbench.sequence.types import CameraCalibration, Image, ImuCalibration, ImuSample, Sequence
 from oysterbench.trajectory import Trajectory
 
-DAMAGE = (McapError, ZstdError, struct.error, EOFError, ValueError, KeyError, IndexError, MemoryError, OverflowError)
+DAMAGE = (McapError, ZstdError, struct.error, EOFError, LookupError, ValueError, ArithmeticError, MemoryError, OSError)
 """What the libraries underneath raise on bytes that are not what they should be."""
 
 METADATA = "oysterbench"
@@ -59,8 +59,10 @@ class McapSequence(Sequence):
 
     @property
     def duration_s(self) -> float:
-        """From the first stamp to the last."""
         return (self.statistics.message_end_time - self.statistics.message_start_time) * 1e-9
+
+    def contents(self) -> list[tuple[str, str, int]]:
+        return [(topic, self.types[topic], count) for topic, count in self.counts.items()]
 
     def images(self, camera: str) -> Iterator[Image]:
         self._check_camera(camera)

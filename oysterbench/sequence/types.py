@@ -85,6 +85,15 @@ class Sequence(ABC):
     def truth(self) -> Trajectory:
         """True poses T_map_base. Raises SequenceError where the file has none."""
 
+    @property
+    @abstractmethod
+    def duration_s(self) -> float:
+        """From the first stamp to the last, s."""
+
+    @abstractmethod
+    def contents(self) -> list[tuple[str, str, int]]:
+        """Name, type and number of messages of each topic."""
+
     def stream(self, *cameras: str) -> Iterator[ImuSample | Image]:
         """Inertial samples and the frames of `cameras` (all by default), merged in time order.
 
@@ -108,6 +117,8 @@ class SensorsOnly(Sequence):
         self.cameras = sequence.cameras
         self.imu_calibration = sequence.imu_calibration
         self.metadata = {"sequence": sequence.name}
+        self._duration_s = sequence.duration_s
+        self._contents = [row for row in sequence.contents() if not row[0].startswith("/truth")]
         images, imu = sequence.images, sequence.imu
         # Only the two iterators are kept, in closures, not the sequence: nothing here leads to the truth by name.
         self._images = lambda camera: images(camera)
@@ -118,6 +129,13 @@ class SensorsOnly(Sequence):
 
     def imu(self) -> Iterator[ImuSample]:
         return self._imu()
+
+    @property
+    def duration_s(self) -> float:
+        return self._duration_s
+
+    def contents(self) -> list[tuple[str, str, int]]:
+        return list(self._contents)
 
     def truth(self) -> Trajectory:
         raise SequenceError("a method does not see the truth")
