@@ -1,0 +1,325 @@
+"""The command line: parse, call, print. Data goes to stdout, progress and messages to stderr."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from oysterbench.errors import OysterbenchError
+from oysterbench.version import VERSION
+
+if TYPE_CHECKING:
+    from oysterbench.generate import Progress
+    from oysterbench.recipe import SplitRecipe
+
+TRACKS = ("slam",)
+DEFAULT_SPLIT = {"slam": "slam-mini"}
+DEFAULT_METHODS = {"slam": ("gtsam_vi", "dead_reckoning")}
+ALIGNMENTS = ("none", "origin", "se3", "posyaw", "sim3")
+ASSOCIATIONS = ("interpolate", "nearest")
+INTERRUPTED = 130
+
+
+class Commands(click.Group):
+    """Turns expected failures into one line on stderr and an exit code."""
+
+    def invoke(self, context: click.Context) -> Any:
+        try:
+            return super().invoke(context)
+        except OysterbenchError as error:
+            _fail(str(error), error.exit_code)
+        except KeyboardInterrupt:
+            _fail("interrupted; what was finished is kept, and the same command goes on from there", INTERRUPTED)
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            place = f"{error.filename}: " if error.filename else ""
+            _fail(f"{place}{error.strerror or error}", 1)
+
+
+def _fail(message: str, code: int) -> None:
+    click.echo(f"oysterbench: {' '.join(message.split())}", err=True)
+    sys.exit(code)
+
+
+@click.group(
+    cls=Commands,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Data is kept in the folder that OYSTERBENCH_HOME names, or in the user's data folder.",
+)
+@click.version_option(VERSION, prog_name="oysterbench")
+def main() -> None:
+    """Benchmarks for underwater robots on seeded, re-creatable oyster reefs.
+
+    \b
+    Examples:
+      oysterbench eval --track slam                 the demo: render, run the baselines, print the table
+      oysterbench eval --track slam --method gtsam_vi --out results
+      oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3
+      oysterbench splits                            what can be rendered, and what is here
+      oysterbench render slam-mini --workers 2
+      oysterbench info mini-01.mcap
+    """
+
+
+@main.command("eval")
+@click.option("--track", type=click.Choice(TRACKS), required=True, help="What is evaluated.")
+@click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.  [default: slam-mini]")
+@click.option("--method", "method_names", multiple=True, help="A method; repeatable.  [default: the track's baselines]")
+@click.option("--truth", type=click.Path(path_type=Path), help="Score files: the true trajectory (TUM or EuRoC).")
+@click.option("--estimate", type=click.Path(path_type=Path), help="Score files: the estimated trajectory.")
+@click.option("--align", type=click.Choice(ALIGNMENTS), default="posyaw", show_default=True, help="How it is aligned.")
+@click.option(
+    "--associate", type=click.Choice(ASSOCIATIONS), default="interpolate", show_default=True, help="How stamps meet."
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of the results.  [default: under the home]"
+)
+@click.option("--workers", type=click.IntRange(min=1), help="Processes that render.  [default: one per core]")
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON on stdout, and nothing else.")
+def eval_command(
+    track: str,
+    split_name: str | None,
+    method_names: tuple[str, ...],
+    truth: Path | None,
+    estimate: Path | None,
+    align: str,
+    associate: str,
+    out: Path | None,
+    workers: int | None,
+    as_json: bool,
+) -> None:
+    """Run methods on a split and score them, or score two trajectory files.
+
+    \b
+    Examples:
+      oysterbench eval --track slam
+      oysterbench eval --track slam --method dead_reckoning --json
+      oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3 --associate nearest
+
+    The split is rendered on first use. Results are written as JSON and as an HTML report.
+    """
+    if (truth is None) != (estimate is None):
+        raise click.UsageError("--truth and --estimate belong together: expected both or none")
+    if truth is not None and (split_name or method_names or workers):
+        raise click.UsageError("--truth and --estimate score two files: --split, --method and --workers do not apply")
+
+    from oysterbench.evaluate.slam import SlamSettings
+    from oysterbench.report import write_html_report
+    from oysterbench.results import document, dump, write_results
+
+    settings = SlamSettings(align=align, associate=associate)  # type: ignore[arg-type]
+    if truth is not None and estimate is not None:
+        from oysterbench.tracks import score_files
+
+        runs = [score_files(truth, estimate, settings)]
+    else:
+        from oysterbench.generate import split_folder
+        from oysterbench.methods import find_method
+        from oysterbench.recipe import load_split
+        from oysterbench.tracks import evaluate_slam
+
+        # Everything that can be wrong with the request is found before the rendering begins.
+        split = load_split(split_name or DEFAULT_SPLIT[track])
+        methods = [find_method(name) for name in dict.fromkeys(method_names or DEFAULT_METHODS[track])]
+        out = out or split_folder(split) / "results"
+        out.mkdir(parents=True, exist_ok=True)
+        files = _render(split, split_folder(split), workers)
+        runs = evaluate_slam(split, files, methods, settings, _say, out)
+
+    records = [run.record for run in runs]
+    if out is not None:
+        write_results(out / "results.json", records)
+        write_html_report(out / "report.html", runs, command=shlex.join(["oysterbench", *sys.argv[1:]]))
+    if as_json:
+        click.echo(dump(document(records)))
+    else:
+        _print_slam_table(records)
+    if out is not None:
+        _say(f"results: {out / 'results.json'}")
+        _say(f"report:  {out / 'report.html'}")
+    failures = [record for record in records if record.failure is not None]
+    for record in failures:
+        _say(f"{record.method} failed on {record.sequence}: {record.failure}")
+    if failures:
+        sys.exit(OysterbenchError.exit_code)
+
+
+@main.command()
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def splits(as_json: bool) -> None:
+    """List the splits: what they are, and which are on this machine.
+
+    \b
+    Examples:
+      oysterbench splits
+      oysterbench splits --json
+    """
+    from oysterbench.generate import is_complete, sequence_files, split_folder
+    from oysterbench.recipe import load_split, split_names
+
+    rows = []
+    for name in split_names():
+        split = load_split(name)
+        folder = split_folder(split)
+        files = [path for path in sequence_files(split, folder).values() if path.is_file()]
+        rows.append(
+            {
+                "name": split.name,
+                "version": split.version,
+                "track": split.track,
+                "sequences": len(split.sequence),
+                "duration_s": sum(sequence.duration_s for sequence in split.sequence),
+                "complete": is_complete(split, folder),
+                "size_bytes": sum(path.stat().st_size for path in files),
+                "folder": str(folder) if files else None,
+                "summary": split.summary,
+            }
+        )
+    if as_json:
+        click.echo(json.dumps({"splits": rows}, indent=2))
+        return
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("split", "track", "sequences", "seconds", "here", "what"):
+        table.add_column(heading, justify="right" if heading in ("sequences", "seconds") else "left")
+    for row in rows:
+        here = f"{row['size_bytes'] / 1e6:.0f} MB" if row["complete"] else "not yet"
+        table.add_row(
+            f"{row['name']} {row['version']}",
+            row["track"],
+            str(row["sequences"]),
+            f"{row['duration_s']:g}",
+            here,
+            row["summary"],
+        )
+    _print_rich(table)
+
+
+@main.command()
+@click.argument("split_name", metavar="SPLIT")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes that render.  [default: one per core]")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
+@click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
+def render(split_name: str, workers: int | None, out: Path | None, as_json: bool) -> None:
+    """Render a split: a name from `oysterbench splits`, or the path of a .toml recipe.
+
+    \b
+    Examples:
+      oysterbench render slam-mini
+      oysterbench render my-reef.toml --workers 4 --out data
+
+    May be interrupted at any time; the same command goes on from there. What is finished is not rendered again.
+    """
+    from oysterbench.generate import split_folder
+    from oysterbench.recipe import load_split
+
+    split = load_split(split_name)
+    files = _render(split, out or split_folder(split), workers)
+    if as_json:
+        click.echo(json.dumps({"split": split.name, "files": {k: str(v) for k, v in files.items()}}, indent=2))
+    else:
+        for path in files.values():
+            click.echo(path)
+
+
+@main.command()
+@click.argument("sequence", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def info(sequence: Path, as_json: bool) -> None:
+    """Say what is in a sequence: an MCAP file or a folder in EuRoC layout.
+
+    \b
+    Examples:
+      oysterbench info mini-01.mcap
+      oysterbench info mini-01.mcap --json
+    """
+    from oysterbench.sequence import describe
+
+    facts = describe(sequence)
+    if as_json:
+        click.echo(json.dumps(facts, indent=2))
+        return
+    from rich.table import Table
+
+    click.echo(
+        f"{facts['sequence']}: {facts['duration_s']:g} s, {facts['path_length_m'] or float('nan'):.2f} m of path"
+    )
+    for key, value in facts["metadata"].items():
+        click.echo(f"  {key}: {value}")
+    for name, camera in facts["cameras"].items():
+        click.echo(f"  {name}: {camera['width']} x {camera['height']} at {camera['rate_hz']:g} Hz")
+    table = Table(box=None, pad_edge=False)
+    for heading in ("topic", "type", "messages", "per second"):
+        table.add_column(heading, justify="right" if heading in ("messages", "per second") else "left")
+    for row in facts["topics"]:
+        table.add_row(row["topic"], row["type"], str(row["messages"]), f"{row['rate_hz']:g}")
+    _print_rich(table)
+
+
+def _render(split: SplitRecipe, folder: Path, workers: int | None) -> dict[str, Path]:
+    from oysterbench.generate import check_workers, generate_split, is_complete
+
+    if is_complete(split, folder):
+        return generate_split(split, folder)  # checks what is there, renders nothing
+    with _frames_bar(f"rendering {split.name}") as progress:
+        return generate_split(split, folder, check_workers(workers), progress)
+
+
+@contextmanager
+def _frames_bar(title: str) -> Iterator[Progress]:
+    """A progress bar on a terminal, a line at every tenth elsewhere; both on stderr."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        said = -1
+
+        def say(done: int, total: int) -> None:
+            nonlocal said
+            tenth = 10 * done // max(total, 1)
+            if tenth > said:
+                said = tenth
+                _say(f"{title}: {done} of {total} frames")
+
+        yield say
+        return
+    columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TextColumn("frames"))
+    with Progress(*columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _print_slam_table(records: list[Any]) -> None:
+    from oysterbench.report import slam_table
+
+    _print_rich(slam_table(records))
+
+
+def _print_rich(table: Any) -> None:
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=200)  # a pipe has no width to wrap to
+    console.print(table)
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)

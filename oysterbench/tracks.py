@@ -1,0 +1,127 @@
+"""A track, run: methods over the sequences of a split, each estimate scored and recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+
+from oysterbench.errors import MethodError, OysterbenchError, TrajectoryError
+from oysterbench.evaluate.slam import EVALUATOR, SlamResult, SlamSettings, score
+from oysterbench.generate import digest
+from oysterbench.methods import Method, run_method
+from oysterbench.recipe import SplitRecipe
+from oysterbench.report import SlamRun
+from oysterbench.results import ResultRecord
+from oysterbench.sequence import Sequence, open_sequence
+from oysterbench.trajectory import Trajectory, read_trajectory, write_tum
+
+FRAMES_IN_REPORT = 4
+FRAME_WIDTH = 480  # px, in the report
+
+Announce = Callable[[str], None]
+"""Called with a sentence on what is being done."""
+
+
+def evaluate_slam(
+    split: SplitRecipe,
+    files: dict[str, Path],
+    methods: list[Method],
+    settings: SlamSettings,
+    announce: Announce = lambda text: None,
+    folder: Path | None = None,
+) -> list[SlamRun]:
+    """Run each method on each sequence and score what it gives; estimates are kept in `folder` as TUM files.
+
+    A method that fails, or whose estimate cannot be scored, leaves a record with `failure`; the others go on.
+    """
+    runs = []
+    for name, path in files.items():
+        sequence = open_sequence(path)
+        truth = sequence.truth()
+        frames = sample_frames(sequence)
+        if folder is not None:
+            write_tum(folder / f"{name}-truth.tum", truth)
+        for method in methods:
+            announce(f"running {method.name} on {name}")
+            record, result, estimate = _run(split, sequence, truth, method, settings)
+            if folder is not None and estimate is not None:
+                write_tum(folder / f"{name}-{method.name}.tum", estimate)
+            runs.append(SlamRun(record, result, frames))
+    return runs
+
+
+def _run(
+    split: SplitRecipe, sequence: Sequence, truth: Trajectory, method: Method, settings: SlamSettings
+) -> tuple[ResultRecord, SlamResult | None, Trajectory | None]:
+    record = {
+        "track": "slam",
+        "split": split.name,
+        "split_digest": digest(split),
+        "sequence": sequence.name,
+        "method": method.name,
+        "settings": settings.as_dict(),
+        "evaluator_version": EVALUATOR,
+    }
+    try:
+        run = run_method(method, sequence)
+    except MethodError as error:
+        return ResultRecord(**record, failure=str(error)), None, None
+    duration = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
+    cost = {"wall_s": run.wall_s, "cpu_s": run.cpu_s, "realtime_factor": duration / run.wall_s}
+    estimate = run.estimate.trajectory
+    try:
+        result = score(truth, estimate, settings)
+    except TrajectoryError as error:
+        return ResultRecord(**record, failure=str(error), metrics=cost, info=run.estimate.info), None, estimate
+    return (
+        ResultRecord(
+            **record,
+            metrics={**result.metrics, **cost},
+            reasons=result.reasons,
+            notes=result.notes,
+            info=run.estimate.info,
+        ),
+        result,
+        estimate,
+    )
+
+
+def score_files(truth: Path, estimate: Path, settings: SlamSettings) -> SlamRun:
+    """Score one trajectory file against another."""
+    result = score(read_trajectory(truth), read_trajectory(estimate), settings)
+    record = ResultRecord(
+        track="slam",
+        split="",
+        sequence=truth.name,
+        method=estimate.name,
+        metrics=result.metrics,
+        reasons=result.reasons,
+        notes=result.notes,
+        settings=settings.as_dict(),
+        evaluator_version=EVALUATOR,
+    )
+    return SlamRun(record, result, [])
+
+
+def sample_frames(sequence: Sequence) -> list[tuple[int, bytes]]:
+    """A few frames of the first camera, evenly over the sequence: stamp in ns and a small JPEG."""
+    camera = next(iter(sequence.cameras), None)
+    if camera is None:
+        return []
+    stamps = [image.stamp_ns for image in sequence.images(camera)]
+    wanted = {stamps[round(k * (len(stamps) - 1) / (FRAMES_IN_REPORT - 1))] for k in range(FRAMES_IN_REPORT)}
+    frames = []
+    for image in sequence.images(camera):
+        if image.stamp_ns not in wanted:
+            continue
+        height, width = image.pixels.shape[:2]
+        small = cv2.resize(
+            image.pixels, (FRAME_WIDTH, round(height * FRAME_WIDTH / width)), interpolation=cv2.INTER_AREA
+        )
+        done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
+        if not done:
+            raise OysterbenchError(f"{sequence.name}: the frame at {image.stamp_ns} could not be encoded")
+        frames.append((image.stamp_ns, jpeg.tobytes()))
+    return frames
