@@ -13,6 +13,7 @@ from oysterbench.recipe import CameraRecipe, SequenceRecipe
 from oysterbench.render import kernels
 from oysterbench.render.casting import Geometry
 from oysterbench.render.light import build_light, exposure
+from oysterbench.render.relief import build_relief
 from oysterbench.render.water import build_water
 from oysterbench.scene.world import World
 
@@ -103,8 +104,10 @@ class CameraRenderer:
         """The world's arrays, meshes and tree of boxes on the device."""
         device = self.device
         instances = world.instances
-        seabed = world.terrain.mesh()
-        self._seabed = _mesh(seabed.vertices, seabed.faces, device)
+        terrain = world.terrain
+        start, step = terrain.coordinates[terrain.rim], np.diff(terrain.coordinates)[terrain.rim]
+        skirt = terrain.skirt()
+        self._skirt = _mesh(skirt.vertices, skirt.faces, device)
         self._library = [_mesh(mesh.vertices, mesh.faces, device) for mesh in world.meshes]
         corner_counts = [mesh.faces.size for mesh in world.meshes]
         vertex_counts = [len(mesh.vertices) for mesh in world.meshes]
@@ -113,9 +116,10 @@ class CameraRenderer:
         corners = [m.faces.ravel() + start for m, start in zip(world.meshes, first_vertex, strict=True)]
         ids = np.array([mesh.id for mesh in self._library], dtype=np.uint64)
         geometry = Geometry()
-        geometry.seabed = self._seabed.id
-        geometry.seabed_corners = self._seabed.indices
-        geometry.seabed_normals = wp.array(seabed.normals, dtype=wp.vec3, device=device)
+        geometry.relief = build_relief(terrain.square, float(start), float(step), device)
+        geometry.skirt = self._skirt.id
+        geometry.skirt_corners = self._skirt.indices
+        geometry.skirt_normals = wp.array(skirt.normals, dtype=wp.vec3, device=device)
         geometry.count = len(instances)
         geometry.mesh = wp.array(ids[instances.shapes], dtype=wp.uint64, device=device)
         geometry.first_corner = wp.array(first_corner[instances.shapes], dtype=wp.int32, device=device)

@@ -1,4 +1,4 @@
-"""Rays against a world: a seabed mesh and a tree of boxes over the instances, each traced in its own frame.
+"""Rays against a world: the seabed's relief and skirt, and a tree of boxes over the instances, each in its own frame.
 
 Every ray sensor uses these functions. A ray is origin + t * direction; the direction need not have unit length, t
 counts in its lengths.
@@ -8,14 +8,21 @@ from __future__ import annotations
 
 import warp as wp
 
+from oysterbench.render.relief import Relief, cast_relief, over_relief, relief_normal
+
+NOTHING = wp.constant(-1)
+RELIEF = wp.constant(-2)
+SKIRT = wp.constant(-3)
+
 
 @wp.struct
 class Geometry:
     """A world on a device. Instance arrays are (N,); corners and normals of all library meshes are end to end."""
 
-    seabed: wp.uint64
-    seabed_corners: wp.array(dtype=wp.int32)
-    seabed_normals: wp.array(dtype=wp.vec3)
+    relief: Relief
+    skirt: wp.uint64
+    skirt_corners: wp.array(dtype=wp.int32)
+    skirt_normals: wp.array(dtype=wp.vec3)
     boxes: wp.uint64
     count: wp.int32
     mesh: wp.array(dtype=wp.uint64)
@@ -29,7 +36,7 @@ class Geometry:
 
 @wp.struct
 class Hit:
-    """Nearest surface: instance -1 is the seabed, -2 nothing; u, v weigh the face's first two corners."""
+    """Nearest surface: instance is its row, or RELIEF, SKIRT or NOTHING; u, v weigh the face's first two corners."""
 
     t: wp.float32
     instance: wp.int32
@@ -43,14 +50,19 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
     """Nearest hit of a ray."""
     hit = Hit()
     hit.t = max_t
-    hit.instance = -2
-    ground = wp.mesh_query_ray(world.seabed, origin, direction, max_t)
-    if ground.result:
-        hit.t = ground.t
-        hit.instance = -1
-        hit.face = ground.face
-        hit.u = ground.u
-        hit.v = ground.v
+    hit.instance = NOTHING
+    t = cast_relief(world.relief, origin, direction, max_t)
+    if t >= 0.0:
+        hit.t = t
+        hit.instance = RELIEF
+    if t < 0.0 or not over_relief(world.relief, origin):
+        ground = wp.mesh_query_ray(world.skirt, origin, direction, hit.t)
+        if ground.result:
+            hit.t = ground.t
+            hit.instance = SKIRT
+            hit.face = ground.face
+            hit.u = ground.u
+            hit.v = ground.v
     if world.count > 0:
         query = wp.bvh_query_ray(world.boxes, origin, direction)
         i = wp.int32(0)
@@ -72,7 +84,7 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
 @wp.func
 def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, with_seabed: int):
     """Whether anything lies on a ray before max_t."""
-    if with_seabed != 0 and wp.mesh_query_ray_anyhit(world.seabed, origin, direction, max_t):
+    if with_seabed != 0 and cast_relief(world.relief, origin, direction, max_t) >= 0.0:
         return True
     if world.count > 0:
         query = wp.bvh_query_ray(world.boxes, origin, direction)
@@ -97,11 +109,13 @@ def blend(normals: wp.array(dtype=wp.vec3), corners: wp.array(dtype=wp.int32), f
 
 
 @wp.func
-def surface_normal(world: Geometry, hit: Hit):
-    """Smooth unit normal in `map` at a hit, outward."""
+def surface_normal(world: Geometry, hit: Hit, p: wp.vec3):
+    """Smooth unit normal in `map` at a hit at point p, outward."""
     normal = wp.vec3(0.0, 0.0, 1.0)
-    if hit.instance == -1:
-        normal = blend(world.seabed_normals, world.seabed_corners, 3 * hit.face, hit.u, hit.v)
+    if hit.instance == RELIEF:
+        normal = relief_normal(world.relief, p)
+    elif hit.instance == SKIRT:
+        normal = blend(world.skirt_normals, world.skirt_corners, 3 * hit.face, hit.u, hit.v)
     elif hit.instance >= 0:
         first = world.first_corner[hit.instance] + 3 * hit.face
         local = blend(world.normals, world.corners, first, hit.u, hit.v)

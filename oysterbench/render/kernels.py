@@ -7,13 +7,17 @@ from typing import Any
 
 import warp as wp
 
-from oysterbench.render.casting import Geometry, blocked, cast, surface_normal
-from oysterbench.render.texture import scramble, seabed, shell, stone
+from oysterbench.render.casting import NOTHING, Geometry, blocked, cast, surface_normal
+from oysterbench.render.texture import Material, scramble, seabed, shell, stone
+
+COMPILER_FLAGS = "-mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
+if platform.machine().lower() in ("x86_64", "amd64"):
+    COMPILER_FLAGS += " -target-cpu x86-64-v2"
 
 # One instruction set for every x86 processor and no fused multiply-add: the same bytes wherever a split is made.
 wp.set_module_options(
     {
-        "cpu_compiler_flags": "-target-cpu x86-64-v2" if platform.machine().lower() in ("x86_64", "amd64") else "",
+        "cpu_compiler_flags": COMPILER_FLAGS,
         "fuse_fp": False,
         "fast_math": False,
         "enable_backward": False,
@@ -107,12 +111,14 @@ def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, dir
     """Radiance that leaves the surface at a hit towards the camera."""
     p = view.position + direction * hit.t
     length = wp.length(direction)
-    smooth = surface_normal(world, hit)
+    smooth = surface_normal(world, hit, p)
     facing = wp.max(-wp.dot(smooth, direction) / length, 0.08)
     footprint = hit.t / (view.focal * wp.sqrt(facing))
-    material = seabed(p, smooth, footprint, looks.seed)
+    material = Material()
     i = hit.instance
-    if i >= 0:
+    if i < 0:
+        material = seabed(p, smooth, footprint, looks.seed)
+    else:
         rotation = world.rotation[i]
         q = wp.transpose(rotation) * (p - world.position[i])
         seed = scramble(looks.seed + wp.uint32(i))
@@ -141,7 +147,7 @@ def sample(world: Geometry, looks: Looks, optics: Optics, view: View, direction:
     middle = view.position[2] + 0.5 * wp.min(distance, optics.veil_length) * direction[2] / length
     veil = wp.cw_mul(optics.veil, look_up(optics.daylight, -middle / optics.depth_step))
     radiance = wp.cw_mul(veil, look_up(optics.saturation, distance / optics.range_step))
-    if hit.instance > -2:
+    if hit.instance != NOTHING:
         surface = surface_light(world, looks, optics, view, direction, hit)
         radiance += wp.cw_mul(surface, look_up(optics.direct, distance / optics.range_step))
     return radiance
@@ -163,7 +169,7 @@ def trace(
     direction = ray_through(view, float(column), float(row))
     hit = cast(world, view.position, direction, FAR_M)
     radiance[row, column] = sample(world, looks, optics, view, direction, hit)
-    within = hit.instance > -2 and hit.t * wp.length(direction) <= view.max_range
+    within = hit.instance != NOTHING and hit.t * wp.length(direction) <= view.max_range
     distance = wp.float32(0.0)
     kind = wp.uint8(0)
     number = wp.uint16(0)

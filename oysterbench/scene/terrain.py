@@ -9,17 +9,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from oysterbench.recipe import ReefRecipe
-from oysterbench.scene.mesh import Mesh, round_positions
+from oysterbench.scene.mesh import Mesh, build_mesh, round_positions
 
 Array = NDArray[np.float64]
 
-CELL_M = 0.02
-MAX_CELLS = 1000  # per side of the reef: bounds memory to about 2 million triangles
+CELL_M = 0.0125
+MAX_CELLS = 2048  # per side of the reef: bounds memory and time
 SKIRT_M = 80.0  # far enough for the clearest water to hide its edge at grazing view
 SKIRT_GROWTH = 1.3
 SKIRT_FADE_M = 8.0  # relief past the reef dies out over this distance, as its cells get too large to carry it
-HURST = 0.85  # rougher than sand flats (about 1), smoother than rock (about 0.5)
-OUTER_SCALE_M = 3.0  # wavelength beyond which the relief stops growing
+ROUGHNESS = 1.7  # spectral exponent less 1 (the Hurst exponent where below 1): currents smooth sediment
+OUTER_SCALE_M = 3.5  # wavelength beyond which the relief stops growing
 RIPPLE_RMS_M = 0.0035
 RIPPLE_WAVELENGTH_M = (0.10, 0.20)
 RIPPLE_SPREAD_RAD = 0.45
@@ -30,36 +30,49 @@ class Terrain:
     """Heights on a tensor grid, z in `map`, m.
 
     coordinates (N,) float64: the grid lines along x and along y, increasing, m. heights (N, N) float32, indexed
-    [y, x].
+    [y, x]. rim: number of grid lines on each side that belong to the skirt; the cells within are equal.
     """
 
     coordinates: Array
     heights: NDArray[np.float32]
+    rim: int
 
     def height(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Bilinear height at x, y in m; same shape as the broadcast inputs, float64, m. Clamped past the skirt."""
         return sample_grid(self.coordinates, self.heights, x, y)
 
     def steepest(self) -> float:
-        """Largest slope between neighbouring grid points, rise over run."""
-        slope_y = np.abs(np.diff(self.heights, axis=0)) / np.diff(self.coordinates)[:, None]
-        slope_x = np.abs(np.diff(self.heights, axis=1)) / np.diff(self.coordinates)[None, :]
-        return float(np.hypot(slope_x.max(), slope_y.max()))
+        """Largest slope (rise over run) of the square's triangles."""
+        step = self.coordinates[self.rim + 1] - self.coordinates[self.rim]
+        slope_x, slope_y = (np.abs(np.diff(self.square, axis=axis)).max(initial=0.0) / step for axis in (1, 0))
+        return float(np.hypot(slope_x, slope_y))
 
     def mesh(self) -> Mesh:
-        """The grid as triangles, facing up."""
+        """The whole grid as triangles, facing up; each cell is cut from its low corner to its high one."""
+        cells = len(self.coordinates) - 1
+        return self._triangles(np.ones((cells, cells), dtype=bool))
+
+    def skirt(self) -> Mesh:
+        """The part of `mesh` around the square of equal cells."""
+        cells = len(self.coordinates) - 1
+        around = np.ones((cells, cells), dtype=bool)
+        around[self.rim : cells - self.rim, self.rim : cells - self.rim] = False
+        return self._triangles(around)
+
+    @property
+    def square(self) -> NDArray[np.float32]:
+        """Heights (M, M) at the corners of the equal cells, m."""
+        return self.heights[self.rim : len(self.heights) - self.rim, self.rim : len(self.heights) - self.rim]
+
+    def _triangles(self, cells: NDArray[np.bool_]) -> Mesh:
         n = len(self.coordinates)
-        line = self.coordinates.astype(np.float32)
-        x, y = np.meshgrid(line, line)
-        vertices = np.stack([x, y, self.heights], axis=-1).reshape(-1, 3)
-        corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).astype(np.int32)
-        faces = np.empty((n - 1, n - 1, 2, 3), dtype=np.int32)
-        faces[..., 0, :] = corner[..., None] + np.array([0, 1, n + 1])
-        faces[..., 1, :] = corner[..., None] + np.array([0, n + 1, n])
-        slope_y, slope_x = np.gradient(self.heights, self.coordinates, self.coordinates)
-        normals = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)], axis=-1)
-        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-        return Mesh(vertices, faces.reshape(-1, 3), np.round(normals, 6).astype(np.float32).reshape(-1, 3))
+        rows, columns = np.nonzero(cells)
+        corner = rows * n + columns
+        faces = np.stack([corner, corner + 1, corner + n + 1, corner, corner + n + 1, corner + n], axis=-1)
+        used, faces = np.unique(faces.reshape(-1, 3), return_inverse=True)
+        i, j = used // n, used % n
+        vertices = np.column_stack([self.coordinates[j], self.coordinates[i], self.heights[i, j].astype(float)])
+        return build_mesh(vertices, faces.reshape(-1, 3))
 
 
 def sample_grid(coordinates: Array, values: NDArray[np.floating], x: ArrayLike, y: ArrayLike) -> Array:
@@ -78,13 +91,15 @@ def build_terrain(reef: ReefRecipe, generator: np.random.Generator) -> Terrain:
     """Seabed of a reef: periodic relief over the square of side size_m, repeated and fading in the skirt."""
     cells = min(int(np.ceil(reef.size_m / CELL_M)), MAX_CELLS)
     relief = _relief(cells, reef.size_m, reef.relief_rms_m, generator)
-    coordinates = _grid_lines(cells, reef.size_m)
+    coordinates, rim = _grid_lines(cells, reef.size_m)
     past = np.maximum(np.abs(coordinates) - reef.size_m / 2, 0.0)
     fade = np.exp(-((past[:, None] ** 2 + past[None, :] ** 2) / SKIRT_FADE_M**2))
     position = (coordinates / reef.size_m + 0.5) * cells
-    nearest = np.round(position).astype(int) % cells
-    heights = relief[np.ix_(nearest, nearest)] * fade - reef.depth_m
-    return Terrain(coordinates, round_positions(heights))
+    low = np.floor(position + 1e-6).astype(int)
+    share = np.clip(position - low, 0.0, 1.0)
+    rows = relief[low % cells] * (1 - share[:, None]) + relief[(low + 1) % cells] * share[:, None]
+    heights = (rows[:, low % cells] * (1 - share) + rows[:, (low + 1) % cells] * share) * fade - reef.depth_m
+    return Terrain(round_positions(coordinates).astype(float), round_positions(heights), rim)
 
 
 def _relief(cells: int, size: float, rms: float, generator: np.random.Generator) -> Array:
@@ -95,7 +110,7 @@ def _relief(cells: int, size: float, rms: float, generator: np.random.Generator)
     k_x = fft.rfftfreq(cells, size / cells)[None, :]
     k_y = fft.fftfreq(cells, size / cells)[:, None]
     k = np.hypot(k_x, k_y)
-    fractal = _filtered((1 + (k * OUTER_SCALE_M) ** 2) ** (-(HURST + 1) / 2), generator)
+    fractal = _filtered((1 + (k * OUTER_SCALE_M) ** 2) ** (-(ROUGHNESS + 1) / 2), generator)
 
     heading = generator.uniform(0, np.pi)
     across = np.abs(k_x * np.cos(heading) + k_y * np.sin(heading)) / np.maximum(k, 1e-12)
@@ -115,10 +130,10 @@ def _filtered(amplitude: NDArray[np.generic], generator: np.random.Generator) ->
     return field / max(float(np.sqrt(np.mean(field**2))), 1e-12)
 
 
-def _grid_lines(cells: int, size: float) -> Array:
-    """Grid lines: `cells` equal cells over [-size/2, size/2], then cells growing by SKIRT_GROWTH out to SKIRT_M."""
+def _grid_lines(cells: int, size: float) -> tuple[Array, int]:
+    """Lines of `cells` equal cells over [-size/2, size/2] and of cells growing out to SKIRT_M; lines in a skirt."""
     cell = size / cells
     inner = -size / 2 + cell * np.arange(cells + 1)
     count = int(np.ceil(np.log(1 + SKIRT_M * (SKIRT_GROWTH - 1) / cell) / np.log(SKIRT_GROWTH)))
     outer = np.cumsum(cell * SKIRT_GROWTH ** np.arange(1, count + 1))
-    return np.concatenate([-size / 2 - outer[::-1], inner, size / 2 + outer])
+    return np.concatenate([-size / 2 - outer[::-1], inner, size / 2 + outer]), count
