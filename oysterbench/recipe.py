@@ -200,10 +200,16 @@ def parse_split(source: str, where: str, rig_source: str | None = None) -> Split
     table = _parse_toml(source, where)
     rig_name = table.pop("rig", None)
     if not isinstance(rig_name, str):
-        raise RecipeError(f"{where}: key 'rig': expected the name of a file in datasets/rigs, got {rig_name!r}")
+        raise RecipeError(
+            f"{where}: key 'rig': expected the name of a file in datasets/rigs, or the path of a .toml file beside the "
+            f"recipe, got {rig_name!r}"
+        )
     if rig_source is None:
-        rig_path = Path(str(resources.files("oysterbench_datasets") / "rigs" / f"{rig_name}.toml"))
-        rig_source = _read_text(rig_path, f"{where}: key 'rig': there is no rig {rig_name!r} in datasets/rigs")
+        if rig_name.endswith(".toml"):
+            rig_path = Path(where).parent / rig_name
+        else:
+            rig_path = Path(str(resources.files("oysterbench_datasets") / "rigs" / f"{rig_name}.toml"))
+        rig_source = _read_text(rig_path, f"{where}: key 'rig': there is no rig {rig_name!r} ({rig_path} is absent)")
     rig_where = f"rig {rig_name}"
     rig = _build(RigRecipe, _parse_toml(rig_source, rig_where), rig_where, "")
     table = {**table, "rig": rig, "rig_source": rig_source, "source": source}

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import SequenceError
+from oysterbench.errors import MethodError
 from oysterbench.geometry import Array
 from oysterbench.trajectory import Trajectory
 
@@ -138,7 +138,7 @@ class SensorsOnly(Sequence):
         return list(self._contents)
 
     def truth(self) -> Trajectory:
-        raise SequenceError("a method does not see the truth")
+        raise MethodError("a method does not see the truth: Sequence.truth() is for evaluators")
 
 
 def imu_arrays(samples: Iterator[ImuSample]) -> tuple[NDArray[np.int64], Array, Array]:

@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 import oysterbench
-from oysterbench.errors import SequenceError
+from oysterbench.errors import MethodError, SequenceError
 from oysterbench.sequence import Image, ImuSample, topics
 from oysterbench.sequence.types import imu_arrays
 
@@ -85,9 +85,7 @@ def test_inertial_samples_agree_with_the_truth(sequence):
 
 def test_rosbags_opens_the_file_with_its_own_types_and_decodes_every_message(tiny_file):
     with AnyReader([tiny_file]) as reader:
-        decoded = [
-            (stamp, reader.deserialize(raw, connection.msgtype)) for connection, stamp, raw in reader.messages()
-        ]
+        decoded = [(stamp, reader.deserialize(raw, connection.msgtype)) for connection, stamp, raw in reader.messages()]
     assert len(decoded) == 441
     assert [stamp for stamp, _ in decoded] == sorted(stamp for stamp, _ in decoded)
 
@@ -104,7 +102,7 @@ def test_reading_the_inertial_unit_touches_no_image(tiny_file):
 
 def test_a_method_cannot_reach_the_truth(sequence):
     sensors = sequence.for_method()
-    with pytest.raises(SequenceError, match="does not see the truth"):
+    with pytest.raises(MethodError, match="does not see the truth"):
         sensors.truth()
     assert not any("truth" in topic for topic, _, _ in sensors.contents())
     assert next(sensors.images("cam_front")).stamp_ns == topics.EPOCH_NS

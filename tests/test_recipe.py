@@ -1,0 +1,101 @@
+"""Recipes: every bad value is refused with file, key, value and what is allowed."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from conftest import TINY_RIG, TINY_SPLIT, make_split
+
+from oysterbench.errors import RecipeError
+from oysterbench.recipe import as_plain, load_split, parse_split, split_names
+
+
+def test_every_split_that_comes_with_oysterbench_is_valid():
+    names = split_names()
+    assert "slam-mini" in names
+    for name in names:
+        assert load_split(name).name == name
+
+
+def test_the_mini_split_is_what_its_users_expect():
+    split = load_split("slam-mini")
+    (sequence,) = split.sequence
+    (camera,) = split.rig.camera
+    assert sequence.duration_s == 20
+    assert sequence.reef.oysters >= 1000
+    assert 25 <= camera.pitch_deg <= 35
+    assert (camera.rate_hz, split.rig.imu.rate_hz, split.rig.truth_rate_hz) == (20, 200, 200)
+
+
+def test_a_recipe_can_be_read_from_a_path(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "bluerov2"'))
+    assert load_split(str(path)).rig.name == "bluerov2"
+
+
+def test_a_rig_may_lie_beside_its_recipe(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "small.toml"'))
+    with pytest.raises(RecipeError, match=r"key 'rig': there is no rig 'small\.toml'"):
+        load_split(str(path))
+    (tmp_path / "small.toml").write_text(TINY_RIG)
+    assert load_split(str(path)).rig.name == "tiny"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "depth_m = 3.0",
+            "depth_m = -3.0",
+            r"tiny\.toml: key 'sequence\.reef\.depth_m': expected 0\.5 to 60, got -3\.0",
+        ),
+        ('jerlov = "1C"', 'jerlov = "4C"', r"key 'sequence\.water\.jerlov': expected one of I, IA.*got '4C'"),
+        ("oysters = 60", "oysters = 6.5", r"key 'sequence\.reef\.oysters': expected a whole number .*got 6\.5"),
+        ("oysters = 60", "oysters = true", r"expected a whole number .*got True"),
+        ("oysters = 60", "", r"missing key 'sequence\.reef\.oysters' from 0 to 60000"),
+        ("oysters = 60", "oyster = 60", r"unknown key 'sequence\.reef\.oyster'; known keys here: size_m"),
+        ("altitude_m = 0.9", "altitude_m = 3.0", r"the vehicle would leave the water.*got 3"),
+        ("radius_m = 1.0", "radius_m = 2.4", r"the path leaves the reef; expected at most 1\.88.*got 2\.4"),
+        ('track = "slam"', 'track = "swim"', r"key 'track': expected one of slam, got 'swim'"),
+        ("seed = 5", 'seed = "five"', r"key 'seed': expected a whole number .*got 'five'"),
+        ("seed = 5", "seed = nan", r"expected a whole number .*got nan"),
+        ("depth_m = 3.0", "depth_m = nan", r"expected 0\.5 to 60, got nan"),
+        ('name = "tiny-01"', 'name = "../x"', r"key 'name': expected letters.*got '\.\./x'"),
+        ("[sequence.water]", "[sequence.wine]", r"unknown key 'sequence\.wine'"),
+        ('rig = "tiny"', "rig = 3", r"key 'rig': expected the name of a file in datasets/rigs.*got 3"),
+        ("seed = 5", "seed = = 5", r"not valid TOML"),
+    ],
+)
+def test_a_bad_value_is_named(old, new, message):
+    assert old in TINY_SPLIT
+    with pytest.raises(RecipeError) as caught:
+        make_split(TINY_SPLIT.replace(old, new))
+    assert re.search(message, str(caught.value)), caught.value
+    assert "\n" not in str(caught.value)
+
+
+def test_layers_come_at_a_divisor_of_the_camera_rate():
+    with pytest.raises(RecipeError, match="expected a divisor of rate_hz = 10"):
+        parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG.replace("layer_rate_hz = 2.0", "layer_rate_hz = 3.0"))
+
+
+def test_an_unknown_split_and_rig_are_named_with_what_is_known():
+    with pytest.raises(RecipeError, match="unknown split 'slam-maxi'; known splits: .*slam-mini"):
+        load_split("slam-maxi")
+    with pytest.raises(RecipeError, match="there is no rig 'tiny'"):
+        parse_split(TINY_SPLIT, "tiny.toml")
+    with pytest.raises(RecipeError, match=r"absent\.toml: no such recipe"):
+        load_split("absent.toml")
+
+
+def test_the_digest_follows_values_and_not_comments(tiny_split):
+    assert make_split(TINY_SPLIT + "# a remark\n").digest() == tiny_split.digest()
+    assert make_split(TINY_SPLIT.replace("seed = 5", "seed = 6")).digest() != tiny_split.digest()
+
+
+def test_a_recipe_becomes_plain_values(tiny_split):
+    plain = as_plain(tiny_split)
+    assert plain["sequence"][0]["reef"]["oysters"] == 60
+    assert plain["rig"]["camera"][0]["position_m"] == [0.18, 0.0, 0.0]
