@@ -184,7 +184,7 @@ def test_a_bad_estimate_is_one_line_and_writes_nothing(trajectories, tmp_path):
     cases = {
         "nan.tum": ([*lines[:5], lines[5].replace(lines[5].split()[1], "nan"), *lines[6:]], "nan"),
         "late.tum": ([re.sub(r"^1", "2", line) for line in lines], "overlap|common|time"),
-        "short.tum": (lines[:3] + ["1 2 3"], "short.tum:4"),
+        "short.tum": ([*lines[:3], "1 2 3"], "short.tum:4"),
         "empty.tum": ([], "holds no pose"),
     }
     for name, (content, pattern) in cases.items():

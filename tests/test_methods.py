@@ -41,7 +41,7 @@ def test_the_baselines_are_installed_as_methods():
 
 
 def test_an_unknown_method_is_named_with_what_is_installed():
-    with pytest.raises(MethodError, match="unknown method 'orb_slam'; installed methods: .*gtsam_vi"):
+    with pytest.raises(MethodError, match=r"unknown method 'orb_slam'; installed methods: .*gtsam_vi"):
         find_method("orb_slam")
 
 

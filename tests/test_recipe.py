@@ -82,7 +82,7 @@ def test_layers_come_at_a_divisor_of_the_camera_rate():
 
 
 def test_an_unknown_split_and_rig_are_named_with_what_is_known():
-    with pytest.raises(RecipeError, match="unknown split 'slam-maxi'; known splits: .*slam-mini"):
+    with pytest.raises(RecipeError, match=r"unknown split 'slam-maxi'; known splits: .*slam-mini"):
         load_split("slam-maxi")
     with pytest.raises(RecipeError, match="there is no rig 'tiny'"):
         parse_split(TINY_SPLIT, "tiny.toml")

@@ -87,8 +87,11 @@ def make_dive(
     noisy_imu: bool = True,
     blind: tuple[float, float] = (np.inf, np.inf),
     outliers: float = 0.01,
+    most: int = 130,
 ) -> Dive:
-    """A dive. blind: seconds in which the camera sees nothing. outliers: share of tracks that slide over the scene."""
+    """A dive. blind: seconds in which the camera sees nothing. outliers: share of tracks that slide over the scene.
+    most: tracks at a time.
+    """
     generator = np.random.default_rng(seed)
     camera, inertial = camera_calibration(), imu_calibration()
     samples = inertial_samples(pose, inertial, duration_s, generator if noisy_imu else None)
@@ -97,7 +100,7 @@ def make_dive(
     poses = pose(times)
     points = generator.uniform([-7, -7, 0], [7, 7, 1], size=(6000, 3))
     points[:, 2] = -4.0 + 0.15 * np.sin(1.3 * points[:, 0]) * np.cos(1.7 * points[:, 1]) + 0.12 * points[:, 2] ** 2
-    tracks = list(_track(points, poses, times, camera, pixel_noise, blind, outliers, generator))
+    tracks = list(_track(points, poses, times, camera, pixel_noise, blind, outliers, generator, most))
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     return Dive(camera, inertial, samples, stamps, tracks, Trajectory(stamps, poses[:, :3, 3].copy(), quaternions))
 
@@ -131,7 +134,7 @@ def inertial_samples(
     return [ImuSample(int(s), g, f) for s, g, f in zip(stamps, gyro, force, strict=True)]
 
 
-def _track(points, poses, times, camera, pixel_noise, blind, outliers, generator, most=130, life_s=2.5):
+def _track(points, poses, times, camera, pixel_noise, blind, outliers, generator, most, life_s=2.5):
     """Per frame, ids and noisy pixels of the points followed: white noise, a slow drift, loss after a random time."""
     live: dict[int, list] = {}  # point -> [track id, drift, slide]
     next_id = 0
