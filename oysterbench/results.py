@@ -121,7 +121,7 @@ class ResultRecord:
             if key not in given:
                 raise ResultError(f"{where}: missing key {key!r}")
             _check_kind(key, given[key], where)
-        given["metrics"] = {k: math.nan if v is None else float(v) for k, v in given["metrics"].items()}
+        given["metrics"] = {k: math.nan if v is None else v for k, v in given["metrics"].items()}
         try:
             return cls(**given)
         except ResultError as error:

@@ -64,7 +64,7 @@ SLAM: dict[str, Metric] = {
         "deg",
         "lower",
         "Relative pose error over 1 s: root mean square rotation angle over the same pairs.",
-        "RPE 1 s rotation",
+        "Rotation RPE 1 s",
     ),
     "rpe_1s_pairs": Metric("", "", "Number of pairs that the relative errors over 1 s are taken over.", "RPE pairs"),
     "coverage": Metric(

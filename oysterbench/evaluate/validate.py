@@ -104,7 +104,9 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
     turns = Rotation.from_quat(truth).inv() * Rotation.from_quat(aligned)
     turn = turns.mean()
     rest = _rms((turns * turn.inv()).magnitude())
-    if rest * SUSPICIOUS_GAIN < error:
+    # A turn about the vertical alone is what a wrong alignment of a level vehicle looks like.
+    tilt = np.arccos(np.clip(turn.as_matrix()[2, 2], -1.0, 1.0))
+    if rest * SUSPICIOUS_GAIN < error and tilt > SUSPICIOUS_RAD:
         return [
             f"the attitudes differ from the truth by one constant turn of {np.rad2deg(turn.magnitude()):.1f} deg "
             f"(the rest errs by {np.rad2deg(rest):.1f} deg): are they of a camera or an IMU? Poses of base_link are "

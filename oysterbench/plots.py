@@ -1,0 +1,241 @@
+"""Plots as inline SVG: trajectories with equal axes, errors over time. Colours come from the page (`page.STYLE`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from oysterbench.geometry import Array
+
+WIDTH, LEFT, RIGHT, TOP, BOTTOM = 480.0, 56.0, 16.0, 32.0, 46.0
+INNER = WIDTH - LEFT - RIGHT
+"""Units of the drawing; the page scales it to its column, and its text up on a phone."""
+
+MAX_POINTS = 600  # of one curve: more is finer than a pixel
+ROOM = 1.0  # how far, in lengths of the truth, a picture follows an estimate that runs away
+LOG_RATIO = 25.0  # between the largest errors of two methods, above which a linear axis would hide one
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a plot: x and y (N,), NaN where it is broken; style 0 is the truth, 1, 2, ... the methods."""
+
+    label: str
+    x: Array
+    y: Array
+    style: int
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A range of values and the pixels it is drawn on, the end before the begin where values rise; ticks by `spacing`."""
+
+    low: float
+    high: float
+    begin: float
+    end: float
+    spacing: float = 60.0
+    logarithmic: bool = False
+
+    def place(self, values: Array | float) -> Array:
+        """Pixels of values."""
+        low, high, values = self.low, self.high, np.asarray(values, dtype=float)
+        if self.logarithmic:
+            low, high, values = math.log10(low), math.log10(high), np.log10(np.maximum(values, self.low))
+        return self.begin + (values - low) / (high - low) * (self.end - self.begin)
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Values and labels, as many as fit."""
+        room = abs(self.end - self.begin)
+        if self.logarithmic:
+            powers = range(math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9) + 1)
+            return [(10.0**power, _number(10.0**power, max(0, -power))) for power in powers]
+        return nice_ticks(self.low, self.high, max(3, round(room / self.spacing)))
+
+
+def nice_ticks(low: float, high: float, count: int) -> list[tuple[float, str]]:
+    """About `count` round values within [low, high], steps of 1, 2 or 5 times a power of ten, and their labels."""
+    raw = (high - low) / count
+    power = math.floor(math.log10(raw))
+    step, exponent = 10.0 ** (power + 1), power + 1
+    for factor in (1, 2, 5):
+        if factor * 10.0**power >= raw * (1 - 1e-9):
+            step, exponent = factor * 10.0**power, power
+            break
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [(k * step, _number(k * step, max(0, -exponent))) for k in range(first, last + 1)]
+
+
+def _number(value: float, decimals: int) -> str:
+    return f"{value + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
+    """Curves in m with equal axes, start and end of the truth marked. The first curve is the truth.
+
+    The picture shows the whole truth and follows the estimates as far as `ROOM` allows; what leaves it is cut and
+    said so.
+    """
+    x_low, x_high = _limits([curve.x for curve in curves])
+    y_low, y_high = _limits([curve.y for curve in curves])
+    reach = ROOM * max(np.ptp(_known(curves[0].x)), np.ptp(_known(curves[0].y)), 0.5)
+    x_low, x_high = _restrict(x_low, x_high, curves[0].x, reach)
+    y_low, y_high = _restrict(y_low, y_high, curves[0].y, reach)
+    size = max(x_high - x_low, y_high - y_low, 0.1)
+    x_low, x_high = x_low - 0.05 * size, x_high + 0.05 * size
+    y_low, y_high = y_low - 0.05 * size, y_high + 0.05 * size
+
+    per_metre = INNER / (x_high - x_low)
+    height = float(np.clip(per_metre * (y_high - y_low), 110.0, 420.0))
+    per_metre = min(per_metre, height / (y_high - y_low))
+    x_low, x_high = _widen(x_low, x_high, INNER / per_metre)
+    y_low, y_high = _widen(y_low, y_high, height / per_metre)
+    x_axis = Axis(x_low, x_high, LEFT, LEFT + INNER)
+    y_axis = Axis(y_low, y_high, TOP + height, TOP, 44.0)
+
+    away = [c.label for c in curves if _leaves(c.x, x_low, x_high) or _leaves(c.y, y_low, y_high)]
+    note = f"{', '.join(away)} leaves this picture" if away else ""
+    truth = curves[0]
+    marks = _mark(truth, 0, "start", x_axis, y_axis) + _mark(truth, -1, "end", x_axis, y_axis)
+    return _drawing(curves, x_axis, y_axis, title, x_label, y_label, note, marks)
+
+
+def height_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
+    """Curves over time in s within `span`, the vertical axis stretched to the truth's, the first curve's."""
+    low, high = _limits([curve.y for curve in curves])
+    reach = ROOM * max(np.ptp(_known(curves[0].y)), 0.5)
+    low, high = _restrict(low, high, curves[0].y, reach)
+    margin = 0.08 * max(high - low, 0.1)
+    x_axis = Axis(span[0], max(span[1], span[0] + 1e-3), LEFT, LEFT + INNER)
+    y_axis = Axis(low - margin, high + margin, TOP + 150.0, TOP, 40.0)
+    away = [c.label for c in curves if _leaves(c.y, y_axis.low, y_axis.high)]
+    note = f"{', '.join(away)} leaves this picture" if away else ""
+    return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, note, "")
+
+
+def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
+    """Curves over time in s within `span`, from zero up; logarithmic where the curves differ by orders of magnitude."""
+    tops = [float(np.max(_known(curve.y))) for curve in curves]
+    top, smallest = max([*tops, 1e-9]), min([top for top in tops if top > 0], default=1.0)
+    x_axis = Axis(span[0], max(span[1], span[0] + 1e-3), LEFT, LEFT + INNER)
+    height = 190.0
+    if top / smallest > LOG_RATIO:
+        medians = [float(np.median(_known(curve.y))) for curve in curves]
+        floor = max(min([median for median in medians if median > 0], default=smallest) / 10, top * 1e-6)
+        low, high = 10.0 ** math.floor(math.log10(floor)), 10.0 ** math.ceil(math.log10(top))
+        y_axis = Axis(low, high, TOP + height, TOP, logarithmic=True)
+        y_label += ", logarithmic"
+    else:
+        y_axis = Axis(0.0, top * 1.08, TOP + height, TOP, 44.0)
+    return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, "", "")
+
+
+def thin(curve: Curve) -> Curve:
+    """The same curve to the eye with at most about MAX_POINTS points: each stretch keeps its lowest and its highest."""
+    if len(curve.x) <= MAX_POINTS:
+        return curve
+    keep: set[int] = {0, len(curve.x) - 1}
+    for part in np.array_split(np.arange(len(curve.x)), MAX_POINTS // 2):
+        values = curve.y[part]
+        breaks = part[np.isnan(values)]
+        keep.update(int(i) for i in breaks)
+        if len(breaks) < len(part):
+            keep.update((int(part[np.nanargmin(values)]), int(part[np.nanargmax(values)])))
+    index = np.array(sorted(keep))
+    return Curve(curve.label, curve.x[index], curve.y[index], curve.style)
+
+
+def swatch(style: int) -> str:
+    """A short piece of a curve, for a legend."""
+    return f'<svg class="swatch" viewBox="0 0 34 10" aria-hidden="true"><path class="c{style}" d="M1 5H33"/></svg>'
+
+
+def _known(values: Array) -> Array:
+    known = values[np.isfinite(values)]
+    return known if len(known) else np.zeros(1)
+
+
+def _limits(series: Sequence[Array]) -> tuple[float, float]:
+    return min(float(_known(v).min()) for v in series), max(float(_known(v).max()) for v in series)
+
+
+def _restrict(low: float, high: float, truth: Array, reach: float) -> tuple[float, float]:
+    return max(low, float(_known(truth).min()) - reach), min(high, float(_known(truth).max()) + reach)
+
+
+def _widen(low: float, high: float, size: float) -> tuple[float, float]:
+    extra = max(0.0, size - (high - low)) / 2
+    return low - extra, high + extra
+
+
+def _leaves(values: Array, low: float, high: float) -> bool:
+    return bool((_known(values) < low).any() or (_known(values) > high).any())
+
+
+def _mark(truth: Curve, i: int, kind: str, x_axis: Axis, y_axis: Axis) -> str:
+    """Start: an open circle; end: a square."""
+    x, y = float(x_axis.place(truth.x[i])), float(y_axis.place(truth.y[i]))
+    if kind == "start":
+        return f'<circle class="mark" cx="{x:.1f}" cy="{y:.1f}" r="5"><title>start of the truth</title></circle>'
+    corner = f'x="{x - 4.5:.1f}" y="{y - 4.5:.1f}" width="9" height="9"'
+    return f'<rect class="mark" {corner}><title>end of the truth</title></rect>'
+
+
+def _path(curve: Curve, x_axis: Axis, y_axis: Axis) -> str:
+    """Data of an SVG path, lifted where the curve is broken."""
+    x, y = x_axis.place(curve.x), y_axis.place(curve.y)
+    # Far outside the clipped picture is far enough; huge coordinates upset renderers.
+    x, y = np.clip(x, -5000, 5000), np.clip(y, -5000, 5000)
+    words, lifted = [], True
+    for px, py in zip(x, y, strict=True):
+        if not (math.isfinite(px) and math.isfinite(py)):
+            lifted = True
+            continue
+        words.append(f"{'M' if lifted else 'L'}{px:.1f} {py:.1f}")
+        lifted = False
+    return "".join(words)
+
+
+def _drawing(
+    curves: Sequence[Curve],
+    x_axis: Axis,
+    y_axis: Axis,
+    title: str,
+    x_label: str,
+    y_label: str,
+    note: str,
+    marks: str,
+) -> str:
+    """Frame, grid, ticks, labels and curves."""
+    top, bottom = y_axis.end, y_axis.begin
+    height = bottom + BOTTOM
+    label = f"{title}: {', '.join(curve.label for curve in curves)}. {x_label}, {y_label}." + (
+        f" {note}." if note else ""
+    )
+    parts = [f'<svg class="plot" viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">']
+    for value, text in x_axis.ticks():
+        x = float(x_axis.place(value))
+        parts.append(f'<path class="grid" d="M{x:.1f} {top}V{bottom:.1f}"/>')
+        parts.append(f'<text class="tick" x="{x:.1f}" y="{bottom + 17:.1f}" text-anchor="middle">{text}</text>')
+    for value, text in y_axis.ticks():
+        y = float(y_axis.place(value))
+        parts.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{LEFT + INNER}"/>')
+        parts.append(f'<text class="tick" x="{LEFT - 7}" y="{y + 4.5:.1f}" text-anchor="end">{text}</text>')
+    parts.append(f'<rect class="frame" x="{LEFT}" y="{top}" width="{INNER}" height="{bottom - top:.1f}"/>')
+    parts.append(f'<text class="axis" x="{LEFT}" y="{top - 11}">{escape(y_label)}</text>')
+    right = LEFT + INNER
+    parts.append(f'<text class="axis" x="{right}" y="{bottom + 37:.1f}" text-anchor="end">{escape(x_label)}</text>')
+    if note:
+        parts.append(f'<text class="note" x="{right - 8}" y="{top + 17}" text-anchor="end">{escape(note)}</text>')
+    left_top, size = (LEFT, top), (INNER, round(bottom - top, 1))
+    place = 'x="{}" y="{}" width="{}" height="{}" viewBox="{} {} {} {}"'.format(*left_top, *size, *left_top, *size)
+    parts.append(f"<svg {place}>")  # an inner svg cuts what leaves it
+    for curve in curves:
+        data = _path(curve, x_axis, y_axis)
+        parts.append(f'<path class="c{curve.style}" d="{data}"><title>{escape(curve.label)}</title></path>')
+    parts.append(f"{marks}</svg></svg>")
+    return "".join(parts)
