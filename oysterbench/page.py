@@ -38,8 +38,8 @@ p { margin: .4rem 0; }
 .scroll { overflow-x: auto; background: var(--card); border: 1px solid var(--line); border-radius: 10px;
   margin: 1.2rem 0 .8rem; }
 .scroll:focus-visible { outline: 2px solid var(--c1); outline-offset: 2px; }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { padding: .5rem .8rem; text-align: right; white-space: nowrap; border-top: 1px solid var(--line); }
+table { border-collapse: collapse; width: 100%; font-size: .95rem; font-variant-numeric: tabular-nums; }
+th, td { padding: .5rem .62rem; text-align: right; white-space: nowrap; border-top: 1px solid var(--line); }
 thead th { border-top: 0; font-weight: 600; vertical-align: bottom; line-height: 1.25; white-space: normal; }
 thead small { font-weight: 400; color: var(--soft); }
 tbody th { font-weight: 500; }
@@ -50,7 +50,7 @@ tr.mean th, tr.mean td { font-weight: 600; }
 tr.mean.first th, tr.mean.first td { border-top: 2px solid var(--soft); }
 
 .pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 440px), 1fr)); gap: 1rem;
-  align-items: start; margin-bottom: 1rem; }
+  margin-bottom: 1rem; }
 .stack { display: grid; gap: 1rem; }
 .card { min-width: 0; background: var(--card); border: 1px solid var(--line); border-radius: 10px;
   padding: .9rem .9rem .5rem; }
@@ -66,7 +66,7 @@ tr.mean.first th, tr.mean.first td { border-top: 2px solid var(--soft); }
 .legend li { display: inline-flex; align-items: center; gap: .5rem; }
 .swatch { width: 34px; height: 10px; flex: none; }
 
-.frames { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 250px), 1fr)); gap: .8rem; }
+.frames { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 300px), 1fr)); gap: .8rem; }
 figure { margin: 0; }
 figure img { display: block; width: 100%; height: auto; border-radius: 8px; background: var(--grid); }
 figcaption { padding-top: .25rem; font-variant-numeric: tabular-nums; }
@@ -82,7 +82,11 @@ dd { margin: 0; color: var(--soft); }
   dl { grid-template-columns: 1fr; gap: 0; }
   dd { margin-bottom: .6rem; }
   .plot text { font-size: 16px; }
-  th, td { padding: .45rem .65rem; }
+  th, td { padding: .45rem .5rem; }
+  tbody th { white-space: normal; overflow-wrap: anywhere; min-width: 5.2rem; }
+  td.name { white-space: normal; min-width: 7.6rem; }
+  .frames { grid-template-columns: 1fr 1fr; }
+  figcaption small { display: block; }
   .card { padding: .7rem .5rem .3rem; }
 }
 @media print { .card, .scroll, figure { break-inside: avoid; } }

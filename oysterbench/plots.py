@@ -32,13 +32,13 @@ class Curve:
 
 @dataclass(frozen=True)
 class Axis:
-    """A range of values and the pixels it is drawn on, the end before the begin where values rise; ticks by `spacing`."""
+    """A range of values and the pixels it is drawn on (upwards the end lies before the begin); ticks by `spacing`."""
 
     low: float
     high: float
     begin: float
     end: float
-    spacing: float = 60.0
+    spacing: float = 75.0
     logarithmic: bool = False
 
     def place(self, values: Array | float) -> Array:
@@ -58,16 +58,14 @@ class Axis:
 
 
 def nice_ticks(low: float, high: float, count: int) -> list[tuple[float, str]]:
-    """About `count` round values within [low, high], steps of 1, 2 or 5 times a power of ten, and their labels."""
-    raw = (high - low) / count
-    power = math.floor(math.log10(raw))
-    step, exponent = 10.0 ** (power + 1), power + 1
-    for factor in (1, 2, 5):
-        if factor * 10.0**power >= raw * (1 - 1e-9):
-            step, exponent = factor * 10.0**power, power
+    """Round values within [low, high] and their labels: the finest steps of 1, 2 or 5 that give count + 2 at most."""
+    exponent = math.floor(math.log10((high - low) / (count + 2)))
+    for power, factor in ((exponent + k, factor) for k in (0, 1) for factor in (1, 2, 5)):
+        step = factor * 10.0**power
+        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        if last - first + 1 <= count + 2:
             break
-    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    return [(k * step, _number(k * step, max(0, -exponent))) for k in range(first, last + 1)]
+    return [(k * step, _number(k * step, max(0, -power))) for k in range(first, last + 1)]
 
 
 def _number(value: float, decimals: int) -> str:
@@ -230,7 +228,7 @@ def _drawing(
     right = LEFT + INNER
     parts.append(f'<text class="axis" x="{right}" y="{bottom + 37:.1f}" text-anchor="end">{escape(x_label)}</text>')
     if note:
-        parts.append(f'<text class="note" x="{right - 8}" y="{top + 17}" text-anchor="end">{escape(note)}</text>')
+        parts.append(f'<text class="note" x="{right}" y="{top - 11}" text-anchor="end">{escape(note)}</text>')
     left_top, size = (LEFT, top), (INNER, round(bottom - top, 1))
     place = 'x="{}" y="{}" width="{}" height="{}" viewBox="{} {} {} {}"'.format(*left_top, *size, *left_top, *size)
     parts.append(f"<svg {place}>")  # an inner svg cuts what leaves it

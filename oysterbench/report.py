@@ -28,25 +28,31 @@ if TYPE_CHECKING:
 
 ABSENT = "\N{EN DASH}"
 TIME = "time since start [s]"
+COMPLETE = 0.95
+"""Of the highest coverage on a sequence: what a run must answer to be called the best there."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A metric in a table: key, heading and unit below it, factor to the shown unit, decimals of ordinary values."""
+    """A metric in a table: key, heading and unit below it, factor to the shown unit.
+
+    decimals: of ordinary values; one more is shown where a value lies below `small`
+    """
 
     key: str
     heading: str
     unit: str
     factor: float = 1.0
     decimals: int = 2
+    small: float = 0.1
 
     def texts(self, values: Sequence[float | None]) -> list[str]:
-        """The values as shown, all with the same decimals: one more where one of them is small.
+        """The values as shown, all with the same decimals, so that the eye can compare them.
 
         Coverage is cut, not rounded: 100 is said of nothing less.
         """
         known = [abs(value * self.factor) for value in values if value is not None and math.isfinite(value)]
-        decimals = self.decimals + any(0 < value < 10.0 ** (1 - self.decimals) for value in known)
+        decimals = self.decimals + any(0 < value < self.small for value in known)
         return [ABSENT if value is None or math.isnan(value) else self._text(value, decimals) for value in values]
 
     def _text(self, value: float, decimals: int) -> str:
@@ -56,10 +62,10 @@ class Column:
 
 
 COLUMNS = (
-    Column("ate_rmse_m", "ATE", "m", decimals=3),
+    Column("ate_rmse_m", "ATE", "m", decimals=3, small=0.01),
     Column("ate_percent", "ATE", "%"),
     Column("ate_rotation_rmse_deg", "rot", "deg"),
-    Column("rpe_1s_translation_rmse_m", "RPE 1s", "m", decimals=3),
+    Column("rpe_1s_translation_rmse_m", "RPE 1s", "m", decimals=3, small=0.01),
     Column("rpe_1s_rotation_rmse_deg", "RPE 1s", "deg"),
     Column("coverage", "cover", "%", factor=100.0),
     Column("realtime_factor", "speed", "x real", decimals=1),
@@ -103,9 +109,17 @@ def rows(records: Sequence[ResultRecord]) -> list[Row]:
 
 
 def _best(records: Sequence[ResultRecord]) -> dict[tuple[str, str], float]:
-    """Best value of each sequence and column, where methods were compared and the metric has a direction."""
+    """Best value of each sequence and column, where methods were compared and the metric has a direction.
+
+    Only runs that answer nearly as much as the most complete one compete: an error over the easy part is no record.
+    """
+    most: dict[str, float] = {}
+    for record in records:
+        most[record.sequence] = max(most.get(record.sequence, 0.0), record.metrics.get("coverage", 1.0))
     values: dict[tuple[str, str], list[float]] = {}
     for record in records:
+        if record.metrics.get("coverage", 1.0) < COMPLETE * most[record.sequence]:
+            continue
         for column in COLUMNS:
             value = record.metrics.get(column.key, math.nan)
             if not math.isnan(value):
@@ -203,7 +217,7 @@ def _table(records: Sequence[ResultRecord]) -> str:
     """Results as an HTML table that scrolls sideways on a narrow screen."""
     arrows = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", "": ""}
     headings = "".join(
-        f'<th scope="col" title="{escape(SLAM[c.key].definition)}">{escape(SLAM[c.key].short)}'
+        f'<th scope="col" title="{escape(SLAM[c.key].definition)}">{_unbroken(SLAM[c.key].short)}'
         f"<br><small>{escape(c.unit)} {arrows[SLAM[c.key].better]}</small></th>"
         for c in COLUMNS
     )
@@ -218,7 +232,12 @@ def _table(records: Sequence[ResultRecord]) -> str:
         warn = " warn" if row.failed else ""
         method = f'<td class="name{warn}">{escape(row.method)}{" (failed)" if row.failed else ""}</td>'
         lines.append(f'<tr{kind}><th scope="row">{escape(row.name)}</th>{method}{cells}</tr>')
-    shaded = " The best of each sequence is shaded." if any(any(row.best) for row in found) else ""
+    shaded = (
+        " The best of each sequence is shaded, among runs that answer at least "
+        f"{COMPLETE:.0%} of what the most complete one does."
+        if any(any(row.best) for row in found)
+        else ""
+    )
     return (
         '<div class="scroll" role="region" aria-label="Results" tabindex="0"><table aria-describedby="reading"><thead>'
         f'<tr><th scope="col">Sequence</th><th scope="col" class="name">Method</th>{headings}</tr></thead>'
@@ -226,6 +245,10 @@ def _table(records: Sequence[ResultRecord]) -> str:
         f'<p class="small" id="reading">{arrows["lower"]} lower is better, '
         f"{arrows['higher']} higher is better; read every error beside its coverage.{shaded}</p>"
     )
+
+
+def _unbroken(heading: str) -> str:
+    return escape(heading).replace("1 s", "1&nbsp;s")
 
 
 def _sequence(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]) -> str:

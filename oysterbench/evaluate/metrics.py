@@ -64,7 +64,7 @@ SLAM: dict[str, Metric] = {
         "deg",
         "lower",
         "Relative pose error over 1 s: root mean square rotation angle over the same pairs.",
-        "Rotation RPE 1 s",
+        "RPE 1 s rotation",
     ),
     "rpe_1s_pairs": Metric("", "", "Number of pairs that the relative errors over 1 s are taken over.", "RPE pairs"),
     "coverage": Metric(
@@ -82,7 +82,7 @@ SLAM: dict[str, Metric] = {
         "",
         "higher",
         "Duration of the sequence divided by the wall time of the method; above 1 it keeps up with the sensors.",
-        "Real-time factor",
+        "Speed",
     ),
     "wall_s": Metric("s", "lower", "Wall time of the method.", "Wall time"),
     "cpu_s": Metric("s", "lower", "Processor time of the method, summed over its threads.", "CPU time"),
