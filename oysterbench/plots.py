@@ -95,8 +95,7 @@ def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) ->
     x_axis = Axis(x_low, x_high, LEFT, LEFT + INNER)
     y_axis = Axis(y_low, y_high, TOP + height, TOP, 44.0)
 
-    away = [c.label for c in curves if _leaves(c.x, x_low, x_high) or _leaves(c.y, y_low, y_high)]
-    note = f"{', '.join(away)} leaves this picture" if away else ""
+    note = _note([c.label for c in curves if _leaves(c.x, x_low, x_high) or _leaves(c.y, y_low, y_high)])
     truth = curves[0]
     marks = _mark(truth, 0, "start", x_axis, y_axis) + _mark(truth, -1, "end", x_axis, y_axis)
     return _drawing(curves, x_axis, y_axis, title, x_label, y_label, note, marks)
@@ -110,8 +109,7 @@ def height_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str,
     margin = 0.08 * max(high - low, 0.1)
     x_axis = Axis(span[0], max(span[1], span[0] + 1e-3), LEFT, LEFT + INNER)
     y_axis = Axis(low - margin, high + margin, TOP + 150.0, TOP, 40.0)
-    away = [c.label for c in curves if _leaves(c.y, y_axis.low, y_axis.high)]
-    note = f"{', '.join(away)} leaves this picture" if away else ""
+    note = _note([c.label for c in curves if _leaves(c.y, y_axis.low, y_axis.high)])
     return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, note, "")
 
 
@@ -172,6 +170,15 @@ def _widen(low: float, high: float, size: float) -> tuple[float, float]:
 
 def _leaves(values: Array, low: float, high: float) -> bool:
     return bool((_known(values) < low).any() or (_known(values) > high).any())
+
+
+def _note(away: Sequence[str]) -> str:
+    """What to say of the curves that leave a picture; short enough to stand above it."""
+    if len(away) == 1 and len(away[0]) <= 20:
+        return f"{away[0]} leaves this picture"
+    if not away:
+        return ""
+    return "1 estimate leaves this picture" if len(away) == 1 else f"{len(away)} estimates leave this picture"
 
 
 def _mark(truth: Curve, i: int, kind: str, x_axis: Axis, y_axis: Axis) -> str:
