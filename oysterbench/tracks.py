@@ -17,7 +17,7 @@ from oysterbench.results import ResultRecord
 from oysterbench.sequence import Sequence, open_sequence
 from oysterbench.trajectory import Trajectory, read_trajectory, write_tum
 
-FRAMES_IN_REPORT = 4
+FRAMES_IN_REPORT = 6
 FRAME_WIDTH = 480  # px, in the report
 
 Announce = Callable[[str], None]
