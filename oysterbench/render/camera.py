@@ -24,6 +24,7 @@ CREVICE_BLUR_CELLS = 2.0
 SHOT_NOISE = 1.0 / 6000.0  # variance per signal: a full well of 6000 electrons
 READ_NOISE = 0.0015  # of full scale
 GAMMA_LEVELS = 8192
+LEAF_TRIANGLES = 4  # of the meshes' trees: measured best
 
 
 @dataclass(frozen=True)
@@ -127,6 +128,8 @@ class CameraRenderer:
         normals = np.concatenate([mesh.normals for mesh in world.meshes])
         geometry.normals = wp.array(normals, dtype=wp.vec3, device=device)
         geometry.position = wp.array(instances.positions, dtype=wp.vec3, device=device)
+        to_shape = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
+        geometry.to_shape = wp.array(to_shape.astype(np.float32), dtype=wp.mat33, device=device)
         geometry.rotation = wp.array(instances.rotations, dtype=wp.mat33, device=device)
         geometry.scale = wp.array(instances.scales, dtype=wp.vec3, device=device)
         if len(instances):
@@ -180,7 +183,7 @@ def _start_warp() -> None:
 
 def _mesh(vertices: NDArray[np.float32], faces: NDArray[np.int32], device: str) -> wp.Mesh:
     points = wp.array(vertices, dtype=wp.vec3, device=device)
-    return wp.Mesh(points, wp.array(faces.ravel(), dtype=wp.int32, device=device))
+    return wp.Mesh(points, wp.array(faces.ravel(), dtype=wp.int32, device=device), bvh_leaf_size=LEAF_TRIANGLES)
 
 
 def _gamma_table() -> NDArray[np.uint8]:

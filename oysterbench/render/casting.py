@@ -17,7 +17,10 @@ SKIRT = wp.constant(-3)
 
 @wp.struct
 class Geometry:
-    """A world on a device. Instance arrays are (N,); corners and normals of all library meshes are end to end."""
+    """A world on a device. Instance arrays are (N,); corners and normals of all library meshes are end to end.
+
+    A point p in `map` is to_shape * (p - position) in an instance's mesh; rotation and scale are its pose's.
+    """
 
     relief: Relief
     skirt: wp.uint64
@@ -30,6 +33,7 @@ class Geometry:
     corners: wp.array(dtype=wp.int32)
     normals: wp.array(dtype=wp.vec3)
     position: wp.array(dtype=wp.vec3)
+    to_shape: wp.array(dtype=wp.mat33)
     rotation: wp.array(dtype=wp.mat33)
     scale: wp.array(dtype=wp.vec3)
 
@@ -67,10 +71,9 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
         query = wp.bvh_query_ray(world.boxes, origin, direction)
         i = wp.int32(0)
         while wp.bvh_query_next(query, i, hit.t):
-            to_local = wp.transpose(world.rotation[i])
-            scale = world.scale[i]
-            start = wp.cw_div(to_local * (origin - world.position[i]), scale)
-            along = wp.cw_div(to_local * direction, scale)
+            to_shape = world.to_shape[i]
+            start = to_shape * (origin - world.position[i])
+            along = to_shape * direction
             found = wp.mesh_query_ray(world.mesh[i], start, along, hit.t)
             if found.result:
                 hit.t = found.t
@@ -90,10 +93,9 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
         query = wp.bvh_query_ray(world.boxes, origin, direction)
         i = wp.int32(0)
         while wp.bvh_query_next(query, i, max_t):
-            to_local = wp.transpose(world.rotation[i])
-            scale = world.scale[i]
-            start = wp.cw_div(to_local * (origin - world.position[i]), scale)
-            along = wp.cw_div(to_local * direction, scale)
+            to_shape = world.to_shape[i]
+            start = to_shape * (origin - world.position[i])
+            along = to_shape * direction
             if wp.mesh_query_ray_anyhit(world.mesh[i], start, along, max_t):
                 return True
     return False

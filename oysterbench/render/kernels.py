@@ -27,6 +27,9 @@ wp.set_module_options(
 FAR_M = wp.constant(150.0)  # past the skirt of every seabed
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
 CREVICE_M = wp.constant(0.07)  # depth below the blurred envelope at which little sky is left
+EDGE_CONTRAST = wp.constant(0.08)  # relative step in green across the outline of an instance that asks for more samples
+SHADOW_CONTRAST = wp.constant(0.45)
+HAZE = wp.constant(0.02)  # transmission in green below which a shadow would not be seen
 BOUNCE = wp.constant(0.16)  # albedo of the bottom as seen by a surface that faces down
 
 
@@ -132,7 +135,8 @@ def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, dir
     light = wp.float32(0.0)
     if sun > 0.0 and wp.dot(smooth, optics.sun_direction) > 0.0:
         start = p + smooth * (0.0005 + 0.0005 * hit.t)
-        if not blocked(world, start, optics.sun_direction, SHADOW_M, optics.seabed_shadows):
+        hidden = look_up(optics.direct, hit.t * length / optics.range_step)[1] < HAZE
+        if hidden or not blocked(world, start, optics.sun_direction, SHADOW_M, optics.seabed_shadows):
             light = optics.sun * sun / optics.sun_direction[2]
     opening = openness(looks, p)
     light += opening * (optics.sky * 0.5 * (1.0 + n[2]) + BOUNCE * 0.5 * (1.0 - n[2]))
@@ -188,10 +192,11 @@ def trace(
 def differs(
     radiance: wp.array2d(dtype=wp.vec3), instances: wp.array2d(dtype=wp.uint16), i: int, j: int, k: int, m: int
 ):
-    """Whether an edge runs between two pixels: another instance, or a step in brightness."""
+    """Whether a visible edge runs between two pixels: of an instance, or of a shadow."""
     a = radiance[i, j][1]
     b = radiance[k, m][1]
-    return instances[i, j] != instances[k, m] or wp.abs(a - b) > 0.45 * wp.max(a, b)
+    contrast = wp.abs(a - b) / wp.max(wp.max(a, b), 1.0e-6)
+    return contrast > SHADOW_CONTRAST or (instances[i, j] != instances[k, m] and contrast > EDGE_CONTRAST)
 
 
 @wp.kernel
@@ -204,7 +209,7 @@ def refine(
     instances: wp.array2d(dtype=wp.uint16),
     smooth: wp.array2d(dtype=wp.vec3),
 ):
-    """Where an edge runs between neighbours, the mean of the centre and four more samples (a rotated grid)."""
+    """Where an edge runs between neighbours, the mean of the centre and a sample on each side of it, on a slant."""
     i, j = wp.tid()
     last_row = radiance.shape[0] - 1
     last_column = radiance.shape[1] - 1
@@ -214,17 +219,16 @@ def refine(
     edge = edge or differs(radiance, instances, i, j, i, wp.max(j - 1, 0))
     edge = edge or differs(radiance, instances, i, j, i, wp.min(j + 1, last_column))
     if edge:
-        du = wp.float32(0.375)
-        dv = wp.float32(0.125)
-        samples = wp.int32(4)
+        du = wp.float32(0.33)
+        dv = wp.float32(0.20)
+        samples = wp.int32(2)
         for _k in range(samples):
             direction = ray_through(view, float(j) + du, float(i) + dv)
             hit = cast(world, view.position, direction, FAR_M)
             total += sample(world, looks, optics, view, direction, hit)
-            turned = du
-            du = -dv
-            dv = turned
-        total = total * 0.2
+            du = -du
+            dv = -dv
+        total = total / 3.0
     smooth[i, j] = total
 
 

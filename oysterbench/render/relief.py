@@ -15,13 +15,15 @@ TOP = wp.constant(LEVELS - 1)
 class Relief:
     """Heights (n + 1, n + 1) in m, indexed [y, x], over the square that starts at (start, start) with n cells.
 
-    highest: maxima over cells of 1, 2, 4... cells, level after level, row by row; first: where each level starts.
+    top: the highest of all, m. highest: maxima over blocks of 1, 2, 4... cells, level after level, row by row; first:
+    where each level starts.
     """
 
     heights: wp.array2d(dtype=wp.float32)
     start: wp.float32
     step: wp.float32
     cells: wp.int32
+    top: wp.float32
     highest: wp.array(dtype=wp.float32)
     first: wp.array(dtype=wp.int32)
 
@@ -40,6 +42,7 @@ def build_relief(heights: NDArray[np.float32], start: float, step: float, device
     relief = Relief()
     relief.heights = wp.array(np.ascontiguousarray(heights), dtype=wp.float32, device=device)
     relief.start, relief.step, relief.cells = start, step, heights.shape[0] - 1
+    relief.top = float(heights.max()) + 1e-4
     relief.highest = wp.array(np.concatenate([level.ravel() for level in levels]), dtype=wp.float32, device=device)
     relief.first = wp.array(np.cumsum([0, *(level.size for level in levels)]), dtype=wp.int32, device=device)
     return relief
@@ -114,6 +117,11 @@ def cast_relief(relief: Relief, origin: wp.vec3, direction: wp.vec3, max_t: floa
     leave_y = wp.max(-y0 * inverse_y, (size - y0) * inverse_y)
     t = wp.max(wp.max(enter_x, enter_y), 0.0)
     end = wp.min(wp.min(leave_x, leave_y), max_t)
+    # Nothing can be hit before the ray is as low as the highest ground.
+    if direction[2] < 0.0:
+        t = wp.max(t, (relief.top - origin[2]) / direction[2])
+    elif origin[2] > relief.top:
+        end = wp.float32(-1.0)
     found = wp.float32(-1.0)
     j = wp.clamp(int(wp.floor(x0 + dx * t)), 0, n - 1)
     i = wp.clamp(int(wp.floor(y0 + dy * t)), 0, n - 1)

@@ -137,8 +137,8 @@ def fleck(x: float, y: float, cell: float, density: float, footprint: float, see
     result = wp.vec2(0.0, 0.0)
     if unit(h, 0) < density:
         g = scramble(h)
-        radius = 0.13 + 0.15 * unit(g, 0)
-        aspect = 0.35 + 0.65 * unit(g, 8)
+        radius = 0.10 + 0.20 * unit(g, 0)
+        aspect = 0.25 + 0.70 * unit(g, 8)
         weight = kept(2.0 * radius * aspect * cell, 0.7 * footprint)
         if weight > 0.0:
             dx = x / cell - fx - (0.32 + 0.36 * unit(g, 16))
@@ -148,7 +148,9 @@ def fleck(x: float, y: float, cell: float, density: float, footprint: float, see
             scale = 1.0 / wp.sqrt(ax * ax + ay * ay)
             along = (dx * ax + dy * ay) * scale / radius
             across = (dy * ax - dx * ay) * scale / (radius * aspect)
-            inside = (1.0 - wp.sqrt(along * along + across * across)) * radius * aspect * cell / footprint
+            # Broken pieces: an ellipse cut by a line.
+            cut = 0.15 + 0.9 * unit(g, 4) - 0.8 * along - 0.6 * across
+            inside = wp.min(1.0 - wp.sqrt(along * along + across * across), cut) * radius * aspect * cell / footprint
             result = wp.vec2(weight * wp.clamp(inside + 0.5, 0.0, 1.0), unit(h, 24))
     return result
 
@@ -184,8 +186,8 @@ def seabed(p: wp.vec3, normal: wp.vec3, footprint: float, seed: wp.uint32):
                     slope_y += weight * (0.8 * n[2] - 0.6 * n[1])
         wavelength *= 0.41
     tone = step_smoothly(-0.9, 0.9, patches)
-    albedo = (MUD + (SAND - MUD) * tone) * wp.max(0.25, 1.0 + 0.34 * grain)
-    cell = wp.float32(0.052)
+    albedo = (MUD + (SAND - MUD) * tone) * wp.max(0.25, 1.0 + 0.30 * grain)
+    cell = wp.float32(0.045)
     layers = wp.int32(4)
     for layer in range(layers):
         x = p[0] * 0.936 - p[1] * 0.352
@@ -196,14 +198,14 @@ def seabed(p: wp.vec3, normal: wp.vec3, footprint: float, seed: wp.uint32):
         density = 0.30 + 0.25 * patches
         hit = fleck(x + 0.37 * float(layer), y, cell, density, footprint, seed + wp.uint32(100 + layer))
         if hit[0] > 0.0:
-            colour = SHELL_HASH * (0.55 + 0.6 * hit[1])
+            colour = SHELL_HASH * (0.25 + 0.75 * hit[1] * hit[1])
             if hit[1] < 0.42:
                 colour = PEBBLE * (0.8 + 2.0 * hit[1])
             albedo = albedo + (colour - albedo) * (0.85 * hit[0])
         cell *= 0.52
     material = Material()
     material.albedo = albedo
-    material.normal = wp.normalize(normal - wp.vec3(slope_x, slope_y, 0.0) * 0.10)
+    material.normal = wp.normalize(normal - wp.vec3(slope_x, slope_y, 0.0) * 0.13)
     return material
 
 
@@ -227,20 +229,20 @@ def shell(
     gradient = wp.vec3(coarse[1], coarse[2], coarse[3]) * (0.35 * kept(0.034, footprint))
     fine = wp.float32(0.0)
     wavelength = wp.float32(0.013)
-    octaves = wp.int32(3)
+    octaves = wp.int32(4)
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
             n = noise3(q / wavelength, seed + wp.uint32(octave + 1))
             fine += weight * n[0]
             gradient += wp.vec3(n[1], n[2], n[3]) * (0.55 * weight)
-        wavelength *= 0.45
+        wavelength *= 0.5
     reach = wp.sqrt(q[0] * q[0] + 0.7 * q[1] * q[1])
     phase = reach / 0.0105 + 0.9 * coarse[0]
     band = (phase - wp.floor(phase)) * kept(0.0105, footprint)
-    albedo = colour * wp.max(0.3, 0.86 + 0.30 * band + 0.42 * value + 0.42 * fine)
+    albedo = colour * wp.max(0.3, 0.86 + 0.30 * band + 0.40 * value + 0.36 * fine)
     albedo = albedo * (1.0 + 0.5 * step_smoothly(0.82, 1.0, along))
-    bumped = wp.normalize(normal - (rotation * gradient) * 0.16)
+    bumped = wp.normalize(normal - (rotation * gradient) * 0.22)
     cover = step_smoothly(0.15, 0.95, normal[2] + 0.55 * value + 0.35 * fine + silt - 0.75)
     material = Material()
     material.albedo = albedo + (SILT * wp.max(0.4, 1.0 + 0.25 * fine + 0.2 * value) - albedo) * (0.8 * cover)

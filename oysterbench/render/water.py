@@ -37,8 +37,8 @@ ASYMMETRY = 0.92  # of the Henyey-Greenstein phase function; gives a backscatter
 FORWARD_ANGLE_RAD = np.deg2rad(10.0)
 """Light scattered by less than this still forms the image, only softer: beam attenuation would be too dark."""
 
-AMBIENT_GAIN = 2.0
-"""Light scattered more than once, relative to once, in the veiling light; between 1 (clear) and 4 (turbid)."""
+AMBIENT_GAIN = 2.5
+"""Veiling light of all orders of scattering over that of the first: judged by eye against coastal photographs."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +72,14 @@ def build_water(recipe: WaterRecipe) -> Water:
 
     direct: a + (1 - F) b, with F the share scattered by less than FORWARD_ANGLE_RAD (0.59), since that light stays in
     the image. backscatter: Kd, as veiling light is diffuse light. veil: single scattering of daylight by the mean
-    angle between the horizontal and the refracted sky, pi p b / Kd, times AMBIENT_GAIN.
+    angle between the horizontal and the refracted sky, pi p b / direct, times AMBIENT_GAIN.
     """
     a, b, diffuse = (np.array(row) for row in JERLOV[recipe.jerlov])
     a[0] -= RED_ABSORPTION_SHIFT
     # Kd follows absorption, a little faster (mean cosine of daylight under water, about 0.85).
     diffuse[0] = max(diffuse[0] - RED_ABSORPTION_SHIFT * 0.5, a[0])
     direct = a + (1.0 - forward_share(FORWARD_ANGLE_RAD)) * b
-    veil = np.pi * phase(np.deg2rad(65.0)) * b / diffuse * AMBIENT_GAIN
+    veil = AMBIENT_GAIN * np.pi * phase(np.deg2rad(65.0)) * b / direct
     return Water(direct, diffuse, diffuse, veil)
 
 

@@ -17,11 +17,11 @@ from oysterbench.streams import Streams
 Array = NDArray[np.float64]
 
 CLASS_NUMBERS = {name: number for number, name in CLASSES.items()}
-CLUMP_SPREAD = 1.1  # standard deviation of a clump, in shell heights
+CLUMP_SPREAD = 0.8  # standard deviation of a clump, in shell heights
 LYING_SHARE = 0.3
 SIZE_SPREAD = 0.28  # standard deviation of ln(height)
 SIZE_LIMITS_M = (0.025, 0.172)  # the range measured in 1122 Virginia oysters
-SPACING = 0.42  # least distance of neighbours' hinges, in shell heights
+SPACING = 0.34  # least distance of neighbours' hinges, in shell heights
 STONE_RADIUS_M = (0.025, 0.11)
 OYSTER_SINK = (0.03, 0.12)  # of the shell's height
 ROWS_AT_ONCE = 512  # bounds the memory that placing needs
@@ -88,7 +88,6 @@ def place_oysters(reef: ReefRecipe, terrain: Terrain, meshes: Sequence[Mesh], st
     rotations = _poses(n, outward, generator)
     aspect = np.exp(0.10 * generator.standard_normal((n, 2)))
     scales = heights[:, None] * np.column_stack([np.ones(n), aspect])
-    # Some shells mirrored in y would flip the winding of their faces; variety comes from the library instead.
     return _rest(
         class_name="oyster",
         shapes=generator.integers(0, len(meshes), n),
@@ -142,7 +141,7 @@ def _clumps(reef: ReefRecipe, heights: Array, generator: np.random.Generator) ->
     patchiness = np.sin(np.einsum("pi,wi->pw", centres, waves) + phases).sum(axis=1)
     keep = np.argsort(-(patchiness + 2.0 * generator.standard_normal(len(centres))), kind="stable")[:parents]
     centres = centres[np.sort(keep)]
-    weights = generator.gamma(2.0, 1.0, parents)
+    weights = generator.gamma(1.2, 1.0, parents)
     parent = generator.choice(parents, size=n, p=weights / weights.sum())
     tries = generator.standard_normal((n, 6, 2))
     cell = float(SIZE_LIMITS_M[1])
