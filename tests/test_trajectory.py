@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from oysterbench.errors import TrajectoryError
@@ -122,6 +122,25 @@ def test_an_empty_file_is_refused(tmp_path, text):
 @pytest.mark.parametrize("content", [bytes(range(256)), b"\0\1\2" * 50, f"1 {POSE}\n".encode("utf-16")])
 def test_a_binary_file_is_refused(tmp_path, content):
     assert "is not text" in refusal(tmp_path, content)
+
+
+words = st.sampled_from(
+    ["1", "0.5", "1e3", "nan", "-inf", "1403636579763555584", "x", "#", ",", "1e999", "0x1", "−1", ""]
+)
+line_texts = st.lists(words, max_size=10).map(" ".join) | st.lists(words, min_size=8, max_size=9).map(",".join)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(line_texts | st.text(max_size=20), max_size=4).map("\n".join))
+def test_any_text_is_read_or_refused_in_one_line(tmp_path, text):
+    path = tmp_path / "poses.txt"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    message = None
+    try:
+        assert np.isfinite(read_trajectory(path).positions).all()
+    except TrajectoryError as error:
+        message = str(error)
+    assert message is None or (message.startswith(str(path)) and "\n" not in message)
 
 
 def test_what_is_no_file_is_refused(tmp_path):

@@ -14,6 +14,11 @@ MIN_POSES = 2
 NORM_TOLERANCE = 2e-3
 """Of a quaternion's norm: three written decimals err by 1e-3 at most."""
 
+MAX_POSITION_M = 1e9
+"""Farther from the origin an estimate has diverged; its square would soon leave what a float64 holds."""
+MAX_STAMP_NS = 2**62
+"""146 years from the epoch: differences of such stamps fit an int64."""
+
 SUSPICIOUS_RAD = np.deg2rad(20.0)
 """Attitudes that err by less than this are taken as they are."""
 SUSPICIOUS_GAIN = 4.0
@@ -23,8 +28,8 @@ SUSPICIOUS_GAIN = 4.0
 def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
     """The same trajectory with quaternions of norm one, or TrajectoryError in one line that starts with `name`.
 
-    Refused are: fewer than two poses, NaN or infinity, stamps that repeat or go back, quaternions that are not
-    rotations. Poses are counted from 1.
+    Refused are: fewer than two poses, NaN or infinity, positions that have diverged, stamps that repeat or go back,
+    quaternions that are not rotations. Poses are counted from 1.
     """
     n = len(trajectory)
     if n < MIN_POSES:
@@ -56,10 +61,22 @@ def _check_finite(trajectory: Trajectory, name: str) -> None:
             f"{name}: expected finite numbers, got {column} = {values[i][~np.isfinite(values[i])][0]} at "
             f"{_pose(trajectory, i)}{_others(wrong)}; leave out poses that are not known"
         )
+    wrong = np.asarray((np.abs(trajectory.positions) > MAX_POSITION_M).any(axis=1))
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        farthest = np.abs(trajectory.positions[i]).max()
+        raise TrajectoryError(
+            f"{name}: expected positions within {MAX_POSITION_M:g} m, got {farthest:.3g} m "
+            f"at {_pose(trajectory, i)}{_others(wrong)}; it has diverged"
+        )
 
 
 def _check_order(stamps_ns: NDArray[np.int64], name: str) -> None:
-    # Compared, not subtracted: a difference of two int64 may overflow.
+    if int(stamps_ns.min()) < -MAX_STAMP_NS or int(stamps_ns.max()) > MAX_STAMP_NS:
+        raise TrajectoryError(
+            f"{name}: expected stamps within 146 years of the epoch, got {ns_to_seconds(stamps_ns.min())} to "
+            f"{ns_to_seconds(stamps_ns.max())} s; write nanoseconds since 1970"
+        )
     wrong = np.asarray(stamps_ns[1:] <= stamps_ns[:-1])
     if not wrong.any():
         return

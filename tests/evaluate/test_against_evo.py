@@ -25,7 +25,7 @@ ALIGNMENTS = ("none", "origin", "se3", "sim3")
 def random_pair(case: int, stamp_jitter_s: float = 0.0) -> tuple[Trajectory, Trajectory]:
     """A random walk and an estimate of it: turned, moved, scaled and noisy. Stamps are exact in seconds as float64."""
     rng = stream(17, b"", "evo", case)
-    n = int(rng.integers(30, 110))
+    n = int(rng.integers(30, 70))
     step_ns = int(rng.choice([50_000_000, 100_000_000, 250_000_000]))
     stamps = np.arange(n, dtype=np.int64) * step_ns + 1_000 * 10**9
     positions = np.cumsum(rng.normal(0.0, 0.2, (n, 3)), axis=0) * [1.0, 1.0, rng.uniform(0.1, 1.0)]

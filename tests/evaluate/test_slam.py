@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from oysterbench.errors import TrajectoryError
@@ -39,9 +41,9 @@ def moved(trajectory: Trajectory, turn: Rotation, by: tuple[float, float, float]
     )
 
 
-def refusal(truth: Trajectory, estimate: Trajectory, **settings) -> str:
+def refusal(truth: Trajectory, estimate: Trajectory, **options) -> str:
     with pytest.raises(TrajectoryError) as caught:
-        score(truth, estimate, SlamSettings(**settings))
+        score(truth, estimate, SlamSettings(**options))
     message = str(caught.value)
     assert "\n" not in message
     return message
@@ -258,6 +260,29 @@ def test_a_tenth_of_the_sequence_is_scored_and_said_to_be_a_tenth():
     result = score(truth, noisy(truth.select(slice(0, 100))))
     assert result.metrics["coverage"] == pytest.approx(0.1, abs=0.001)
     assert any("10%" in note for note in result.notes)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    exponents=st.tuples(*[st.integers(-12, 8)] * 4),
+    align=st.sampled_from(["none", "origin", "posyaw", "se3", "sim3"]),
+    associate=st.sampled_from(["interpolate", "nearest"]),
+)
+@settings(max_examples=150, deadline=None)
+def test_any_two_trajectories_are_scored_with_numbers_or_refused(seed, exponents, align, associate):
+    rng = stream(seed, b"", "any")
+    pair = []
+    for size, offset in (exponents[:2], exponents[2:]):
+        n = int(rng.integers(2, 40))
+        stamps = np.cumsum(rng.integers(1, 200_000_000, n))
+        positions = np.cumsum(rng.normal(0, 10.0**size, (n, 3)), axis=0) * rng.integers(0, 2, 3) + 10.0**offset
+        pair.append(Trajectory(stamps, positions, Rotation.random(n, rng=rng).as_quat()))
+    try:
+        result = score(*pair, SlamSettings(align=align, associate=associate))
+    except TrajectoryError:
+        return
+    for key, value in result.metrics.items():
+        assert np.isfinite(value) or result.reasons[key], key
 
 
 def test_settings_that_mean_nothing_are_refused_by_name():

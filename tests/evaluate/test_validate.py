@@ -50,6 +50,14 @@ def test_nan_is_named_by_pose_and_column():
     assert "pose 3 of 200 (1000000000.100000000 s) and 1 more" in refusal(changed("positions", [2, 3], np.nan))
 
 
+def test_positions_that_diverged_are_named():
+    assert "got 1e+200 m at pose 5 of 200" in refusal(changed("positions", (4, 0), -1e200))
+
+
+def test_stamps_whose_differences_overflow_are_refused():
+    assert "146 years" in refusal(changed("stamps_ns", 199, 2**63 - 1))
+
+
 def test_repeated_stamps_are_named():
     duplicated = walk().select(np.repeat(np.arange(200), 2))
     assert "1000000000.000000000 s twice, at poses 1 and 2 and 199 more" in refusal(duplicated)
