@@ -16,7 +16,8 @@ INNER = WIDTH - LEFT - RIGHT
 """Units of the drawing; the page scales it to its column, and its text up on a phone."""
 
 MAX_POINTS = 600  # of one curve: more is finer than a pixel
-ROOM = 1.0  # how far, in lengths of the truth, a picture follows an estimate that runs away
+ROOM = 0.8  # how far, in lengths of the truth, an estimate may leave it and still be shown whole
+CROP = 0.25  # how much room, in lengths of the truth, is left around it where an estimate is not shown whole
 LOG_RATIO = 25.0  # between the largest errors of two methods, above which a linear axis would hide one
 
 
@@ -72,23 +73,25 @@ def _number(value: float, decimals: int) -> str:
     return f"{value + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
 
 
-def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
+def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, least_height: float = 110.0) -> str:
     """Curves in m with equal axes, start and end of the truth marked. The first curve is the truth.
 
-    The picture shows the whole truth and follows the estimates as far as `ROOM` allows; what leaves it is cut and
-    said so.
+    The picture shows the whole truth, and the estimates if they stay near it (`ROOM`); what leaves it is cut and said
+    so.
     """
     x_low, x_high = _limits([curve.x for curve in curves])
     y_low, y_high = _limits([curve.y for curve in curves])
-    reach = ROOM * max(np.ptp(_known(curves[0].x)), np.ptp(_known(curves[0].y)), 0.5)
-    x_low, x_high = _restrict(x_low, x_high, curves[0].x, reach)
-    y_low, y_high = _restrict(y_low, y_high, curves[0].y, reach)
+    truth_x, truth_y = _limits([curves[0].x]), _limits([curves[0].y])
+    length = max(truth_x[1] - truth_x[0], truth_y[1] - truth_y[0], 0.5)
+    if _beyond(x_low, x_high, truth_x, ROOM * length) or _beyond(y_low, y_high, truth_y, ROOM * length):
+        x_low, x_high = _restrict(x_low, x_high, truth_x, CROP * length)
+        y_low, y_high = _restrict(y_low, y_high, truth_y, CROP * length)
     size = max(x_high - x_low, y_high - y_low, 0.1)
     x_low, x_high = x_low - 0.05 * size, x_high + 0.05 * size
     y_low, y_high = y_low - 0.05 * size, y_high + 0.05 * size
 
     per_metre = INNER / (x_high - x_low)
-    height = float(np.clip(per_metre * (y_high - y_low), 110.0, 420.0))
+    height = float(np.clip(per_metre * (y_high - y_low), least_height, 440.0))
     per_metre = min(per_metre, height / (y_high - y_low))
     x_low, x_high = _widen(x_low, x_high, INNER / per_metre)
     y_low, y_high = _widen(y_low, y_high, height / per_metre)
@@ -104,10 +107,12 @@ def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) ->
 def height_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
     """Curves over time in s within `span`, the vertical axis stretched to the truth's, the first curve's."""
     low, high = _limits([curve.y for curve in curves])
-    reach = ROOM * max(np.ptp(_known(curves[0].y)), 0.5)
-    low, high = _restrict(low, high, curves[0].y, reach)
+    truth = _limits([curves[0].y])
+    length = max(truth[1] - truth[0], 0.5)
+    if _beyond(low, high, truth, 2 * ROOM * length):
+        low, high = _restrict(low, high, truth, 2 * CROP * length)
     margin = 0.08 * max(high - low, 0.1)
-    x_axis = Axis(span[0], max(span[1], span[0] + 1e-3), LEFT, LEFT + INNER)
+    x_axis = _time_axis(span)
     y_axis = Axis(low - margin, high + margin, TOP + 150.0, TOP, 40.0)
     note = _note([c.label for c in curves if _leaves(c.y, y_axis.low, y_axis.high)])
     return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, note, "")
@@ -117,11 +122,11 @@ def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, s
     """Curves over time in s within `span`, from zero up; logarithmic where the curves differ by orders of magnitude."""
     tops = [float(np.max(_known(curve.y))) for curve in curves]
     top, smallest = max([*tops, 1e-9]), min([top for top in tops if top > 0], default=1.0)
-    x_axis = Axis(span[0], max(span[1], span[0] + 1e-3), LEFT, LEFT + INNER)
+    x_axis = _time_axis(span)
     height = 190.0
     if top / smallest > LOG_RATIO:
-        medians = [float(np.median(_known(curve.y))) for curve in curves]
-        floor = max(min([median for median in medians if median > 0], default=smallest) / 10, top * 1e-6)
+        lowest = [float(np.percentile(_known(curve.y), 5)) for curve in curves]
+        floor = max(min([value for value in lowest if value > 0], default=smallest), top * 1e-6)
         low, high = 10.0 ** math.floor(math.log10(floor)), 10.0 ** math.ceil(math.log10(top))
         y_axis = Axis(low, high, TOP + height, TOP, logarithmic=True)
         y_label += ", logarithmic"
@@ -159,8 +164,12 @@ def _limits(series: Sequence[Array]) -> tuple[float, float]:
     return min(float(_known(v).min()) for v in series), max(float(_known(v).max()) for v in series)
 
 
-def _restrict(low: float, high: float, truth: Array, reach: float) -> tuple[float, float]:
-    return max(low, float(_known(truth).min()) - reach), min(high, float(_known(truth).max()) + reach)
+def _beyond(low: float, high: float, truth: tuple[float, float], reach: float) -> bool:
+    return low < truth[0] - reach or high > truth[1] + reach
+
+
+def _restrict(low: float, high: float, truth: tuple[float, float], reach: float) -> tuple[float, float]:
+    return max(low, truth[0] - reach), min(high, truth[1] + reach)
 
 
 def _widen(low: float, high: float, size: float) -> tuple[float, float]:
@@ -170,6 +179,13 @@ def _widen(low: float, high: float, size: float) -> tuple[float, float]:
 
 def _leaves(values: Array, low: float, high: float) -> bool:
     return bool((_known(values) < low).any() or (_known(values) > high).any())
+
+
+def _time_axis(span: tuple[float, float]) -> Axis:
+    """From begin to end, or to the whole second that the last stamp just misses, so that it gets its tick."""
+    end = max(span[1], span[0] + 1e-3)
+    whole = math.ceil(end)
+    return Axis(span[0], whole if whole - end < 0.005 * (end - span[0]) else end, LEFT, LEFT + INNER)
 
 
 def _note(away: Sequence[str]) -> str:

@@ -291,8 +291,9 @@ def _maps(truth: Trajectory, scored: Sequence[tuple[str, SlamResult]], styles: M
     axes = ("east x [m]", "north y [m]", "height z [m]")
     shown = [("truth", truth, 0), *((method, result.estimate, styles[method]) for method, result in scored)]
 
-    def seen(title: str, i: int, j: int) -> str:
-        return _card(title, map_plot([_outline(*entry, i, j) for entry in shown], title, axes[i], axes[j]))
+    def seen(title: str, i: int, j: int, least_height: float) -> str:
+        curves = [_outline(*entry, i, j) for entry in shown]
+        return _card(title, map_plot(curves, title, axes[i], axes[j], least_height))
 
     begin_ns, end_s = int(truth.stamps_ns[0]), float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
     heights = []
@@ -301,8 +302,8 @@ def _maps(truth: Trajectory, scored: Sequence[tuple[str, SlamResult]], styles: M
         heights.append(Curve(label, *_broken(trajectory.stamps_ns, seconds, trajectory.positions[:, 2]), style))
     title = "Height over time"
     height = _card(title, height_plot(heights, title, TIME, axes[2], (0.0, end_s)))
-    side_view = seen("Seen from the side", side, 2)
-    return f'<div class="pair">{seen("Seen from above", 0, 1)}<div class="stack">{side_view}{height}</div></div>'
+    above, beside = seen("Seen from above", 0, 1, 400.0), seen("Seen from the side", side, 2, 110.0)
+    return f'<div class="pair">{above}<div class="stack">{beside}{height}</div></div>'
 
 
 def _card(title: str, plot: str) -> str:
@@ -363,6 +364,7 @@ def _making(records: Sequence[ResultRecord], command: str) -> str:
             ("Evaluator", record.evaluator_version),
             ("Settings", _settings(record.settings)),
             (f"Settings of {record.method}", _settings(record.method_settings)),
+            (f"{record.method} says", _settings(record.info)),
             ("oysterbench", record.oysterbench_version),
             ("Machine", _settings(record.hardware)),
             ("Created", record.created),
@@ -374,14 +376,16 @@ def _making(records: Sequence[ResultRecord], command: str) -> str:
 
 
 def _settings(values: Mapping[str, Any]) -> str:
-    return ", ".join(f"{k} = {v if isinstance(v, str) else json.dumps(v, default=str)}" for k, v in values.items())
+    """Keys and values in one line; long values are cut, since the whole is in the JSON."""
+    texts = {k: v if isinstance(v, str) else json.dumps(v, default=str) for k, v in values.items()}
+    return ", ".join(f"{k} = {v if len(v) <= 120 else v[:117] + '...'}" for k, v in texts.items())
 
 
 def _definitions(records: Sequence[ResultRecord]) -> str:
     """What the numbers mean: the shown metrics, whichever were measured."""
     measured = {key for record in records for key in record.metrics}
     items = "".join(
-        f"<dt>{escape(SLAM[c.key].short)} <small>[{escape(SLAM[c.key].unit or '1')}]</small></dt>"
+        f"<dt>{escape(SLAM[c.key].short)} <small>[{escape(c.unit)}]</small></dt>"
         f"<dd>{escape(SLAM[c.key].definition)}</dd>"
         for c in COLUMNS
         if c.key in measured

@@ -268,6 +268,14 @@ def test_errors_of_different_orders_are_drawn_on_a_logarithmic_axis():
     assert "logarithmic" not in time_plot([large], "e", "t [s]", "error [m]", (0, 10))
 
 
+@pytest.mark.parametrize(("end", "last"), [(19.995, "20"), (20.0, "20"), (17.3, "15")])
+def test_the_last_whole_second_gets_its_tick(end, last):
+    t = np.linspace(0, end, 50)
+    svg = time_plot([Curve("a", t, 1 + t, 1)], "e", "t [s]", "error [m]", (0.0, end))
+    texts = ElementTree.fromstring(svg).findall("text[@class='tick']")
+    assert [text.text for text in texts if text.get("text-anchor") == "middle"][-1] == last
+
+
 def test_a_curve_is_lifted_where_it_is_broken():
     t = np.arange(5.0)
     svg = time_plot([Curve("a", t, np.array([1.0, 2, np.nan, 3, 4]), 1)], "e", "t [s]", "error [m]", (0, 4))

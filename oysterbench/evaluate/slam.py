@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.errors import TrajectoryError
 from oysterbench.evaluate.metrics import SLAM as METRICS
-from oysterbench.evaluate.validate import attitude_notes, check_trajectory
+from oysterbench.evaluate.validate import alignment_notes, attitude_notes, check_trajectory
 from oysterbench.geometry import (
     IDENTITY,
     Array,
@@ -170,6 +170,7 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
         "scale": float(alignment.scale),
     }
     notes = attitude_notes(matched_truth.quaternions, matched_estimate.quaternions, alignment)
+    notes += alignment_notes(matched_truth.positions, matched_estimate.positions, settings.align, metrics["ate_rmse_m"])
     if metrics["coverage"] < 0.5:
         notes.append(f"the errors speak of {metrics['coverage']:.0%} of the sequence only")
     return SlamResult(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from oysterbench.errors import TrajectoryError
-from oysterbench.geometry import Array, Similarity, rotation_angle
+from oysterbench.geometry import Array, Similarity, align_umeyama, align_yaw, rotation_angle, spread
 from oysterbench.trajectory import Trajectory, ns_to_seconds
 
 MIN_POSES = 2
@@ -22,7 +24,9 @@ MAX_STAMP_NS = 2**62
 SUSPICIOUS_RAD = np.deg2rad(20.0)
 """Attitudes that err by less than this are taken as they are."""
 SUSPICIOUS_GAIN = 4.0
-"""How many times better another reading of the attitudes must fit before it is mentioned."""
+"""How many times better another reading of the poses must fit before it is mentioned."""
+EXPLAINED = 0.1
+"""Of the truth's spread: an error below this is a fit, above it a curve shrunk or turned to do little harm."""
 
 
 def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
@@ -129,6 +133,35 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
             f"(the rest errs by {np.rad2deg(rest):.1f} deg): are they of a camera or an IMU? Poses of base_link are "
             "expected"
         ]
+    return []
+
+
+def alignment_notes(truth: Array, estimate: Array, align: str, rmse_m: float) -> list[str]:
+    """Whether a freer alignment of the matched positions (N, 3) explains nearly all of an error of `rmse_m`.
+
+    Then the estimate is good but in another world frame or scale than the chosen alignment allows for.
+    """
+    fit_m = EXPLAINED * spread(truth)
+    if rmse_m * SUSPICIOUS_GAIN < fit_m:
+        return []
+    fits: dict[str, Callable[[], Similarity]] = {
+        "posyaw": lambda: align_yaw(truth, estimate),
+        "se3": lambda: align_umeyama(truth, estimate),
+        "sim3": lambda: align_umeyama(truth, estimate, with_scale=True),
+    }
+    names = list(fits)
+    for name in names[names.index(align) + 1 :] if align in names else names:
+        try:
+            fit = fits[name]()
+        except ValueError:
+            continue
+        left_m = _rms(np.linalg.norm(fit.apply(estimate) - truth, axis=1))
+        if left_m < min(rmse_m / SUSPICIOUS_GAIN, fit_m):
+            scale = f" and scale {fit.scale:.3g}" if name == "sim3" else ""
+            return [
+                f"aligned by {name}{scale} instead of {align} the ATE would be {left_m:.3g} m, not {rmse_m:.3g} m: is "
+                "the estimate in another world frame (z up is expected) or without scale?"
+            ]
     return []
 
 

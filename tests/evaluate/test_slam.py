@@ -142,6 +142,24 @@ def _timed(call) -> float:
     return time.perf_counter() - begin
 
 
+def test_an_estimate_in_another_frame_or_scale_is_suspected():
+    truth = survey()
+    tilted = moved(truth, Rotation.from_euler("x", 90, degrees=True), (0, 0, 0))
+    assert any("aligned by se3 instead of posyaw" in note for note in score(truth, tilted).notes)
+    half = replace(truth, positions=truth.positions * 0.5)
+    assert any("sim3 and scale 2 instead of posyaw" in note for note in score(truth, half).notes)
+    assert any("instead of se3" in note for note in score(truth, half, SlamSettings(align="se3")).notes)
+    shifted = moved(truth, Rotation.identity(), (100, 0, 0))
+    assert any("posyaw instead of none" in note for note in score(truth, shifted, SlamSettings(align="none")).notes)
+
+
+def test_an_estimate_that_is_merely_bad_raises_no_suspicion():
+    truth = survey()
+    seconds = (truth.stamps_ns - truth.stamps_ns[0])[:, None] * 1e-9
+    assert score(truth, noisy(truth)).notes == ()
+    assert score(truth, replace(truth, positions=truth.positions + seconds**2 * [0.1, 0.02, 0.01])).notes == ()
+
+
 # --- association and coverage --------------------------------------------------------------------------------------
 
 
