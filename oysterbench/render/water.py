@@ -37,7 +37,7 @@ ASYMMETRY = 0.92  # of the Henyey-Greenstein phase function; gives a backscatter
 FORWARD_ANGLE_RAD = np.deg2rad(10.0)
 """Light scattered by less than this still forms the image, only softer: beam attenuation would be too dark."""
 
-AMBIENT_GAIN = 2.5
+AMBIENT_GAIN = 2.0
 """Veiling light of all orders of scattering over that of the first: judged by eye against coastal photographs."""
 
 

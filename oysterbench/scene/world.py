@@ -28,6 +28,7 @@ from oysterbench.streams import Streams
 SHELLS = 24
 STONES = 8
 ENVELOPE_CELL_M = 0.025
+MAX_ENVELOPE_CELLS = 2000  # per side: bounds the memory of a large reef
 MAX_INSTANCES = 2**16 - 1
 
 
@@ -72,7 +73,7 @@ class World:
     def obstacle_height(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         """Upper bound of z of seabed, oysters and stones at x, y (m, `map`), m.
 
-        Conservative: within about 5 cm sideways and 2 cm upwards.
+        Conservative: the highest point within about two cells (5 cm on reefs up to 50 m) counts.
         """
         bound = sample_grid(self.envelope_lines, self._highest_around, x, y)
         inside = np.maximum(np.abs(x), np.abs(y)) <= self.envelope_lines[-1]
@@ -118,11 +119,12 @@ def _envelope(
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Grid lines (M,) and the highest surface near each grid point (M, M), from the vertices of all instances."""
     margin = 0.3  # shells on the reef's border reach over it
-    count = int(np.ceil((size + 2 * margin) / ENVELOPE_CELL_M)) + 1
-    lines = (np.arange(count) - (count - 1) / 2) * ENVELOPE_CELL_M
+    cell = max(ENVELOPE_CELL_M, size / MAX_ENVELOPE_CELLS)
+    count = int(np.ceil((size + 2 * margin) / cell)) + 1
+    lines = (np.arange(count) - (count - 1) / 2) * cell
     x, y = np.meshgrid(lines, lines)
     envelope = terrain.height(x, y).astype(np.float32)
     for _, vertices in placed_vertices(meshes, instances):
-        place = np.clip(np.round((vertices[..., :2] - lines[0]) / ENVELOPE_CELL_M).astype(int), 0, count - 1)
+        place = np.clip(np.round((vertices[..., :2] - lines[0]) / cell).astype(int), 0, count - 1)
         np.maximum.at(envelope, (place[..., 1].ravel(), place[..., 0].ravel()), vertices[..., 2].ravel())
     return lines, envelope
