@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from oysterbench.geometry import transform
+from oysterbench.geometry import Array, transform
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe, SplitRecipe, count
 from oysterbench.render.camera import CameraRenderer
 from oysterbench.scene.path import Path, build_path
@@ -25,6 +25,19 @@ from oysterbench.streams import Streams
 def stamps(n: int, rate_hz: float) -> np.ndarray:
     """(n,) int64 stamps at times k / rate from the epoch."""
     return EPOCH_NS + np.rint(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)
+
+
+INERTIAL_STEP = 1e-7  # rad/s and m/s^2: four orders below the noise of the best unit's sample
+TRUTH_STEP = 1e-6  # m, m/s and rad/s
+ATTITUDE_STEP = 1e-7  # of a unit quaternion
+
+
+def settle(values: Array, step: float) -> Array:
+    """Values rounded to a step, far above the last bits, in which the mathematics of two processors differ.
+
+    So the same recipe gives the same bytes on any machine.
+    """
+    return np.rint(values / step) * step + 0.0  # and no negative zeros
 
 
 @dataclass(frozen=True)
@@ -76,6 +89,7 @@ def measure_sensors(stage: Stage, split: SplitRecipe, recipe: SequenceRecipe) ->
     gyro_variance, accel_variance = (
         density**2 * unit.rate_hz for density in (unit.gyro_noise_density, unit.accel_noise_density)
     )
+    gyro, accel = settle(gyro, INERTIAL_STEP), settle(accel, INERTIAL_STEP)
     for stamp, rate, force in zip(stamps(n, unit.rate_hz), gyro, accel, strict=True):
         yield topics.imu_message(ImuSample(int(stamp), rate, force), gyro_variance, accel_variance)
 
@@ -84,7 +98,13 @@ def measure_sensors(stage: Stage, split: SplitRecipe, recipe: SequenceRecipe) ->
     motion = stage.path.at(times)
     truth = stage.path.trajectory(times, stamps(n, split.rig.truth_rate_hz))
     velocity = np.einsum("nji,nj->ni", motion.rotation, motion.velocity)
-    for row in range(n):
-        yield topics.truth_message(
-            int(truth.stamps_ns[row]), truth.positions[row], truth.quaternions[row], velocity[row], motion.rate[row]
-        )
+    rows = zip(
+        truth.stamps_ns,
+        settle(truth.positions, TRUTH_STEP),
+        settle(truth.quaternions, ATTITUDE_STEP),
+        settle(velocity, TRUTH_STEP),
+        settle(motion.rate, TRUTH_STEP),
+        strict=True,
+    )
+    for stamp, position, quaternion, speed, rate in rows:
+        yield topics.truth_message(int(stamp), position, quaternion, speed, rate)

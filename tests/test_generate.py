@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from conftest import TINY_RIG, TINY_SPLIT, make_split
+from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
 from oysterbench.errors import SequenceError
 from oysterbench.generate import FRAMES_PER_PART, digest, generate_split, plan, split_folder
@@ -107,6 +108,23 @@ def members(group):
             if int(fields[2]) == group and fields[0] != "Z":
                 found.append(int(entry))
     return found
+
+
+PLAIN_PROCESSOR = {
+    "NPY_DISABLE_CPU_FEATURES": " ".join(name for name in __cpu_dispatch__ if __cpu_features__[name]),
+    "OPENBLAS_CORETYPE": "Nehalem",
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA",
+}
+"""Makes NumPy, OpenBLAS and the C library compute as on an old processor."""
+
+
+def test_another_processor_gives_the_same_bytes(tiny_file, tmp_path):
+    script, recipe, rig, out = (tmp_path / name for name in ("render.py", "tiny.toml", "rig.toml", "out"))
+    script.write_text(RENDER)
+    recipe.write_text(TINY_SPLIT)
+    rig.write_text(TINY_RIG)
+    subprocess.run([sys.executable, script, recipe, rig, out], env={**os.environ, **PLAIN_PROCESSOR}, check=True)
+    assert sha256(out / "tiny-01.mcap") == sha256(tiny_file)
 
 
 def test_a_file_of_another_recipe_is_refused_and_left_alone(tiny_file, tmp_path):
