@@ -358,19 +358,21 @@ def _frame(stamp_ns: int, jpeg: bytes, begin_ns: int | None) -> str:
 def _making(records: Sequence[ResultRecord], command: str) -> str:
     """Command, settings, versions and machine, each distinct value once."""
     lines: dict[str, list[str]] = {}
+
+    def add(label: str, value: str) -> None:
+        if value and value not in lines.setdefault(label, []):
+            lines[label].append(value)
+
     for record in records:
-        for label, value in (
-            ("Split", f"{record.split}, recipe {record.split_digest[:16]}" if record.split_digest else record.split),
-            ("Evaluator", record.evaluator_version),
-            ("Settings", _settings(record.settings)),
-            (f"Settings of {record.method}", _settings(record.method_settings)),
-            (f"{record.method} says", _settings(record.info)),
-            ("oysterbench", record.oysterbench_version),
-            ("Machine", _settings(record.hardware)),
-            ("Created", record.created),
-        ):
-            if value and value not in lines.setdefault(label, []):
-                lines[label].append(value)
+        add("Split", f"{record.split}, recipe {record.split_digest[:16]}" if record.split_digest else record.split)
+        add("Evaluator", record.evaluator_version)
+        add("Settings", _settings(record.settings))
+        add("oysterbench", record.oysterbench_version)
+        add("Machine", _settings(record.hardware))
+        add("Created", record.created)
+    for record in records:
+        add(f"Settings of {record.method}", _settings(record.method_settings))
+        add(f"{record.method} says", _settings(record.info))
     items = "".join(f"<dt>{escape(k)}</dt><dd>{'<br>'.join(map(escape, v))}</dd>" for k, v in lines.items() if v)
     return f"<h2>How this was made</h2><pre><code>{escape(command)}</code></pre><dl>{items}</dl>"
 
@@ -378,7 +380,7 @@ def _making(records: Sequence[ResultRecord], command: str) -> str:
 def _settings(values: Mapping[str, Any]) -> str:
     """Keys and values in one line; long values are cut, since the whole is in the JSON."""
     texts = {k: v if isinstance(v, str) else json.dumps(v, default=str) for k, v in values.items()}
-    return ", ".join(f"{k} = {v if len(v) <= 120 else v[:117] + '...'}" for k, v in texts.items())
+    return ", ".join(f"{k} = {v if len(v) <= 2000 else v[:1997] + '...'}" for k, v in texts.items())
 
 
 def _definitions(records: Sequence[ResultRecord]) -> str:
