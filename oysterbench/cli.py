@@ -165,7 +165,7 @@ def splits(as_json: bool) -> None:
     from oysterbench.generate import is_complete, sequence_files, split_folder
     from oysterbench.recipe import load_split, split_names
 
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name in split_names():
         split = load_split(name)
         folder = split_folder(split)

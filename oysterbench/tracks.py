@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 
@@ -55,7 +56,7 @@ def evaluate_slam(
 def _run(
     split: SplitRecipe, sequence: Sequence, truth: Trajectory, method: Method, settings: SlamSettings
 ) -> tuple[ResultRecord, SlamResult | None, Trajectory | None]:
-    record = {
+    record: dict[str, Any] = {
         "track": "slam",
         "split": split.name,
         "split_digest": digest(split),

@@ -62,7 +62,7 @@ def test_frames_of_the_report_are_spread_over_the_sequence(tiny_file):
 
 def test_files_are_scored_under_their_names(truth, tmp_path):
     write_tum(tmp_path / "truth.tum", truth)
-    moved = Trajectory(truth.stamps_ns, truth.positions + [1.0, 2.0, 3.0], truth.quaternions)
+    moved = Trajectory(truth.stamps_ns, truth.positions + np.array([1.0, 2.0, 3.0]), truth.quaternions)
     write_tum(tmp_path / "moved.tum", moved)
     run = score_files(tmp_path / "truth.tum", tmp_path / "moved.tum", SlamSettings(align="none"))
     assert run.record.method == "moved.tum"
