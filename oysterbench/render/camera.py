@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from oysterbench.recipe import CameraRecipe, SequenceRecipe
 from oysterbench.render import kernels
-from oysterbench.render.casting import Geometry
+from oysterbench.render.casting import Geometry, Placed
 from oysterbench.render.light import build_light, exposure
 from oysterbench.render.relief import build_relief
 from oysterbench.render.water import build_water
@@ -122,16 +122,20 @@ class CameraRenderer:
         geometry.skirt_corners = self._skirt.indices
         geometry.skirt_normals = wp.array(skirt.normals, dtype=wp.vec3, device=device)
         geometry.count = len(instances)
-        geometry.mesh = wp.array(ids[instances.shapes], dtype=wp.uint64, device=device)
-        geometry.first_corner = wp.array(first_corner[instances.shapes], dtype=wp.int32, device=device)
         geometry.corners = wp.array(np.concatenate(corners), dtype=wp.int32, device=device)
         normals = np.concatenate([mesh.normals for mesh in world.meshes])
         geometry.normals = wp.array(normals, dtype=wp.vec3, device=device)
-        geometry.position = wp.array(instances.positions, dtype=wp.vec3, device=device)
-        to_shape = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
-        geometry.to_shape = wp.array(to_shape.astype(np.float32), dtype=wp.mat33, device=device)
-        geometry.rotation = wp.array(instances.rotations, dtype=wp.mat33, device=device)
-        geometry.scale = wp.array(instances.scales, dtype=wp.vec3, device=device)
+        placed = np.zeros(len(instances), dtype=Placed.numpy_dtype())
+        placed["to_shape"] = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
+        placed["position"] = instances.positions
+        placed["mesh"] = ids[instances.shapes]
+        placed["rotation"] = instances.rotations
+        placed["scale"] = instances.scales
+        placed["first_corner"] = first_corner[instances.shapes]
+        placed["colour"] = instances.colours
+        placed["silt"] = instances.silt
+        placed["kind"] = instances.classes
+        geometry.placed = wp.array(placed, dtype=Placed, device=device)
         if len(instances):
             lowers, uppers = world.boxes()
             self._boxes = wp.Bvh(
@@ -141,9 +145,6 @@ class CameraRenderer:
         self._geometry = geometry
 
         looks = kernels.Looks()
-        looks.classes = wp.array(instances.classes, dtype=wp.uint8, device=device)
-        looks.colour = wp.array(instances.colours, dtype=wp.vec3, device=device)
-        looks.silt = wp.array(instances.silt, dtype=wp.float32, device=device)
         looks.seed = world.texture_seed
         blurred = ndimage.gaussian_filter(world.envelope, CREVICE_BLUR_CELLS)
         looks.envelope = wp.array(blurred, dtype=wp.float32, device=device)

@@ -16,11 +16,26 @@ SKIRT = wp.constant(-3)
 
 
 @wp.struct
-class Geometry:
-    """A world on a device. Instance arrays are (N,); corners and normals of all library meshes are end to end.
+class Placed:
+    """An instance: a point p in `map` is to_shape * (p - position) in its mesh; rotation and scale are its pose's.
 
-    A point p in `map` is to_shape * (p - position) in an instance's mesh; rotation and scale are its pose's.
+    first_corner: where its mesh's corners start in Geometry.corners. The rest is for shading.
     """
+
+    to_shape: wp.mat33
+    position: wp.vec3
+    mesh: wp.uint64
+    rotation: wp.mat33
+    scale: wp.vec3
+    first_corner: wp.int32
+    colour: wp.vec3
+    silt: wp.float32
+    kind: wp.uint8
+
+
+@wp.struct
+class Geometry:
+    """A world on a device. Corners and normals of all library meshes are end to end."""
 
     relief: Relief
     skirt: wp.uint64
@@ -28,14 +43,9 @@ class Geometry:
     skirt_normals: wp.array(dtype=wp.vec3)
     boxes: wp.uint64
     count: wp.int32
-    mesh: wp.array(dtype=wp.uint64)
-    first_corner: wp.array(dtype=wp.int32)
+    placed: wp.array(dtype=Placed)
     corners: wp.array(dtype=wp.int32)
     normals: wp.array(dtype=wp.vec3)
-    position: wp.array(dtype=wp.vec3)
-    to_shape: wp.array(dtype=wp.mat33)
-    rotation: wp.array(dtype=wp.mat33)
-    scale: wp.array(dtype=wp.vec3)
 
 
 @wp.struct
@@ -71,10 +81,10 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
         query = wp.bvh_query_ray(world.boxes, origin, direction)
         i = wp.int32(0)
         while wp.bvh_query_next(query, i, hit.t):
-            to_shape = world.to_shape[i]
-            start = to_shape * (origin - world.position[i])
+            to_shape = world.placed[i].to_shape
+            start = to_shape * (origin - world.placed[i].position)
             along = to_shape * direction
-            found = wp.mesh_query_ray(world.mesh[i], start, along, hit.t)
+            found = wp.mesh_query_ray(world.placed[i].mesh, start, along, hit.t)
             if found.result:
                 hit.t = found.t
                 hit.instance = i
@@ -93,10 +103,10 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
         query = wp.bvh_query_ray(world.boxes, origin, direction)
         i = wp.int32(0)
         while wp.bvh_query_next(query, i, max_t):
-            to_shape = world.to_shape[i]
-            start = to_shape * (origin - world.position[i])
+            to_shape = world.placed[i].to_shape
+            start = to_shape * (origin - world.placed[i].position)
             along = to_shape * direction
-            if wp.mesh_query_ray_anyhit(world.mesh[i], start, along, max_t):
+            if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, along, max_t):
                 return True
     return False
 
@@ -119,7 +129,7 @@ def surface_normal(world: Geometry, hit: Hit, p: wp.vec3):
     elif hit.instance == SKIRT:
         normal = blend(world.skirt_normals, world.skirt_corners, 3 * hit.face, hit.u, hit.v)
     elif hit.instance >= 0:
-        first = world.first_corner[hit.instance] + 3 * hit.face
+        first = world.placed[hit.instance].first_corner + 3 * hit.face
         local = blend(world.normals, world.corners, first, hit.u, hit.v)
-        normal = world.rotation[hit.instance] * wp.cw_div(local, world.scale[hit.instance])
+        normal = world.placed[hit.instance].rotation * wp.cw_div(local, world.placed[hit.instance].scale)
     return wp.normalize(normal)

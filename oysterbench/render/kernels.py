@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import platform
 from typing import Any
 
 import warp as wp
 
 from oysterbench.render.casting import NOTHING, Geometry, blocked, cast, surface_normal
 from oysterbench.render.texture import Material, scramble, seabed, shell, stone
+from oysterbench.scene.reef import CLASS_NUMBERS
 
-COMPILER_FLAGS = "-mllvm=-inline-threshold=9000 -mllvm=-inline-cold-callsite-threshold=3000"
-if platform.machine().lower() in ("x86_64", "amd64"):
-    COMPILER_FLAGS += " -target-cpu x86-64-v2"
+# The host's instructions, but no fused or reordered arithmetic: then every processor makes the same bytes.
+COMPILER_FLAGS = "-march=native -mllvm=-inline-threshold=100000 -mllvm=-inline-cold-callsite-threshold=100000"
 
-# One instruction set for every x86 processor and no fused multiply-add: the same bytes wherever a split is made.
 wp.set_module_options(
     {
         "cpu_compiler_flags": COMPILER_FLAGS,
@@ -24,6 +22,7 @@ wp.set_module_options(
     }
 )
 
+OYSTER = wp.constant(wp.uint8(CLASS_NUMBERS["oyster"]))
 FAR_M = wp.constant(150.0)  # past the skirt of every seabed
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
 CREVICE_M = wp.constant(0.07)  # depth below the blurred envelope at which little sky is left
@@ -35,11 +34,8 @@ BOUNCE = wp.constant(0.16)  # albedo of the bottom as seen by a surface that fac
 
 @wp.struct
 class Looks:
-    """What surfaces look like; arrays (N,) by instance. envelope: blurred upper surface, for crevices' darkness."""
+    """What surfaces look like. envelope: blurred upper surface of everything, for the darkness of crevices."""
 
-    classes: wp.array(dtype=wp.uint8)
-    colour: wp.array(dtype=wp.vec3)
-    silt: wp.array(dtype=wp.float32)
     seed: wp.uint32
     envelope: wp.array2d(dtype=wp.float32)
     envelope_start: wp.float32
@@ -122,14 +118,13 @@ def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, dir
     if i < 0:
         material = seabed(p, smooth, footprint, looks.seed)
     else:
-        rotation = world.rotation[i]
-        q = wp.transpose(rotation) * (p - world.position[i])
+        it = world.placed[i]
+        q = wp.transpose(it.rotation) * (p - it.position)
         seed = scramble(looks.seed + wp.uint32(i))
-        if looks.classes[i] == wp.uint8(2):
-            share = q[0] / world.scale[i][0]
-            material = shell(q, share, smooth, rotation, looks.colour[i], looks.silt[i], footprint, seed)
+        if it.kind == OYSTER:
+            material = shell(q, q[0] / it.scale[0], smooth, it.rotation, it.colour, it.silt, footprint, seed)
         else:
-            material = stone(q, smooth, rotation, looks.colour[i], looks.silt[i], footprint, seed)
+            material = stone(q, smooth, it.rotation, it.colour, it.silt, footprint, seed)
     n = material.normal
     sun = wp.dot(n, optics.sun_direction)
     light = wp.float32(0.0)
@@ -181,7 +176,7 @@ def trace(
         distance = hit.t
         kind = wp.uint8(1)
         if hit.instance >= 0:
-            kind = looks.classes[hit.instance]
+            kind = world.placed[hit.instance].kind
             number = wp.uint16(hit.instance + 1)
     depth[row, column] = distance
     classes[row, column] = kind
