@@ -107,13 +107,21 @@ class Estimator:
         return float(np.median(np.linalg.norm(flow, axis=1))) * self.model.focal
 
     def _at_rest(self, view: View, duration: float) -> bool:
-        """The picture has not moved since the last key frame."""
+        """The picture has not moved since the last key frame.
+
+        Judged by the affine flow that fits all tracks: their own noise averages out in it, and motion in any direction
+        or about any axis shows.
+        """
         last = self.keyframes[-1].view
         shared, in_last, in_view = np.intersect1d(last.ids, view.ids, assume_unique=True, return_indices=True)
         if len(shared) < self.settings.init_min_tracks or duration < self.settings.rest_s:
             return False
-        flow = self._parallax(last.rays[in_last], view.rays[in_view], np.eye(3))
-        return flow < self.settings.rest_px
+        flow = (view.rays[in_view] - last.rays[in_last]) * self.model.focal
+        length = np.linalg.norm(flow, axis=1)
+        calm = length <= 3 * np.median(length)
+        places = homogeneous(last.rays[in_last][calm])
+        fit = places @ np.linalg.lstsq(places, flow[calm], rcond=None)[0]
+        return float(np.sqrt(np.mean(np.sum(fit**2, axis=1)))) < self.settings.rest_px
 
     def _add_keyframe(self, stamp_ns: int, view: View, predicted: State | None) -> None:
         segment = Segment.join(self._since)
@@ -121,8 +129,12 @@ class Estimator:
         self.keyframes.append(Keyframe(len(self.keyframes), stamp_ns, view, segment, rest))
         self._since = []
         if self._window is not None:
-            self._window.add(self.keyframes, predicted)
-            if self._has_diverged():
+            try:
+                self._window.add(self.keyframes, predicted)
+                diverged = self._has_diverged()
+            except RuntimeError:  # GTSAM: the system of equations cannot be solved
+                diverged = True
+            if diverged:
                 self._restart()
         else:
             self._try_to_start(self.settings.init_scale_sigma)
@@ -139,6 +151,9 @@ class Estimator:
         moving = sum(k.segment.duration for k in stretch[1:] if not k.at_rest)
         if len(stretch) < settings.init_min_keyframes or moving < settings.init_min_s or now < self._next_attempt_s:
             return
+        counts = np.unique(np.concatenate([k.view.ids for k in stretch]), return_counts=True)[1]
+        if np.count_nonzero(counts >= settings.min_views) < settings.init_min_tracks:
+            return
         self._next_attempt_s = now + settings.init_retry_s
         start = closed_form_start(
             [k.view for k in stretch],
@@ -150,7 +165,10 @@ class Estimator:
             settings.pixel_sigma_px / self.model.focal,
         )
         states = _states(start, self._anchor)
-        bundle = adjust(self.model, stretch, states, (30.0, 6.0, settings.max_landmark_error_px))
+        try:
+            bundle = adjust(self.model, stretch, states, settings.init_gates_px)
+        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+            return
         if len(bundle.landmarks) < settings.init_min_tracks:
             return
         sigma = _scale_sigma(bundle, stretch)
@@ -169,7 +187,8 @@ class Estimator:
         for k in range(index - 1, -1, -1):
             if self.keyframes[k].state is not None:
                 break
-            self.keyframes[k].state = self._back(self.keyframes[k + 1].state, self.keyframes[k + 1].segment)
+            after = self.keyframes[k + 1]
+            self.keyframes[k].state = _hold(after.state) if after.at_rest else self._back(after.state, after.segment)
         for frame in self.frames:
             if frame.online is None:
                 frame.online = self._forward(self.keyframes[frame.keyframe].state, frame.since)
@@ -234,7 +253,9 @@ class Estimator:
             up = segment.accel.mean(axis=0) if len(segment.dt) else np.array([0.0, 0.0, 1.0])
             self.keyframes[0].state = make_state(level_rotation(up), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
         for before, keyframe in zip(self.keyframes[:-1], self.keyframes[1:], strict=True):
-            if keyframe.state is None:
+            if keyframe.state is None and keyframe.at_rest:
+                keyframe.state = _hold(before.state)
+            elif keyframe.state is None:
                 measurements = preintegrate(keyframe.segment, before.state.bias, self.model.params)
                 keyframe.state = State(measurements.predict(before.state.nav, before.state.bias), before.state.bias)
         self._fill_back(0)
@@ -249,7 +270,11 @@ class Estimator:
             return self.online()
         states = [keyframe.state for keyframe in self.keyframes]
         gate = self.settings.max_landmark_error_px
-        bundle = adjust(self.model, self.keyframes, states, (3 * gate, gate))
+        try:
+            bundle = adjust(self.model, self.keyframes, states, (3 * gate, gate))
+        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+            self.info["smoothing_failed"] = 1
+            return self.online()
         self.info["smoothed_error_px"] = float(np.median(bundle.errors_px)) if len(bundle.errors_px) else float("nan")
         states = [read_state(bundle.values, keyframe.index) for keyframe in self.keyframes]
         slips = [self._slip(k, states) for k in range(len(states) - 1)]
@@ -275,6 +300,11 @@ class Estimator:
         matrices = np.array(poses).reshape(-1, 4, 4) @ invert(self.imu.T_base_imu)
         quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat() if len(poses) else np.empty((0, 4))
         return Trajectory(stamps, matrices[:, :3, 3].copy(), quaternions)
+
+
+def _hold(state: State) -> State:
+    """The same pose, at rest."""
+    return State(gtsam.NavState(state.nav.pose(), np.zeros(3)), state.bias)
 
 
 def _states(start: Start, anchor: State | None) -> list[State]:

@@ -125,25 +125,12 @@ class FrontEnd:
         return points.reshape(-1, 2)
 
     def _replenish(self, image: NDArray[np.uint8]) -> Tracks:
-        """New corners (Shi-Tomasi) where there are none, spread over a grid by their spacing."""
+        """New corners where there are few tracks."""
         settings, tracks = self.settings, self._tracks
-        missing = settings.max_tracks - len(tracks.ids)
-        # Looking for corners costs more than tracking them: only when it pays.
-        if missing < settings.max_tracks // 8:
+        # Looking for corners costs as much as tracking them: only when it pays.
+        if settings.max_tracks - len(tracks.ids) < settings.max_tracks // 8:
             return tracks
-        mask = np.full(image.shape, 255, dtype=np.uint8)
-        for x, y in tracks.pixels:
-            cv2.circle(mask, (round(x), round(y)), round(settings.track_spacing_px), 0, -1)
-        corners = cv2.goodFeaturesToTrack(
-            image, missing, settings.corner_quality, settings.track_spacing_px, mask=mask, blockSize=5
-        )
-        if corners is None:
-            return tracks
-        pixels = corners.reshape(-1, 2)
-        border = settings.flow_window_px // 2
-        inside = (pixels >= border).all(axis=1)
-        inside &= (pixels < np.array([self.calibration.width, self.calibration.height]) - border).all(axis=1)
-        pixels = pixels[inside].astype(np.float64)
+        pixels = find_corners(image, tracks.pixels, settings)
         ids = np.arange(self._next_id, self._next_id + len(pixels), dtype=np.int64)
         self._next_id += len(pixels)
         return Tracks(
@@ -151,3 +138,41 @@ class FrontEnd:
             np.concatenate([tracks.pixels, pixels]),
             np.concatenate([tracks.rays, undistort(pixels, self.calibration)]),
         )
+
+
+def find_corners(image: NDArray[np.uint8], taken: Array, settings: Settings) -> Array:
+    """Corners (N, 2) px in a grey image away from those `taken` (M, 2): the best by Shi & Tomasi (1994), spread out.
+
+    Every cell of a grid has the same share of the tracks, so that one bright clump does not get them all: turbid water
+    dims the far half of a picture, and it is the far half that tells rotation from translation.
+    """
+    height, width = image.shape
+    spacing, border = round(settings.track_spacing_px), settings.flow_window_px // 2 + 1
+    score = cv2.cornerMinEigenVal(image, settings.corner_block_px)
+    # A peak is the best within the spacing of it: one dilation does what a sorted search would.
+    peaks = score >= cv2.dilate(score, np.ones((2 * spacing + 1, 2 * spacing + 1), dtype=np.uint8))
+    peaks &= score > settings.corner_quality * score.max()
+    allowed = np.zeros(image.shape, dtype=np.uint8)
+    allowed[border : height - border, border : width - border] = 1
+    for x, y in taken:
+        cv2.circle(allowed, (round(x), round(y)), spacing, 0, -1)
+    y, x = np.nonzero(peaks & (allowed > 0))
+    best = np.argsort(-score[y, x], kind="stable")
+    y, x = y[best], x[best]
+    columns, rows = settings.grid
+    cell = (y * rows // height) * columns + x * columns // width
+    count = np.zeros(rows * columns, dtype=int)
+    old = taken.astype(int)
+    np.add.at(count, (old[:, 1] * rows // height) * columns + old[:, 0] * columns // width, 1)
+    share = int(np.ceil(settings.max_tracks / (rows * columns)))
+    chosen = []
+    for k, c in enumerate(cell):
+        if count[c] < share:
+            count[c] += 1
+            chosen.append(k)
+    # What the poor cells leave over goes to the rich ones, the best corners first.
+    left = settings.max_tracks - len(taken) - len(chosen)
+    if left > 0:
+        chosen += sorted(set(range(len(cell))) - set(chosen))[:left]
+    chosen = chosen[: max(0, settings.max_tracks - len(taken))]
+    return np.column_stack([x[chosen], y[chosen]]).astype(float)

@@ -83,25 +83,33 @@ def estimate_gyro_bias(
     pairs = _pairs(views, max_pairs)
     if not pairs:
         return np.zeros(3)
-    units = [_unit(homogeneous(view.rays)) @ R_imu_cam.T @ integral.rotation[k].T for k, view in enumerate(views)]
-    matched = [(i, j, units[i][a], units[j][b]) for i, j, a, b in pairs]
+    units = [_unit(homogeneous(view.rays)) @ (integral.rotation[k] @ R_imu_cam).T for k, view in enumerate(views)]
+    rays_i = np.concatenate([units[i][a] for i, _, a, _ in pairs])
+    rays_j = np.concatenate([units[j][b] for _, j, _, b in pairs])
+    shared = np.array([len(a) for _, _, a, _ in pairs])
+    view_i, view_j = (np.repeat([pair[side] for pair in pairs], shared) for side in (0, 1))
+    starts, pair = np.cumsum(shared) - shared, np.repeat(np.arange(len(pairs)), shared)
+    trust = np.ones(len(rays_i))
 
-    def normals(bias: Array) -> list[Array]:
+    def epipolar_planes(bias: Array) -> tuple[Array, Array]:
+        """Normals (M, 3) of the planes through both rays, and per pair of views their scatter (P, 3, 3)."""
         turns = Rotation.from_rotvec(-(integral.rate @ bias)).as_matrix()
-        return [np.cross(rays_i @ turns[i].T, rays_j @ turns[j].T) for i, j, rays_i, rays_j in matched]
+        before = (turns[view_i] @ rays_i[:, :, None])[..., 0]
+        after = (turns[view_j] @ rays_j[:, :, None])[..., 0]
+        normals = np.cross(before, after)
+        return normals, np.add.reduceat(trust[:, None, None] * normals[:, :, None] * normals[:, None, :], starts)
 
     def cost(bias: Array) -> float:
-        misfit = sum(np.linalg.eigvalsh(n.T @ n)[0] for n in normals(bias))
-        return misfit / (2 * ray_sigma**2) + float(bias @ bias) / turn_on**2
+        misfit = np.linalg.eigvalsh(epipolar_planes(bias)[1])[:, 0].sum()
+        return float(misfit / (2 * ray_sigma**2) + bias @ bias / turn_on**2)
 
     bias = _minimise(cost, np.zeros(3), turn_on)
     # Once more without the pairs of rays that slide over the scene.
-    errors = [np.abs(n @ np.linalg.eigh(n.T @ n)[1][:, 0]) for n in normals(bias)]
-    matched = [
-        (i, j, rays_i[e < limit], rays_j[e < limit])
-        for (i, j, rays_i, rays_j), e in zip(matched, errors, strict=True)
-        for limit in [max(3 * float(np.median(e)), ray_sigma)]
-    ]
+    normals, scatter = epipolar_planes(bias)
+    direction = np.linalg.eigh(scatter)[1][:, :, 0]
+    errors = np.abs(np.einsum("mi,mi->m", normals, direction[pair]))
+    limits = np.array([max(3 * float(np.median(part)), ray_sigma) for part in np.split(errors, starts[1:])])
+    trust = (errors < limits[pair]).astype(float)
     return _minimise(cost, bias, turn_on)
 
 

@@ -10,12 +10,14 @@ class Settings:
     """All settings. None depends on the sequence: what does comes from its calibrations."""
 
     # Front end.
-    max_tracks: int = 140  # enough for 1.5 mm of attitude-free motion per frame; more costs time, not error
-    track_spacing_px: float = 22.0  # keeps corners from crowding on the best-lit texture
+    max_tracks: int = 140  # more cost time and gained nothing
+    grid: tuple[int, int] = (5, 4)  # columns and rows that share the tracks
+    track_spacing_px: float = 18.0  # keeps corners from crowding on the best-lit texture
+    corner_block_px: int = 5  # side of the patch that makes a corner
     corner_quality: float = 0.005  # share of the best corner's score; low, since turbid water has little contrast
-    clahe_clip: float = 3.0  # contrast limit of the equalisation: lifts veiled texture without lifting sensor noise
+    clahe_clip: float = 2.0  # contrast limit of the equalisation: lifts veiled texture without lifting sensor noise
     clahe_tiles: int = 8  # tiles per side
-    flow_window_px: int = 21  # side of the tracked patch
+    flow_window_px: int = 17  # side of the tracked patch: larger ones slide as the scene nears
     flow_levels: int = 3  # pyramid levels above the image: with the gyroscope's prediction, 80 px of flow
     backward_error_px: float = 0.7  # a track must return to where it came from
     epipolar_error_px: float = 1.5  # of verified tracks, at a known rotation
@@ -26,14 +28,14 @@ class Settings:
     keyframe_shared: float = 0.55  # share of the last key frame's tracks that must be left
     keyframe_min_s: float = 0.12  # at least two frames of 20 Hz: a single IMU interval has a singular covariance
     keyframe_max_s: float = 0.5  # bounds the prediction with the inertial unit alone
-    rest_px: float = 0.35  # median flow below this over rest_s means: not moving
-    rest_s: float = 0.2
+    rest_px: float = 0.35  # flow between key frames below this means: not moving
+    rest_s: float = 0.2  # between the key frames; over less, slow motion looks like rest
     rest_speed: float = 0.01  # m/s, 1 sigma of the velocity at rest: 0.35 px in 0.2 s at 3 m
 
     # Noise models.
-    pixel_sigma_px: float = 0.8  # of a tracked corner, drift over the track's life included
-    huber: float = 1.5  # sigmas; beyond, a residual counts linearly
-    imu_inflation: float = 2.0  # on the densities of the data sheet: interpolation, vibration, scale errors
+    pixel_sigma_px: float = 1.0  # of a tracked corner, drift over the track's life included
+    huber: float = 1.3  # sigmas; beyond, a residual counts linearly
+    imu_inflation: float = 1.25  # on the densities of the data sheet: interpolation, vibration, scale errors
     bias_inflation: float = 2.0  # on the random walks
     integration_sigma: float = 1e-4  # m/s/sqrt(s): error of the integration itself; keeps covariances regular
 
@@ -50,6 +52,7 @@ class Settings:
     init_max_keyframes: int = 40  # size of the window that is searched
     init_min_keyframes: int = 8
     init_min_tracks: int = 15
+    init_gates_px: tuple[float, ...] = (30.0, 6.0, 3.0)  # of landmarks, from rough states to adjusted ones
     init_retry_s: float = 0.5
     init_scale_sigma: float = 0.03  # accepted 1-sigma uncertainty of scale
     init_relaxed_scale_sigma: float = 0.15  # accepted when the sequence ends before better is reached
