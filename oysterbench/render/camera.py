@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -12,7 +13,7 @@ from scipy import ndimage
 from oysterbench.recipe import CameraRecipe, SequenceRecipe
 from oysterbench.render import kernels
 from oysterbench.render.casting import Geometry, Placed
-from oysterbench.render.light import build_light, exposure
+from oysterbench.render.light import build_light, exposure, shadow_reach
 from oysterbench.render.relief import build_relief
 from oysterbench.render.water import build_water
 from oysterbench.scene.world import World
@@ -125,7 +126,7 @@ class CameraRenderer:
         geometry.corners = wp.array(np.concatenate(corners), dtype=wp.int32, device=device)
         normals = np.concatenate([mesh.normals for mesh in world.meshes])
         geometry.normals = wp.array(normals, dtype=wp.vec3, device=device)
-        placed = np.zeros(len(instances), dtype=Placed.numpy_dtype())
+        placed: NDArray[Any] = np.zeros(len(instances), dtype=Placed.numpy_dtype())  # type: ignore[attr-defined]
         placed["to_shape"] = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
         placed["position"] = instances.positions
         placed["mesh"] = ids[instances.shapes]
@@ -159,6 +160,11 @@ class CameraRenderer:
         depths = np.arange(0.0, MAX_DEPTH_M, DEPTH_STEP_M)
         optics = kernels.Optics()
         optics.sun_direction = wp.vec3(*light.sun_direction.tolist())
+        lines = world.envelope_lines
+        ground = world.ground_height(*np.meshgrid(lines, lines))
+        cell = self._looks.envelope_step
+        reach = shadow_reach(world.envelope, ground, cell, light.sun_direction, float(kernels.SHADOW_M))
+        self._looks.reach = wp.array(reach.astype(np.uint8), dtype=wp.uint8, device=self.device)
         optics.sun, optics.sky = light.sun, light.sky
         optics.seabed_shadows = int(world.terrain.steepest() > light.steepest_lit_slope())
         optics.direct = self._table(water.transmission(ranges))

@@ -34,10 +34,13 @@ BOUNCE = wp.constant(0.16)  # albedo of the bottom as seen by a surface that fac
 
 @wp.struct
 class Looks:
-    """What surfaces look like. envelope: blurred upper surface of everything, for the darkness of crevices."""
+    """What surfaces look like. envelope: blurred upper surface of everything, for the darkness of crevices.
+    reach: where on the same grid things may shade the seabed.
+    """
 
     seed: wp.uint32
     envelope: wp.array2d(dtype=wp.float32)
+    reach: wp.array2d(dtype=wp.uint8)
     envelope_start: wp.float32
     envelope_step: wp.float32
 
@@ -100,6 +103,18 @@ def openness(looks: Looks, p: wp.vec3):
 
 
 @wp.func
+def needs_shadow_ray(looks: Looks, optics: Optics, instance: int, p: wp.vec3):
+    """False only where nothing can stand between a point of the seabed and the sun."""
+    j = int(wp.floor((p[0] - looks.envelope_start) / looks.envelope_step + 0.5))
+    i = int(wp.floor((p[1] - looks.envelope_start) / looks.envelope_step + 0.5))
+    last = looks.reach.shape[0] - 1
+    needed = instance >= 0 or optics.seabed_shadows != 0 or i < 0 or j < 0 or i > last or j > last
+    if not needed:
+        needed = looks.reach[i, j] != wp.uint8(0)
+    return needed
+
+
+@wp.func
 def ray_through(view: View, u: float, v: float):
     """Direction in `map` through pixel (u, v), of unit length along the optical axis, so that t is depth."""
     return view.rotation * wp.vec3((u - view.cx) / view.focal, (v - view.cy) / view.focal, 1.0)
@@ -130,8 +145,12 @@ def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, dir
     light = wp.float32(0.0)
     if sun > 0.0 and wp.dot(smooth, optics.sun_direction) > 0.0:
         start = p + smooth * (0.0005 + 0.0005 * hit.t)
-        hidden = look_up(optics.direct, hit.t * length / optics.range_step)[1] < HAZE
-        if hidden or not blocked(world, start, optics.sun_direction, SHADOW_M, optics.seabed_shadows):
+        lit = look_up(optics.direct, hit.t * length / optics.range_step)[1] < HAZE
+        if not lit:
+            lit = not needs_shadow_ray(looks, optics, i, p)
+        if not lit:
+            lit = not blocked(world, start, optics.sun_direction, SHADOW_M, optics.seabed_shadows)
+        if lit:
             light = optics.sun * sun / optics.sun_direction[2]
     opening = openness(looks, p)
     light += opening * (optics.sky * 0.5 * (1.0 + n[2]) + BOUNCE * 0.5 * (1.0 - n[2]))

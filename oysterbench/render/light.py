@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from oysterbench.recipe import LightRecipe
 from oysterbench.render.water import Water
@@ -44,6 +45,27 @@ def build_light(recipe: LightRecipe) -> Light:
     vertical = np.sqrt(1.0 - horizontal**2)
     direction = np.array([horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), vertical])
     return Light(np.round(direction, 7), 1.0 - recipe.sky_fraction, recipe.sky_fraction)
+
+
+def shadow_reach(
+    envelope: NDArray[np.floating], ground: NDArray[np.floating], cell: float, sun_direction: Array, longest: float
+) -> NDArray[np.bool_]:
+    """Grid cells (M, M) whose seabed something on it may shade; everywhere else no shadow ray is needed.
+
+    envelope, ground (M, M): z of the upper surface with and without things on the bottom, indexed [y, x], m, on a
+    grid of `cell` m; longest: length of the shadow rays, m. Conservative by a cell all around.
+    """
+    things = np.where(envelope > ground + 1e-3, envelope, -np.inf)
+    tops = ndimage.maximum_filter(things, size=5)
+    floor = ndimage.minimum_filter(ground, size=3)
+    shaded = np.zeros(envelope.shape, dtype=bool)
+    rows, columns = np.indices(envelope.shape)
+    for distance in np.arange(0.0, longest, cell):
+        step = distance * sun_direction / cell
+        row = np.clip(rows + int(np.round(step[1])), 0, len(envelope) - 1)
+        column = np.clip(columns + int(np.round(step[0])), 0, len(envelope) - 1)
+        shaded |= tops[row, column] > floor + (distance - cell) * sun_direction[2]
+    return shaded
 
 
 def exposure(water: Water, depth_m: float) -> Array:

@@ -79,7 +79,8 @@ def sample_grid(coordinates: Array, values: NDArray[np.floating], x: ArrayLike, 
     """Bilinear interpolation of values (N, N), indexed [y, x], on grid lines `coordinates` (N,), clamped outside."""
     last = len(coordinates) - 2
     steps = np.arange(len(coordinates), dtype=float)
-    column, row = np.interp(x, coordinates, steps), np.interp(y, coordinates, steps)
+    column = np.interp(np.asarray(x, dtype=float), coordinates, steps)
+    row = np.interp(np.asarray(y, dtype=float), coordinates, steps)
     i, j = np.minimum(row.astype(int), last), np.minimum(column.astype(int), last)
     u, v = column - j, row - i
     low = values[i, j] * (1 - u) + values[i, j + 1] * u

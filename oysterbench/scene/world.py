@@ -121,7 +121,7 @@ def _envelope(
     margin = 0.3  # shells on the reef's border reach over it
     cell = max(ENVELOPE_CELL_M, size / MAX_ENVELOPE_CELLS)
     count = int(np.ceil((size + 2 * margin) / cell)) + 1
-    lines = (np.arange(count) - (count - 1) / 2) * cell
+    lines: NDArray[np.float64] = (np.arange(count, dtype=float) - (count - 1) / 2) * cell
     x, y = np.meshgrid(lines, lines)
     envelope = terrain.height(x, y).astype(np.float32)
     for _, vertices in placed_vertices(meshes, instances):

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -164,6 +169,40 @@ def test_shadow_of_a_shell_is_darker_than_the_ground_beside_it() -> None:
     ratio = lit.colour[ground].astype(float).mean(axis=1) / empty.colour[ground].astype(float).mean(axis=1)
     assert np.percentile(ratio, 1) < 0.75
     assert np.median(ratio) == pytest.approx(1.0, abs=0.03)
+
+
+def test_skipping_shadow_rays_changes_no_byte(world: World) -> None:
+    T_map_cam = pose(0.0, 0.0, -2.0, 20, 60)
+    some = CameraRenderer(world, CAMERA, reef())
+    every = CameraRenderer(world, CAMERA, reef())
+    assert 0.05 < some._looks.reach.numpy().mean() < 0.95
+    every._looks.reach.fill_(1)
+    assert np.array_equal(some.render(T_map_cam, noise()).colour, every.render(T_map_cam, noise()).colour)
+
+
+PRINT_DIGEST = """
+import hashlib, sys
+sys.path.insert(0, {folder!r})
+import warp as wp
+from oysterbench.render import kernels
+from test_camera import CAMERA, CameraRenderer, Streams, build_world, noise, pose, reef
+wp.get_module("oysterbench.render.kernels").options["cpu_compiler_flags"] = {flags!r}
+frame = CameraRenderer(build_world(reef(), Streams(4)), CAMERA, reef()).render(pose(0.0, 0.0, -2.2, 20, 40), noise())
+print(hashlib.sha256(frame.colour.tobytes() + frame.depth.tobytes() + frame.instances.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the targets are those of x86-64")
+def test_bytes_do_not_depend_on_the_processors_instructions(tmp_path: Path) -> None:
+    def digest(flags: str) -> str:
+        script = PRINT_DIGEST.format(folder=str(Path(__file__).parent), flags=flags)
+        environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
+        run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+        assert run.returncode == 0, run.stderr
+        return run.stdout.split()[-1]
+
+    assert digest("-target-cpu x86-64") == digest("-target-cpu x86-64-v2") == digest("-march=native")
 
 
 def test_far_ground_takes_the_colour_of_the_water() -> None:
