@@ -50,6 +50,7 @@ class Estimator:
         self._next_attempt_s = 0.0
         self._first = 0  # key frame at which the search for a start begins
         self._anchor: State | None = None  # its state, when there was a start before
+        self._good: tuple[int, State] | None = None  # the last key frame at which all was well, and its state then
         self._bad_keyframes = 0
 
     @property
@@ -176,10 +177,11 @@ class Estimator:
         self.info["init_scale_sigma"] = sigma
         if sigma > max_scale_sigma or self.info["init_error_px"] > settings.init_max_error_px:
             return
-        for keyframe in stretch:
+        for keyframe in stretch[1:] if self._anchor else stretch:
             keyframe.state = read_state(bundle.values, keyframe.index)
         self.info["init_s"] = now
         self._window = Window(self.model, stretch, bundle)
+        self._good = (self.keyframes[-1].index, self.keyframes[-1].state)
         self._fill_back(stretch[0].index)
 
     def _fill_back(self, index: int) -> None:
@@ -220,16 +222,31 @@ class Estimator:
             return True
         gyro = np.abs(state.bias.gyroscope()).max() / self.model.gyro_turn_on
         accel = np.abs(state.bias.accelerometer()).max() / self.model.accel_turn_on
-        self._bad_keyframes = self._bad_keyframes + 1 if self._window.lost_share > settings.max_lost_share else 0
-        return max(gyro, accel) > settings.max_bias_sigmas or self._bad_keyframes >= settings.max_bad_keyframes
+        if self._window.lost_share > settings.max_lost_share:
+            self._bad_keyframes += 1
+        else:
+            self._bad_keyframes = 0
+        if max(gyro, accel) > settings.max_bias_sigmas or self._bad_keyframes >= settings.max_bad_keyframes:
+            return True
+        if self._bad_keyframes == 0:
+            self._good = (self.keyframes[-1].index, state)
+        return False
 
     def _restart(self) -> None:
-        """Search for a start anew; the path goes on from a key frame before things went wrong."""
+        """Search for a start anew, from this key frame on.
+
+        The measurements since the last good key frame are not to be trusted: the path goes on from there at the
+        velocity it had, also for the frames whose poses have been given since.
+        """
         self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
-        self._first = max(0, len(self.keyframes) - 1 - self.settings.max_bad_keyframes)
-        self._anchor = self.keyframes[self._first].state
-        for keyframe in self.keyframes[self._first + 1 :]:
-            keyframe.state = None
+        index, state = self._good
+        stamp_ns = self.keyframes[index].stamp_ns
+        for keyframe in self.keyframes[index:]:
+            keyframe.state = _coast(state, (keyframe.stamp_ns - stamp_ns) * 1e-9)
+        for frame in self.frames:
+            if frame.stamp_ns > stamp_ns:
+                frame.online = _coast(state, (frame.stamp_ns - stamp_ns) * 1e-9).matrix
+        self._first, self._anchor = self.keyframes[-1].index, self.keyframes[-1].state
         self._window = None
         self._measurements = None
         self._bad_keyframes = 0
@@ -265,8 +282,11 @@ class Estimator:
         return self._trajectory([frame.online for frame in self.frames])
 
     def smoothed(self) -> Trajectory:
-        """T_odom_base at every frame after an adjustment of all key frames."""
-        if self._window is None or len(self.keyframes) < 3:
+        """T_odom_base at every frame after an adjustment of all key frames.
+
+        After a restart there are measurements that are not to be trusted, and the online path is given.
+        """
+        if self._window is None or len(self.keyframes) < 3 or "restarts" in self.info:
             return self.online()
         states = [keyframe.state for keyframe in self.keyframes]
         gate = self.settings.max_landmark_error_px
@@ -305,6 +325,12 @@ class Estimator:
 def _hold(state: State) -> State:
     """The same pose, at rest."""
     return State(gtsam.NavState(state.nav.pose(), np.zeros(3)), state.bias)
+
+
+def _coast(state: State, time: float) -> State:
+    """The state after a time (s) at the same velocity and attitude."""
+    pose = gtsam.Pose3(state.nav.attitude(), state.nav.position() + state.nav.velocity() * time)
+    return State(gtsam.NavState(pose, state.nav.velocity()), state.bias)
 
 
 def _states(start: Start, anchor: State | None) -> list[State]:

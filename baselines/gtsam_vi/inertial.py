@@ -162,6 +162,14 @@ def preintegrate(
 
 
 def extend(measurements: gtsam.PreintegratedCombinedMeasurements, segment: Segment) -> None:
-    """Integrate a further segment."""
-    for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
+    """Integrate a further segment.
+
+    GTSAM lets the force act in the attitude at the beginning of an interval: with gravity in the force, an error of
+    half a turn per sample times g. Turned on by half an interval, the force acts in the attitude in its middle.
+    """
+    if len(segment.dt) == 0:
+        return
+    turn = (segment.gyro - measurements.biasHat().gyroscope()) * segment.dt[:, None]
+    force = Rotation.from_rotvec(0.5 * turn).apply(segment.accel)
+    for dt, gyro, accel in zip(segment.dt, segment.gyro, force, strict=True):
         measurements.integrateMeasurement(accel, gyro, dt)

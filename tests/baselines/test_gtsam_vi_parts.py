@@ -1,0 +1,156 @@
+"""The parts of the visual-inertial baseline, each against what is known of it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import gtsam
+import numpy as np
+import pytest
+import synthetic_dive as dive
+from scipy.spatial.transform import Rotation
+
+from oysterbench.geometry import invert
+from oysterbench.sequence.types import ImuSample
+from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, epipolar_inliers, find_corners, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.inertial import (
+    SampleBuffer,
+    Segment,
+    integrate,
+    preintegrate,
+    preintegration_params,
+)
+from oysterbench_baselines.gtsam_vi.initialisation import View, closed_form_start, level_rotation
+from oysterbench_baselines.gtsam_vi.settings import Settings
+
+
+def texture(seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).normal(size=(480, 640)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.5) * 3 + cv2.GaussianBlur(noise, (0, 0), 5) * 5
+    return np.clip(110 + 40 * smooth, 0, 255).astype(np.uint8)
+
+
+def test_tracks_follow_a_picture_that_a_rotation_warps():
+    calibration = dive.camera_calibration()
+    front_end = FrontEnd(calibration, Settings())
+    picture = texture()
+    before = front_end.track(picture, np.eye(3))
+    turn = Rotation.from_euler("xyz", [0.01, -0.015, 0.02]).as_matrix()  # R_before_now
+    homography = calibration.matrix @ turn.T @ np.linalg.inv(calibration.matrix)
+    after = front_end.track(cv2.warpPerspective(picture, homography, (640, 480)), turn)
+    _, a, b = np.intersect1d(before.ids, after.ids, return_indices=True)
+    expected = homogeneous(before.pixels[a]) @ homography.T
+    error = np.linalg.norm(expected[:, :2] / expected[:, 2:] - after.pixels[b], axis=1)
+    assert len(a) > 0.8 * len(before.ids)
+    assert np.median(error) < 0.1
+    assert error.max() < 1.5
+
+
+def test_a_large_rotation_is_followed_when_the_gyroscope_has_seen_it():
+    calibration = dive.camera_calibration()
+    turn = Rotation.from_euler("y", 0.2).as_matrix()  # 95 px
+    homography = calibration.matrix @ turn.T @ np.linalg.inv(calibration.matrix)
+    picture = texture()
+    front_end = FrontEnd(calibration, Settings())
+    before = front_end.track(picture, np.eye(3))
+    after = front_end.track(cv2.warpPerspective(picture, homography, (640, 480)), turn)
+    assert len(np.intersect1d(before.ids, after.ids)) > 0.5 * len(before.ids)
+
+
+def test_a_picture_without_texture_gives_no_tracks():
+    front_end = FrontEnd(dive.camera_calibration(), Settings())
+    grey = np.full((480, 640, 3), 90, dtype=np.uint8)
+    for _ in range(3):
+        assert len(front_end.track(grey, np.eye(3)).ids) == 0
+
+
+def test_corners_are_spread_over_the_picture():
+    picture = texture()
+    picture[:, 320:] = (picture[:, 320:].astype(int) - 110) // 4 + 110  # the right half with a quarter of the contrast
+    corners = find_corners(picture, np.empty((0, 2)), Settings())
+    right = int(np.sum(corners[:, 0] >= 320))
+    assert 0.4 * len(corners) < right < 0.6 * len(corners)
+
+
+def test_distortion_is_taken_out_of_the_rays():
+    calibration = dataclasses.replace(dive.camera_calibration(), distortion=np.array([-0.2, 0.05, 1e-3, -5e-4]))
+    rays = np.random.default_rng(0).uniform(-0.4, 0.4, size=(50, 2))
+    pixels, _ = cv2.projectPoints(
+        homogeneous(rays).reshape(-1, 1, 3), np.zeros(3), np.zeros(3), calibration.matrix, calibration.distortion
+    )
+    np.testing.assert_allclose(undistort(pixels.reshape(-1, 2), calibration), rays, atol=1e-5)
+
+
+def test_the_epipolar_check_finds_what_slides_over_a_flat_scene():
+    generator = np.random.default_rng(0)
+    points = np.column_stack([generator.uniform(-1, 1, (100, 2)), np.full(100, 2.0)])
+    turn = Rotation.from_rotvec([0.02, -0.03, 0.01]).as_matrix()
+    moved = points @ turn.T + np.array([0.1, 0.05, 0.02])
+    before, after = points[:, :2] / points[:, 2:], moved[:, :2] / moved[:, 2:]
+    after = after + generator.normal(size=after.shape) * 3e-4
+    after[:30] += np.array([-0.03, 0.06])
+    inliers = epipolar_inliers(before, after, turn, 3e-3, 64, generator)
+    assert inliers[30:].all()
+    assert inliers[:30].sum() <= 2
+
+
+def test_the_inertial_measurements_between_two_stamps_are_cut_where_the_stamps_lie():
+    samples = SampleBuffer()
+    for k in range(5):  # a rate that grows by 1 rad/s in 1 s
+        samples.add(ImuSample(k * 10_000_000, np.full(3, k * 0.01), np.zeros(3)))
+    first, second = samples.cut(15_000_000), samples.cut(40_000_000)
+    assert first.duration == pytest.approx(0.015)
+    assert second.duration == pytest.approx(0.025)
+    assert (first.gyro[:, 0] @ first.dt) == pytest.approx(0.5 * 0.015**2)
+    assert (second.gyro[:, 0] @ second.dt) == pytest.approx(0.5 * (0.04**2 - 0.015**2))
+
+
+def test_our_integrals_agree_with_those_of_gtsam():
+    calibration = dive.imu_calibration()
+    samples = dive.inertial_samples(dive.survey_pose, calibration, 1.0, None)
+    buffer = SampleBuffer()
+    for sample in samples:
+        buffer.add(sample)
+    segment = buffer.cut(samples[-1].stamp_ns)
+    ours = integrate([segment], np.zeros(3))
+    params = preintegration_params(calibration, Settings())
+    theirs = preintegrate(segment, gtsam.imuBias.ConstantBias(), params)
+    np.testing.assert_allclose(ours.rotation[-1], theirs.deltaRij().matrix(), atol=1e-6)
+    np.testing.assert_allclose(ours.velocity[-1], theirs.deltaVij(), atol=1e-5)
+    np.testing.assert_allclose(ours.position[-1], theirs.deltaPij(), atol=1e-5)
+
+
+def test_the_closed_form_start_finds_scale_gravity_and_gyro_bias():
+    measured = dive.make_dive(0, duration_s=3.0, pixel_noise=0.0, noisy_imu=False, outliers=0.0)
+    samples, views, segments, pending, stamps = SampleBuffer(), [], [], [], []
+    frame = 0
+    for item in measured.stream():
+        if isinstance(item, ImuSample):
+            samples.add(item)
+            continue
+        stamp, ids, pixels = item
+        pending.append(samples.cut(stamp))
+        if frame % 3 == 0:
+            views.append(View(ids, undistort(pixels, measured.camera)))
+            segments.append(Segment.join(pending))
+            stamps.append(stamp)
+            pending = []
+        frame += 1
+    T_imu_cam = invert(measured.inertial.T_base_imu) @ measured.camera.T_base_cam
+    start = closed_form_start(views, segments[1:], T_imu_cam, dive.GRAVITY, 5e-3, 5e-2, 1e-3)
+    truth = measured.truth.at(np.array(stamps)).matrices @ measured.inertial.T_base_imu
+    moved = np.linalg.norm(truth[-1, :3, 3] - truth[0, :3, 3])
+    assert np.linalg.norm(start.positions[-1]) == pytest.approx(moved, rel=0.05)
+    assert np.abs(start.gyro_bias).max() < 1e-3
+    # Up in the first IMU frame, by the start and by the truth.
+    assert start.rotations[0][2] @ truth[0, 2, :3] > np.cos(np.radians(0.5))
+
+
+def test_level_rotation_turns_up_to_z_and_keeps_the_heading():
+    up = np.array([0.3, -0.2, 0.9])
+    rotation = level_rotation(up)
+    np.testing.assert_allclose(rotation @ up / np.linalg.norm(up), [0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert rotation[1, 0] == pytest.approx(0.0)
+    assert rotation[0, 0] > 0
