@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +18,7 @@ from oysterbench.render.casting import Geometry, Placed
 from oysterbench.render.light import build_light, exposure, shadow_reach
 from oysterbench.render.relief import build_relief
 from oysterbench.render.water import build_water
+from oysterbench.scene.rig import camera_matrix
 from oysterbench.scene.world import World
 
 RANGE_STEP_M = 0.02
@@ -41,12 +44,6 @@ class Frame:
     depth: NDArray[np.float32]
     classes: NDArray[np.uint8]
     instances: NDArray[np.uint16]
-
-
-def camera_matrix(camera: CameraRecipe) -> NDArray[np.float64]:
-    """Pinhole matrix (3, 3) in pixels; the centre of the first pixel is at (0, 0), pixels are square."""
-    focal = 0.5 * camera.width / np.tan(np.deg2rad(camera.hfov_deg) / 2)
-    return np.array([[focal, 0.0, (camera.width - 1) / 2], [0.0, focal, (camera.height - 1) / 2], [0.0, 0.0, 1.0]])
 
 
 def warm_up(device: str = "cpu") -> None:
@@ -183,9 +180,17 @@ class CameraRenderer:
 
 
 def _start_warp() -> None:
-    """Start Warp without its greeting."""
+    """Start Warp without its greeting, and without its native warning where there is no CUDA driver."""
     wp.config.log_level = wp.LOG_ERROR
-    wp.init()
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def _mesh(vertices: NDArray[np.float32], faces: NDArray[np.int32], device: str) -> wp.Mesh:

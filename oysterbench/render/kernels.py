@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 from typing import Any
 
 import warp as wp
@@ -10,9 +11,12 @@ from oysterbench.render.casting import NOTHING, Geometry, blocked, cast, surface
 from oysterbench.render.texture import Material, scramble, seabed, shell, stone
 from oysterbench.scene.reef import CLASS_NUMBERS
 
-# The host's instructions, but no fused or reordered arithmetic: then every processor makes the same bytes.
-COMPILER_FLAGS = "-march=native -mllvm=-inline-threshold=100000 -mllvm=-inline-cold-callsite-threshold=100000"
+COMPILER_FLAGS = "-mllvm=-inline-threshold=100000 -mllvm=-inline-cold-callsite-threshold=100000"
+if platform.machine() in ("x86_64", "AMD64"):
+    # One target for all: a host's own instructions are no faster here, and a cache of kernels may be shared by hosts.
+    COMPILER_FLAGS += " -target-cpu x86-64-v2"
 
+# No fused or reordered arithmetic: then every processor makes the same bytes.
 wp.set_module_options(
     {
         "cpu_compiler_flags": COMPILER_FLAGS,

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.geometry import transform
 from oysterbench.recipe import CameraRecipe, WaterRecipe, load_split
-from oysterbench.render.camera import CameraRenderer, camera_matrix, warm_up
+from oysterbench.render.camera import CameraRenderer, warm_up
+from oysterbench.scene.rig import camera_matrix
 from oysterbench.scene.world import World, build_world
 from oysterbench.streams import Streams
 
