@@ -173,10 +173,11 @@ class Estimator:
         if len(bundle.landmarks) < settings.init_min_tracks:
             return
         sigma = _scale_sigma(bundle, stretch)
-        self.info["init_error_px"] = float(np.median(bundle.errors_px))
-        self.info["init_scale_sigma"] = sigma
-        if sigma > max_scale_sigma or self.info["init_error_px"] > settings.init_max_error_px:
+        error = float(np.median(bundle.errors_px))
+        if not sigma <= max_scale_sigma or not error <= settings.init_max_error_px:
             return
+        self.info["init_scale_sigma"] = sigma
+        self.info["init_error_px"] = error
         for keyframe in stretch[1:] if self._anchor else stretch:
             keyframe.state = read_state(bundle.values, keyframe.index)
         self.info["init_s"] = now
@@ -295,7 +296,8 @@ class Estimator:
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             self.info["smoothing_failed"] = 1
             return self.online()
-        self.info["smoothed_error_px"] = float(np.median(bundle.errors_px)) if len(bundle.errors_px) else float("nan")
+        if len(bundle.errors_px):
+            self.info["smoothed_error_px"] = float(np.median(bundle.errors_px))
         states = [read_state(bundle.values, keyframe.index) for keyframe in self.keyframes]
         slips = [self._slip(k, states) for k in range(len(states) - 1)]
         poses = []

@@ -68,7 +68,9 @@ class Model:
             ray, self._pixel, X(keyframe), L(landmark), self._unit_camera, False, False, self._sensor
         )
 
-    def inertial(self, before: int, after: int, segment: Segment, bias: gtsam.imuBias.ConstantBias):  # type: ignore[no-untyped-def]
+    def inertial(
+        self, before: int, after: int, segment: Segment, bias: gtsam.imuBias.ConstantBias
+    ) -> gtsam.NonlinearFactor:
         """Preintegrated measurements between two key frames."""
         measurements = preintegrate(segment, bias, self.params)
         return gtsam.CombinedImuFactor(X(before), V(before), X(after), V(after), B(before), B(after), measurements)

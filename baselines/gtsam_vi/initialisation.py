@@ -191,7 +191,14 @@ def _camera_positions(integral: Integral, lever: Array) -> tuple[Array, Array]:
     return integral.position + integral.rotation @ lever, derivative
 
 
-def _normal_equations(across, weight, centres, derivative, starts, track_of):  # type: ignore[no-untyped-def]
+def _normal_equations(
+    across: Array,
+    weight: Array,
+    centres: Array,
+    derivative: Array,
+    starts: NDArray[np.intp],
+    track_of: NDArray[np.intp],
+) -> tuple[Array, Array, Callable[[Array], Array]]:
     """Normal equations (9, 9), (9,) with the landmarks eliminated, and the landmarks as a function of x."""
     weighted = across * weight[:, None, None]
     information = np.add.reduceat(weighted, starts)  # (L, 3, 3)

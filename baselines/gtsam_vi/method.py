@@ -38,7 +38,7 @@ class GtsamVi:
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base at the camera's stamps."""
-        camera = self.camera or next(iter(sequence.cameras), None)
+        camera = self.camera or next(iter(sequence.cameras), "")
         if camera not in sequence.cameras:
             raise MethodError(
                 f"gtsam_vi: sequence {sequence.name} has no camera {camera!r}; cameras: "

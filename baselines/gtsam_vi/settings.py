@@ -55,7 +55,7 @@ class Settings:
     init_gates_px: tuple[float, ...] = (30.0, 6.0, 3.0)  # of landmarks, from rough states to adjusted ones
     init_retry_s: float = 0.5
     init_scale_sigma: float = 0.03  # accepted 1-sigma uncertainty of scale
-    init_relaxed_scale_sigma: float = 0.15  # accepted when the sequence ends before better is reached
+    init_relaxed_scale_sigma: float = 1.0  # at the end of the sequence: a rough scale beats dead reckoning
     init_max_error_px: float = 2.0  # median reprojection error of an accepted window
 
     # Fixed lag.
