@@ -96,6 +96,8 @@ def generate_split(
         missing = [sequence for sequence in split.sequence if not files[sequence.name].exists()]
         if missing:
             _render(split, missing, folder, workers, progress or (lambda done, total: None), salt)
+        with contextlib.suppress(OSError):  # absent, or with parts of other recipes in it
+            (folder / ".parts").rmdir()
     return files
 
 
@@ -157,8 +159,6 @@ def _render(
         waiting[job.sequence].discard(job)
         if not waiting[job.sequence]:
             put_together(job.sequence)
-    with contextlib.suppress(OSError):  # parts of other recipes may be there
-        (folder / ".parts").rmdir()
 
 
 def run_jobs(split: SplitRecipe, jobs: list[Job], folder: Path, workers: int, salt: bytes) -> Iterator[Job]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import McapError
+from mcap.exceptions import InvalidMagic, McapError
 from mcap.reader import McapReader, make_reader
 from zstandard import ZstdError
 
@@ -114,6 +114,12 @@ class Reading:
         self._file = open(self.path, "rb")
         try:
             return make_reader(self._file, validate_crcs=True)
+        except InvalidMagic:
+            self._file.close()
+            raise SequenceError(
+                f"{self.path}: not an MCAP file; expected a sequence (.mcap) or an EuRoC folder; if it was one, delete it "
+                "and render or download it again"
+            ) from None
         except DAMAGE as error:
             self._file.close()
             raise SequenceError(_damaged(self.path, str(error) or type(error).__name__)) from None

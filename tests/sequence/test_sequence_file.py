@@ -117,7 +117,7 @@ def read_all(path):
         list(sequence.layer("cam_front", layer))
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.9999])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.9999])
 def test_a_truncated_file_is_refused_by_name(tiny_file, tmp_path, share):
     short = tmp_path / "short.mcap"
     data = tiny_file.read_bytes()
@@ -157,7 +157,7 @@ def test_a_flipped_bit_is_never_returned_as_good(tiny_file, tmp_path):
 def test_a_file_of_another_kind_is_refused(tmp_path, content):
     path = tmp_path / "other.mcap"
     path.write_bytes(content)
-    with pytest.raises(SequenceError, match=r"other\.mcap"):
+    with pytest.raises(SequenceError, match=r"other\.mcap: (not an MCAP file|truncated or damaged)"):
         oysterbench.open(path)
 
 
