@@ -117,8 +117,8 @@ class Reading:
         except InvalidMagic:
             self._file.close()
             raise SequenceError(
-                f"{self.path}: not an MCAP file; expected a sequence (.mcap) or an EuRoC folder; if it was one, delete it "
-                "and render or download it again"
+                f"{self.path}: not an MCAP file; expected a sequence (.mcap) or an EuRoC folder; if it was one, delete "
+                "it and render or download it again"
             ) from None
         except DAMAGE as error:
             self._file.close()
