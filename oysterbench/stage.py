@@ -10,7 +10,7 @@ import numpy as np
 
 from oysterbench.geometry import Array, transform
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe, SplitRecipe, count
-from oysterbench.render.camera import CameraRenderer
+from oysterbench.render.camera import CameraRenderer, Frame
 from oysterbench.scene.path import Path, build_path
 from oysterbench.scene.rig import camera_pose, rig_calibration
 from oysterbench.scene.world import build_world
@@ -61,17 +61,21 @@ def build_stage(split: SplitRecipe, name: str, salt: bytes) -> Stage:
     return Stage(split.rig, path, renderers, streams)
 
 
+def look(stage: Stage, camera: CameraRecipe, index: int) -> Frame:
+    """Frame `index` of a camera: what it sees at index / rate_hz seconds."""
+    motion = stage.path.at(np.array([index / camera.rate_hz]))
+    pose = transform(motion.rotation[0], motion.position[0]) @ camera_pose(camera)
+    noise = stage.streams.generator("camera", camera.name, "noise", index)
+    return stage.renderers[camera.name].render(pose, noise)
+
+
 def render_frames(stage: Stage, camera: CameraRecipe, first: int, last: int) -> Iterator[Message]:
     """Messages of frames [first, last): colour and calibration of each, layers at their own rate."""
     calibration = camera_calibration(rig_calibration(stage.rig)["cameras"][camera.name])
-    times = np.arange(first, last) / camera.rate_hz
-    motion = stage.path.at(times)
     frame_stamps = stamps(last, camera.rate_hz)
     every = round(camera.rate_hz / camera.layer_rate_hz) if camera.layer_rate_hz else 0
-    for row, index in enumerate(range(first, last)):
-        pose = transform(motion.rotation[row], motion.position[row]) @ camera_pose(camera)
-        noise = stage.streams.generator("camera", camera.name, "noise", index)
-        frame = stage.renderers[camera.name].render(pose, noise)
+    for index in range(first, last):
+        frame = look(stage, camera, index)
         stamp = int(frame_stamps[index])
         yield topics.camera_info(stamp, camera.name, calibration)
         yield topics.colour_message(stamp, camera.name, frame.colour, camera.jpeg_quality)
