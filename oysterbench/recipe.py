@@ -218,6 +218,32 @@ def parse_split(source: str, where: str, rig_source: str | None = None) -> Split
     return split
 
 
+def vary_split(split: SplitRecipe, changes: Mapping[str, Any], where: str) -> SplitRecipe:
+    """The split with one sequence, its first, and with some values replaced, each checked like those of a file.
+
+    Keys of `changes` are those of a sequence (`water.jerlov`) or, behind `camera.`, of the rig's cameras
+    (`camera.pitch_deg`).
+    """
+    sequence, rig = as_plain(split.sequence[0]), as_plain(split.rig)
+    for key, value in changes.items():
+        first, *rest = key.split(".")
+        tables = rig["camera"] if first == "camera" else [sequence]
+        path = rest if first == "camera" else [first, *rest]
+        for table in tables:
+            for parent in path[:-1]:
+                if not isinstance(table.get(parent), dict):
+                    raise RecipeError(f"{where}: unknown key {key!r}; known keys here: {', '.join(table)}")
+                table = table[parent]
+            table[path[-1]] = value
+    varied = dataclasses.replace(
+        split,
+        sequence=(_build(SequenceRecipe, sequence, where, ""),),
+        rig=_build(RigRecipe, rig, where, ""),
+    )
+    _check_split(varied, where)
+    return varied
+
+
 def _check_split(split: SplitRecipe, where: str) -> None:
     """What no single key can say."""
     if not split.sequence:
@@ -331,9 +357,10 @@ def _text(options: tuple[str, ...] | None) -> str:
 
 
 def as_plain(value: Any) -> Any:
-    """A recipe as nested dicts and lists, for JSON."""
+    """A recipe as nested dicts and lists, for JSON; what is not given (None) is left out."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: as_plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        values = {f.name: as_plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {name: item for name, item in values.items() if item is not None}
     if isinstance(value, tuple | list):
         return [as_plain(item) for item in value]
     if isinstance(value, dict):

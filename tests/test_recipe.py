@@ -8,7 +8,7 @@ import pytest
 from conftest import TINY_RIG, TINY_SPLIT, make_split
 
 from oysterbench.errors import RecipeError
-from oysterbench.recipe import as_plain, load_split, parse_split, split_names
+from oysterbench.recipe import as_plain, load_split, parse_split, split_names, vary_split
 
 
 def test_every_split_that_comes_with_oysterbench_is_valid():
@@ -99,3 +99,15 @@ def test_a_recipe_becomes_plain_values(tiny_split):
     plain = as_plain(tiny_split)
     assert plain["sequence"][0]["reef"]["oysters"] == 60
     assert plain["rig"]["camera"][0]["position_m"] == [0.18, 0.0, 0.0]
+
+
+def test_a_split_can_be_varied_and_the_new_values_are_checked(tiny_split):
+    varied = vary_split(tiny_split, {"water.jerlov": "5C", "camera.pitch_deg": 80.0, "duration_s": 1.0}, "gallery.toml")
+    assert varied.sequence[0].water.jerlov == "5C"
+    assert varied.sequence[0].duration_s == 1.0
+    assert varied.rig.camera[0].pitch_deg == 80.0
+    assert vary_split(tiny_split, {}, "same").sequence == tiny_split.sequence
+    with pytest.raises(RecipeError, match=r"gallery\.toml: key 'reef\.depth_m': expected 0\.5 to 60, got -1"):
+        vary_split(tiny_split, {"reef.depth_m": -1}, "gallery.toml")
+    with pytest.raises(RecipeError, match=r"unknown key 'wine\.type'"):
+        vary_split(tiny_split, {"wine.type": "red"}, "gallery.toml")
