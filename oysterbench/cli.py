@@ -66,10 +66,11 @@ def main() -> None:
       oysterbench splits                            what can be rendered, and what is here
       oysterbench render slam-mini --workers 2
       oysterbench info mini-01.mcap
+      oysterbench gallery                           waters, lights, reefs and views on one sheet
     """
 
 
-@main.command("eval")
+@main.command("eval", short_help="Run methods on a split and score them, or score two files.")
 @click.option("--track", type=click.Choice(TRACKS), required=True, help="What is evaluated.")
 @click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.  [default: slam-mini]")
 @click.option("--method", "method_names", multiple=True, help="A method; repeatable.  [default: the track's baselines]")
@@ -152,7 +153,7 @@ def eval_command(
         sys.exit(OysterbenchError.exit_code)
 
 
-@main.command()
+@main.command(short_help="What can be rendered, and what is here.")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def splits(as_json: bool) -> None:
     """List the splits: what they are, and which are on this machine.
@@ -204,18 +205,20 @@ def splits(as_json: bool) -> None:
     _print_rich(table)
 
 
-@main.command()
+@main.command(short_help="Render a split into sequence files.")
 @click.argument("split_name", metavar="SPLIT")
 @click.option("--workers", type=click.IntRange(min=1), help="Processes that render.  [default: one per core]")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
+@click.option("--preview", "as_preview", is_flag=True, help="Only a contact sheet of small frames, in seconds.")
 @click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
-def render(split_name: str, workers: int | None, out: Path | None, as_json: bool) -> None:
+def render(split_name: str, workers: int | None, out: Path | None, as_preview: bool, as_json: bool) -> None:
     """Render a split: a name from `oysterbench splits`, or the path of a .toml recipe.
 
     \b
     Examples:
       oysterbench render slam-mini
       oysterbench render my-reef.toml --workers 4 --out data
+      oysterbench render my-reef.toml --preview
 
     May be interrupted at any time; the same command goes on from there. What is finished is not rendered again.
     """
@@ -223,7 +226,7 @@ def render(split_name: str, workers: int | None, out: Path | None, as_json: bool
     from oysterbench.recipe import load_split
 
     split = load_split(split_name)
-    files = _render(split, out or split_folder(split), workers)
+    files = _preview(split, out or Path(".")) if as_preview else _render(split, out or split_folder(split), workers)
     if as_json:
         click.echo(json.dumps({"split": split.name, "files": {k: str(v) for k, v in files.items()}}, indent=2))
     else:
@@ -231,7 +234,7 @@ def render(split_name: str, workers: int | None, out: Path | None, as_json: bool
             click.echo(path)
 
 
-@main.command()
+@main.command(short_help="What is in a sequence file.")
 @click.argument("sequence", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def info(sequence: Path, as_json: bool) -> None:
@@ -263,6 +266,43 @@ def info(sequence: Path, as_json: bool) -> None:
     for row in facts["topics"]:
         table.add_row(row["topic"], row["type"], str(row["messages"]), f"{row['rate_hz']:g}")
     _print_rich(table)
+
+
+@main.command(short_help="One sheet of pictures over waters, lights, reefs and views.")
+@click.option("--real", type=click.Path(path_type=Path, file_okay=False), help="Show close-ups beside real images.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default="gallery.png", show_default=True)
+def gallery(real: Path | None, out: Path) -> None:
+    """Render one sheet of pictures: waters, lights, densities and views; or close-ups beside real images.
+
+    \b
+    Examples:
+      oysterbench gallery
+      oysterbench gallery --out sheet.jpg
+      oysterbench gallery --real real-oysters --out beside-real.png
+
+    The panels are those of datasets/gallery/*.toml.
+    """
+    from oysterbench.gallery import gallery as make_gallery
+    from oysterbench.gallery import write_picture
+
+    if out.suffix not in (".png", ".jpg"):
+        raise click.UsageError(f"--out: expected a name that ends in .png or .jpg, got {out}")
+    with _frames_bar("gallery") as progress:
+        picture = make_gallery(real, progress)
+    write_picture(out, picture)
+    click.echo(out)
+
+
+def _preview(split: SplitRecipe, folder: Path) -> dict[str, Path]:
+    from oysterbench.gallery import preview, write_picture
+
+    files = {}
+    for sequence in split.sequence:
+        with _frames_bar(f"previewing {sequence.name}") as progress:
+            picture = preview(split, sequence.name, progress)
+        files[sequence.name] = folder / f"{sequence.name}-preview.png"
+        write_picture(files[sequence.name], picture)
+    return files
 
 
 def _render(split: SplitRecipe, folder: Path, workers: int | None) -> dict[str, Path]:

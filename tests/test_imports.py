@@ -26,6 +26,7 @@ MAY_IMPORT = {
     "sequence": GROUND,
     "stage": GROUND | {"scene", "render", "sensors", "sequence"},
     "generate": GROUND | {"scene", "render", "sensors", "sequence", "stage"},
+    "gallery": GROUND | {"stage"},
     "methods": GROUND | {"sequence"},
     "evaluate": GROUND,
     "results": GROUND | {"evaluate"},
@@ -33,7 +34,7 @@ MAY_IMPORT = {
     "plots": GROUND,
     "report": GROUND | {"evaluate", "results", "page", "plots"},
     "tracks": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report"},
-    "cli": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report", "tracks"},
+    "cli": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report", "tracks", "gallery", "scene"},
     "": {"sequence", "version"},
 }
 """Room of oysterbench (module or folder; "" is `oysterbench/__init__.py`) -> rooms that it may import."""
