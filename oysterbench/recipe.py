@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 import math
 import tomllib
+import types
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone"}
 """What the numbers of a class image mean."""
 
 JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
+WATER_TYPES = (*JERLOV_TYPES, "chesapeake-clear", "chesapeake-mid", "chesapeake-turbid", "pure")
 PATH_KINDS = ("loop",)
 LOOP_RIPPLE = 0.25
 """The radius of a loop varies by this share of its mean."""
@@ -54,9 +56,16 @@ class ReefRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class WaterRecipe:
-    """The water's optical type."""
+    """The water's type, and what it holds more or less of. Absorption at 440 nm, scattering at 550 nm, both in 1/m."""
 
-    jerlov: str = choice(JERLOV_TYPES)
+    type: str | None = choice(WATER_TYPES, None)  # of Jerlov, of Chesapeake Bay, or pure water to add to; or instead:
+    jerlov: str | None = choice(JERLOV_TYPES, None)  # Jerlov's types alone; `type` goes before it
+    turbidity: float = number(0, 20, 1.0)  # factor on scattering and absorption of the type's particles
+    secchi_m: float | None = number(0.2, 12, None)  # makes all but the water itself so much that a disc vanishes there
+    cdom_440: float = number(0, 10, 0.0)  # added absorption of dissolved matter
+    nap_440: float = number(0, 20, 0.0)  # added absorption of mineral and dead particles
+    algae_440: float = number(0, 10, 0.0)  # added absorption of algae
+    scattering_550: float = number(0, 60, 0.0)  # added scattering of particles
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,6 +270,10 @@ def _check_split(split: SplitRecipe, where: str) -> None:
                 f"{camera.rate_hz}, got {camera.layer_rate_hz}"
             )
     for sequence in split.sequence:
+        if sequence.water.type is None and sequence.water.jerlov is None:
+            raise RecipeError(
+                f"{where}: sequence {sequence.name}: missing key 'water.type' (one of {', '.join(WATER_TYPES)})"
+            )
         room = sequence.reef.size_m / 2 / (1 + LOOP_RIPPLE) - 2 * sequence.path.sway_m
         if sequence.path.radius_m > room:
             raise RecipeError(
@@ -313,6 +326,10 @@ def _build(kind: type, table: Any, where: str, prefix: str) -> Any:
 
 def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: str, key: str) -> Any:
     """One value, checked against its type and range."""
+    if isinstance(hint, types.UnionType):  # a key that may be left out
+        if value is None:
+            return None
+        hint = next(kind for kind in typing.get_args(hint) if kind is not type(None))
     if dataclasses.is_dataclass(hint):
         kind = typing.cast(type, hint)
         return value if isinstance(value, kind) else _build(kind, value, where, f"{key}.")

@@ -16,14 +16,13 @@ from oysterbench.recipe import CameraRecipe, SequenceRecipe
 from oysterbench.render import kernels
 from oysterbench.render.casting import Geometry, Placed
 from oysterbench.render.light import build_light, exposure, shadow_reach
+from oysterbench.render.radiance import Daylight
 from oysterbench.render.relief import build_relief
 from oysterbench.render.water import build_water
 from oysterbench.scene.rig import camera_matrix
 from oysterbench.scene.world import World
 
-RANGE_STEP_M = 0.02
-DEPTH_STEP_M = 0.05
-MAX_DEPTH_M = 70.0
+DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
 CREVICE_BLUR_CELLS = 2.0
 SHOT_NOISE = 1.0 / 6000.0  # variance per signal: a full well of 6000 electrons
 READ_NOISE = 0.0015  # of full scale
@@ -152,9 +151,9 @@ class CameraRenderer:
 
     def _light(self, world: World, recipe: SequenceRecipe) -> None:
         """Tables of water and light, and the camera's fixed exposure."""
-        water, light = build_water(recipe.water), build_light(recipe.light)
-        ranges = np.arange(0.0, 150.0, RANGE_STEP_M)
-        depths = np.arange(0.0, MAX_DEPTH_M, DEPTH_STEP_M)
+        light = build_light(recipe.light)
+        daylight = Daylight(float(light.sun_direction[2]), light.sky)
+        water = build_water(recipe.water, daylight, recipe.reef.depth_m + DEPTH_MARGIN_M)
         optics = kernels.Optics()
         optics.sun_direction = wp.vec3(*light.sun_direction.tolist())
         lines = world.envelope_lines
@@ -164,13 +163,15 @@ class CameraRenderer:
         self._looks.reach = wp.array(reach.astype(np.uint8), dtype=wp.uint8, device=self.device)
         optics.sun, optics.sky = light.sun, light.sky
         optics.seabed_shadows = int(world.terrain.steepest() > light.steepest_lit_slope())
-        optics.direct = self._table(water.transmission(ranges))
-        optics.saturation = self._table(water.saturation(ranges))
-        optics.range_step = RANGE_STEP_M
-        optics.daylight = self._table(water.daylight(depths))
-        optics.depth_step = DEPTH_STEP_M
-        optics.veil = wp.vec3(*water.veil.tolist())
-        optics.veil_length = float(1.0 / water.backscatter.mean())
+        optics.direct = self._table(water.direct)
+        optics.glow = self._table(water.glow)
+        optics.saturation = self._table(water.saturation)
+        optics.veil = self._table(water.veil)
+        optics.slant = wp.vec3(*water.slant.tolist())
+        optics.range_step = float(water.ranges[1])
+        optics.daylight = self._table(water.daylight)
+        optics.depth_step = float(water.depths[1])
+        optics.cosine_step = float(water.cosines[1] - water.cosines[0])
         self._optics = optics
         self._gain = wp.vec3(*exposure(water, recipe.reef.depth_m).tolist())
         self._gamma = wp.array(_gamma_table(), dtype=wp.uint8, device=self.device)

@@ -51,19 +51,21 @@ class Looks:
 
 @wp.struct
 class Optics:
-    """Light and water. Tables run from 0 in steps of range_step or depth_step, in m."""
+    """Light and water. Tables run over depth, then over range from 0 or over the cosine of the view ray from -1."""
 
     sun_direction: wp.vec3
     sun: wp.float32
     sky: wp.float32
     seabed_shadows: wp.int32
-    direct: wp.array(dtype=wp.vec3)
-    saturation: wp.array(dtype=wp.vec3)
+    direct: wp.array2d(dtype=wp.vec3)
+    glow: wp.array2d(dtype=wp.vec3)
+    saturation: wp.array2d(dtype=wp.vec3)
+    veil: wp.array2d(dtype=wp.vec3)
+    slant: wp.vec3
     range_step: wp.float32
     daylight: wp.array(dtype=wp.vec3)
     depth_step: wp.float32
-    veil: wp.vec3
-    veil_length: wp.float32
+    cosine_step: wp.float32
 
 
 @wp.struct
@@ -85,6 +87,38 @@ def look_up(table: wp.array(dtype=wp.vec3), place: float):
     clamped = wp.clamp(place, 0.0, float(last) - 0.001)
     i = int(clamped)
     return table[i] + (table[i + 1] - table[i]) * (clamped - float(i))
+
+
+@wp.func
+def look_up_pair(table: wp.array2d(dtype=wp.vec3), row: float, column: float):
+    """Bilinear interpolation at fractional indices, clamped."""
+    y = wp.clamp(row, 0.0, float(table.shape[0] - 1) - 0.001)
+    x = wp.clamp(column, 0.0, float(table.shape[1] - 1) - 0.001)
+    i = int(y)
+    j = int(x)
+    v = y - float(i)
+    u = x - float(j)
+    low = table[i, j] * (1.0 - u) + table[i, j + 1] * u
+    high = table[i + 1, j] * (1.0 - u) + table[i + 1, j + 1] * u
+    return low * (1.0 - v) + high * v
+
+
+@wp.func
+def arriving(optics: Optics, depth: float, distance: float):
+    """Share of the light of a surface at a depth that arrives over a distance, sharp or blurred."""
+    row = depth / optics.depth_step
+    column = distance / optics.range_step
+    return look_up_pair(optics.direct, row, column) + look_up_pair(optics.glow, row, column)
+
+
+@wp.func
+def veiling(optics: Optics, depth: float, distance: float, cosine: float):
+    """Veiling light along a view ray from a camera at a depth."""
+    row = depth / optics.depth_step
+    place = distance / optics.range_step
+    slant = (optics.slant[0] + optics.slant[1] + optics.slant[2]) / 3.0
+    endless = look_up_pair(optics.veil, row, (cosine + 1.0) / optics.cosine_step)
+    return wp.cw_mul(endless, look_up_pair(optics.saturation, row, place * (1.0 - slant * cosine)))
 
 
 @wp.func
@@ -149,7 +183,7 @@ def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, dir
     light = wp.float32(0.0)
     if sun > 0.0 and wp.dot(smooth, optics.sun_direction) > 0.0:
         start = p + smooth * (0.0005 + 0.0005 * hit.t)
-        lit = look_up(optics.direct, hit.t * length / optics.range_step)[1] < HAZE
+        lit = arriving(optics, -p[2], hit.t * length)[1] < HAZE
         if not lit:
             lit = not needs_shadow_ray(looks, optics, i, p)
         if not lit:
@@ -166,12 +200,11 @@ def sample(world: Geometry, looks: Looks, optics: Optics, view: View, direction:
     """Radiance at the camera along a ray whose nearest hit is given."""
     length = wp.length(direction)
     distance = hit.t * length
-    middle = view.position[2] + 0.5 * wp.min(distance, optics.veil_length) * direction[2] / length
-    veil = wp.cw_mul(optics.veil, look_up(optics.daylight, -middle / optics.depth_step))
-    radiance = wp.cw_mul(veil, look_up(optics.saturation, distance / optics.range_step))
+    radiance = veiling(optics, -view.position[2], distance, direction[2] / length)
     if hit.instance != NOTHING:
         surface = surface_light(world, looks, optics, view, direction, hit)
-        radiance += wp.cw_mul(surface, look_up(optics.direct, distance / optics.range_step))
+        depth = -(view.position[2] + hit.t * direction[2])
+        radiance += wp.cw_mul(surface, arriving(optics, depth, distance))
     return radiance
 
 

@@ -17,6 +17,7 @@ WATER_INDEX = 1.34  # refractive index of sea water
 GREY_ALBEDO = 0.16  # a reef's mean; exposed to GREY_LEVEL at GREY_RANGE_M
 GREY_LEVEL = 0.20  # linear; 0.48 after gamma
 GREY_RANGE_M = 1.6
+GREY_SLOPE = 0.5  # of the ray to it, below the horizon
 WHITE_BALANCE = 0.55
 """How far the fixed white balance goes from none (0) to neutral grey (1) in logarithm: cameras keep a cast."""
 
@@ -73,9 +74,7 @@ def exposure(water: Water, depth_m: float) -> Array:
 
     Exposure and white balance of a camera that metered a grey reef at depth_m, GREY_RANGE_M away, and was then locked.
     """
-    daylight = water.daylight(depth_m)
-    seen = GREY_ALBEDO * daylight * water.transmission(GREY_RANGE_M)
-    seen = seen + water.veil * daylight * water.saturation(GREY_RANGE_M)
+    seen = water.seen(GREY_ALBEDO, depth_m - GREY_RANGE_M * GREY_SLOPE, GREY_RANGE_M, -GREY_SLOPE)
     brightness = float(np.mean(seen))
     balance = (brightness / seen) ** WHITE_BALANCE
     return GREY_LEVEL / brightness * balance / np.mean(balance * seen / brightness)

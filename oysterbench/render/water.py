@@ -1,7 +1,14 @@
-"""Optics of the water: coefficients of the Jerlov types, and image formation along a ray.
+"""What a camera sees through water: tables over range, depth and direction, from spectra of absorption and scattering.
 
-Revised underwater model (Akkaynak & Treibitz, CVPR 2018, eq. 20): I = J exp(-bD z) + Binf (1 - exp(-bB z)), with
-separate coefficients for the direct light and for the backscatter.
+A surface at range r sends what arrives sharp (`direct`) and what arrives blurred, turned a little on its way (`glow`);
+the water between adds veiling light. At each wavelength, with c = a + b and F the share of scattering that stays within
+IMAGE_CONE_RAD of its direction and so in the image,
+
+    direct = exp(-c r),   direct + glow = exp(-c' r),   c' = a + (1 - F) b   (quasi-single scattering, Gordon 1973)
+    veil   = L(z, mu) - exp(-c' r) L(z - mu r, mu)                           (Duntley, J. Opt. Soc. Am. 53, 1963)
+
+where L is the radiance of all orders of scattering in deep water (render/radiance.py), and mu the cosine of the view
+ray with the zenith. Integrated through a camera's response, attenuation falls with range (Akkaynak & Treibitz 2018).
 """
 
 from __future__ import annotations
@@ -10,77 +17,137 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
 
 from oysterbench.recipe import WaterRecipe
+from oysterbench.render.radiance import Daylight, solve_daylight
+from oysterbench.render.spectra import DAYLIGHT, camera_response, water_constituents
 
 Array = NDArray[np.float64]
 
-JERLOV = {  # a, b, Kd in 1/m, each at (650, 550, 450) nm
-    "I": ((0.460, 0.062, 0.018), (0.0008, 0.0017, 0.0042), (0.356, 0.064, 0.018)),
-    "IA": ((0.461, 0.062, 0.022), (0.002, 0.0035, 0.007), (0.360, 0.067, 0.026)),
-    "IB": ((0.461, 0.062, 0.024), (0.043, 0.054, 0.070), (0.365, 0.072, 0.036)),
-    "II": ((0.462, 0.062, 0.025), (0.250, 0.358, 0.524), (0.384, 0.086, 0.071)),
-    "III": ((0.465, 0.065, 0.041), (0.683, 0.980, 1.43), (0.418, 0.114, 0.138)),
-    "1C": ((0.480, 0.076, 0.120), (0.254, 0.365, 0.534), (0.453, 0.142, 0.205)),
-    "3C": ((0.484, 0.082, 0.182), (0.741, 1.06, 1.56), (0.46, 0.19, 0.39)),
-    "5C": ((0.520, 0.117, 0.347), (0.929, 1.33, 1.94), (0.54, 0.30, 0.56)),
-    "7C": ((0.578, 0.195, 0.620), (1.64, 2.35, 3.43), (0.63, 0.46, 0.89)),
-    "9C": ((0.621, 0.348, 1.06), (2.17, 3.12, 4.56), (0.76, 0.63, 1.6)),
-}
-"""Absorption and scattering as public simulators carry them (to be re-derived from Solonenko & Mobley 2015);
-Kd: Austin & Petzold 1984 (I to 1C), Jerlov 1976 (3C to 9C)."""
-
-RED_ABSORPTION_SHIFT = 0.21
-"""1/m by which water absorbs less at 620 nm, where a camera's red channel looks, than the table says at 650 nm."""
-
 ASYMMETRY = 0.92  # of the Henyey-Greenstein phase function; gives a backscattered share of 0.018, as Petzold measured
-FORWARD_ANGLE_RAD = np.deg2rad(10.0)
+IMAGE_CONE_RAD = float(np.deg2rad(30.0))
 """Light scattered by less than this still forms the image, only softer: beam attenuation would be too dark."""
+GLOW_SPREAD_RAD = 0.07
+"""Angular radius (standard deviation) of the blur: half the median angle of Henyey-Greenstein scattering in the cone,
+since light is turned anywhere between surface and camera."""
 
-AMBIENT_GAIN = 2.0
-"""Veiling light of all orders of scattering over that of the first: judged by eye against coastal photographs."""
+RANGES, DEPTHS, COSINES = 384, 40, 41  # nodes of the tables
+OPAQUE = 8.0  # optical depth past which nothing of a surface is seen
+SHORTEST_M, LONGEST_M = 6.0, 120.0  # bounds of the range axis
 
 
 @dataclass(frozen=True)
 class Water:
-    """Coefficients in 1/m, each (3,) for red, green, blue.
+    """Tables for red, green and blue. A radiance of 1 is that of a white matte surface under surface daylight.
 
-    direct attenuates what a surface sends, backscatter is the rate at which veiling light saturates, diffuse (Kd)
-    weakens daylight with depth; veil: radiance of an infinite path over the radiance of a white matte surface.
+    ranges (R,), depths (D,), in m, and cosines (K,) of the view ray with the zenith: evenly spaced axes.
+    direct, glow (D, R, 3): shares of a surface's daylight signal that arrive sharp and blurred by spread_rad, for a
+    surface at that depth. daylight (D, 3): downwelling irradiance over that just below the surface.
+    veil (D, K, 3): radiance of an endless path from a camera at that depth; saturation (D, R, 3): the share of it that
+    a path of that range gives, for a horizontal ray; for any other, look it up at range * (1 - slant * cosine).
+    slant (3,). absorption, scattering (3,): averages over the camera's bands, 1/m; asymmetry: of the phase function.
     """
 
+    ranges: Array
+    depths: Array
+    cosines: Array
     direct: Array
-    backscatter: Array
-    diffuse: Array
+    glow: Array
+    saturation: Array
     veil: Array
+    daylight: Array
+    slant: Array
+    absorption: Array
+    scattering: Array
+    asymmetry: float = ASYMMETRY
+    spread_rad: float = GLOW_SPREAD_RAD
 
-    def transmission(self, range_m: ArrayLike) -> Array:
-        """Share (..., 3) of a surface's light that arrives from range_m (...,)."""
-        return np.exp(-np.asarray(range_m, dtype=float)[..., None] * self.direct)
+    def daylight_at(self, depth_m: float) -> Array:
+        """Downwelling irradiance (3,) at a depth over that just below the surface."""
+        return _look_up(self.daylight, (depth_m / self.depths[1],))
 
-    def saturation(self, range_m: ArrayLike) -> Array:
-        """Share (..., 3) of the infinite path's veiling light that a path of range_m (...,) gives."""
-        return 1.0 - np.exp(-np.asarray(range_m, dtype=float)[..., None] * self.backscatter)
+    def arriving(self, depth_m: float, range_m: float) -> Array:
+        """Share (3,) of the signal of a surface at depth_m that arrives over range_m, sharp or blurred."""
+        place = (depth_m / self.depths[1], range_m / self.ranges[1])
+        return _look_up(self.direct + self.glow, place)
 
-    def daylight(self, depth_m: ArrayLike) -> Array:
-        """Downwelling irradiance (..., 3) at depth_m (...,) over that just below the surface (Beer, with Kd)."""
-        return np.exp(-np.maximum(np.asarray(depth_m, dtype=float), 0.0)[..., None] * self.diffuse)
+    def veiling(self, depth_m: float, range_m: float, cosine: float) -> Array:
+        """Veiling light (3,) that a camera at depth_m sees along a view ray of range_m."""
+        row = depth_m / self.depths[1]
+        endless = _look_up(self.veil, (row, (cosine + 1.0) / (self.cosines[1] - self.cosines[0])))
+        slanted = range_m * (1.0 - self.slant * cosine) / self.ranges[1]
+        shares = [_look_up(self.saturation, (row, place))[i] for i, place in enumerate(slanted)]
+        return endless * np.array(shares)
+
+    def seen(self, albedo: ArrayLike, camera_depth_m: float, range_m: float, cosine: float) -> Array:
+        """Mean radiance (3,) of a level matte surface of that albedo, seen from camera_depth_m over range_m."""
+        depth = camera_depth_m - cosine * range_m
+        surface = np.asarray(albedo) * self.daylight_at(depth) * self.arriving(depth, range_m)
+        return surface + self.veiling(camera_depth_m, range_m, cosine)
 
 
-def build_water(recipe: WaterRecipe) -> Water:
-    """Coefficients of a Jerlov type for a camera.
+def build_water(recipe: WaterRecipe, daylight: Daylight | None = None, deepest_m: float = 10.0) -> Water:
+    """Tables of a recipe's water under a daylight, for cameras and surfaces down to deepest_m."""
+    water = water_constituents(recipe)
+    weights = camera_response() * DAYLIGHT
+    weights /= weights.sum(axis=1, keepdims=True)
+    return tabulate(water.absorption(), water.scatter(), weights, daylight or Daylight(), deepest_m)
 
-    direct: a + (1 - F) b, with F the share scattered by less than FORWARD_ANGLE_RAD (0.59), since that light stays in
-    the image. backscatter: Kd, as veiling light is diffuse light. veil: single scattering of daylight by the mean
-    angle between the horizontal and the refracted sky, pi p b / direct, times AMBIENT_GAIN.
-    """
-    a, b, diffuse = (np.array(row) for row in JERLOV[recipe.jerlov])
-    a[0] -= RED_ABSORPTION_SHIFT
-    # Kd follows absorption, a little faster (mean cosine of daylight under water, about 0.85).
-    diffuse[0] = max(diffuse[0] - RED_ABSORPTION_SHIFT * 0.5, a[0])
-    direct = a + (1.0 - forward_share(FORWARD_ANGLE_RAD)) * b
-    veil = AMBIENT_GAIN * np.pi * phase(np.deg2rad(65.0)) * b / direct
-    return Water(direct, diffuse, diffuse, veil)
+
+def tabulate(a: Array, b: Array, weights: Array, daylight: Daylight, deepest_m: float) -> Water:
+    """Tables from absorption and scattering (L,), 1/m, and the weights (3, L) of the wavelengths in each channel."""
+    c = a + b
+    image = a + (1.0 - forward_share(IMAGE_CONE_RAD)) * b
+    span = float(np.clip(OPAQUE / image.min(), SHORTEST_M, LONGEST_M))
+    ranges, depths = np.linspace(0.0, span, RANGES), np.linspace(0.0, deepest_m, DEPTHS)
+    cosines = np.linspace(-1.0, 1.0, COSINES)
+
+    fields = [solve_daylight(*pair, ASYMMETRY, daylight) for pair in zip(a, b, strict=True)]
+    irradiance = np.stack([field.irradiance(depths) for field in fields], axis=1)  # (D, L)
+    radiance = np.stack([field.radiance(depths, cosines) for field in fields], axis=2)
+    radiance = np.maximum(radiance, 0.0)  # (D, K, L)
+    horizontal = radiance[:, COSINES // 2]
+
+    signal = irradiance[:, None] * weights  # (D, 3, L)
+    direct = _attenuate(signal, c, ranges)
+    arriving = _attenuate(signal, image, ranges)
+    ambient = horizontal[:, None] * weights
+    middle = DEPTHS // 2
+    fall = -np.gradient(np.log(horizontal), depths, axis=0)[middle]
+    share = ambient[middle] / ambient[middle].sum(axis=1, keepdims=True)
+    return Water(
+        ranges=ranges,
+        depths=depths,
+        cosines=cosines,
+        direct=_steady(direct),
+        glow=_steady(arriving - direct),
+        saturation=_steady(1.0 - _attenuate(ambient, image, ranges)),
+        veil=_steady(np.pi * radiance @ weights.T),
+        daylight=_steady(irradiance @ weights.T),
+        slant=_steady(np.clip((share @ fall) / (share @ image), 0.0, 0.95)),
+        absorption=_steady(weights @ a),
+        scattering=_steady(weights @ b),
+    )
+
+
+def _attenuate(signal: Array, coefficient: Array, ranges: Array) -> Array:
+    """Share (D, R, 3) left of a signal (D, 3, L) after ranges (R,), at a coefficient (L,) per wavelength, 1/m."""
+    left = np.exp(-ranges[:, None] * coefficient)
+    spectrum = signal / signal.sum(axis=2, keepdims=True)
+    return np.swapaxes(spectrum @ left.T, 1, 2)
+
+
+def _steady(values: Array) -> Array:
+    """Values to 20 bits, so that the last bits of another processor's linear algebra never matter."""
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.round(mantissa * 2**20) / 2**20, exponent)
+
+
+def _look_up(table: Array, place: tuple[float, ...]) -> Array:
+    """Linear interpolation of a table (..., 3) at fractional indices, clamped."""
+    at = np.array([[float(p)] for p in place])
+    return np.array([map_coordinates(table[..., i], at, order=1, mode="nearest")[0] for i in range(3)])
 
 
 def phase(angle: float, g: float = ASYMMETRY) -> float:
