@@ -20,8 +20,10 @@ from typing import Any
 
 from oysterbench.errors import RecipeError
 
-CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone"}
-"""What the numbers of a class image mean."""
+CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone", 4: "plant", 5: "sponge", 6: "vehicle", 7: "hash"}
+"""What the numbers of a class image mean; hash is broken shell."""
+
+BOTTOMS = ("sand", "mud", "gravel", "shell")
 
 JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
 WATER_TYPES = (*JERLOV_TYPES, "chesapeake-clear", "chesapeake-mid", "chesapeake-turbid", "pure")
@@ -48,10 +50,24 @@ class ReefRecipe:
     size_m: float = number(4, 200)
     depth_m: float = number(0.5, 60)  # mean depth of the bottom
     relief_rms_m: float = number(0, 3)  # of the fractal seabed
-    oysters: int = number(0, 60_000)
+    oysters: int | None = number(0, 60_000, None)  # how many, or instead:
+    density_per_m2: float | None = number(0, 1_000, None)  # oysters on a square metre, dead ones included
     oyster_size_mm: float = number(25, 170, 85.0)  # median shell height
     clump_size: float = number(1, 30, 7.0)  # mean oysters in a clump
+    box_share: float = number(0, 1, 0.08)  # of the oysters: dead, both valves still on their hinge
+    valve_share: float = number(0, 1, 0.15)  # of the oysters: a single valve, loose on the bottom
     stones: int = number(0, 5_000, 0)
+    rocks: int = number(0, 500, 0)  # of 0.2 to 0.4 m
+    bottom: str = choice(BOTTOMS, "sand")
+    silt: float = number(0, 1, 0.5)  # sediment on what faces up
+    hash_per_m2: float = number(0, 500, 0.0)  # pieces of broken shell
+    plant_cover: float = number(0, 1, 0.0)  # share of the bottom that seagrass or algae grow on
+    sponges_per_m2: float = number(0, 50, 0.0)  # on shells and stones
+
+    @property
+    def oyster_count(self) -> int:
+        """How many oysters, from either key."""
+        return round((self.density_per_m2 or 0.0) * self.size_m**2) if self.oysters is None else self.oysters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,6 +289,12 @@ def _check_split(split: SplitRecipe, where: str) -> None:
         if sequence.water.type is None and sequence.water.jerlov is None:
             raise RecipeError(
                 f"{where}: sequence {sequence.name}: missing key 'water.type' (one of {', '.join(WATER_TYPES)})"
+            )
+        given = [key for key in ("oysters", "density_per_m2") if getattr(sequence.reef, key) is not None]
+        if len(given) != 1:
+            raise RecipeError(
+                f"{where}: sequence {sequence.name}: keys 'reef.oysters', 'reef.density_per_m2': expected exactly one "
+                f"of them, got {' and '.join(given) or 'neither'}"
             )
         room = sequence.reef.size_m / 2 / (1 + LOOP_RIPPLE) - 2 * sequence.path.sway_m
         if sequence.path.radius_m > room:

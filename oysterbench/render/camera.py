@@ -18,6 +18,7 @@ from oysterbench.render.casting import Geometry, Placed
 from oysterbench.render.light import build_light, exposure, shadow_reach
 from oysterbench.render.radiance import Daylight
 from oysterbench.render.relief import build_relief
+from oysterbench.render.texture import build_ground
 from oysterbench.render.water import build_water
 from oysterbench.scene.rig import camera_matrix
 from oysterbench.scene.world import World
@@ -122,6 +123,8 @@ class CameraRenderer:
         geometry.corners = wp.array(np.concatenate(corners), dtype=wp.int32, device=device)
         normals = np.concatenate([mesh.normals for mesh in world.meshes])
         geometry.normals = wp.array(normals, dtype=wp.vec3, device=device)
+        marks = np.concatenate([mesh.marks for mesh in world.meshes])
+        geometry.marks = wp.array(marks, dtype=wp.vec3, device=device)
         placed: NDArray[Any] = np.zeros(len(instances), dtype=Placed.numpy_dtype())  # type: ignore[attr-defined]
         placed["to_shape"] = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
         placed["position"] = instances.positions
@@ -160,6 +163,7 @@ class CameraRenderer:
         ground = world.ground_height(*np.meshgrid(lines, lines))
         cell = self._looks.envelope_step
         reach = shadow_reach(world.envelope, ground, cell, light.sun_direction, float(kernels.SHADOW_M))
+        self._looks.ground = build_ground(recipe.reef)
         self._looks.reach = wp.array(reach.astype(np.uint8), dtype=wp.uint8, device=self.device)
         optics.sun, optics.sky = light.sun, light.sky
         optics.seabed_shadows = int(world.terrain.steepest() > light.steepest_lit_slope())

@@ -35,7 +35,7 @@ class Placed:
 
 @wp.struct
 class Geometry:
-    """A world on a device. Corners and normals of all library meshes are end to end."""
+    """A world on a device. Corners, normals and marks of all library meshes are end to end."""
 
     relief: Relief
     skirt: wp.uint64
@@ -46,6 +46,7 @@ class Geometry:
     placed: wp.array(dtype=Placed)
     corners: wp.array(dtype=wp.int32)
     normals: wp.array(dtype=wp.vec3)
+    marks: wp.array(dtype=wp.vec3)
 
 
 @wp.struct
@@ -113,7 +114,7 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
 
 @wp.func
 def blend(normals: wp.array(dtype=wp.vec3), corners: wp.array(dtype=wp.int32), first: int, u: float, v: float):
-    """Vertex normals of the face whose corners start at `first`, weighed by u, v, 1 - u - v."""
+    """Vertex normals (or marks) of the face whose corners start at `first`, weighed by u, v, 1 - u - v."""
     a = normals[corners[first]]
     b = normals[corners[first + 1]]
     c = normals[corners[first + 2]]

@@ -7,9 +7,8 @@ from typing import Any
 
 import warp as wp
 
-from oysterbench.render.casting import NOTHING, Geometry, blocked, cast, surface_normal
-from oysterbench.render.texture import Material, scramble, seabed, shell, stone
-from oysterbench.scene.reef import CLASS_NUMBERS
+from oysterbench.render.casting import NOTHING, Geometry, blend, blocked, cast, surface_normal
+from oysterbench.render.texture import Ground, Material, clothe, scramble, seabed
 
 COMPILER_FLAGS = "-mllvm=-inline-threshold=100000 -mllvm=-inline-cold-callsite-threshold=100000"
 if platform.machine() in ("x86_64", "AMD64"):
@@ -26,7 +25,6 @@ wp.set_module_options(
     }
 )
 
-OYSTER = wp.constant(wp.uint8(CLASS_NUMBERS["oyster"]))
 FAR_M = wp.constant(150.0)  # past the skirt of every seabed
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
 CREVICE_M = wp.constant(0.07)  # depth below the blurred envelope at which little sky is left
@@ -43,6 +41,7 @@ class Looks:
     """
 
     seed: wp.uint32
+    ground: Ground
     envelope: wp.array2d(dtype=wp.float32)
     reach: wp.array2d(dtype=wp.uint8)
     envelope_start: wp.float32
@@ -169,15 +168,15 @@ def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, dir
     material = Material()
     i = hit.instance
     if i < 0:
-        material = seabed(p, smooth, footprint, looks.seed)
+        material = seabed(p, smooth, looks.ground, footprint, looks.seed)
     else:
         it = world.placed[i]
         q = wp.transpose(it.rotation) * (p - it.position)
         seed = scramble(looks.seed + wp.uint32(i))
-        if it.kind == OYSTER:
-            material = shell(q, q[0] / it.scale[0], smooth, it.rotation, it.colour, it.silt, footprint, seed)
-        else:
-            material = stone(q, smooth, it.rotation, it.colour, it.silt, footprint, seed)
+        mark = blend(world.marks, world.corners, it.first_corner + 3 * hit.face, hit.u, hit.v)
+        material = clothe(
+            it.kind, q, mark, it.scale[0], smooth, it.rotation, it.colour, it.silt, looks.ground, footprint, seed
+        )
     n = material.normal
     sun = wp.dot(n, optics.sun_direction)
     light = wp.float32(0.0)

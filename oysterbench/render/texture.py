@@ -1,24 +1,53 @@
-"""Procedural surfaces as Warp functions: noise, and what seabed, shells and stones look like.
+"""Procedural surfaces as Warp functions: what bottom, shells, stones, plants and sponges look like.
 
-Only +, -, *, /, sqrt and floor are used: they are exact on every processor, the mathematics library is not. Detail
-finer than a pixel's footprint is faded out, so that far surfaces do not shimmer.
+Albedo is linear. Everything is made of the noise in `noise.py`, which is exact on every processor and fades out below
+a pixel's footprint.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-MIX_1 = wp.constant(wp.uint32(0x7FEB352D))
-MIX_2 = wp.constant(wp.uint32(0x846CA68B))
-PRIME_X = wp.constant(wp.uint32(0x9E3779B1))
-PRIME_Y = wp.constant(wp.uint32(0x85EBCA77))
-PRIME_Z = wp.constant(wp.uint32(0xC2B2AE3D))
+from oysterbench.recipe import ReefRecipe
+from oysterbench.render.noise import fleck, kept, lattice, noise2, noise3, pebble, scramble, step_smoothly, unit
+from oysterbench.scene.instances import CLASS_NUMBERS
 
-MUD = wp.constant(wp.vec3(0.085, 0.080, 0.062))
-SAND = wp.constant(wp.vec3(0.270, 0.245, 0.190))
-SILT = wp.constant(wp.vec3(0.215, 0.200, 0.155))
+__all__ = ["Ground", "Material", "build_ground", "clothe", "scramble", "seabed"]
+
+OYSTER = wp.constant(wp.uint8(CLASS_NUMBERS["oyster"]))
+HASH = wp.constant(wp.uint8(CLASS_NUMBERS["hash"]))
+PLANT = wp.constant(wp.uint8(CLASS_NUMBERS["plant"]))
+SPONGE = wp.constant(wp.uint8(CLASS_NUMBERS["sponge"]))
+
 SHELL_HASH = wp.constant(wp.vec3(0.520, 0.490, 0.420))
 PEBBLE = wp.constant(wp.vec3(0.050, 0.048, 0.042))
+INSIDE = wp.constant(wp.vec3(0.660, 0.640, 0.600))
+SCAR = wp.constant(wp.vec3(0.190, 0.130, 0.180))
+FILM = wp.constant(wp.vec3(0.105, 0.110, 0.050))  # of algae on what sees light
+BARNACLE = wp.constant(wp.vec3(0.480, 0.460, 0.410))
+
+# Linear albedo of dark and light patches and of settled sediment; strength of the fine relief; density of flecks and
+# the share of shell among them; side of the cells of packed pebbles, m.
+BOTTOMS = {
+    "sand": ((0.130, 0.120, 0.092), (0.270, 0.245, 0.190), (0.215, 0.200, 0.155), 0.13, 0.30, 0.58, 0.0),
+    "mud": ((0.070, 0.066, 0.050), (0.135, 0.125, 0.095), (0.150, 0.138, 0.104), 0.07, 0.10, 0.45, 0.0),
+    "gravel": ((0.110, 0.104, 0.090), (0.260, 0.245, 0.210), (0.180, 0.168, 0.132), 0.10, 0.20, 0.35, 0.021),
+    "shell": ((0.150, 0.140, 0.110), (0.300, 0.280, 0.225), (0.190, 0.178, 0.138), 0.12, 0.85, 0.86, 0.0),
+}
+
+
+@wp.struct
+class Ground:
+    """What the bottom is made of, as in BOTTOMS; cover: share of sediment on what faces up, 0 to 1."""
+
+    dark: wp.vec3
+    light: wp.vec3
+    silt: wp.vec3
+    bump: wp.float32
+    flecks: wp.float32
+    shells: wp.float32
+    pebbles: wp.float32
+    cover: wp.float32
 
 
 @wp.struct
@@ -29,141 +58,25 @@ class Material:
     normal: wp.vec3
 
 
-@wp.func
-def scramble(h: wp.uint32):
-    """Integer hash of full avalanche (lowbias32 by C. Wellons, hash-prospector)."""
-    h = h ^ (h >> wp.uint32(16))
-    h = h * MIX_1
-    h = h ^ (h >> wp.uint32(15))
-    h = h * MIX_2
-    return h ^ (h >> wp.uint32(16))
+def build_ground(reef: ReefRecipe) -> Ground:
+    """The ground of a recipe."""
+    dark, light, silt, bump, flecks, shells, pebbles = BOTTOMS[reef.bottom]
+    ground = Ground()
+    ground.dark, ground.light, ground.silt = wp.vec3(*dark), wp.vec3(*light), wp.vec3(*silt)
+    ground.bump, ground.flecks, ground.shells, ground.pebbles = bump, flecks, shells, pebbles
+    ground.cover = reef.silt
+    return ground
 
 
 @wp.func
-def lattice(x: int, y: int, z: int, seed: wp.uint32):
-    """Hash of a lattice point."""
-    mixed = (wp.uint32(x) * PRIME_X) ^ (wp.uint32(y) * PRIME_Y)
-    return scramble(mixed ^ (wp.uint32(z) * PRIME_Z) ^ seed)
-
-
-@wp.func
-def unit(h: wp.uint32, shift: int):
-    """Byte `shift` of a hash as a number from 0 to 1."""
-    return float((h >> wp.uint32(shift)) & wp.uint32(255)) * (1.0 / 255.0)
-
-
-@wp.func
-def signed(h: wp.uint32):
-    """A hash as a number from -1 to 1."""
-    return float(h >> wp.uint32(8)) * (2.0 / 16777215.0) - 1.0
-
-
-@wp.func
-def noise2(x: float, y: float, seed: wp.uint32):
-    """Value noise on the unit lattice: (value from -1 to 1, d/dx, d/dy)."""
-    fx = wp.floor(x)
-    fy = wp.floor(y)
-    i = int(fx)
-    j = int(fy)
-    u = x - fx
-    v = y - fy
-    su = u * u * (3.0 - 2.0 * u)
-    sv = v * v * (3.0 - 2.0 * v)
-    a = signed(lattice(i, j, 0, seed))
-    b = signed(lattice(i + 1, j, 0, seed))
-    c = signed(lattice(i, j + 1, 0, seed))
-    d = signed(lattice(i + 1, j + 1, 0, seed))
-    cross = a - b - c + d
-    value = a + (b - a) * su + (c - a) * sv + cross * su * sv
-    return wp.vec3(value, ((b - a) + cross * sv) * 6.0 * u * (1.0 - u), ((c - a) + cross * su) * 6.0 * v * (1.0 - v))
-
-
-@wp.func
-def noise3(p: wp.vec3, seed: wp.uint32):
-    """Value noise on the unit lattice: (value from -1 to 1, gradient)."""
-    fx = wp.floor(p[0])
-    fy = wp.floor(p[1])
-    fz = wp.floor(p[2])
-    i = int(fx)
-    j = int(fy)
-    k = int(fz)
-    u = p[0] - fx
-    v = p[1] - fy
-    w = p[2] - fz
-    su = u * u * (3.0 - 2.0 * u)
-    sv = v * v * (3.0 - 2.0 * v)
-    sw = w * w * (3.0 - 2.0 * w)
-    a = signed(lattice(i, j, k, seed))
-    b = signed(lattice(i + 1, j, k, seed))
-    c = signed(lattice(i, j + 1, k, seed))
-    d = signed(lattice(i + 1, j + 1, k, seed))
-    e = signed(lattice(i, j, k + 1, seed))
-    f = signed(lattice(i + 1, j, k + 1, seed))
-    g = signed(lattice(i, j + 1, k + 1, seed))
-    h = signed(lattice(i + 1, j + 1, k + 1, seed))
-    low = a + (b - a) * su + (c - a) * sv + (a - b - c + d) * su * sv
-    high = e + (f - e) * su + (g - e) * sv + (e - f - g + h) * su * sv
-    low_u = (b - a) + (a - b - c + d) * sv
-    high_u = (f - e) + (e - f - g + h) * sv
-    low_v = (c - a) + (a - b - c + d) * su
-    high_v = (g - e) + (e - f - g + h) * su
-    return wp.vec4(
-        low + (high - low) * sw,
-        (low_u + (high_u - low_u) * sw) * 6.0 * u * (1.0 - u),
-        (low_v + (high_v - low_v) * sw) * 6.0 * v * (1.0 - v),
-        (high - low) * 6.0 * w * (1.0 - w),
-    )
-
-
-@wp.func
-def kept(wavelength: float, footprint: float):
-    """Weight of detail of a wavelength: 0 below 2 footprints (Nyquist), 1 from 4 on."""
-    return wp.clamp(0.5 * wavelength / footprint - 1.0, 0.0, 1.0)
-
-
-@wp.func
-def step_smoothly(low: float, high: float, x: float):
-    """Cubic step from 0 at `low` to 1 at `high`."""
-    s = wp.clamp((x - low) / (high - low), 0.0, 1.0)
-    return s * s * (3.0 - 2.0 * s)
-
-
-@wp.func
-def fleck(x: float, y: float, cell: float, density: float, footprint: float, seed: wp.uint32):
-    """At most one elliptic grain in each cell: (coverage from 0 to 1, tone from 0 to 1)."""
-    fx = wp.floor(x / cell)
-    fy = wp.floor(y / cell)
-    h = lattice(int(fx), int(fy), 7, seed)
-    result = wp.vec2(0.0, 0.0)
-    if unit(h, 0) < density:
-        g = scramble(h)
-        radius = 0.10 + 0.20 * unit(g, 0)
-        aspect = 0.25 + 0.70 * unit(g, 8)
-        weight = kept(2.0 * radius * aspect * cell, 0.7 * footprint)
-        if weight > 0.0:
-            dx = x / cell - fx - (0.32 + 0.36 * unit(g, 16))
-            dy = y / cell - fy - (0.32 + 0.36 * unit(g, 24))
-            ax = unit(h, 8) - 0.5
-            ay = unit(h, 16) - 0.498
-            scale = 1.0 / wp.sqrt(ax * ax + ay * ay)
-            along = (dx * ax + dy * ay) * scale / radius
-            across = (dy * ax - dx * ay) * scale / (radius * aspect)
-            # Broken pieces: an ellipse cut by a line.
-            cut = 0.15 + 0.9 * unit(g, 4) - 0.8 * along - 0.6 * across
-            inside = wp.min(1.0 - wp.sqrt(along * along + across * across), cut) * radius * aspect * cell / footprint
-            result = wp.vec2(weight * wp.clamp(inside + 0.5, 0.0, 1.0), unit(h, 24))
-    return result
-
-
-@wp.func
-def seabed(p: wp.vec3, normal: wp.vec3, footprint: float, seed: wp.uint32):
-    """Sediment with patches of mud, mottles, shell hash and pebbles, at p in `map`."""
+def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32):
+    """Sediment with patches, mottles, pebbles and shell hash, at p in `map`."""
     patches = wp.float32(0.0)
     grain = wp.float32(0.0)
     slope_x = wp.float32(0.0)
     slope_y = wp.float32(0.0)
     wavelength = wp.float32(2.3)
-    octaves = wp.int32(8)
+    octaves = wp.int32(10)
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
@@ -186,7 +99,23 @@ def seabed(p: wp.vec3, normal: wp.vec3, footprint: float, seed: wp.uint32):
                     slope_y += weight * (0.8 * n[2] - 0.6 * n[1])
         wavelength *= 0.41
     tone = step_smoothly(-0.9, 0.9, patches)
-    albedo = (MUD + (SAND - MUD) * tone) * wp.max(0.25, 1.0 + 0.30 * grain)
+    albedo = (ground.dark + (ground.light - ground.dark) * tone) * wp.max(0.25, 1.0 + 0.24 * grain)
+    slope_x *= ground.bump
+    slope_y *= ground.bump
+    if ground.pebbles > 0.0:
+        cell = ground.pebbles
+        weight = kept(cell, 0.5 * footprint)
+        if weight > 0.0:
+            x = p[0] * 0.936 - p[1] * 0.352
+            y = p[0] * 0.352 + p[1] * 0.936
+            top = pebble(x, y, cell, seed + wp.uint32(50))
+            if top[0] < 0.45:
+                top = pebble(y + 0.31, x, 0.45 * cell, seed + wp.uint32(51))
+                top = wp.vec4(0.6 * top[0], top[2], top[1], top[3])
+            mineral = albedo * (0.55 + 0.9 * top[3]) * (0.35 + 0.75 * top[0])
+            albedo = albedo + (mineral - albedo) * weight
+            slope_x -= 0.55 * weight * (0.936 * top[1] + 0.352 * top[2])
+            slope_y -= 0.55 * weight * (0.936 * top[2] - 0.352 * top[1])
     cell = wp.float32(0.045)
     layers = wp.int32(4)
     for layer in range(layers):
@@ -195,70 +124,120 @@ def seabed(p: wp.vec3, normal: wp.vec3, footprint: float, seed: wp.uint32):
         if layer % 2 == 1:
             x = p[0] * 0.6 + p[1] * 0.8
             y = p[1] * 0.6 - p[0] * 0.8
-        density = 0.30 + 0.25 * patches
+        density = ground.flecks * (1.0 + 0.8 * patches)
         hit = fleck(x + 0.37 * float(layer), y, cell, density, footprint, seed + wp.uint32(100 + layer))
         if hit[0] > 0.0:
-            colour = SHELL_HASH * (0.25 + 0.75 * hit[1] * hit[1])
-            if hit[1] < 0.42:
+            # Sediment has settled on most of the pieces.
+            pale = (hit[1] + ground.shells - 1.0) / ground.shells
+            colour = ground.silt + (SHELL_HASH - ground.silt) * (pale * pale * (1.0 - 0.6 * ground.cover))
+            if pale < 0.0:
                 colour = PEBBLE * (0.8 + 2.0 * hit[1])
+                colour = colour + (ground.silt - colour) * (0.5 * ground.cover)
             albedo = albedo + (colour - albedo) * (0.85 * hit[0])
         cell *= 0.52
     material = Material()
     material.albedo = albedo
-    material.normal = wp.normalize(normal - wp.vec3(slope_x, slope_y, 0.0) * 0.13)
+    material.normal = wp.normalize(normal - wp.vec3(slope_x, slope_y, 0.0))
     return material
+
+
+@wp.func
+def barnacle(x: float, y: float, cell: float, footprint: float, seed: wp.uint32):
+    """At most one barnacle in each cell: (cover, slopes in x and y, darkness of its mouth)."""
+    fx = wp.floor(x / cell)
+    fy = wp.floor(y / cell)
+    h = lattice(int(fx), int(fy), 11, seed)
+    result = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if unit(h, 0) < 0.35:
+        radius = 0.16 + 0.16 * unit(h, 8)
+        dx = x / cell - fx - (0.34 + 0.32 * unit(h, 16))
+        dy = y / cell - fy - (0.34 + 0.32 * unit(h, 24))
+        r = wp.sqrt(dx * dx + dy * dy) + 1.0e-6
+        edge = wp.clamp((radius - r) * cell / footprint + 0.5, 0.0, 1.0)
+        mouth = wp.clamp((0.38 * radius - r) * cell / footprint + 0.5, 0.0, 1.0)
+        result = wp.vec4(edge, -dx / r, -dy / r, mouth)
+    return result
 
 
 @wp.func
 def shell(
     q: wp.vec3,
-    along: float,
+    mark: wp.vec3,
+    height: float,
     normal: wp.vec3,
     rotation: wp.mat33,
     colour: wp.vec3,
     silt: float,
+    ground: Ground,
     footprint: float,
     seed: wp.uint32,
 ):
-    """A shell's surface: growth bands, stains, a chalky bill and silt on what faces up.
+    """A shell's surface: growth bands, stains, fouling, a chalky margin, a pale inside, silt on what faces up.
 
-    q: point in the shell's frame in m; along: its share of the way from the umbo to the bill.
+    q: point in the shell's frame in m; mark: growth, inside and scar as in scene.oyster; height: of the shell, m.
     """
     coarse = noise3(q / 0.034, seed)
     value = float(coarse[0] * kept(0.034, footprint))
-    gradient = wp.vec3(coarse[1], coarse[2], coarse[3]) * (0.35 * kept(0.034, footprint))
+    gradient = wp.vec3(coarse[1], coarse[2], coarse[3]) * (0.30 * kept(0.034, footprint))
     fine = wp.float32(0.0)
     wavelength = wp.float32(0.013)
-    octaves = wp.int32(4)
+    octaves = wp.int32(5)
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
             n = noise3(q / wavelength, seed + wp.uint32(octave + 1))
             fine += weight * n[0]
-            gradient += wp.vec3(n[1], n[2], n[3]) * (0.55 * weight)
+            gradient += wp.vec3(n[1], n[2], n[3]) * (0.50 * weight)
         wavelength *= 0.5
-    reach = wp.sqrt(q[0] * q[0] + 0.7 * q[1] * q[1])
-    phase = reach / 0.0105 + 0.9 * coarse[0]
+    outside = 1.0 - wp.clamp(mark[1], 0.0, 1.0)
+    # Bands of a season and, finer, of a spring tide, along the margins that the shell had.
+    age = mark[0] * height
+    phase = age / 0.0105 + 0.7 * coarse[0]
     band = (phase - wp.floor(phase)) * kept(0.0105, footprint)
-    albedo = colour * wp.max(0.3, 0.86 + 0.30 * band + 0.40 * value + 0.36 * fine)
-    albedo = albedo * (1.0 + 0.5 * step_smoothly(0.82, 1.0, along))
-    bumped = wp.normalize(normal - (rotation * gradient) * 0.22)
-    cover = step_smoothly(0.15, 0.95, normal[2] + 0.55 * value + 0.35 * fine + silt - 0.75)
+    finer = age / 0.0027 + 0.8 * fine
+    ridge = (finer - wp.floor(finer)) * kept(0.0027, footprint)
+    outer = colour * wp.max(0.3, 0.80 + 0.26 * band + 0.22 * ridge + 0.36 * value + 0.28 * fine)
+    outer = outer * (1.0 + 0.45 * step_smoothly(0.90, 1.0, mark[0]))
+    film = step_smoothly(0.1, 0.8, noise3(q / 0.055, seed + wp.uint32(31))[0] + 0.3 * fine + 0.4 * normal[2])
+    outer = outer + (FILM * (1.0 + 0.4 * fine) - outer) * (0.55 * film)
+    if outside > 0.5 and unit(seed, 8) < 0.4:
+        cell = barnacle(q[0], q[1], 0.014, footprint, seed)
+        weight = cell[0] * step_smoothly(0.05, 0.35, coarse[0]) * kept(0.007, footprint)
+        outer = outer + (BARNACLE * (1.0 - 0.85 * cell[3]) - outer) * (0.85 * weight)
+        gradient = gradient + wp.vec3(cell[1], cell[2], 0.0) * (2.5 * weight * (1.0 - cell[3]))
+    inner = INSIDE * (0.92 + 0.10 * value + 0.05 * fine)
+    inner = inner + (SCAR - inner) * (0.75 * mark[2])
+    inner = inner * (0.6 + 0.4 * step_smoothly(0.0, 0.25, mark[0]))
+    albedo = outer * outside + inner * (1.0 - outside)
+    relief = 0.08 + 0.16 * outside
+    bumped = wp.normalize(normal - (rotation * gradient) * relief)
+    # Sediment stays where the surface is flat and rough.
+    settled = normal[2] + 0.45 * value + 0.40 * fine + silt + 1.2 * ground.cover - 1.35 - 0.25 * (1.0 - outside)
+    cover = step_smoothly(0.15, 0.95, settled)
+    dust = 0.35 * ground.cover * silt * (0.6 + 0.4 * normal[2])
+    cover = cover + (1.0 - cover) * dust
     material = Material()
-    material.albedo = albedo + (SILT * wp.max(0.4, 1.0 + 0.25 * fine + 0.2 * value) - albedo) * (0.8 * cover)
+    material.albedo = albedo + (ground.silt * wp.max(0.4, 1.0 + 0.22 * fine + 0.2 * value) - albedo) * (0.88 * cover)
     material.normal = bumped
     return material
 
 
 @wp.func
 def stone(
-    q: wp.vec3, normal: wp.vec3, rotation: wp.mat33, colour: wp.vec3, silt: float, footprint: float, seed: wp.uint32
+    q: wp.vec3,
+    normal: wp.vec3,
+    rotation: wp.mat33,
+    colour: wp.vec3,
+    silt: float,
+    ground: Ground,
+    footprint: float,
+    seed: wp.uint32,
 ):
-    """A stone's surface: mottled, speckled, silted from above; q in the stone's frame in m."""
+    """A stone's surface: mottled, speckled, filmed and silted from above; q in the stone's frame in m."""
     value = wp.float32(0.0)
     gradient = wp.vec3(0.0, 0.0, 0.0)
     wavelength = wp.float32(0.07)
-    octaves = wp.int32(4)
+    octaves = wp.int32(5)
     for octave in range(octaves):
         weight = kept(wavelength, footprint)
         if weight > 0.0:
@@ -267,8 +246,71 @@ def stone(
             gradient += wp.vec3(n[1], n[2], n[3]) * weight
         wavelength *= 0.4
     albedo = colour * wp.max(0.3, 1.0 + 0.45 * value)
-    cover = step_smoothly(0.3, 1.0, normal[2] + 0.4 * value + silt - 0.7)
+    film = step_smoothly(0.0, 0.9, value + 0.5 * normal[2])
+    albedo = albedo + (FILM - albedo) * (0.4 * film)
+    cover = step_smoothly(0.3, 1.0, normal[2] + 0.4 * value + silt + 1.2 * ground.cover - 1.3)
     material = Material()
-    material.albedo = albedo + (SILT * (1.0 + 0.2 * value) - albedo) * (0.75 * cover)
+    material.albedo = albedo + (ground.silt * (1.0 + 0.2 * value) - albedo) * (0.8 * cover)
     material.normal = wp.normalize(normal - (rotation * gradient) * 0.12)
+    return material
+
+
+@wp.func
+def plant(mark: wp.vec3, normal: wp.vec3, colour: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32):
+    """A blade: mark is the share of its length, its own tone and the place across; older towards the tip."""
+    n = noise2(mark[0] * 9.0, mark[1] * 37.0, seed)
+    weight = kept(0.02, footprint)
+    albedo = colour * (0.65 + 0.6 * mark[1]) * (1.0 + 0.3 * n[0] * weight)
+    withered = step_smoothly(0.55, 1.0, mark[0] + 0.3 * mark[1])
+    albedo = albedo + (wp.vec3(0.16, 0.12, 0.055) - albedo) * (0.6 * withered)
+    cover = wp.clamp(ground.cover * (0.35 + 0.4 * normal[2] + 0.3 * n[0]), 0.0, 0.8)
+    material = Material()
+    material.albedo = albedo + (ground.silt - albedo) * cover
+    material.normal = normal
+    return material
+
+
+@wp.func
+def sponge(
+    q: wp.vec3, normal: wp.vec3, rotation: wp.mat33, colour: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32
+):
+    """A sponge's surface: fleshy, with pores; q in its frame in m."""
+    a = noise3(q / 0.011, seed)
+    b = noise3(q / 0.0031, seed + wp.uint32(1))
+    wide = kept(0.011, footprint)
+    close = kept(0.0031, footprint)
+    pore = step_smoothly(0.45, 0.75, b[0]) * close
+    albedo = colour * wp.max(0.2, 1.0 + 0.25 * a[0] * wide - 0.55 * pore)
+    gradient = wp.vec3(a[1], a[2], a[3]) * (0.6 * wide) + wp.vec3(b[1], b[2], b[3]) * (0.35 * close)
+    cover = step_smoothly(0.4, 1.0, normal[2] + 0.4 * a[0] + ground.cover - 0.6)
+    material = Material()
+    material.albedo = albedo + (ground.silt - albedo) * (0.6 * cover)
+    material.normal = wp.normalize(normal - (rotation * gradient) * 0.15)
+    return material
+
+
+@wp.func
+def clothe(
+    kind: wp.uint8,
+    q: wp.vec3,
+    mark: wp.vec3,
+    height: float,
+    normal: wp.vec3,
+    rotation: wp.mat33,
+    colour: wp.vec3,
+    silt: float,
+    ground: Ground,
+    footprint: float,
+    seed: wp.uint32,
+):
+    """The material of an instance of class `kind` at q, m in its own frame."""
+    material = Material()
+    if kind == OYSTER or kind == HASH:  # noqa: SIM109 - Warp has no `in`
+        material = shell(q, mark, height, normal, rotation, colour, silt, ground, footprint, seed)
+    elif kind == PLANT:
+        material = plant(mark, normal, colour, ground, footprint, seed)
+    elif kind == SPONGE:
+        material = sponge(q, normal, rotation, colour, ground, footprint, seed)
+    else:
+        material = stone(q, normal, rotation, colour, silt, ground, footprint, seed)
     return material

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 POSITION_STEP_M = 2.0**-20
 """Vertices are rounded to this step (about 1 um), so that the last bits of a CPU's sin() or exp() do not show."""
@@ -13,11 +16,20 @@ POSITION_STEP_M = 2.0**-20
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles: vertices (V, 3) float32, faces (F, 3) int32 counter-clockwise from outside, normals (V, 3) float32."""
+    """Triangles: vertices (V, 3) float32, faces (F, 3) int32 counter-clockwise from outside, normals (V, 3) float32.
+
+    marks (V, 3) float32: what the material depends on besides the place; on shells growth, inside and scar.
+    """
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.int32]
     normals: NDArray[np.float32]
+    marks: NDArray[np.float32]
+
+    @cached_property
+    def hull(self) -> NDArray[np.int64]:
+        """Indices of the vertices of the convex hull."""
+        return np.sort(ConvexHull(self.vertices.astype(float)).vertices).astype(np.int64)
 
 
 def round_positions(positions: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -25,8 +37,10 @@ def round_positions(positions: NDArray[np.float64]) -> NDArray[np.float32]:
     return (np.round(positions / POSITION_STEP_M) * POSITION_STEP_M).astype(np.float32)
 
 
-def build_mesh(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> Mesh:
-    """Mesh with area-weighted vertex normals, from vertices (V, 3) and faces (F, 3)."""
+def build_mesh(
+    vertices: NDArray[np.float64], faces: NDArray[np.integer], marks: NDArray[np.floating] | None = None
+) -> Mesh:
+    """Mesh with area-weighted vertex normals, from vertices (V, 3), faces (F, 3) and marks (V, 3) or none."""
     rounded = round_positions(vertices)
     corners = rounded.astype(float)[faces]
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -36,4 +50,17 @@ def build_mesh(vertices: NDArray[np.float64], faces: NDArray[np.integer]) -> Mes
             normals[:, axis] += np.bincount(faces[:, corner], weights=areas[:, axis], minlength=len(rounded))
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(lengths > 0, normals / np.maximum(lengths, 1e-30), [0.0, 0.0, 1.0])
-    return Mesh(rounded, faces.astype(np.int32), np.round(normals, 6).astype(np.float32))
+    marked = np.zeros_like(rounded) if marks is None else np.round(marks, 5).astype(np.float32)
+    return Mesh(rounded, faces.astype(np.int32), np.round(normals, 6).astype(np.float32), marked)
+
+
+def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one, without merging vertices."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(faces).astype(np.int32),
+        np.concatenate([mesh.normals for mesh in meshes]),
+        np.concatenate([mesh.marks for mesh in meshes]),
+    )

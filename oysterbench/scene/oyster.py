@@ -1,7 +1,8 @@
 """Shells of the eastern oyster: stacked slices of two B-splines each, skinned into a watertight mesh.
 
 The shell's own frame: origin at the umbo (hinge), x to the bill (shell height, 1 unit), y along the shell's length,
-z through its width; the cupped left valve lies at -z, the flat right valve at +z.
+z through its width; the cupped left valve lies at -z, the flat right valve at +z. A slice of a closed shell is the
+outside of either valve; a slice of a single valve is its outside and its inside.
 """
 
 from __future__ import annotations
@@ -12,24 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from oysterbench.scene.mesh import Mesh, build_mesh
+from oysterbench.scene.mesh import Mesh, build_mesh, join_meshes
 
 Array = NDArray[np.float64]
 
-SLICES = 36
-POINTS_PER_VALVE = 14
-CONTROL_POINTS = 9
-EMPTY_SHARE = 0.25  # dead valves among the shells of a reef
+SLICES = 44
+POINTS = 18  # of one spline in a slice
+CONTROL_POINTS = 15
 DEGREE = 3
+STATES = ("live", "box", "left valve", "right valve")
+LIVE_GAPE_RAD = (0.05, 0.11)
+BOX_GAPE_RAD = (0.35, 1.15)
+GAPING_SHARE = 0.25  # of live oysters
+SCAR = (0.62, 0.22, 0.13, 0.17)  # muscle scar: centre along s and across, and its half axes
 
 
 @dataclass(frozen=True)
-class ShellForm:
-    """Parameters of a shell, in units of its height (umbo to bill)."""
+class ShellShape:
+    """Parameters of a shell, lengths in units of its height (umbo to bill)."""
 
     length: float  # widest extent along y
     cup: float  # depth of the left valve
     lid: float  # rise of the right valve
+    wall: float  # thickness of the left valve at its middle; the right one has two thirds of it
     umbo: float  # exponent of the outline at the hinge: small is blunt, large is pointed
     bill: float  # exponent of the outline at the bill
     curve: float  # sideways bend of the midline
@@ -38,96 +44,231 @@ class ShellForm:
     ridges: float  # number of growth ridges
     ridge_height: float
     folds: float  # number of radial folds across a valve
-    fold_height: float  # at the bill
+    fold_height: float  # at the margin
     roughness: float  # of outline and valves
-    empty: bool  # a dead left valve, open where the right one was
+    gape: float  # angle between the valves, rad
 
 
-def draw_form(generator: np.random.Generator) -> ShellForm:
-    """A form of Crassostrea virginica, about 3 : 2 : 1 in height, length, width."""
+@dataclass(frozen=True)
+class Shell:
+    """A shell of the library, of height 1: its mesh, its state and what is measured of it.
+
+    extent: height, length and width of the closed shell or the single valve. volume: that it displaces, of the closed
+    shell for a live oyster, of the shell's own matter for a dead one.
+    """
+
+    mesh: Mesh
+    state: str
+    extent: tuple[float, float, float]
+    volume: float
+
+
+def draw_shape(generator: np.random.Generator, slenderness: float = 0.5, state: str = "live") -> ShellShape:
+    """A shape of Crassostrea virginica, about 3 : 2 : 1 in height, length, width (Galtsoff 1964, ch. 2).
+
+    slenderness: 0 for the rounded, folded shells of hard ground, 1 for the long ones of clumps and soft bottom.
+    """
     uniform = generator.uniform
-    return ShellForm(
-        length=uniform(0.50, 0.82),
-        cup=uniform(0.12, 0.22),
-        lid=uniform(0.00, 0.05),
-        umbo=uniform(0.45, 0.75),
-        bill=uniform(0.26, 0.48),
-        curve=uniform(-0.20, 0.20),
+    slender = float(np.clip(slenderness + 0.15 * generator.standard_normal(), 0.0, 1.0))
+    gape = uniform(*LIVE_GAPE_RAD) * (uniform() < GAPING_SHARE)
+    return ShellShape(
+        length=(0.80 - 0.30 * slender) * float(np.exp(0.08 * generator.standard_normal())),
+        cup=uniform(0.14, 0.22) + 0.04 * slender,
+        lid=uniform(0.02, 0.08),
+        wall=uniform(0.035, 0.07),
+        umbo=uniform(0.48, 0.70) + 0.08 * slender,
+        bill=uniform(0.26, 0.46),
+        curve=uniform(-0.16, 0.16) * (0.5 + slender),
         bend=uniform(-0.10, 0.10),
-        twist=uniform(-0.5, 0.5),
-        ridges=uniform(4.0, 8.0),
-        ridge_height=uniform(0.018, 0.036),
-        folds=uniform(2.0, 5.0),
-        fold_height=uniform(0.01, 0.06),
+        twist=uniform(-0.35, 0.35),
+        ridges=uniform(6.0, 13.0),
+        ridge_height=uniform(0.012, 0.026),
+        folds=uniform(3.0, 6.5),
+        fold_height=uniform(0.2, 1.0) * (0.035 - 0.025 * slender),
         roughness=uniform(0.7, 1.5),
-        empty=bool(uniform() < EMPTY_SHARE),
+        gape=uniform(*BOX_GAPE_RAD) if state == "box" else gape if state == "live" else 0.0,
     )
 
 
-def build_shell(form: ShellForm, generator: np.random.Generator) -> Mesh:
-    """Watertight mesh of a shell of height 1; `generator` gives its irregularities."""
-    # Slices are denser towards both ends, where the outline turns.
-    heights = (0.5 - 0.5 * np.cos(np.pi * np.linspace(0, 1, SLICES + 2)))[1:-1]
-    noise = generator.standard_normal((SLICES, 3, CONTROL_POINTS))
-    for i in range(1, SLICES):
-        noise[i] = 0.85 * noise[i - 1] + np.sqrt(1 - 0.85**2) * noise[i]  # neighbouring slices are alike
-    rings = np.stack([_slice(form, s, n) for s, n in zip(heights, form.roughness * noise, strict=True)])
-    rings[..., 0] += _growth_line(rings, form, generator)
-    umbo = np.zeros((1, 3))
-    bill = rings[-1].mean(axis=0, keepdims=True)
-    vertices = np.concatenate([umbo, rings.reshape(-1, 3), bill])
-    vertices[:, 0] /= vertices[:, 0].max()
-    return build_mesh(vertices, _skin(len(rings), rings.shape[1]))
+def build_shell(shape: ShellShape, generator: np.random.Generator, state: str = "live") -> Shell:
+    """Watertight shell of height 1 in one of STATES; `generator` gives its irregularities."""
+    surface = _Surface(shape, generator)
+    outside = {"left": surface.left(), "right": surface.right()}
+    closed = surface.skin(outside["left"], outside["right"], (0.0, 0.0))
+    if state == "left valve":
+        mesh = surface.skin(outside["left"], surface.left_inside(), (0.0, 1.0))
+    elif state == "right valve":
+        mesh = surface.skin(surface.right_inside(), outside["right"], (1.0, 0.0))
+    elif shape.gape == 0.0:
+        mesh = closed
+    else:
+        left = surface.skin(outside["left"], surface.left_inside(), (0.0, 1.0))
+        right = surface.skin(surface.right_inside(), outside["right"], (1.0, 0.0))
+        # The box is held by its hinge: the right valve turns about y through the umbo, away from the left one.
+        mesh = join_meshes([left, _turned(right, shape.gape)])
+    whole = closed if state in ("live", "box") else mesh
+    height, length, width = (float(extent) for extent in np.ptp(whole.vertices.astype(float), axis=0))
+    return Shell(mesh, state, (height, length, width), _volume(closed if state == "live" else mesh))
 
 
-def _slice(form: ShellForm, s: float, noise: Array) -> Array:
-    """Closed ring (2 * POINTS_PER_VALVE, 3) at height s: the left valve from -y to +y, then the right one back."""
-    peak = form.umbo / (form.umbo + form.bill)
-    outline = (s / peak) ** form.umbo * ((1 - s) / (1 - peak)) ** form.bill
-    ends = min(1.0, 6.0 * min(s, 1 - s))
-    phase = form.ridges * s + 0.10 * noise[0, 1]
-    # Each season's growth overlaps the last like a roof tile: a slow rise, then a step.
-    tile = (phase - np.floor(phase)) * ends
-    half = 0.5 * form.length * outline * (1 + 1.6 * form.ridge_height * (tile - 0.5))
-    left_edge, right_edge = half * (1 + 0.09 * noise[0, 0]), half * (1 + 0.09 * noise[0, 2])
-    body = np.sin(np.pi * s**0.75) ** 0.8
-    across = np.linspace(-1, 1, CONTROL_POINTS)
-    y = np.where(across < 0, left_edge, right_edge) * across
-    arch = (1 - across**2) ** 0.6
-    fold = form.fold_height * s**2 * np.cos(np.pi * form.folds * across + form.ridges) * ends
-    left = -form.cup * body * arch - form.ridge_height * tile * arch + fold + 0.016 * noise[1] * body
-    right = form.lid * body * arch + form.ridge_height * tile * arch + fold + 0.012 * noise[2] * body
-    if form.empty:
-        right = left + 0.05 * arch * body
-    right = np.maximum(right, left + 0.05 * ends * arch)
-    rim = 0.5 * (left[[0, -1]] + right[[0, -1]])
-    left[[0, -1]], right[[0, -1]] = rim, rim
-    parameter = np.linspace(0, 1, POINTS_PER_VALVE + 1)
-    lower = _spline(y, left)(parameter)[:-1]
-    upper = _spline(y[::-1], right[::-1])(parameter)[:-1]
-    ring = np.concatenate([lower, upper])
-    turn = form.twist * (s - 0.5)
-    ring_y = np.cos(turn) * ring[:, 0] - np.sin(turn) * ring[:, 1] + form.curve * np.sin(np.pi * s)
-    ring_z = np.sin(turn) * ring[:, 0] + np.cos(turn) * ring[:, 1] + form.bend * np.sin(np.pi * s)
-    return np.column_stack([np.full(len(ring), s), ring_y, ring_z])
+def build_oyster(seed_generator: np.random.Generator, state: str, slenderness: float) -> tuple[ShellShape, Shell]:
+    """A shape drawn from a stream, and its shell."""
+    shape = draw_shape(seed_generator, slenderness, state)
+    return shape, build_shell(shape, seed_generator, state)
 
 
-def _growth_line(rings: Array, form: ShellForm, generator: np.random.Generator) -> Array:
-    """Shift along x (S, P) that arches the slices and frays the bill, so that growth lines are not straight."""
-    x, y = rings[..., 0], rings[..., 1] / form.length
-    phases = generator.uniform(0, 2 * np.pi, 3)
-    frays = sum(np.sin(f * np.pi * y + phase) / f for f, phase in zip((2.0, 5.0, 9.0), phases, strict=True))
-    return x * (0.05 * form.roughness * frays * x**2 - 0.5 * (1 - x) * y**2)
+class _Surface:
+    """The valves of one shape on a grid of slices s (S, 1) and places across a (1, C), from margin to margin."""
+
+    def __init__(self, shape: ShellShape, generator: np.random.Generator) -> None:
+        self.shape = shape
+        # Slices are denser towards both ends, where the outline turns.
+        self.s = (0.5 - 0.5 * np.cos(np.pi * np.linspace(0, 1, SLICES + 2)))[1:-1, None]
+        # Control points are denser towards the margins, where the ridges run along the shell.
+        self.a = np.sin(0.5 * np.pi * np.linspace(-1, 1, CONTROL_POINTS))[None, :]
+        self._phases = generator.uniform(0, 2 * np.pi, (4, 8))
+        self._weights = generator.standard_normal((4, 8))
+        self._grow(generator)
+        body = np.sin(np.pi * self.s**0.8) ** 0.75
+        self.arch = body * (1 - np.abs(self.a) ** 2.6) ** 0.75
+        self.lumps = self._waves(2, self.s, self.y / shape.length)
+
+    def _grow(self, generator: np.random.Generator) -> None:
+        """Outline, growth (share of the shell's life at which a point was the margin) and its fan of radii.
+
+        Shells grow from the umbo in similar figures (Raup 1966): the margin of age t is the outline scaled by t, so a
+        point (x, y) is as old as t = x / u, where the outline has the point's slope, w(u) / u = y / x.
+        """
+        shape = self.shape
+        u = np.linspace(1e-3, 1, 400)
+        peak = shape.umbo / (shape.umbo + shape.bill)
+        widths = 0.5 * shape.length * (u / peak) ** shape.umbo * ((1 - u) / (1 - peak)) ** shape.bill
+        half, growth, fan = [], [], []
+        for side in (0, 1):
+            ragged = widths * (1 + 0.05 * shape.roughness * self._waves(side, u, 0.0 * u))
+            slope = np.minimum.accumulate(ragged / u)
+            at = np.interp(self.s, u, ragged)
+            half.append(at)
+            scaled = np.interp(np.abs(self.a) * at / self.s, slope[::-1], u[::-1])
+            growth.append(np.clip(self.s / np.maximum(scaled, 1e-3), 0.0, 1.0))
+            fan.append(1 - scaled)
+        left = self.a < 0
+        self.y = self.a * np.where(left, half[0], half[1])
+        self.growth = np.where(left, growth[0], growth[1])
+        self.fan = np.where(left, -fan[0], fan[1])
+        # Seasons differ: the ridges' ages are a random walk, and each margin was ragged in its own way.
+        steps = generator.gamma(4.0, 1.0, int(np.ceil(shape.ridges)) + 1)
+        self._ages = np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum()
+        self._rises = generator.uniform(0.4, 1.4, len(steps))
+
+    def _waves(self, kind: int, x: Array, y: Array) -> Array:
+        """Smooth irregularity of about unit size, one of four."""
+        total = np.zeros(np.broadcast(x, y).shape)
+        for k in range(8):
+            frequency = 2.0 + 1.7 * k
+            turn = self._phases[kind, k]
+            along = np.cos(turn) * x + np.sin(3.1 * turn) * y
+            total += self._weights[kind, k] / (1 + 0.45 * k) * np.sin(frequency * np.pi * along + turn)
+        return total / 1.4
+
+    def _lamellae(self, kind: int) -> Array:
+        """Growth ridges, 0 to about 1: each season's rim lies over the last like a roof tile, a rise, then a step."""
+        age = self.growth * (1 + 0.02 * self.shape.roughness * self._waves(kind, 2.5 * self.fan, self.growth))
+        season = np.clip(np.searchsorted(self._ages, age, side="right") - 1, 0, len(self._rises) - 1)
+        start, end = self._ages[season], self._ages[season + 1]
+        tile = np.clip((age - start) / np.maximum(end - start, 1e-6), 0.0, 1.0) ** 1.6
+        return tile * self._rises[season] * np.minimum(1.0, 5 * self.growth) * np.minimum(1.0, 12 * (1 - self.growth))
+
+    @property
+    def margin(self) -> Array:
+        """z (S, C) of the surface in which the margins of both valves meet, waved by the radial folds."""
+        shape = self.shape
+        fold = np.cos(np.pi * shape.folds * self.fan * (1 + 0.12 * self.lumps) + 7 * shape.ridges)
+        return shape.fold_height * self.growth**2 * fold + 0.010 * shape.roughness * self.growth**4 * self.lumps
+
+    def left(self) -> Array:
+        """z (S, C) of the outside of the left valve."""
+        shape = self.shape
+        uneven = 0.022 * shape.roughness * self.lumps * self.arch
+        return self.margin - shape.cup * self.arch - shape.ridge_height * self._lamellae(2) + uneven
+
+    def left_inside(self) -> Array:
+        """z (S, C) of the inside of the left valve: smooth, deepest under the umbo's third."""
+        shape = self.shape
+        return self.margin - (shape.cup - shape.wall) * self.arch * (1 - 0.25 * self.s) + 0.004 * self.arch
+
+    def right(self) -> Array:
+        """z (S, C) of the outside of the right valve."""
+        shape = self.shape
+        uneven = 0.016 * shape.roughness * self._waves(3, self.s, self.y / shape.length) * self.arch
+        return self.margin + (shape.lid + 0.03) * self.arch + shape.ridge_height * self._lamellae(3) + uneven
+
+    def right_inside(self) -> Array:
+        """z (S, C) of the inside of the right valve."""
+        shape = self.shape
+        wall = 0.67 * shape.wall * self.arch
+        return self.margin + (shape.lid + 0.03) * self.arch - wall - 0.01 * self.arch
+
+    def skin(self, lower: Array, upper: Array, inside: tuple[float, float]) -> Mesh:
+        """Mesh between two sets of splines that share their ends; `inside` says which of them is a valve's inside.
+
+        Marks (V, 3): growth, inside (0 or 1), muscle scar (0 to 1).
+        """
+        upper = np.maximum(upper, lower + 0.012 * np.minimum(1.0, 6 * self.arch))
+        rim = 0.5 * (lower[:, [0, -1]] + upper[:, [0, -1]])
+        lower, upper = lower.copy(), upper.copy()
+        lower[:, [0, -1]], upper[:, [0, -1]] = rim, rim
+        scar = np.exp(-((((self.s - SCAR[0]) / SCAR[2]) ** 2 + ((self.a - SCAR[1]) / SCAR[3] / 2) ** 2) ** 3))
+        rings, marks = [], []
+        parameter = np.linspace(0, 1, POINTS + 1)[:-1]
+        for z, is_inside, order in ((lower, inside[0], 1), (upper, inside[1], -1)):
+            values = [self.y, z, self.growth, np.full_like(z, is_inside), is_inside * scar]
+            points = np.stack([_splines(v[:, ::order], parameter) for v in values], axis=-1)
+            rings.append(points[..., :2])
+            marks.append(points[..., 2:])
+        ring, mark = np.concatenate(rings, axis=1), np.concatenate(marks, axis=1)
+        vertices = self._bent(ring)
+        ends = np.array([[[0.0, inside[0], 0.0]], [[1.0, inside[0], 0.0]]])
+        vertices = np.concatenate([np.zeros((1, 3)), vertices.reshape(-1, 3), vertices[-1].mean(axis=0)[None]])
+        all_marks = np.concatenate([ends[0], mark.reshape(-1, 3), ends[1]])
+        vertices[:, 0] /= vertices[:, 0].max()
+        return build_mesh(vertices, _faces(len(ring), ring.shape[1]), all_marks)
+
+    def _bent(self, ring: Array) -> Array:
+        """Points (S, P, 3) of rings (S, P, 2) in y, z: turned and shifted along the shell, the bill rounded."""
+        shape, s = self.shape, self.s
+        turn = shape.twist * (s - 0.3)
+        y = np.cos(turn) * ring[..., 0] - np.sin(turn) * ring[..., 1] + shape.curve * np.sin(0.8 * np.pi * s)
+        z = np.sin(turn) * ring[..., 0] + np.cos(turn) * ring[..., 1] + shape.bend * np.sin(np.pi * s)
+        # Growth lines are arcs about the umbo, and the bill is frayed.
+        across = ring[..., 0] / shape.length
+        frayed = 0.02 * shape.roughness * self._waves(1, 0.0 * across, 2.5 * across) * s**3
+        return np.stack([s * (1 + frayed - 0.35 * (1 - s) * across**2), y, z], axis=-1)
 
 
-def _spline(y: Array, z: Array) -> BSpline:
-    """Clamped cubic B-spline over [0, 1] with control points (y, z)."""
-    inner = np.linspace(0, 1, len(y) - DEGREE + 1)
+def _splines(values: Array, parameter: Array) -> Array:
+    """Clamped cubic B-splines over [0, 1] with control values (S, C), at parameters (P,): (S, P)."""
+    count = values.shape[1]
+    inner = np.linspace(0, 1, count - DEGREE + 1)
     knots = np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
-    return BSpline(knots, np.column_stack([y, z]), DEGREE)
+    return BSpline(knots, values.T, DEGREE)(parameter).T
 
 
-def _skin(rings: int, points: int) -> NDArray[np.int64]:
+def _turned(mesh: Mesh, angle: float) -> Mesh:
+    """A valve opened by an angle about the hinge."""
+    x, y, z = mesh.vertices.astype(float).T
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turned = np.column_stack([cosine * x - sine * z, y, sine * x + cosine * z])
+    return build_mesh(turned, mesh.faces, mesh.marks)
+
+
+def _volume(mesh: Mesh) -> float:
+    """Enclosed volume, by the divergence theorem."""
+    a, b, c = np.moveaxis(mesh.vertices.astype(float)[mesh.faces], 1, 0)
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
+
+
+def _faces(rings: int, points: int) -> NDArray[np.int64]:
     """Faces (F, 3) over `rings` closed rings of `points` vertices, with a pole before and a pole after them."""
     here = np.arange(points)
     there = (here + 1) % points

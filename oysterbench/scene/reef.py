@@ -1,212 +1,177 @@
-"""Where oysters and stones lie: clumps of a Thomas process, each shell resting in the relief."""
+"""The oysters of a reef: their states and sizes, their clumps, and the valves that lie loose between them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
-
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtr, ndtri
 
-from oysterbench.recipe import CLASSES, ReefRecipe
-from oysterbench.scene.mesh import Mesh, round_positions
+from oysterbench.recipe import ReefRecipe
+from oysterbench.scene.clump import Growth, clump_centres, clump_sizes, grow_clumps
+from oysterbench.scene.instances import CLASS_NUMBERS, Instances, join_instances, lean_with, make_instances, rest
+from oysterbench.scene.library import Library
+from oysterbench.scene.oyster import STATES
 from oysterbench.scene.terrain import Terrain
 from oysterbench.streams import Streams
 
+__all__ = ["CLASS_NUMBERS", "Instances", "place_oysters"]
+
 Array = NDArray[np.float64]
 
-CLASS_NUMBERS = {name: number for number, name in CLASSES.items()}
-CLUMP_SPREAD = 0.8  # standard deviation of a clump, in shell heights
-LYING_SHARE = 0.3
 SIZE_SPREAD = 0.28  # standard deviation of ln(height)
-SIZE_LIMITS_M = (0.025, 0.172)  # the range measured in 1122 Virginia oysters
-SPACING = 0.34  # least distance of neighbours' hinges, in shell heights
-STONE_RADIUS_M = (0.025, 0.11)
-OYSTER_SINK = (0.03, 0.12)  # of the shell's height
-ROWS_AT_ONCE = 512  # bounds the memory that placing needs
-STONE_SINK = (0.25, 0.6)  # of the stone's radius
+SIZE_LIMITS_M = (0.0249, 0.172)  # the range measured in 1122 Virginia oysters
+CLUMP_SPACING = 0.55  # of clumps' centres, in heights and roots of their size
+FOUNDER_SINK = (0.10, 0.30)  # of the shell's width
+STANDING_FOUNDERS = {"sand": 0.30, "mud": 0.65, "gravel": 0.20, "shell": 0.25}
+SOFT = {"sand": 0.10, "mud": 0.35, "gravel": 0.0, "shell": 0.0}  # more slender on soft bottom
+VALVE_SPREAD = 1.7  # standard deviation of loose valves about a clump, in heights
+STRAY_VALVES = 0.25  # share of loose valves that lie anywhere
+SLOPE_REACH_M = 0.03
 
 
-@dataclass(frozen=True)
-class Instances:
-    """Placed meshes. A point p of shape `shape` lies at `rotation @ (scale * p) + position` in `map`.
-
-    ids (N,) uint16 from 1; classes (N,) uint8 as in recipe.CLASSES; shapes (N,) int32, index of the mesh; positions
-    (N, 3) m and rotations (N, 3, 3); scales (N, 3) m per unit of the mesh; colours (N, 3) linear albedo; silt (N,)
-    share of an upward face that is covered with silt; sunk (N,) m by which the lowest point is below the seabed.
-    """
-
-    ids: NDArray[np.uint16]
-    classes: NDArray[np.uint8]
-    shapes: NDArray[np.int32]
-    positions: NDArray[np.float32]
-    rotations: NDArray[np.float32]
-    scales: NDArray[np.float32]
-    colours: NDArray[np.float32]
-    silt: NDArray[np.float32]
-    sunk: NDArray[np.float32]
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    def take(self, chosen: NDArray[np.generic]) -> Instances:
-        """The instances at an index or mask."""
-        return Instances(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
-
-    def vertices(self, meshes: Sequence[Mesh], index: int) -> Array:
-        """Vertices (V, 3) of one instance in `map`, m."""
-        local = meshes[self.shapes[index]].vertices * self.scales[index].astype(float)
-        return np.einsum("ij,vj->vi", self.rotations[index].astype(float), local) + self.positions[index]
-
-
-def placed_vertices(meshes: Sequence[Mesh], instances: Instances) -> Iterator[tuple[NDArray[np.intp], Array]]:
-    """Rows (n,) of instances that share a shape, and their vertices (n, V, 3) in `map`, m; all rows come once."""
-    for shape, mesh in enumerate(meshes):
-        rows = np.flatnonzero(instances.shapes == shape)
-        for chosen in np.array_split(rows, len(rows) // ROWS_AT_ONCE + 1):
-            if len(chosen):
-                local = mesh.vertices[None] * instances.scales[chosen, None].astype(float)
-                turned = np.einsum("nij,nvj->nvi", instances.rotations[chosen].astype(float), local)
-                yield chosen, turned + instances.positions[chosen, None]
-
-
-def join_instances(parts: Sequence[Instances]) -> Instances:
-    """Several tables as one, with ids renumbered from 1."""
-    values = {f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Instances)}
-    values["ids"] = np.arange(1, len(values["ids"]) + 1).astype(np.uint16)
-    return Instances(**values)
-
-
-def place_oysters(reef: ReefRecipe, terrain: Terrain, meshes: Sequence[Mesh], streams: Streams) -> Instances:
-    """Oysters of a reef; `meshes` is the library, of which every shape may be a shell."""
+def place_oysters(reef: ReefRecipe, terrain: Terrain, library: Library, streams: Streams) -> Instances:
+    """Oysters of a reef: those of the clumps, clump by clump, then the loose valves."""
     generator = streams.generator("oysters")
-    n = reef.oysters
-    heights = reef.oyster_size_mm * 1e-3 * np.exp(SIZE_SPREAD * generator.standard_normal(n))
-    heights = np.clip(heights, *SIZE_LIMITS_M)
-    places, outward = _clumps(reef, heights, generator)
-    rotations = _poses(n, outward, generator)
-    aspect = np.exp(0.10 * generator.standard_normal((n, 2)))
-    scales = heights[:, None] * np.column_stack([np.ones(n), aspect])
-    return _rest(
-        class_name="oyster",
-        shapes=generator.integers(0, len(meshes), n),
-        places=places,
-        rotations=rotations,
-        scales=scales,
-        colours=_shell_colours(n, generator),
-        silt=generator.beta(2.2, 1.8, n),
-        sunk=heights * generator.uniform(*OYSTER_SINK, n),
-        terrain=terrain,
-        meshes=meshes,
-    )
+    n = reef.oyster_count
+    loose = int(generator.binomial(n, reef.valve_share)) if n else 0
+    grown = n - loose
+    sizes = clump_sizes(grown, reef.clump_size, streams.generator("clumps", "sizes"))
+    spacing = CLUMP_SPACING * reef.oyster_size_mm * 1e-3 * np.sqrt(reef.clump_size)
+    centres = clump_centres(len(sizes), reef.size_m, spacing, streams.generator("clumps", "centres"))
+    clumped = _clumped(reef, terrain, library, sizes, centres, streams)
+    valves = _loose(reef, terrain, library, loose, centres, clumped, streams.generator("valves"))
+    return join_instances([clumped, valves])
 
 
-def place_stones(reef: ReefRecipe, terrain: Terrain, meshes: Sequence[Mesh], streams: Streams) -> Instances:
-    """Stones of a reef, uniform over its square; small ones are many."""
-    generator = streams.generator("stones")
-    n = reef.stones
-    small, large = STONE_RADIUS_M
-    radii = small * (large / small) ** (generator.random(n) ** 1.8)
-    places = generator.uniform(-reef.size_m / 2, reef.size_m / 2, (n, 2))
-    tilt = Rotation.from_rotvec(0.25 * generator.standard_normal((n, 3)))
-    turn = Rotation.from_euler("z", generator.uniform(0, 2 * np.pi, (n, 1)))
-    grey = generator.uniform(0.08, 0.24, (n, 1))
-    return _rest(
-        class_name="stone",
-        shapes=generator.integers(0, len(meshes), n),
-        places=places,
-        rotations=(tilt * turn).as_matrix().reshape(n, 3, 3),
-        scales=radii[:, None] * np.exp(0.12 * generator.standard_normal((n, 3))),
-        colours=grey * np.array([1.05, 1.0, 0.9]) * np.exp(0.06 * generator.standard_normal((n, 3))),
-        silt=generator.beta(3.0, 1.5, n),
-        sunk=radii * generator.uniform(*STONE_SINK, n),
-        terrain=terrain,
-        meshes=meshes,
-    )
+def draw_heights(median_m: float, count: int, generator: np.random.Generator) -> Array:
+    """Shell heights (N,), m: log-normal, cut at SIZE_LIMITS_M."""
+    low, high = ndtr(np.log(np.array(SIZE_LIMITS_M) / median_m) / SIZE_SPREAD)
+    heights: Array = median_m * np.exp(SIZE_SPREAD * ndtri(low + (high - low) * generator.random(count)))
+    return np.clip(heights, *SIZE_LIMITS_M)
 
 
-def _clumps(reef: ReefRecipe, heights: Array, generator: np.random.Generator) -> tuple[Array, Array]:
-    """Hinge positions (N, 2) in m of a Thomas process, and each shell's offset (N, 2) from its clump's centre.
-
-    Thomas (1949): Poisson parents, Gaussian offspring; here the number of all offspring is given. Parents avoid the
-    bare patches of the reef. A shell too near an earlier one is drawn again a few times.
-    """
-    n = len(heights)
-    parents = max(1, round(n / reef.clump_size))
-    half = reef.size_m / 2
-    centres = generator.uniform(-half, half, (4 * parents, 2))
-    waves = generator.standard_normal((12, 2)) * 2 * np.pi / 5.0  # patches of a few metres
-    phases = generator.uniform(0, 2 * np.pi, 12)
-    patchiness = np.sin(np.einsum("pi,wi->pw", centres, waves) + phases).sum(axis=1)
-    keep = np.argsort(-(patchiness + 2.0 * generator.standard_normal(len(centres))), kind="stable")[:parents]
-    centres = centres[np.sort(keep)]
-    weights = generator.gamma(1.2, 1.0, parents)
-    parent = generator.choice(parents, size=n, p=weights / weights.sum())
-    tries = generator.standard_normal((n, 6, 2))
-    cell = float(SIZE_LIMITS_M[1])
-    taken: dict[tuple[int, int], list[tuple[float, float, float]]] = {}
-    places = np.empty((n, 2))
-    for i in range(n):
-        for attempt in range(tries.shape[1]):
-            spread = CLUMP_SPREAD * reef.oyster_size_mm * 1e-3 * (1 + 0.25 * attempt)
-            x, y = np.clip(centres[parent[i]] + spread * tries[i, attempt], -half, half).tolist()
-            column, row = int(x // cell), int(y // cell)
-            near = [p for a in (-1, 0, 1) for b in (-1, 0, 1) for p in taken.get((column + a, row + b), ())]
-            if all((x - p) ** 2 + (y - q) ** 2 > (SPACING * 0.5 * (heights[i] + h)) ** 2 for p, q, h in near):
-                break
-        taken.setdefault((column, row), []).append((x, y, heights[i]))
-        places[i] = x, y
-    return places, places - centres[parent]
+def state_names(library: Library, oysters: Instances) -> list[str]:
+    """State of each oyster."""
+    return [library.shells[shape].state for shape in oysters.shapes]
 
 
-def _poses(n: int, outward: Array, generator: np.random.Generator) -> Array:
-    """Rotations (N, 3, 3): most shells stand on the hinge and lean out of the clump, the others lie on a valve."""
-    heading = np.arctan2(outward[:, 1], outward[:, 0]) + 0.7 * generator.standard_normal(n)
-    lying = generator.random(n) < LYING_SHARE
-    rise = np.where(lying, generator.normal(0.06, 0.12, n), generator.uniform(0.45, 1.35, n))
-    # Lying shells rest on either valve; standing ones turn any way about their long axis.
-    flip = np.where(generator.random(n) < 0.6, 0.0, np.pi)
-    roll = np.where(lying, flip + 0.2 * generator.standard_normal(n), generator.uniform(-np.pi, np.pi, n))
-    angles = np.column_stack([heading, -rise, roll])
-    return Rotation.from_euler("ZYX", angles).as_matrix().reshape(n, 3, 3)
-
-
-def _shell_colours(n: int, generator: np.random.Generator) -> Array:
-    """Linear albedo (N, 3) of shells: grey-brown to dirty white, a few dark."""
-    brown, grey, white = np.array([0.17, 0.135, 0.09]), np.array([0.22, 0.21, 0.185]), np.array([0.50, 0.47, 0.40])
-    mix = generator.dirichlet([1.6, 1.6, 0.7], n)
-    colours = mix[:, :1] * brown + mix[:, 1:2] * grey + mix[:, 2:] * white
-    return colours * np.exp(0.18 * generator.standard_normal((n, 1)))
-
-
-def _rest(
-    class_name: str,
-    shapes: NDArray[np.integer],
-    places: Array,
-    rotations: Array,
-    scales: Array,
-    colours: Array,
-    silt: Array,
-    sunk: Array,
-    terrain: Terrain,
-    meshes: Sequence[Mesh],
+def _clumped(
+    reef: ReefRecipe, terrain: Terrain, library: Library, sizes: NDArray[np.int64], centres: Array, streams: Streams
 ) -> Instances:
-    """Let each mesh down at its place until its lowest point, over the relief below it, is `sunk` m deep."""
-    n = len(shapes)
-    level = Instances(
-        ids=np.zeros(n, dtype=np.uint16),
-        classes=np.full(n, CLASS_NUMBERS[class_name], dtype=np.uint8),
-        shapes=shapes.astype(np.int32),
-        positions=round_positions(np.column_stack([places, np.zeros(n)])),
-        rotations=np.round(rotations, 6).astype(np.float32),
-        scales=round_positions(scales),
-        colours=np.round(np.clip(colours, 0.02, 0.8), 5).astype(np.float32),
-        silt=np.round(silt, 5).astype(np.float32),
-        sunk=round_positions(sunk),
+    """Oysters of the clumps; each clump's first lies on the bottom, the others grow on older ones."""
+    generator = streams.generator("clumps", "oysters")
+    n = int(sizes.sum())
+    clump = np.repeat(np.arange(len(sizes)), sizes)
+    first = np.cumsum(sizes) - sizes
+    order = np.arange(n) - np.repeat(first, sizes)
+    heights = draw_heights(reef.oyster_size_mm * 1e-3, n, generator)
+    # The founders are the oldest: within a clump the sizes fall, more or less.
+    rank = np.lexsort((-heights * np.exp(0.35 * generator.standard_normal(n)), clump))
+    heights = heights[rank]
+    boxes = generator.random(n) < reef.box_share / max(1 - reef.valve_share, 1e-9)
+    slender = 0.25 + 0.06 * order + SOFT[reef.bottom] + 0.22 * generator.standard_normal(n)
+    shapes = np.where(boxes, library.pick("box", generator.random(n)), library.pick("live", np.clip(slender, 0, 1)))
+    scales = heights[:, None] * np.column_stack([np.ones(n), np.exp(0.08 * generator.standard_normal((n, 2)))])
+    standing = generator.random(n) < STANDING_FOUNDERS[reef.bottom]
+    rise = np.where(standing, generator.uniform(0.8, 1.4, n), generator.normal(0.15, 0.15, n))
+    roll = np.where(standing, generator.uniform(-np.pi, np.pi, n), 0.25 * generator.standard_normal(n))
+    rotations = _turned(generator.uniform(-np.pi, np.pi, n), rise, roll)
+    places = np.zeros((n, 3))
+    places[:, :2] = centres[clump] - 0.35 * (1 - standing[:, None]) * heights[:, None] * rotations[:, :2, 0]
+    rotations = lean_with(terrain, places[:, :2], rotations, SLOPE_REACH_M)
+    white = np.where(boxes, 0.5, 0.0)
+    parts = {
+        "class_name": "oyster",
+        "shapes": shapes,
+        "scales": scales,
+        "colours": _shell_colours(n, white, generator),
+        "silt": generator.beta(2.2, 1.8, n),
+    }
+    sunk = heights * np.where(standing, 0.5, 1.0) * 0.3 * generator.uniform(*FOUNDER_SINK, n)
+    sunk = np.where(order == 0, sunk, 0.0)
+    founders = rest(make_instances(**parts, positions=places, rotations=rotations, sunk=sunk), terrain, library.meshes)
+    start = Growth(founders.positions.astype(float), founders.rotations.astype(float), np.full(n, -1))
+    growth = grow_clumps(
+        sizes,
+        start,
+        shapes,
+        founders.scales.astype(float),
+        library.meshes,
+        terrain,
+        streams.generator("clumps", "grow"),
     )
-    for chosen, vertices in placed_vertices(meshes, level):
-        ground = terrain.height(vertices[..., 0], vertices[..., 1])
-        clearance = (vertices[..., 2] - ground).min(axis=1)
-        level.positions[chosen, 2] = round_positions(-clearance - sunk[chosen])
-    return level
+    return make_instances(
+        **parts, positions=growth.positions, rotations=growth.rotations, sunk=sunk, hosts=growth.hosts + 1
+    )
+
+
+def _loose(
+    reef: ReefRecipe,
+    terrain: Terrain,
+    library: Library,
+    n: int,
+    centres: Array,
+    clumped: Instances,
+    generator: np.random.Generator,
+) -> Instances:
+    """Single valves lying about the clumps, either side up, each at the freest of a few places."""
+    half = reef.size_m / 2
+    heights = draw_heights(reef.oyster_size_mm * 1e-3, n, generator)
+    tries = generator.uniform(-half, half, (n, 4, 2))
+    if len(centres):
+        about = centres[generator.integers(0, len(centres), n)][:, None]
+        spread = VALVE_SPREAD * reef.oyster_size_mm * 1e-3
+        near = about + spread * generator.standard_normal((n, 4, 2))
+        tries = np.where((generator.random(n) < STRAY_VALVES)[:, None, None], tries, near)
+    tries = np.clip(tries, -half, half)
+    room = np.zeros((n, 4))
+    if len(clumped) and n:
+        room = np.round(cKDTree(clumped.positions[:, :2]).query(tries.reshape(-1, 2))[0].reshape(n, 4), 6)
+    places = tries[np.arange(n), np.argmax(room, axis=1)]
+    left = generator.random(n) < 0.5
+    share = generator.random(n)
+    shapes = np.where(left, library.pick("left valve", share), library.pick("right valve", share))
+    # A cupped valve lies more stably with its hollow down, but either is seen.
+    over = generator.random(n) < 0.5
+    rotations = _turned(
+        generator.uniform(-np.pi, np.pi, n),
+        0.10 * generator.standard_normal(n),
+        np.where(over, np.pi, 0.0) + 0.12 * generator.standard_normal(n),
+    )
+    return rest(
+        make_instances(
+            class_name="oyster",
+            shapes=shapes,
+            positions=np.column_stack([places, np.zeros(n)]),
+            rotations=lean_with(terrain, places, rotations, SLOPE_REACH_M),
+            scales=heights[:, None] * np.column_stack([np.ones(n), np.exp(0.08 * generator.standard_normal((n, 2)))]),
+            colours=_shell_colours(n, np.full(n, 0.7), generator),
+            silt=generator.beta(1.8, 1.8, n),
+            sunk=heights * generator.uniform(0.02, 0.07, n),
+        ),
+        terrain,
+        library.meshes,
+    )
+
+
+def _turned(heading: Array, rise: Array, roll: Array) -> Array:
+    """Rotations (N, 3, 3) of shells that point along a heading, rise and roll about their long axis, rad."""
+    angles = np.column_stack([heading, -rise, roll])
+    return Rotation.from_euler("ZYX", angles).as_matrix().reshape(len(heading), 3, 3)
+
+
+def _shell_colours(n: int, white: Array, generator: np.random.Generator) -> Array:
+    """Linear albedo (N, 3) of shells: grey-brown to dirty white, a few dark; `white` (N,) bleaches dead ones."""
+    brown, grey, pale = np.array([0.17, 0.135, 0.09]), np.array([0.22, 0.21, 0.185]), np.array([0.50, 0.47, 0.40])
+    mix = generator.dirichlet([1.6, 1.6, 0.7], n)
+    colours = mix[:, :1] * brown + mix[:, 1:2] * grey + mix[:, 2:] * pale
+    colours = colours * np.exp(0.18 * generator.standard_normal((n, 1)))
+    return colours + (pale - colours) * (white * generator.random(n))[:, None]
+
+
+def count_states(library: Library, oysters: Instances) -> dict[str, int]:
+    """How many oysters there are of each of STATES."""
+    names = state_names(library, oysters)
+    return {state: names.count(state) for state in STATES}

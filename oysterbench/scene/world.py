@@ -6,27 +6,21 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
+from scipy.spatial.transform import Rotation
 
 from oysterbench.errors import RecipeError
-from oysterbench.recipe import SequenceRecipe
+from oysterbench.recipe import ReefRecipe, SequenceRecipe
+from oysterbench.scene.clutter import place_fragments, place_plants, place_rocks, place_sponges, place_stones
+from oysterbench.scene.instances import CLASS_NUMBERS, Instances, join_instances, placed_vertices
+from oysterbench.scene.library import Library, build_library
 from oysterbench.scene.mesh import Mesh
-from oysterbench.scene.oyster import build_shell, draw_form
-from oysterbench.scene.props import build_stone
-from oysterbench.scene.reef import (
-    CLASS_NUMBERS,
-    Instances,
-    join_instances,
-    place_oysters,
-    place_stones,
-    placed_vertices,
-)
+from oysterbench.scene.reef import place_oysters, state_names
 from oysterbench.scene.terrain import Terrain, build_terrain, sample_grid
 from oysterbench.streams import Streams
 
-SHELLS = 24
-STONES = 8
 ENVELOPE_CELL_M = 0.025
 MAX_ENVELOPE_CELLS = 2000  # per side: bounds the memory of a large reef
 MAX_INSTANCES = 2**16 - 1
@@ -34,35 +28,71 @@ MAX_INSTANCES = 2**16 - 1
 
 @dataclass(frozen=True)
 class World:
-    """Seabed, shapes and their instances; oysters come first, stones continue their ids.
+    """Seabed, shapes and their instances: oysters first, then stones, rocks, broken shell, sponges and plants.
 
-    meshes: the library that `instances.shapes` points into. texture_seed: uint32 for the procedural albedo.
+    library: the meshes that `instances.shapes` points into. texture_seed: uint32 for the procedural albedo.
     envelope_lines (M,) float64: grid lines of the envelope along x and y, m. envelope (M, M) float32, indexed [y, x]:
-    height in `map` of the highest surface around a grid point, m.
+    height in `map` of the highest surface around a grid point, m; solid (M, M): the same without plants.
     """
 
     terrain: Terrain
-    meshes: tuple[Mesh, ...]
+    library: Library
     instances: Instances
     texture_seed: int
     envelope_lines: NDArray[np.float64]
     envelope: NDArray[np.float32]
+    solid: NDArray[np.float32]
+
+    @property
+    def meshes(self) -> tuple[Mesh, ...]:
+        """All meshes of the library."""
+        return self.library.meshes
 
     @property
     def oysters(self) -> Instances:
         """The oysters' rows of the instance table."""
-        return self.instances.take(self.instances.classes == CLASS_NUMBERS["oyster"])
+        return self.of_class("oyster")
 
     @property
     def stones(self) -> Instances:
         """The stones' rows of the instance table."""
-        return self.instances.take(self.instances.classes == CLASS_NUMBERS["stone"])
+        return self.of_class("stone")
+
+    def of_class(self, name: str) -> Instances:
+        """The rows of the instance table that are of a class of recipe.CLASSES."""
+        return self.instances.take(self.instances.classes == CLASS_NUMBERS[name])
+
+    def oyster_table(self) -> pd.DataFrame:
+        """The truth about each oyster, a row each.
+
+        id: as in instance images. state: as in oyster.STATES. host: id of the oyster that it grows on, 0 for the
+        bottom. height_m, length_m, width_m: of the closed shell or the single valve, along its own axes. volume_m3:
+        that it displaces (a live one's with what is in it, a dead one's of its shell alone). x, y, z: of its umbo in
+        `map`, m. qx, qy, qz, qw: from the shell's frame (x to the bill, z out of the right valve) to `map`.
+        """
+        oysters = self.oysters
+        shells = self.library.shells
+        scales = oysters.scales.astype(float)
+        extents = np.array([shell.extent for shell in shells])[oysters.shapes] * scales
+        volumes = np.array([shell.volume for shell in shells])[oysters.shapes] * scales.prod(axis=1)
+        positions = oysters.positions.astype(float)
+        quaternions = Rotation.from_matrix(oysters.rotations.astype(float).reshape(-1, 3, 3)).as_quat(canonical=True)
+        columns = {
+            "id": oysters.ids.astype(np.int64),
+            "state": state_names(self.library, oysters),
+            "host": oysters.hosts.astype(np.int64),
+            **{f"{name}_m": np.round(extents[:, k], 6) for k, name in enumerate(("height", "length", "width"))},
+            "volume_m3": np.round(volumes, 10),
+            **{name: positions[:, k] for k, name in enumerate("xyz")},
+            **{f"q{name}": np.round(quaternions[:, k], 6) for k, name in enumerate("xyzw")},
+        }
+        return pd.DataFrame(columns)
 
     def boxes(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Lower and upper corners (N, 3) of the instances' boxes in `map`, m, a hair wider than the shapes."""
         lowers = np.empty((len(self.instances), 3), dtype=np.float32)
         uppers = np.empty_like(lowers)
-        for chosen, vertices in placed_vertices(self.meshes, self.instances):
+        for chosen, vertices in placed_vertices(self.meshes, self.instances, hulls=True):
             lowers[chosen], uppers[chosen] = vertices.min(axis=1) - 1e-4, vertices.max(axis=1) + 1e-4
         return lowers, uppers
 
@@ -71,7 +101,7 @@ class World:
         return self.terrain.height(x, y)
 
     def obstacle_height(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Upper bound of z of seabed, oysters and stones at x, y (m, `map`), m.
+        """Upper bound of z of seabed, oysters and all else but plants at x, y (m, `map`), m.
 
         Conservative: the highest point within about two cells (5 cm on reefs up to 50 m) counts.
         """
@@ -81,37 +111,51 @@ class World:
 
     @cached_property
     def _highest_around(self) -> NDArray[np.float32]:
-        """The envelope widened by a cell each way, so that interpolating it never cuts a tip off."""
-        return ndimage.maximum_filter(self.envelope, size=3)
+        """The solid envelope widened by a cell each way, so that interpolating it never cuts a tip off."""
+        return ndimage.maximum_filter(self.solid, size=3)
 
 
 def build_world(recipe: SequenceRecipe, streams: Streams) -> World:
     """The world of a sequence; the same recipe and streams give the same arrays.
 
-    Raises RecipeError when oysters and stones together do not fit the instance ids.
+    Raises RecipeError when everything together does not fit the instance ids.
     """
     reef = recipe.reef
-    if reef.oysters + reef.stones > MAX_INSTANCES:
-        raise RecipeError(
-            f"sequence {recipe.name}: keys 'reef.oysters' + 'reef.stones': expected at most {MAX_INSTANCES} together, "
-            f"got {reef.oysters + reef.stones}"
-        )
+    _check_count(reef, recipe.name)
     scene = streams.at("scene")
     terrain = build_terrain(reef, scene.generator("terrain"))
-    shells = []
-    for k in range(SHELLS):
-        generator = scene.generator("shell", k)
-        shells.append(build_shell(draw_form(generator), generator))
-    stones = [build_stone(scene.generator("stone", k)) for k in range(STONES)]
-    oysters = place_oysters(reef, terrain, shells, scene)
-    rocks = place_stones(reef, terrain, stones, scene)
-    rocks = join_instances([rocks])
-    rocks.shapes[:] += SHELLS
-    meshes = (*shells, *stones)
-    instances = join_instances([oysters, rocks])
-    lines, envelope = _envelope(reef.size_m, terrain, meshes, instances)
+    library = build_library(reef, scene)
+    oysters = place_oysters(reef, terrain, library, scene)
+    stones = place_stones(reef, terrain, library, scene)
+    rocks = place_rocks(reef, terrain, library, scene)
+    fragments = place_fragments(reef, terrain, library, oysters, scene)
+    hard = join_instances([oysters, stones, rocks])
+    sponges = place_sponges(reef, library, hard, scene)
+    plants = place_plants(reef, terrain, library, scene)
+    instances = join_instances([hard, fragments, sponges, plants])
+    if len(instances) > MAX_INSTANCES:
+        raise RecipeError(_crowded(recipe.name, len(instances)))
+    lines, solid = _envelope(reef.size_m, terrain, library.meshes, join_instances([hard, sponges]))
+    envelope = solid
+    if len(plants):
+        envelope = np.maximum(solid, _envelope(reef.size_m, terrain, library.meshes, plants)[1])
     texture_seed = int(scene.generator("texture").integers(0, 2**32))
-    return World(terrain, meshes, instances, texture_seed, lines, envelope)
+    return World(terrain, library, instances, texture_seed, lines, envelope, solid)
+
+
+def _check_count(reef: ReefRecipe, name: str) -> None:
+    """Refuse a crowd before the time to build it is spent."""
+    area = reef.size_m**2
+    count = reef.oyster_count + reef.stones + reef.rocks + round((reef.hash_per_m2 + reef.sponges_per_m2) * area)
+    if count > MAX_INSTANCES:
+        raise RecipeError(_crowded(name, count))
+
+
+def _crowded(name: str, count: int) -> str:
+    return (
+        f"sequence {name}: keys 'reef.oysters' (or 'reef.density_per_m2'), 'stones', 'rocks', 'hash_per_m2', "
+        f"'sponges_per_m2', 'plant_cover': expected at most {MAX_INSTANCES} things together, got {count}"
+    )
 
 
 def _envelope(
@@ -124,7 +168,8 @@ def _envelope(
     lines: NDArray[np.float64] = (np.arange(count, dtype=float) - (count - 1) / 2) * cell
     x, y = np.meshgrid(lines, lines)
     envelope = terrain.height(x, y).astype(np.float32)
+    flat = envelope.ravel()
     for _, vertices in placed_vertices(meshes, instances):
-        place = np.clip(np.round((vertices[..., :2] - lines[0]) / cell).astype(int), 0, count - 1)
-        np.maximum.at(envelope, (place[..., 1].ravel(), place[..., 0].ravel()), vertices[..., 2].ravel())
+        place = np.clip(np.rint((vertices[..., :2] - lines[0]) / cell).astype(np.int32), 0, count - 1)
+        np.maximum.at(flat, place[..., 1].ravel() * count + place[..., 0].ravel(), vertices[..., 2].ravel())
     return lines, envelope

@@ -1,4 +1,4 @@
-"""Worlds: repeatable, with everything resting on the relief and counted once."""
+"""Worlds: repeatable, counted once, and with nothing that floats."""
 
 from __future__ import annotations
 
@@ -7,16 +7,26 @@ import dataclasses
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from oysterbench.errors import RecipeError
 from oysterbench.recipe import load_split
-from oysterbench.scene.props import build_stone
+from oysterbench.scene.oyster import STATES
 from oysterbench.scene.world import World, build_world
 from oysterbench.streams import Streams
 
 RECIPE = load_split("slam-mini").sequence[0]
-SMALL = dataclasses.replace(
-    RECIPE, reef=dataclasses.replace(RECIPE.reef, size_m=5.0, oysters=150, stones=12, relief_rms_m=0.1)
+
+
+def recipe(**changes):
+    reef = dataclasses.replace(RECIPE.reef, size_m=5.0, relief_rms_m=0.1, oysters=150, stones=12)
+    return dataclasses.replace(RECIPE, reef=dataclasses.replace(reef, **changes))
+
+
+SMALL = recipe()
+FULL = recipe(
+    oysters=None, density_per_m2=16.0, rocks=3, hash_per_m2=10.0, plant_cover=0.1, sponges_per_m2=2.0, bottom="mud"
 )
 
 
@@ -25,17 +35,30 @@ def world() -> World:
     return build_world(SMALL, Streams(9))
 
 
-def test_same_recipe_and_streams_give_the_same_arrays(world: World) -> None:
-    again = build_world(SMALL, Streams(9))
-    for field in dataclasses.fields(world.instances):
-        assert np.array_equal(getattr(world.instances, field.name), getattr(again.instances, field.name)), field.name
-    assert np.array_equal(world.terrain.heights, again.terrain.heights)
-    assert np.array_equal(world.envelope, again.envelope)
-    assert world.texture_seed == again.texture_seed
+@pytest.fixture(scope="module")
+def full() -> World:
+    return build_world(FULL, Streams(9))
+
+
+@pytest.mark.parametrize("of", [SMALL, FULL])
+def test_same_recipe_and_streams_give_the_same_arrays(of) -> None:
+    one, again = build_world(of, Streams(9)), build_world(of, Streams(9))
+    for field in dataclasses.fields(one.instances):
+        assert np.array_equal(getattr(one.instances, field.name), getattr(again.instances, field.name)), field.name
+    assert np.array_equal(one.terrain.heights, again.terrain.heights)
+    assert np.array_equal(one.envelope, again.envelope)
+    assert all(np.array_equal(a.vertices, b.vertices) for a, b in zip(one.meshes, again.meshes, strict=True))
+    assert one.texture_seed == again.texture_seed
+    assert one.oyster_table().equals(again.oyster_table())
 
 
 def test_another_seed_gives_another_world(world: World) -> None:
     assert not np.array_equal(build_world(SMALL, Streams(10)).instances.positions, world.instances.positions)
+
+
+def test_clutter_moves_no_oyster(world: World) -> None:
+    more = build_world(recipe(hash_per_m2=10.0, plant_cover=0.1, rocks=2), Streams(9))
+    assert np.array_equal(more.oysters.positions, world.oysters.positions)
 
 
 def test_ids_count_oysters_from_one_then_stones(world: World) -> None:
@@ -44,17 +67,83 @@ def test_ids_count_oysters_from_one_then_stones(world: World) -> None:
     assert world.stones.ids.tolist() == list(range(151, 163))
 
 
-def test_everything_touches_the_ground_and_nothing_is_buried(world: World) -> None:
-    for i in range(len(world.instances)):
-        vertices = world.instances.vertices(world.meshes, i)
-        over = vertices[:, 2] - world.ground_height(vertices[:, 0], vertices[:, 1])
-        assert -over.min() == pytest.approx(float(world.instances.sunk[i]), abs=1e-3)
-        assert over.min() < 0 < over.max()
-        assert -over.min() < 0.6 * (over.max() - over.min())
+def test_everything_touches_the_ground_or_what_it_grows_on(full: World) -> None:
+    """What rests on the bottom is sunk a little; what grows on another is set into its host by millimetres."""
+    table = full.instances
+    trees = {}
+    for i in range(len(table)):
+        host = int(table.hosts[i])
+        if host == 0:
+            vertices = table.vertices(full.meshes, i)
+            over = vertices[:, 2] - full.ground_height(vertices[:, 0], vertices[:, 1])
+            assert -over.min() == pytest.approx(float(table.sunk[i]), abs=2e-3)
+            assert over.max() > 0
+            assert -over.min() < 0.6 * (over.max() - over.min())
+            continue
+        assert host != table.ids[i]
+        if host not in trees:
+            vertices = table.vertices(full.meshes, host - 1)
+            trees[host] = cKDTree(vertices)
+        own = table.vertices(full.meshes, i)
+        assert trees[host].query(own)[0].min() < 0.008
 
 
-def test_shell_heights_follow_the_recipe(world: World) -> None:
-    assert np.median(world.oysters.scales[:, 0]) == pytest.approx(RECIPE.reef.oyster_size_mm * 1e-3, rel=0.1)
+def test_no_two_oysters_share_a_place(world: World) -> None:
+    """Shells may be cemented together, but hardly any is swallowed by another."""
+    oysters = world.oysters
+    centres = np.einsum("nij,nj->ni", oysters.rotations.astype(float), oysters.scales * [0.5, 0.0, -0.05])
+    centres = centres + oysters.positions
+    pairs = cKDTree(centres).query_pairs(0.06, output_type="ndarray")
+    gap = np.linalg.norm(centres[pairs[:, 0]] - centres[pairs[:, 1]], axis=1)
+    assert np.mean(gap < 0.1 * oysters.scales[pairs].max(axis=(1, 2))) < 0.02
+
+
+def test_clumps_hold_three_to_fifteen_and_stand_up(world: World) -> None:
+    table = world.oyster_table()
+    clumped = table[table.state.isin(["live", "box"])]
+    founders = (clumped.host == 0).to_numpy()
+    sizes = np.diff(np.append(np.flatnonzero(founders), len(clumped)))
+    assert sizes.min() >= 3
+    assert sizes.max() <= 16
+    axes = Rotation.from_quat(clumped[["qx", "qy", "qz", "qw"]].to_numpy()).apply([1.0, 0.0, 0.0])
+    assert np.median(np.degrees(np.arcsin(axes[~founders, 2]))) > 45
+
+
+def test_states_follow_the_recipes_shares() -> None:
+    table = build_world(recipe(oysters=1000, size_m=10.0, box_share=0.2, valve_share=0.3), Streams(9)).oyster_table()
+    share = table.state.value_counts(normalize=True)
+    assert set(share.index) == set(STATES)
+    assert share["box"] == pytest.approx(0.2, abs=0.05)
+    assert share["left valve"] + share["right valve"] == pytest.approx(0.3, abs=0.05)
+    valves = table[table.state.str.endswith("valve")]
+    up = Rotation.from_quat(valves[["qx", "qy", "qz", "qw"]].to_numpy()).apply([0.0, 0.0, 1.0])[:, 2]
+    assert 0.35 < np.mean(up > 0) < 0.65  # either side up
+
+
+def test_density_is_honoured() -> None:
+    for density in (5.0, 60.0):
+        world = build_world(recipe(oysters=None, density_per_m2=density), Streams(9))
+        assert len(world.oysters) / 25.0 == pytest.approx(density, rel=0.05)
+
+
+def test_shell_heights_follow_the_recipe_and_stay_in_the_measured_range() -> None:
+    heights = build_world(recipe(oysters=2000, size_m=12.0), Streams(9)).oyster_table().height_m
+    assert heights.median() == pytest.approx(RECIPE.reef.oyster_size_mm * 1e-3, rel=0.05)
+    assert heights.min() > 0.024
+    assert heights.max() < 0.175
+    assert heights.quantile(0.95) / heights.quantile(0.05) > 2
+
+
+def test_table_agrees_with_the_meshes(world: World) -> None:
+    table = world.oyster_table()
+    row = table.index[(table.state == "left valve")][0]
+    vertices = world.instances.vertices(world.meshes, row)
+    shape = world.instances.shapes[row]
+    solid = trimesh.Trimesh(vertices, world.meshes[shape].faces, process=False)
+    assert solid.volume == pytest.approx(table.volume_m3[row], rel=1e-3)
+    pose = Rotation.from_quat(table.loc[row, ["qx", "qy", "qz", "qw"]].to_numpy(dtype=float))
+    own = pose.inv().apply(vertices - table.loc[row, ["x", "y", "z"]].to_numpy(dtype=float))
+    assert np.ptp(own, axis=0) == pytest.approx(table.loc[row, ["height_m", "length_m", "width_m"]].tolist(), abs=1e-5)
 
 
 def test_oysters_are_clumped(world: World) -> None:
@@ -74,26 +163,25 @@ def test_obstacle_height_bounds_seabed_and_shells(world: World) -> None:
     assert np.shape(world.obstacle_height(0.0, 0.0)) == ()
 
 
-def test_boxes_hold_their_shapes(world: World) -> None:
-    lowers, uppers = world.boxes()
-    vertices = world.instances.vertices(world.meshes, 20)
-    assert np.all(vertices >= lowers[20])
-    assert np.all(vertices <= uppers[20])
+def test_plants_are_no_obstacle_but_shade(full: World) -> None:
+    plants = full.of_class("plant")
+    assert len(plants) > 50
+    assert np.all(full.envelope >= full.solid)
+    assert np.mean(full.envelope > full.solid) > 0.01
 
 
-def test_stones_are_watertight() -> None:
-    stone = build_stone(Streams(1).generator("stone"))
-    mesh = trimesh.Trimesh(stone.vertices, stone.faces, process=False)
-    assert mesh.is_watertight
-    assert mesh.volume > 0.5
+def test_boxes_hold_their_shapes(full: World) -> None:
+    lowers, uppers = full.boxes()
+    for i in range(0, len(full.instances), 11):
+        vertices = full.instances.vertices(full.meshes, i)
+        assert np.all(vertices >= lowers[i])
+        assert np.all(vertices <= uppers[i])
 
 
 def test_bare_reef_has_no_instances() -> None:
-    bare = dataclasses.replace(SMALL, reef=dataclasses.replace(SMALL.reef, oysters=0, stones=0))
-    assert len(build_world(bare, Streams(9)).instances) == 0
+    assert len(build_world(recipe(oysters=0, stones=0), Streams(9)).instances) == 0
 
 
 def test_too_many_instances_are_refused() -> None:
-    crowded = dataclasses.replace(SMALL, reef=dataclasses.replace(SMALL.reef, oysters=63_000, stones=5_000))
     with pytest.raises(RecipeError, match="65535"):
-        build_world(crowded, Streams(9))
+        build_world(recipe(oysters=63_000, stones=5_000), Streams(9))
