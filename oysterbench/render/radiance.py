@@ -81,7 +81,7 @@ def solve_daylight(absorption: float, scattering: float, asymmetry: float, dayli
     forced = np.linalg.solve(np.diag(c * (1.0 - cosines / daylight.sun_cosine)) - gain, incident)
 
     down = cosines > 0
-    sky = (cosines > np.sqrt(1.0 - WATER_INDEX**-2)).astype(float)
+    sky = _above(np.sqrt(1.0 - WATER_INDEX**-2), weights)
     sky *= daylight.sky / (2 * np.pi * np.sum(sky * cosines * weights))
     shares = np.linalg.solve(modes[:, down].T, sky[down] - forced[down])
     return Field(
@@ -98,6 +98,12 @@ def _quadrature() -> tuple[Array, Array]:
     nodes, weights = leggauss(STREAMS)
     half, share = 0.5 * (nodes + 1.0), 0.5 * weights
     return np.concatenate([-half[::-1], half]), np.concatenate([share[::-1], share])
+
+
+def _above(cosine: float, weights: Array) -> Array:
+    """Share (2N,) of each node's interval of cosines that lies above a positive cosine."""
+    tops = np.cumsum(weights) - 1.0
+    return np.clip((tops - cosine) / weights, 0.0, 1.0)
 
 
 def _moments(asymmetry: float) -> tuple[Array, float]:

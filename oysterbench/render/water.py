@@ -26,11 +26,15 @@ from oysterbench.render.spectra import DAYLIGHT, camera_response, water_constitu
 Array = NDArray[np.float64]
 
 ASYMMETRY = 0.92  # of the Henyey-Greenstein phase function; gives a backscattered share of 0.018, as Petzold measured
-IMAGE_CONE_RAD = float(np.deg2rad(30.0))
-"""Light scattered by less than this still forms the image, only softer: beam attenuation would be too dark."""
-GLOW_SPREAD_RAD = 0.07
-"""Angular radius (standard deviation) of the blur: half the median angle of Henyey-Greenstein scattering in the cone,
-since light is turned anywhere between surface and camera."""
+IMAGE_CONE_RAD = float(np.deg2rad(45.0))
+"""Light scattered by less than this still comes from the scene's surface, only softer; for the rest other light is
+scattered in. Path tracing gives 45 to 60 deg (tests/render/test_against_mitsuba.py); exp(-c r) alone is too dark."""
+GLOW_SPREAD_RAD = 0.053
+"""Standard deviation of the blur along either axis of the image: that of a blur of median radius 3.6 deg, half the
+median angle of scattering within the cone, for light is turned anywhere between surface and camera."""
+
+LEAST_SCATTERING = 1e-9
+"""1/m: far below any water's, and enough for the spectrum of a veil to be defined."""
 
 RANGES, DEPTHS, COSINES = 384, 40, 41  # nodes of the tables
 OPAQUE = 8.0  # optical depth past which nothing of a surface is seen
@@ -97,6 +101,7 @@ def build_water(recipe: WaterRecipe, daylight: Daylight | None = None, deepest_m
 
 def tabulate(a: Array, b: Array, weights: Array, daylight: Daylight, deepest_m: float) -> Water:
     """Tables from absorption and scattering (L,), 1/m, and the weights (3, L) of the wavelengths in each channel."""
+    b = np.maximum(b, LEAST_SCATTERING)
     c = a + b
     image = a + (1.0 - forward_share(IMAGE_CONE_RAD)) * b
     span = float(np.clip(OPAQUE / image.min(), SHORTEST_M, LONGEST_M))
