@@ -54,6 +54,7 @@ class ReefRecipe:
     density_per_m2: float | None = number(0, 1_000, None)  # oysters on a square metre, dead ones included
     oyster_size_mm: float = number(25, 170, 85.0)  # median shell height
     clump_size: float = number(1, 30, 7.0)  # mean oysters in a clump
+    patchiness: float = number(0, 1, 0.5)  # of the clumps: 0 spreads them evenly, 1 leaves bare ground between patches
     box_share: float = number(0, 1, 0.08)  # of the oysters: dead, both valves still on their hinge
     valve_share: float = number(0, 1, 0.15)  # of the oysters: a single valve, loose on the bottom
     stones: int = number(0, 5_000, 0)

@@ -116,11 +116,11 @@ def step_smoothly(low: float, high: float, x: float):
 
 @wp.func
 def fleck(x: float, y: float, cell: float, density: float, footprint: float, seed: wp.uint32):
-    """At most one elliptic grain in each cell: (coverage from 0 to 1, tone from 0 to 1)."""
+    """At most one elliptic grain in each cell: (coverage and tone from 0 to 1, slopes in x and y)."""
     fx = wp.floor(x / cell)
     fy = wp.floor(y / cell)
     h = lattice(int(fx), int(fy), 7, seed)
-    result = wp.vec2(0.0, 0.0)
+    result = wp.vec4(0.0, 0.0, 0.0, 0.0)
     if unit(h, 0) < density:
         g = scramble(h)
         radius = 0.10 + 0.20 * unit(g, 0)
@@ -136,8 +136,14 @@ def fleck(x: float, y: float, cell: float, density: float, footprint: float, see
             across = (dy * ax - dx * ay) * scale / (radius * aspect)
             # Broken pieces: an ellipse cut by a line.
             cut = 0.15 + 0.9 * unit(g, 4) - 0.8 * along - 0.6 * across
-            inside = wp.min(1.0 - wp.sqrt(along * along + across * across), cut) * radius * aspect * cell / footprint
-            result = wp.vec2(weight * wp.clamp(inside + 0.5, 0.0, 1.0), unit(h, 24))
+            r = wp.sqrt(along * along + across * across)
+            inside = wp.min(1.0 - r, cut) * radius * aspect * cell / footprint
+            cover = weight * wp.clamp(inside + 0.5, 0.0, 1.0)
+            # A lens that is tilted a little: flat in the middle, falling off at the rim.
+            fall = -1.6 * r * r * r
+            slope = wp.vec2(fall * dx, fall * dy) * (1.0 / (radius + 1.0e-6))
+            tilt = wp.vec2(unit(g, 12) - 0.5, unit(g, 20) - 0.5) * 0.7
+            result = wp.vec4(cover, unit(h, 24), slope[0] + tilt[0], slope[1] + tilt[1])
     return result
 
 

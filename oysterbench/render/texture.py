@@ -21,7 +21,7 @@ SPONGE = wp.constant(wp.uint8(CLASS_NUMBERS["sponge"]))
 
 SHELL_HASH = wp.constant(wp.vec3(0.520, 0.490, 0.420))
 PEBBLE = wp.constant(wp.vec3(0.050, 0.048, 0.042))
-INSIDE = wp.constant(wp.vec3(0.660, 0.640, 0.600))
+INSIDE = wp.constant(wp.vec3(0.560, 0.535, 0.480))
 SCAR = wp.constant(wp.vec3(0.190, 0.130, 0.180))
 FILM = wp.constant(wp.vec3(0.105, 0.110, 0.050))  # of algae on what sees light
 BARNACLE = wp.constant(wp.vec3(0.480, 0.460, 0.410))
@@ -116,7 +116,7 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
             albedo = albedo + (mineral - albedo) * weight
             slope_x -= 0.55 * weight * (0.936 * top[1] + 0.352 * top[2])
             slope_y -= 0.55 * weight * (0.936 * top[2] - 0.352 * top[1])
-    cell = wp.float32(0.045)
+    cell = wp.float32(0.034)
     layers = wp.int32(4)
     for layer in range(layers):
         x = p[0] * 0.936 - p[1] * 0.352
@@ -133,8 +133,16 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
             if pale < 0.0:
                 colour = PEBBLE * (0.8 + 2.0 * hit[1])
                 colour = colour + (ground.silt - colour) * (0.5 * ground.cover)
-            albedo = albedo + (colour - albedo) * (0.85 * hit[0])
-        cell *= 0.52
+            albedo = albedo + (colour * (1.0 + 0.25 * grain) - albedo) * (0.85 * hit[0])
+            # From the grain's turned axes to those of the map.
+            east = 0.936 * hit[2] + 0.352 * hit[3]
+            north = 0.936 * hit[3] - 0.352 * hit[2]
+            if layer % 2 == 1:
+                east = 0.6 * hit[2] - 0.8 * hit[3]
+                north = 0.8 * hit[2] + 0.6 * hit[3]
+            slope_x += (0.55 * east - 0.6 * slope_x) * hit[0]
+            slope_y += (0.55 * north - 0.6 * slope_y) * hit[0]
+        cell *= 0.56
     material = Material()
     material.albedo = albedo
     material.normal = wp.normalize(normal - wp.vec3(slope_x, slope_y, 0.0))
@@ -192,10 +200,20 @@ def shell(
     outside = 1.0 - wp.clamp(mark[1], 0.0, 1.0)
     # Bands of a season and, finer, of a spring tide, along the margins that the shell had.
     age = mark[0] * height
-    phase = age / 0.0105 + 0.7 * coarse[0]
-    band = (phase - wp.floor(phase)) * kept(0.0105, footprint)
-    finer = age / 0.0027 + 0.8 * fine
-    ridge = (finer - wp.floor(finer)) * kept(0.0027, footprint)
+    radial = wp.vec3(q[0], 1.6 * q[1], 0.0)
+    radial = radial / (wp.length(radial) + 1.0e-6)
+    phase = age / 0.0105 + 0.8 * coarse[0] + 0.12 * fine
+    band = phase - wp.floor(phase)
+    finer = age / 0.0031 + 0.6 * coarse[0] + 0.7 * fine
+    ridge = finer - wp.floor(finer)
+    # A lamella rises gently and breaks off; not every one is as strong along all of its rim.
+    wide = kept(0.0080, footprint) * outside
+    close = kept(0.0031, footprint) * outside
+    strong = wp.clamp(0.6 + 0.9 * coarse[3], 0.0, 1.3)
+    brink = step_smoothly(0.62, 0.80, band) * (1.0 - step_smoothly(0.90, 1.0, band))
+    gradient = gradient + radial * (wide * strong * (0.9 - 6.0 * brink) + close * (1.3 * (0.5 - ridge)))
+    band = band * kept(0.0105, footprint)
+    ridge = ridge * close
     outer = colour * wp.max(0.3, 0.80 + 0.26 * band + 0.22 * ridge + 0.36 * value + 0.28 * fine)
     outer = outer * (1.0 + 0.45 * step_smoothly(0.90, 1.0, mark[0]))
     film = step_smoothly(0.1, 0.8, noise3(q / 0.055, seed + wp.uint32(31))[0] + 0.3 * fine + 0.4 * normal[2])
@@ -212,12 +230,17 @@ def shell(
     relief = 0.08 + 0.16 * outside
     bumped = wp.normalize(normal - (rotation * gradient) * relief)
     # Sediment stays where the surface is flat and rough.
-    settled = normal[2] + 0.45 * value + 0.40 * fine + silt + 1.2 * ground.cover - 1.35 - 0.25 * (1.0 - outside)
+    settled = normal[2] + 0.45 * value + 0.40 * fine + silt + 1.7 * ground.cover - 1.6
     cover = step_smoothly(0.15, 0.95, settled)
-    dust = 0.35 * ground.cover * silt * (0.6 + 0.4 * normal[2])
+    dust = ground.cover * (0.25 + 0.35 * silt) * (0.75 + 0.25 * normal[2])
     cover = cover + (1.0 - cover) * dust
     material = Material()
-    material.albedo = albedo + (ground.silt * wp.max(0.4, 1.0 + 0.22 * fine + 0.2 * value) - albedo) * (0.88 * cover)
+    # Settled sediment is a fuzz of grains and turf.
+    fuzz = noise3(q / 0.0019, seed + wp.uint32(41))
+    grains = kept(0.0019, footprint)
+    bumped = wp.normalize(bumped - (rotation * wp.vec3(fuzz[1], fuzz[2], fuzz[3])) * (0.14 * grains * cover))
+    silted = ground.silt * wp.max(0.35, 1.0 + 0.22 * fine + 0.2 * value + 0.28 * fuzz[0] * grains)
+    material.albedo = albedo + (silted - albedo) * (0.90 * cover)
     material.normal = bumped
     return material
 

@@ -56,17 +56,18 @@ def clump_sizes(count: int, mean: float, generator: np.random.Generator) -> NDAr
     return sizes
 
 
-def clump_centres(count: int, side: float, spacing: float, generator: np.random.Generator) -> Array:
+def clump_centres(count: int, side: float, spacing: float, patchiness: float, generator: np.random.Generator) -> Array:
     """Centres (K, 2), m: the parents of a Thomas process (1949) that avoid bare patches and, where they can, another.
 
-    spacing: distance at which neighbours push one another away, m.
+    spacing: distance at which neighbours push one another away, m. patchiness: 0 for none, 1 for hard edges.
     """
     half = side / 2
     centres = generator.uniform(-half, half, (3 * count + 1, 2))
     waves = generator.standard_normal((12, 2)) * 2 * np.pi / PATCH_M
     phases = generator.uniform(0, 2 * np.pi, 12)
-    patchiness = np.sin(np.einsum("pi,wi->pw", centres, waves) + phases).sum(axis=1)
-    keep = np.argsort(-(patchiness + 2.0 * generator.standard_normal(len(centres))), kind="stable")[:count]
+    patches = np.sin(np.einsum("pi,wi->pw", centres, waves) + phases).sum(axis=1) / np.sqrt(6.0)
+    worth = patchiness * patches + (1 - patchiness) * generator.standard_normal(len(centres))
+    keep = np.argsort(-np.round(worth, 6), kind="stable")[:count]
     centres = centres[np.sort(keep)]
     for _ in range(6):
         pairs = cKDTree(centres).query_pairs(spacing, output_type="ndarray") if count > 1 else np.zeros((0, 2), int)

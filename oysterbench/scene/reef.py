@@ -39,7 +39,7 @@ def place_oysters(reef: ReefRecipe, terrain: Terrain, library: Library, streams:
     grown = n - loose
     sizes = clump_sizes(grown, reef.clump_size, streams.generator("clumps", "sizes"))
     spacing = CLUMP_SPACING * reef.oyster_size_mm * 1e-3 * np.sqrt(reef.clump_size)
-    centres = clump_centres(len(sizes), reef.size_m, spacing, streams.generator("clumps", "centres"))
+    centres = clump_centres(len(sizes), reef.size_m, spacing, reef.patchiness, streams.generator("clumps", "centres"))
     clumped = _clumped(reef, terrain, library, sizes, centres, streams)
     valves = _loose(reef, terrain, library, loose, centres, clumped, streams.generator("valves"))
     return join_instances([clumped, valves])

@@ -170,6 +170,7 @@ def _envelope(
     envelope = terrain.height(x, y).astype(np.float32)
     flat = envelope.ravel()
     for _, vertices in placed_vertices(meshes, instances):
-        place = np.clip(np.rint((vertices[..., :2] - lines[0]) / cell).astype(np.int32), 0, count - 1)
-        np.maximum.at(flat, place[..., 1].ravel() * count + place[..., 0].ravel(), vertices[..., 2].ravel())
+        column, row = (np.clip(np.rint((vertices[..., k] - lines[0]) / cell), 0, count - 1) for k in (0, 1))
+        place = (row * count + column).astype(np.intp).ravel()
+        np.maximum.at(flat, place, vertices[..., 2].astype(np.float32).ravel())
     return lines, envelope
