@@ -28,7 +28,7 @@ from oysterbench.errors import OysterbenchError, RecipeError, SequenceError
 from oysterbench.files import home, locked, write_atomically
 from oysterbench.recipe import CLASSES, SequenceRecipe, SplitRecipe, count
 from oysterbench.sequence import topics
-from oysterbench.sequence.read import CALIBRATION, METADATA, McapSequence, read_messages
+from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, McapSequence, read_attachments, read_messages
 from oysterbench.sequence.topics import EPOCH_NS, Message
 from oysterbench.sequence.write import SequenceWriter, pack
 from oysterbench.version import VERSION
@@ -223,9 +223,10 @@ def _warm_up() -> None:
 
 def run_job(split: SplitRecipe, job: Job, parts: Path, salt: bytes = b"") -> None:
     """Do a job and leave its part file."""
-    from oysterbench.stage import build_stage, measure_sensors, render_frames
+    from oysterbench.stage import build_stage, measure_sensors, oyster_csv, render_frames
 
     stage = build_stage(split, job.sequence, salt)
+    tables = {}
     if job.camera:
         camera = next(camera for camera in split.rig.camera if camera.name == job.camera)
         messages: Iterator[Message] = render_frames(stage, camera, job.first, job.last)
@@ -233,7 +234,8 @@ def run_job(split: SplitRecipe, job: Job, parts: Path, salt: bytes = b"") -> Non
     else:
         messages = measure_sensors(stage, split, split.find_sequence(job.sequence))
         types = {topics.IMU: topics.TYPES[topics.IMU], topics.TRUTH: topics.TYPES[topics.TRUTH]}
-    write_atomically(parts / job.part, pack(messages, types))
+        tables[OYSTERS] = oyster_csv(stage)
+    write_atomically(parts / job.part, pack(messages, types, tables))
 
 
 def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, salt: bytes = b"") -> None:
@@ -270,6 +272,8 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
         writer.attachment("classes.json", "application/json", json.dumps(CLASSES).encode())
         writer.attachment("split.toml", "application/toml", split.source.encode())
         writer.attachment("rig.toml", "application/toml", split.rig_source.encode())
+        for name, table in read_attachments(parts / Job(recipe.name).part).items():
+            writer.attachment(name, "text/csv", table)
         writer.write(topics.static_transforms(EPOCH_NS, frames))
         writer.section()
         for topic in (topics.IMU, topics.TRUTH):

@@ -13,7 +13,7 @@ from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe, SplitRec
 from oysterbench.render.camera import CameraRenderer, Frame
 from oysterbench.scene.path import Path, build_path
 from oysterbench.scene.rig import camera_pose, rig_calibration
-from oysterbench.scene.world import build_world
+from oysterbench.scene.world import World, build_world
 from oysterbench.sensors import imu
 from oysterbench.sequence import topics
 from oysterbench.sequence.read import camera_calibration
@@ -42,9 +42,10 @@ def settle(values: Array, step: float) -> Array:
 
 @dataclass(frozen=True)
 class Stage:
-    """A built sequence: the path, and a renderer per camera."""
+    """A built sequence: the reef, the path over it, and a renderer per camera."""
 
     rig: RigRecipe
+    world: World
     path: Path
     renderers: dict[str, CameraRenderer]
     streams: Streams
@@ -58,7 +59,7 @@ def build_stage(split: SplitRecipe, name: str, salt: bytes) -> Stage:
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
     renderers = {camera.name: CameraRenderer(world, camera, recipe) for camera in split.rig.camera}
-    return Stage(split.rig, path, renderers, streams)
+    return Stage(split.rig, world, path, renderers, streams)
 
 
 def look(stage: Stage, camera: CameraRecipe, index: int) -> Frame:
@@ -112,3 +113,8 @@ def measure_sensors(stage: Stage, split: SplitRecipe, recipe: SequenceRecipe) ->
     )
     for stamp, position, quaternion, speed, rate in rows:
         yield topics.truth_message(int(stamp), position, quaternion, speed, rate)
+
+
+def oyster_csv(stage: Stage) -> bytes:
+    """The truth about each oyster (`World.oyster_table`), as CSV."""
+    return stage.world.oyster_table().to_csv(index=False, lineterminator="\n", float_format="%.10g").encode()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.exceptions import InvalidMagic, McapError
@@ -20,11 +21,15 @@ from oysterbench.sequence.topics import Message
 from oysterbench.sequence.types import CameraCalibration, Image, ImuCalibration, ImuSample, Sequence
 from oysterbench.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 DAMAGE = (McapError, ZstdError, struct.error, EOFError, LookupError, ValueError, ArithmeticError, MemoryError, OSError)
 """What the libraries underneath raise on bytes that are not what they should be."""
 
 METADATA = "oysterbench"
 CALIBRATION = "calibration.json"
+OYSTERS = "truth/oysters.csv"
 
 
 class McapSequence(Sequence):
@@ -89,6 +94,15 @@ class McapSequence(Sequence):
             raise SequenceError(f"{self.path} has no truth: no message on {topics.TRUTH}")
         return truth
 
+    def oysters(self) -> pd.DataFrame:
+        """The truth about each oyster, a row each: id (as in instance images), state, host (the oyster it grows on, or
+        0), height_m, length_m, width_m, volume_m3, and the pose of its umbo in `map`: x, y, z (m), qx, qy, qz, qw."""
+        if OYSTERS not in self.attachments:
+            raise SequenceError(f"{self.path} has no truth about oysters: no attachment {OYSTERS}")
+        import pandas as pd
+
+        return self._decoded(pd.read_csv, io.BytesIO(self.attachments[OYSTERS]))
+
     def _check_camera(self, camera: str) -> None:
         if camera not in self.cameras:
             raise SequenceError(f"{self.path}: no camera {camera!r}; cameras: {', '.join(self.cameras)}")
@@ -128,6 +142,12 @@ class Reading:
         self._file.close()
         if isinstance(error, DAMAGE) and not isinstance(error, SequenceError):
             raise SequenceError(_damaged(self.path, str(error) or type(error).__name__)) from None
+
+
+def read_attachments(path: Path) -> dict[str, bytes]:
+    """Attachments by name."""
+    with Reading(path) as reader:
+        return {item.name: item.data for item in reader.iter_attachments()}
 
 
 def read_messages(path: Path, names: Iterable[str] | None = None) -> Iterator[Message]:

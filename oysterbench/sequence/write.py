@@ -65,12 +65,14 @@ class SequenceWriter:
         self._writer.finish()
 
 
-def pack(messages: Iterable[Message], types: Mapping[str, str]) -> bytes:
-    """Messages as a small uncompressed MCAP file, with checksums."""
+def pack(messages: Iterable[Message], types: Mapping[str, str], tables: Mapping[str, bytes] | None = None) -> bytes:
+    """Messages, and CSV tables by name, as a small uncompressed MCAP file, with checksums."""
     output = io.BytesIO()
     writer = SequenceWriter(output, types, compress=False)
     for message in messages:
         writer.write(message)
+    for name, table in (tables or {}).items():
+        writer.attachment(name, "text/csv", table)
     writer.metadata("oysterbench_part", {"version": VERSION})
     writer.finish()
     return output.getvalue()

@@ -76,6 +76,20 @@ def test_truth_is_a_trajectory_at_its_own_rate(sequence):
     assert -3.0 < truth.positions[0, 2] < -1.0
 
 
+def test_the_truth_about_each_oyster_travels_in_the_file(sequence):
+    oysters = sequence.oysters()
+    assert len(oysters) == 60
+    assert oysters.id.is_unique
+    assert set(oysters.state) <= {"live", "box", "left valve", "right valve"}
+    assert oysters.height_m.between(0.025, 0.173).all()
+    assert (oysters.volume_m3 > 0).all()
+    seen = {k for image in sequence.layer("cam_front", "instance") for k in np.unique(image.pixels)}
+    classes = np.concatenate([image.pixels.ravel() for image in sequence.layer("cam_front", "class")])
+    instances = np.concatenate([image.pixels.ravel() for image in sequence.layer("cam_front", "instance")])
+    assert set(instances[classes == 2]) <= set(oysters.id)
+    assert len(seen) > 3
+
+
 def test_inertial_samples_agree_with_the_truth(sequence):
     stamps, gyro, accel = imu_arrays(sequence.imu())
     assert np.all(np.diff(stamps) == 10_000_000)
