@@ -22,7 +22,7 @@ CLUMPS_AT_ONCE = 256  # bounds the memory that growing needs
 SET = 0.045  # depth to which a hinge is set into its host, in heights
 ELLIPSOID = (np.array([0.50, 0.0, -0.05]), np.array([0.50, 0.33, 0.15]))  # a shell for collisions: centre, half axes
 SITES = (0.10, 0.75)  # growth of the host where hinges settle: near its base, away from its living margin
-LOW = 0.8  # cost of settling a height higher
+LOW = 1.5  # cost of settling a height higher
 RISE, STAND_OFF, SPREAD, WANDER = 1.0, 0.40, 0.30, 0.33  # weights of up, host's normal, outward and chance
 
 

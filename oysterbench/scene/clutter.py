@@ -26,7 +26,7 @@ ALGAE_M = (0.05, 0.13)
 TUFTS_PER_M2 = 45.0  # where plants cover the bottom
 MEADOW_M = 3.0  # wavelength of plant patches
 SPONGE_M = (0.006, 0.022)
-SPONGE_COLOURS = ((0.42, 0.20, 0.05), (0.30, 0.26, 0.12), (0.35, 0.10, 0.06), (0.26, 0.30, 0.10))
+SPONGE_COLOURS = ((0.32, 0.19, 0.08), (0.27, 0.24, 0.13), (0.26, 0.12, 0.08), (0.22, 0.23, 0.12))
 
 
 def place_stones(reef: ReefRecipe, terrain: Terrain, library: Library, streams: Streams) -> Instances:
@@ -123,7 +123,7 @@ def place_sponges(reef: ReefRecipe, library: Library, hosts: Instances, streams:
         points,
         np.einsum("nij,njk->nik", _upright(normals), turn),
         size[:, None] * np.exp(0.15 * generator.standard_normal((n, 3))),
-        colours * np.exp(0.15 * generator.standard_normal((n, 3))),
+        colours * np.exp(0.2 * generator.standard_normal((n, 1)) + 0.04 * generator.standard_normal((n, 3))),
         np.zeros(n),
         hosts=host + 1,
     )

@@ -20,9 +20,11 @@ SKIRT_GROWTH = 1.3
 SKIRT_FADE_M = 8.0  # relief past the reef dies out over this distance, as its cells get too large to carry it
 ROUGHNESS = 1.7  # spectral exponent less 1 (the Hurst exponent where below 1): currents smooth sediment
 OUTER_SCALE_M = 3.5  # wavelength beyond which the relief stops growing
-RIPPLE_RMS_M = 0.0035
+RIPPLE_RMS_M = 0.0045
 RIPPLE_WAVELENGTH_M = (0.10, 0.20)
 RIPPLE_SPREAD_RAD = 0.45
+RIPPLE_CREST, RIPPLE_LEAN = 0.30, 0.15  # weights of the second harmonic
+RIPPLES = {"sand": 1.0, "mud": 0.1, "gravel": 0.25, "shell": 0.25}  # height of ripples, of those on sand
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def sample_grid(coordinates: Array, values: NDArray[np.floating], x: ArrayLike, 
 def build_terrain(reef: ReefRecipe, generator: np.random.Generator) -> Terrain:
     """Seabed of a reef: periodic relief over the square of side size_m, repeated and fading in the skirt."""
     cells = min(int(np.ceil(reef.size_m / CELL_M)), MAX_CELLS)
-    relief = _relief(cells, reef.size_m, reef.relief_rms_m, generator)
+    relief = _relief(cells, reef.size_m, reef.relief_rms_m, reef.bottom, generator)
     coordinates, rim = _grid_lines(cells, reef.size_m)
     past = np.maximum(np.abs(coordinates) - reef.size_m / 2, 0.0)
     fade = np.exp(-((past[:, None] ** 2 + past[None, :] ** 2) / SKIRT_FADE_M**2))
@@ -103,7 +105,7 @@ def build_terrain(reef: ReefRecipe, generator: np.random.Generator) -> Terrain:
     return Terrain(round_positions(coordinates).astype(float), round_positions(heights), rim)
 
 
-def _relief(cells: int, size: float, rms: float, generator: np.random.Generator) -> Array:
+def _relief(cells: int, size: float, rms: float, bottom: str, generator: np.random.Generator) -> Array:
     """Periodic relief (cells, cells) of the given rms in m, zero mean: a power-law field with patchy ripples.
 
     Spectral synthesis (Peitgen & Saupe 1988, ch. 2): white noise filtered by (1 + (k L)^2)^(-(H + 1) / 2).
@@ -113,13 +115,34 @@ def _relief(cells: int, size: float, rms: float, generator: np.random.Generator)
     k = np.hypot(k_x, k_y)
     fractal = _filtered((1 + (k * OUTER_SCALE_M) ** 2) ** (-(ROUGHNESS + 1) / 2), generator)
 
-    heading = generator.uniform(0, np.pi)
-    across = np.abs(k_x * np.cos(heading) + k_y * np.sin(heading)) / np.maximum(k, 1e-12)
-    long, short = 1 / RIPPLE_WAVELENGTH_M[1], 1 / RIPPLE_WAVELENGTH_M[0]
-    ripples = _filtered((k > long) & (k < short) & (across > np.cos(RIPPLE_SPREAD_RAD)), generator)
     patches = _filtered(np.exp(-((k * 1.5) ** 2)), generator)
+    ripples = _ripples(k_x, k_y, generator) * np.clip(0.6 + patches, 0.0, 2.0)
     ripple_rms = min(RIPPLE_RMS_M, 0.05 * rms)
-    return rms * fractal + ripple_rms * ripples * np.clip(0.6 + patches, 0.0, 2.0)
+    return rms * fractal + RIPPLES[bottom] * ripple_rms * ripples
+
+
+def _ripples(k_x: Array, k_y: Array, generator: np.random.Generator) -> Array:
+    """Ripples of a current, about unit rms: crests that wander, fork and end, sharper than their troughs.
+
+    The phase of narrow-band complex noise counts the crests (phasor noise, Tricard et al. 2019); where its amplitude
+    vanishes the phase has a defect, and a crest ends.
+    """
+    cells = k_y.shape[0]
+    whole = fft.fftfreq(cells, 1 / (cells * k_x[0, 1]))[None, :]
+    heading = generator.uniform(0, 2 * np.pi)
+    k = np.hypot(whole, k_y)
+    along = (whole * np.cos(heading) + k_y * np.sin(heading)) / np.maximum(k, 1e-12)
+    long, short = 1 / RIPPLE_WAVELENGTH_M[1], 1 / RIPPLE_WAVELENGTH_M[0]
+    band = (k > long) & (k < short) & (along > np.cos(RIPPLE_SPREAD_RAD))
+    noise = generator.standard_normal((2, cells, cells))
+    field = fft.ifft2(band * (noise[0] + 1j * noise[1]))
+    size = np.abs(field)
+    mean = max(float(size.mean()), 1e-30)
+    # Cosine plus half a harmonic: trochoidal, and leaning to the lee.
+    cosine, sine = field.real / np.maximum(size, 1e-30), field.imag / np.maximum(size, 1e-30)
+    profile = cosine + RIPPLE_CREST * (2 * cosine**2 - 1) + RIPPLE_LEAN * 2 * sine * cosine
+    ripples = profile * np.minimum(size / mean, 1.5)
+    return ripples / max(float(np.sqrt(np.mean(ripples**2))), 1e-12)
 
 
 def _filtered(amplitude: NDArray[np.generic], generator: np.random.Generator) -> Array:

@@ -60,3 +60,18 @@ def test_steepest_bounds_every_slope() -> None:
     step = ground.coordinates[ground.rim + 1] - ground.coordinates[ground.rim]
     slope = np.hypot(*np.gradient(ground.square.astype(float), step))
     assert ground.steepest() >= slope.max()
+
+
+def test_sand_has_ripples_that_run_one_way_with_defects_and_mud_has_hardly_any() -> None:
+    def ripples(bottom: str) -> np.ndarray:
+        square = terrain(bottom=bottom, relief_rms_m=0.1).square.astype(float)
+        spectrum = np.fft.fft2(square - square.mean())
+        k = np.hypot(*np.meshgrid(*[np.fft.fftfreq(len(square), 5.0 / len(square))] * 2))
+        return np.where((k > 5) & (k < 10), np.abs(spectrum) ** 2, 0.0)
+
+    sand, mud = ripples("sand"), ripples("mud")
+    assert sand.sum() > 10 * mud.sum()
+    k_x, k_y = np.meshgrid(*[np.fft.fftfreq(len(sand))] * 2)
+    angle = np.arctan2(k_y, k_x)
+    resultant = np.abs((sand * np.exp(2j * angle)).sum()) / sand.sum()
+    assert 0.6 < resultant < 0.99  # directional, but no sine sheet
