@@ -92,9 +92,9 @@ class Constituents:
 
 
 CHESAPEAKE: dict[str, tuple[Constituents, float]] = {
-    "chesapeake-clear": (Constituents(cdom=0.35, nap=0.20, algae=0.35, scattering=3.0, slope=1.0), 2.0),
-    "chesapeake-mid": (Constituents(cdom=0.45, nap=0.50, algae=0.50, scattering=6.0, slope=0.9), 1.2),
-    "chesapeake-turbid": (Constituents(cdom=0.60, nap=1.60, algae=0.60, scattering=15.0, slope=0.7), 0.65),
+    "chesapeake-clear": (Constituents(cdom=0.40, nap=0.10, algae=0.40, scattering=3.6, slope=1.0), 2.0),
+    "chesapeake-mid": (Constituents(cdom=0.65, nap=0.25, algae=0.65, scattering=6.5, slope=0.9), 1.2),
+    "chesapeake-turbid": (Constituents(cdom=0.90, nap=0.60, algae=0.90, scattering=12.0, slope=0.8), 0.65),
 }
 """Mixtures of the size measured in the bay (Tzortziou et al., Estuarine, Coastal and Shelf Science 68, 2006), to be
 scaled as a whole to a Secchi depth in m: relatively more mineral matter, the more turbid."""
@@ -185,7 +185,7 @@ def camera_response() -> Array:
     green light where all red has been absorbed.
     """
     red = band(WAVELENGTHS, 605, 28) + 0.10 * band(WAVELENGTHS, 535, 30)
-    green = band(WAVELENGTHS, 533, 38) + 0.06 * band(WAVELENGTHS, 610, 25)
+    green = band(WAVELENGTHS, 538, 38) + 0.06 * band(WAVELENGTHS, 610, 25)
     blue = band(WAVELENGTHS, 462, 28) + 0.08 * band(WAVELENGTHS, 530, 25)
     curves = np.stack([red, green, blue])
     return curves / curves.sum(axis=1, keepdims=True)

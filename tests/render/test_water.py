@@ -204,7 +204,7 @@ def test_camera_bands_are_shares() -> None:
     response = camera_response()
     assert response.sum(axis=1) == pytest.approx(1.0)
     assert np.all(response >= 0)
-    assert [WAVELENGTHS[i] for i in response.argmax(axis=1)] == [600, 530, 460]
+    assert [WAVELENGTHS[i] for i in response.argmax(axis=1)] == [600, 540, 460]
 
 
 @pytest.mark.parametrize(
