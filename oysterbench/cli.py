@@ -67,6 +67,7 @@ def main() -> None:
       oysterbench render slam-mini --workers 2
       oysterbench info mini-01.mcap
       oysterbench gallery                           waters, lights, reefs and views on one sheet
+      oysterbench oyster --seed 7 --out oyster.glb
     """
 
 
@@ -291,6 +292,30 @@ def gallery(real: Path | None, out: Path) -> None:
         picture = make_gallery(real, progress)
     write_picture(out, picture)
     click.echo(out)
+
+
+@main.command(short_help="Export one oyster as a mesh.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Which oyster.")
+@click.option("--size", "size_mm", type=float, help="Height of the shell in mm, 25 to 170.  [default: by the seed]")
+@click.option("--state", default="live", show_default=True, help="live, box, left valve or right valve.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default="oyster.glb", show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Print its measures as JSON.")
+def oyster(seed: int, size_mm: float | None, state: str, out: Path, as_json: bool) -> None:
+    """Export one oyster in real-world size, in metres: .glb, .obj, .stl or .ply by the suffix.
+
+    \b
+    Examples:
+      oysterbench oyster --seed 7 --out oyster.glb
+      oysterbench oyster --seed 7 --size 110 --state box --out box.stl
+    """
+    from oysterbench.scene.export import export_oyster
+
+    facts = export_oyster(seed, out, size_mm, state)
+    if as_json:
+        click.echo(json.dumps({"file": str(out), **facts}, indent=2))
+        return
+    height, length, width = (1000 * facts[f"{key}_m"] for key in ("height", "length", "width"))
+    click.echo(f"{out}: {height:.0f} x {length:.0f} x {width:.0f} mm, {1e6 * facts['volume_m3']:.1f} ml")
 
 
 def _preview(split: SplitRecipe, folder: Path) -> dict[str, Path]:
