@@ -125,7 +125,9 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
             x = p[0] * 0.6 + p[1] * 0.8
             y = p[1] * 0.6 - p[0] * 0.8
         density = ground.flecks * (1.0 + 0.8 * patches)
-        hit = fleck(x + 0.37 * float(layer), y, cell, density, footprint, seed + wp.uint32(100 + layer))
+        hit = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        if kept(0.6 * cell, 0.7 * footprint) > 0.0:  # no grain is larger
+            hit = fleck(x + 0.37 * float(layer), y, cell, density, footprint, seed + wp.uint32(100 + layer))
         if hit[0] > 0.0:
             # Sediment has settled on most of the pieces.
             pale = (hit[1] + ground.shells - 1.0) / ground.shells
@@ -216,9 +218,9 @@ def shell(
     ridge = ridge * close
     outer = colour * wp.max(0.3, 0.80 + 0.26 * band + 0.22 * ridge + 0.36 * value + 0.28 * fine)
     outer = outer * (1.0 + 0.45 * step_smoothly(0.90, 1.0, mark[0]))
-    film = step_smoothly(0.1, 0.8, noise3(q / 0.055, seed + wp.uint32(31))[0] + 0.3 * fine + 0.4 * normal[2])
+    film = step_smoothly(0.1, 0.8, 1.3 * coarse[2] - 0.5 * value + 0.3 * fine + 0.4 * normal[2])
     outer = outer + (FILM * (1.0 + 0.4 * fine) - outer) * (0.55 * film)
-    if outside > 0.5 and unit(seed, 8) < 0.4:
+    if outside > 0.5 and footprint < 0.0035 and unit(seed, 8) < 0.4:
         cell = barnacle(q[0], q[1], 0.014, footprint, seed)
         weight = cell[0] * step_smoothly(0.05, 0.35, coarse[0]) * kept(0.007, footprint)
         outer = outer + (BARNACLE * (1.0 - 0.85 * cell[3]) - outer) * (0.85 * weight)
@@ -236,10 +238,13 @@ def shell(
     cover = cover + (1.0 - cover) * dust
     material = Material()
     # Settled sediment is a fuzz of grains and turf.
-    fuzz = noise3(q / 0.0019, seed + wp.uint32(41))
-    grains = kept(0.0019, footprint)
-    bumped = wp.normalize(bumped - (rotation * wp.vec3(fuzz[1], fuzz[2], fuzz[3])) * (0.14 * grains * cover))
-    silted = ground.silt * wp.max(0.35, 1.0 + 0.22 * fine + 0.2 * value + 0.28 * fuzz[0] * grains)
+    tone = 1.0 + 0.22 * fine + 0.2 * value
+    grains = kept(0.0019, footprint) * cover
+    if grains > 0.0:
+        fuzz = noise3(q / 0.0019, seed + wp.uint32(41))
+        bumped = wp.normalize(bumped - (rotation * wp.vec3(fuzz[1], fuzz[2], fuzz[3])) * (0.14 * grains))
+        tone += 0.28 * fuzz[0] * grains
+    silted = ground.silt * wp.max(0.35, tone)
     material.albedo = albedo + (silted - albedo) * (0.90 * cover)
     material.normal = bumped
     return material

@@ -20,8 +20,8 @@ SKIRT_GROWTH = 1.3
 SKIRT_FADE_M = 8.0  # relief past the reef dies out over this distance, as its cells get too large to carry it
 ROUGHNESS = 1.7  # spectral exponent less 1 (the Hurst exponent where below 1): currents smooth sediment
 OUTER_SCALE_M = 3.5  # wavelength beyond which the relief stops growing
-RIPPLE_RMS_M = 0.0045
-RIPPLE_WAVELENGTH_M = (0.10, 0.20)
+RIPPLE_RMS_M = 0.0030
+RIPPLE_WAVELENGTH_M = (0.11, 0.22)
 RIPPLE_SPREAD_RAD = 0.45
 RIPPLE_CREST, RIPPLE_LEAN = 0.30, 0.15  # weights of the second harmonic
 RIPPLES = {"sand": 1.0, "mud": 0.1, "gravel": 0.25, "shell": 0.25}  # height of ripples, of those on sand
@@ -116,7 +116,7 @@ def _relief(cells: int, size: float, rms: float, bottom: str, generator: np.rand
     fractal = _filtered((1 + (k * OUTER_SCALE_M) ** 2) ** (-(ROUGHNESS + 1) / 2), generator)
 
     patches = _filtered(np.exp(-((k * 1.5) ** 2)), generator)
-    ripples = _ripples(k_x, k_y, generator) * np.clip(0.6 + patches, 0.0, 2.0)
+    ripples = _ripples(k_x, k_y, generator) * np.clip(0.7 + 0.8 * patches, 0.0, 1.7)
     ripple_rms = min(RIPPLE_RMS_M, 0.05 * rms)
     return rms * fractal + RIPPLES[bottom] * ripple_rms * ripples
 
@@ -141,7 +141,7 @@ def _ripples(k_x: Array, k_y: Array, generator: np.random.Generator) -> Array:
     # Cosine plus half a harmonic: trochoidal, and leaning to the lee.
     cosine, sine = field.real / np.maximum(size, 1e-30), field.imag / np.maximum(size, 1e-30)
     profile = cosine + RIPPLE_CREST * (2 * cosine**2 - 1) + RIPPLE_LEAN * 2 * sine * cosine
-    ripples = profile * np.minimum(size / mean, 1.5)
+    ripples = profile * np.minimum(size / mean, 1.2)
     return ripples / max(float(np.sqrt(np.mean(ripples**2))), 1e-12)
 
 
