@@ -171,7 +171,7 @@ class CameraRenderer:
         optics.glow = self._table(water.glow)
         optics.saturation = self._table(water.saturation)
         optics.veil = self._table(water.veil)
-        optics.slant = wp.vec3(*water.slant.tolist())
+        optics.stretch = self._table(water.stretch)
         optics.range_step = float(water.ranges[1])
         optics.daylight = self._table(water.daylight)
         optics.depth_step = float(water.depths[1])

@@ -26,6 +26,7 @@ wp.set_module_options(
 )
 
 FAR_M = wp.constant(150.0)  # past the skirt of every seabed
+ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
 CREVICE_M = wp.constant(0.07)  # depth below the blurred envelope at which little sky is left
 EDGE_CONTRAST = wp.constant(0.08)  # relative step in green across the outline of an instance that asks for more samples
@@ -60,7 +61,7 @@ class Optics:
     glow: wp.array2d(dtype=wp.vec3)
     saturation: wp.array2d(dtype=wp.vec3)
     veil: wp.array2d(dtype=wp.vec3)
-    slant: wp.vec3
+    stretch: wp.array2d(dtype=wp.vec3)
     range_step: wp.float32
     daylight: wp.array(dtype=wp.vec3)
     depth_step: wp.float32
@@ -114,10 +115,14 @@ def arriving(optics: Optics, depth: float, distance: float):
 def veiling(optics: Optics, depth: float, distance: float, cosine: float):
     """Veiling light along a view ray from a camera at a depth."""
     row = depth / optics.depth_step
-    place = distance / optics.range_step
-    slant = (optics.slant[0] + optics.slant[1] + optics.slant[2]) / 3.0
-    endless = look_up_pair(optics.veil, row, (cosine + 1.0) / optics.cosine_step)
-    return wp.cw_mul(endless, look_up_pair(optics.saturation, row, place * (1.0 - slant * cosine)))
+    column = (cosine + 1.0) / optics.cosine_step
+    place = look_up_pair(optics.stretch, row, column) * (distance / optics.range_step)
+    share = wp.vec3(
+        look_up_pair(optics.saturation, row, place[0])[0],
+        look_up_pair(optics.saturation, row, place[1])[1],
+        look_up_pair(optics.saturation, row, place[2])[2],
+    )
+    return wp.cw_mul(look_up_pair(optics.veil, row, column), share)
 
 
 @wp.func
@@ -199,6 +204,8 @@ def sample(world: Geometry, looks: Looks, optics: Optics, view: View, direction:
     """Radiance at the camera along a ray whose nearest hit is given."""
     length = wp.length(direction)
     distance = hit.t * length
+    if hit.instance == NOTHING:
+        distance = ENDLESS_M
     radiance = veiling(optics, -view.position[2], distance, direction[2] / length)
     if hit.instance != NOTHING:
         surface = surface_light(world, looks, optics, view, direction, hit)

@@ -191,6 +191,12 @@ def camera_response() -> Array:
     return curves / curves.sum(axis=1, keepdims=True)
 
 
+def camera_weights() -> Array:
+    """Share (3, 31) of each wavelength in a channel's signal from a white surface just below the water's surface."""
+    weights = camera_response() * DAYLIGHT
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
 def luminosity() -> Array:
     """Photopic luminous efficiency (31,) in Gaussian form (after CIE 1924; peak 555 nm)."""
     return band(WAVELENGTHS, 557, 42)

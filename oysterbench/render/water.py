@@ -21,7 +21,7 @@ from scipy.ndimage import map_coordinates
 
 from oysterbench.recipe import WaterRecipe
 from oysterbench.render.radiance import Daylight, solve_daylight
-from oysterbench.render.spectra import DAYLIGHT, camera_response, water_constituents
+from oysterbench.render.spectra import camera_weights, water_constituents
 
 Array = NDArray[np.float64]
 
@@ -36,6 +36,10 @@ median angle of scattering within the cone, for light is turned anywhere between
 LEAST_SCATTERING = 1e-9
 """1/m: far below any water's, and enough for the spectrum of a veil to be defined."""
 
+LEAST_RADIANCE = 1e-30
+LEAST_STRETCH = 1e-3
+NEARBY_M = 1e-3  # step of a difference over depth
+
 RANGES, DEPTHS, COSINES = 384, 40, 41  # nodes of the tables
 OPAQUE = 8.0  # optical depth past which nothing of a surface is seen
 SHORTEST_M, LONGEST_M = 6.0, 120.0  # bounds of the range axis
@@ -49,8 +53,9 @@ class Water:
     direct, glow (D, R, 3): shares of a surface's daylight signal that arrive sharp and blurred by spread_rad, for a
     surface at that depth. daylight (D, 3): downwelling irradiance over that just below the surface.
     veil (D, K, 3): radiance of an endless path from a camera at that depth; saturation (D, R, 3): the share of it that
-    a path of that range gives, for a horizontal ray; for any other, look it up at range * (1 - slant * cosine).
-    slant (3,). absorption, scattering (3,): averages over the camera's bands, 1/m; asymmetry: of the phase function.
+    a path of that range gives, for a horizontal ray; for any other, look it up at range * stretch.
+    stretch (D, K, 3): how much faster than a level ray one of that cosine fills, where it begins. absorption,
+    scattering (3,): averages over the camera's bands, 1/m; asymmetry: of the phase function.
     """
 
     ranges: Array
@@ -61,7 +66,7 @@ class Water:
     saturation: Array
     veil: Array
     daylight: Array
-    slant: Array
+    stretch: Array
     absorption: Array
     scattering: Array
     asymmetry: float = ASYMMETRY
@@ -79,10 +84,10 @@ class Water:
     def veiling(self, depth_m: float, range_m: float, cosine: float) -> Array:
         """Veiling light (3,) that a camera at depth_m sees along a view ray of range_m."""
         row = depth_m / self.depths[1]
-        endless = _look_up(self.veil, (row, (cosine + 1.0) / (self.cosines[1] - self.cosines[0])))
-        slanted = range_m * (1.0 - self.slant * cosine) / self.ranges[1]
-        shares = [_look_up(self.saturation, (row, place))[i] for i, place in enumerate(slanted)]
-        return endless * np.array(shares)
+        column = (cosine + 1.0) / (self.cosines[1] - self.cosines[0])
+        stretched = range_m * _look_up(self.stretch, (row, column)) / self.ranges[1]
+        shares = [_look_up(self.saturation, (row, place))[i] for i, place in enumerate(stretched)]
+        return _look_up(self.veil, (row, column)) * np.array(shares)
 
     def seen(self, albedo: ArrayLike, camera_depth_m: float, range_m: float, cosine: float) -> Array:
         """Mean radiance (3,) of a level matte surface of that albedo, seen from camera_depth_m over range_m."""
@@ -94,9 +99,7 @@ class Water:
 def build_water(recipe: WaterRecipe, daylight: Daylight | None = None, deepest_m: float = 10.0) -> Water:
     """Tables of a recipe's water under a daylight, for cameras and surfaces down to deepest_m."""
     water = water_constituents(recipe)
-    weights = camera_response() * DAYLIGHT
-    weights /= weights.sum(axis=1, keepdims=True)
-    return tabulate(water.absorption(), water.scatter(), weights, daylight or Daylight(), deepest_m)
+    return tabulate(water.absorption(), water.scatter(), camera_weights(), daylight or Daylight(), deepest_m)
 
 
 def tabulate(a: Array, b: Array, weights: Array, daylight: Daylight, deepest_m: float) -> Water:
@@ -118,9 +121,10 @@ def tabulate(a: Array, b: Array, weights: Array, daylight: Daylight, deepest_m: 
     direct = _attenuate(signal, c, ranges)
     arriving = _attenuate(signal, image, ranges)
     ambient = horizontal[:, None] * weights
-    middle = DEPTHS // 2
-    fall = -np.gradient(np.log(horizontal), depths, axis=0)[middle]
-    share = ambient[middle] / ambient[middle].sum(axis=1, keepdims=True)
+    nearby = np.stack([field.radiance(depths + NEARBY_M, cosines) for field in fields], axis=2)
+    slope = image * radiance + cosines[:, None] * (nearby - radiance) / NEARBY_M  # of the veil, where it begins
+    filling = np.maximum(slope, 0.0) @ weights.T / np.maximum(radiance @ weights.T, LEAST_RADIANCE)  # (D, K, 3), 1/m
+    level = filling[:, COSINES // 2, None]
     return Water(
         ranges=ranges,
         depths=depths,
@@ -130,7 +134,7 @@ def tabulate(a: Array, b: Array, weights: Array, daylight: Daylight, deepest_m: 
         saturation=_steady(1.0 - _attenuate(ambient, image, ranges)),
         veil=_steady(np.pi * radiance @ weights.T),
         daylight=_steady(irradiance @ weights.T),
-        slant=_steady(np.clip((share @ fall) / (share @ image), 0.0, 0.95)),
+        stretch=_steady(np.maximum(filling / level, LEAST_STRETCH)),
         absorption=_steady(weights @ a),
         scattering=_steady(weights @ b),
     )
