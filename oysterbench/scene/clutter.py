@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.instances import Instances, lean_with, make_instances, rest
-from oysterbench.scene.library import FAR_WEED, Library
+from oysterbench.scene.library import BROAD_SHARE, Library
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.terrain import Terrain
 from oysterbench.streams import Streams
@@ -86,7 +86,7 @@ def place_plants(reef: ReefRecipe, terrain: Terrain, library: Library, streams: 
     kind = np.sin(places @ (waves[:3, ::-1].T * 0.4)).sum(axis=1) + 0.8 * generator.standard_normal(n)
     broad = kind < -0.6
     share = generator.random(n)
-    shapes = library.pick("tuft", np.where(broad, FAR_WEED * share, FAR_WEED + (1 - FAR_WEED) * share))
+    shapes = library.pick("tuft", np.where(broad, BROAD_SHARE * share, BROAD_SHARE + (1 - BROAD_SHARE) * share))
     length = np.where(broad, generator.uniform(*ALGAE_M, n), generator.uniform(*GRASS_M, n))
     green, brown = np.array([0.075, 0.120, 0.030]), np.array([0.110, 0.085, 0.035])
     tone = np.clip(np.where(broad, 0.55, 0.25) + 0.25 * generator.standard_normal(n), 0, 1)[:, None]

@@ -17,7 +17,7 @@ from oysterbench.streams import Streams
 SHELLS = {"live": 28, "box": 6, "left valve": 6, "right valve": 5}
 PROPS = {"stone": 10, "rock": 5, "fragment": 10, "tuft": 10, "sponge": 6}
 ROCK_SUBDIVISIONS = 4
-FAR_WEED = 0.4  # share of the tufts that are broad algae, not seagrass
+BROAD_SHARE = 0.4  # share of the tufts that are broad algae, not seagrass
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def build_library(reef: ReefRecipe, streams: Streams) -> Library:
             elif kind == "fragment":
                 props.append(build_fragment(generator))
             elif kind == "tuft":
-                props.append(build_tuft(generator, broad=k < FAR_WEED * number))
+                props.append(build_tuft(generator, broad=k < BROAD_SHARE * number))
             else:
                 props.append(build_sponge(generator))
     return Library(tuple(shells), tuple(props), first, count)
