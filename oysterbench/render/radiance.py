@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 WATER_INDEX = 1.34
 STREAMS = 24  # per hemisphere
+WATER_SECOND_MOMENT = 2 * 0.835 / 15 / (1 + 0.835 / 3)  # chi_2 of 1 + 0.835 cos^2
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,15 @@ class Field:
         return np.exp(-np.maximum(depth_m, 0.0)[:, None] * self.rates)
 
 
-def solve_daylight(absorption: float, scattering: float, asymmetry: float, daylight: Daylight) -> Field:
-    """The field in infinitely deep water of one absorption and scattering coefficient, 1/m."""
+def solve_daylight(
+    absorption: float, scattering: float, asymmetry: float, daylight: Daylight, molecular: float = 0.0
+) -> Field:
+    """The field in infinitely deep water of one absorption and scattering coefficient, 1/m.
+
+    molecular: the part of scattering, 1/m, that is the water's own and goes to all sides.
+    """
     cosines, weights = _quadrature()
-    moments, peak = _moments(asymmetry)
+    moments, peak = _moments(asymmetry, molecular / scattering)
     b = (1.0 - peak) * scattering
     c = absorption + b
     degree = len(moments) - 1
@@ -106,8 +112,13 @@ def _above(cosine: float, weights: Array) -> Array:
     return np.clip((tops - cosine) / weights, 0.0, 1.0)
 
 
-def _moments(asymmetry: float) -> tuple[Array, float]:
-    """(2l + 1) chi_l for l below 2N, and the share of scattering that delta-M takes as no scattering at all."""
+def _moments(asymmetry: float, molecular: float) -> tuple[Array, float]:
+    """(2l + 1) chi_l for l below 2N, and the share of scattering that delta-M takes as no scattering at all.
+
+    molecular: share of scattering by water itself, with a phase function 1 + 0.835 cos^2 (Morel 1974).
+    """
     orders = np.arange(2 * STREAMS)
-    peak = asymmetry ** (2 * STREAMS)
-    return (2 * orders + 1) * (asymmetry**orders - peak) / (1.0 - peak), peak
+    water = np.where(orders == 0, 1.0, np.where(orders == 2, WATER_SECOND_MOMENT, 0.0))
+    moments = (1.0 - molecular) * asymmetry**orders + molecular * water
+    peak = (1.0 - molecular) * asymmetry ** (2 * STREAMS)
+    return (2 * orders + 1) * (moments - peak) / (1.0 - peak), peak

@@ -65,7 +65,7 @@ CDOM_SLOPE = 0.0176  # 1/nm, dissolved matter (Babin et al., J. Geophys. Res. 10
 NAP_SLOPE = 0.0110  # 1/nm, non-algal particles (Babin et al. 2003: 0.0123 +- 0.0013; Chesapeake: Tzortziou 2006, 0.011)
 REFERENCE_NM = 440.0
 SCATTERING_NM = 550.0
-PURE_SCATTERING = 0.0017  # 1/m at 550 nm: sea water and the least of particles, as in type I
+PURE_SCATTERING = 0.0019  # 1/m at 550 nm: what sea water itself scatters, as in type I
 SECCHI_CONSTANT = 1.45
 
 
@@ -143,6 +143,11 @@ def secchi_depth(water: Constituents) -> float:
 def diffuse_attenuation(a: Array, b: Array, sun_cosine: float = 0.85) -> Array:
     """Kd, 1/m, over the sunlit layer: sqrt(a^2 + G a b) / mu0, G = 0.425 mu0 - 0.19 (Kirk 1984, eqs. 9 and 14)."""
     return np.sqrt(a * a + (0.425 * sun_cosine - 0.19) * a * b) / sun_cosine
+
+
+def molecular_scattering() -> Array:
+    """Scattering of pure sea water (31,), 1/m, to all sides alike: 0.00288 at 500 nm (Morel 1974)."""
+    return 0.00288 * (500.0 / WAVELENGTHS) ** 4.32
 
 
 def absorbers(wavelengths: Array) -> Array:

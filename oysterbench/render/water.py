@@ -21,7 +21,7 @@ from scipy.ndimage import map_coordinates
 
 from oysterbench.recipe import WaterRecipe
 from oysterbench.render.radiance import Daylight, solve_daylight
-from oysterbench.render.spectra import camera_weights, water_constituents
+from oysterbench.render.spectra import camera_weights, molecular_scattering, water_constituents
 
 Array = NDArray[np.float64]
 
@@ -99,19 +99,27 @@ class Water:
 def build_water(recipe: WaterRecipe, daylight: Daylight | None = None, deepest_m: float = 10.0) -> Water:
     """Tables of a recipe's water under a daylight, for cameras and surfaces down to deepest_m."""
     water = water_constituents(recipe)
-    return tabulate(water.absorption(), water.scatter(), camera_weights(), daylight or Daylight(), deepest_m)
+    b = water.scatter()
+    molecular = np.minimum(molecular_scattering(), b)
+    return tabulate(water.absorption(), b, camera_weights(), daylight or Daylight(), deepest_m, molecular)
 
 
-def tabulate(a: Array, b: Array, weights: Array, daylight: Daylight, deepest_m: float) -> Water:
-    """Tables from absorption and scattering (L,), 1/m, and the weights (3, L) of the wavelengths in each channel."""
+def tabulate(
+    a: Array, b: Array, weights: Array, daylight: Daylight, deepest_m: float, molecular: ArrayLike = 0.0
+) -> Water:
+    """Tables from absorption and scattering (L,), 1/m, and the weights (3, L) of the wavelengths in each channel.
+
+    molecular (L,): the part of b that water itself scatters, to all sides; none of it stays in the image.
+    """
     b = np.maximum(b, LEAST_SCATTERING)
     c = a + b
-    image = a + (1.0 - forward_share(IMAGE_CONE_RAD)) * b
+    clear = np.broadcast_to(molecular, b.shape)
+    image = c - forward_share(IMAGE_CONE_RAD) * (b - clear)
     span = float(np.clip(OPAQUE / image.min(), SHORTEST_M, LONGEST_M))
     ranges, depths = np.linspace(0.0, span, RANGES), np.linspace(0.0, deepest_m, DEPTHS)
     cosines = np.linspace(-1.0, 1.0, COSINES)
 
-    fields = [solve_daylight(*pair, ASYMMETRY, daylight) for pair in zip(a, b, strict=True)]
+    fields = [solve_daylight(x, y, ASYMMETRY, daylight, z) for x, y, z in zip(a, b, clear, strict=True)]
     irradiance = np.stack([field.irradiance(depths) for field in fields], axis=1)  # (D, L)
     radiance = np.stack([field.radiance(depths, cosines) for field in fields], axis=2)
     radiance = np.maximum(radiance, 0.0)  # (D, K, L)

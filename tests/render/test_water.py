@@ -19,6 +19,7 @@ from oysterbench.render.spectra import (
     camera_weights,
     diffuse_attenuation,
     jerlov_constituents,
+    molecular_scattering,
     secchi_depth,
     water_constituents,
 )
@@ -231,8 +232,9 @@ def test_veil_of_the_tables_is_duntleys_in_every_wavelength(waters: dict[str, Wa
     """L(z, mu) - exp(-c' r) L(z - mu r, mu), wavelength by wavelength, for level and falling view rays."""
     matter = water_constituents(WaterRecipe(type=kind))
     a, b = matter.absorption(), matter.scatter()
-    image = a + (1 - forward_share(IMAGE_CONE_RAD)) * b
-    fields = [solve_daylight(*pair, ASYMMETRY, Daylight()) for pair in zip(a, b, strict=True)]
+    clear = np.minimum(molecular_scattering(), b)
+    image = a + b - forward_share(IMAGE_CONE_RAD) * (b - clear)
+    fields = [solve_daylight(x, y, ASYMMETRY, Daylight(), z) for x, y, z in zip(a, b, clear, strict=True)]
     for range_m in (0.3, 1.0, 3.0):
         depths = np.array([3.0, 3.0 - cosine * range_m])
         ends = np.array([field.radiance(depths, np.array([cosine]))[:, 0] for field in fields])
