@@ -31,6 +31,8 @@ PATH_KINDS = ("loop",)
 LOOP_RIPPLE = 0.25
 """The radius of a loop varies by this share of its mean."""
 TRACKS = ("slam",)
+LENSES = ("pinhole", "brown-conrady", "fisheye")
+VEHICLES = ("none", "bluerov2")
 
 
 def number(low: float, high: float, default: Any = dataclasses.MISSING) -> Any:
@@ -83,6 +85,8 @@ class WaterRecipe:
     nap_440: float = number(0, 20, 0.0)  # added absorption of mineral and dead particles
     algae_440: float = number(0, 10, 0.0)  # added absorption of algae
     scattering_550: float = number(0, 60, 0.0)  # added scattering of particles
+    snow_per_m3: float = number(0, 50_000, 0.0)  # marine snow: flakes of 0.4 mm and more
+    forward_blur: float = number(0, 1, 0.0)  # share of the light scattered forward that is drawn blurred, not sharp
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +96,10 @@ class LightRecipe:
     sun_elevation_deg: float = number(5, 90)
     sun_azimuth_deg: float = number(-360, 360)  # direction towards the sun, from east, counter-clockwise
     sky_fraction: float = number(0, 1, 0.3)  # share of the downwelling irradiance that comes from the sky
+    daylight: float = number(0, 1, 1.0)  # share of full daylight (100 000 lx) that there is: less for dusk and night
+    wind_m_s: float = number(0, 15, 0.0)  # over the surface; its waves gather the sun into caustics, none in a calm
+    occlusion_m: float = number(0, 0.5, 0.0)  # reach of rays that find what hides the sky; 0: crevices by height alone
+    lamps: float = number(0, 100, 1.0)  # factor on the intensity of the rig's lamps
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,12 +130,12 @@ class SequenceRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraRecipe:
-    """A pinhole camera on the rig. Pitch is positive below the horizon."""
+    """A camera on the rig. Pitch is positive below the horizon."""
 
     name: str
     width: int = number(16, 8192)
     height: int = number(16, 8192)
-    hfov_deg: float = number(10, 150)  # in water
+    hfov_deg: float = number(10, 160)  # in water; of the pinhole, for a lens of brown-conrady before its distortion
     rate_hz: float = number(0.1, 200)
     layer_rate_hz: float = number(0, 200, 0.0)  # of depth, class and instance images; a divisor of rate_hz
     position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
@@ -135,6 +143,14 @@ class CameraRecipe:
     yaw_deg: float = number(-180, 180, 0.0)
     jpeg_quality: int = number(50, 100, 95)
     max_range_m: float = number(1, 100, 20.0)  # farther than this is water
+    lens: str = choice(LENSES, "pinhole")  # brown-conrady: k1 k2 p1 p2 [k3]; fisheye (Kannala-Brandt): k1 k2 k3 k4
+    distortion: tuple[float, ...] = number(-10, 10, ())  # coefficients as OpenCV has them
+    port_mm: float | None = number(0, 200, None)  # from the pupil to a flat port; then the lens works in air behind it
+    vignetting: float = number(0, 1, 0.0)  # share of the natural fall of light with cos^4 of the angle off the axis
+    exposure_stops: float = number(-6, 6, 0.0)  # brighter than metered
+    gain: float = number(1, 64, 1.0)  # amplification of fewer photons to the same brightness: more noise
+    shutter_ms: float = number(0, 200, 0.0)  # time that the shutter is open, for motion blur; 0: an instant
+    focus_m: float = number(0.05, 20, 1.0)  # distance at which marine snow is sharp
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,14 +169,29 @@ class ImuRecipe:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LampRecipe:
+    """A lamp on the rig. Pitch is positive below the horizon."""
+
+    intensity_cd: float = number(0, 1e6)  # along its axis
+    half_angle_deg: float = number(1, 89, 45.0)  # of the cone, to the middle of its edge
+    edge_deg: float = number(0.5, 60, 15.0)  # width of the soft edge
+    colour: tuple[float, float, float] = number(0, 2, (1.0, 1.0, 1.0))  # of its light over daylight's
+    position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
+    pitch_deg: float = number(-90, 90, 0.0)
+    yaw_deg: float = number(-180, 180, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class RigRecipe:
-    """A vehicle: its cameras and its inertial unit."""
+    """A vehicle: its body, its cameras and lamps, and its inertial unit."""
 
     name: str
     summary: str
     truth_rate_hz: float = number(1, 4000, 200.0)
     imu: ImuRecipe
     camera: tuple[CameraRecipe, ...]
+    lamp: tuple[LampRecipe, ...] = ()
+    vehicle: str = choice(VEHICLES, "none")  # body that the cameras see and that casts a shadow
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,6 +30,7 @@ def stamps(n: int, rate_hz: float) -> np.ndarray:
 INERTIAL_STEP = 1e-7  # rad/s and m/s^2: four orders below the noise of the best unit's sample
 TRUTH_STEP = 1e-6  # m, m/s and rad/s
 ATTITUDE_STEP = 1e-7  # of a unit quaternion
+SHUTTER_POSES = 4  # besides the frame's own, evenly while the shutter is open
 
 
 def settle(values: Array, step: float) -> Array:
@@ -58,16 +59,19 @@ def build_stage(split: SplitRecipe, name: str, salt: bytes) -> Stage:
     streams = Streams(split.seed, salt, (recipe.name,))
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
-    renderers = {camera.name: CameraRenderer(world, camera, recipe) for camera in split.rig.camera}
+    renderers = {camera.name: CameraRenderer(world, camera, recipe, rig=split.rig) for camera in split.rig.camera}
     return Stage(split.rig, world, path, renderers, streams)
 
 
 def look(stage: Stage, camera: CameraRecipe, index: int) -> Frame:
     """Frame `index` of a camera: what it sees at index / rate_hz seconds."""
-    motion = stage.path.at(np.array([index / camera.rate_hz]))
-    pose = transform(motion.rotation[0], motion.position[0]) @ camera_pose(camera)
+    time_s = index / camera.rate_hz
+    opened = camera.shutter_ms * 1e-3 * (np.arange(SHUTTER_POSES) / SHUTTER_POSES - 0.5) if camera.shutter_ms else ()
+    motion = stage.path.at(np.maximum(time_s + np.array([0.0, *opened]), 0.0))
+    bodies = [transform(r, p) for r, p in zip(motion.rotation, motion.position, strict=True)]
+    pose, *shutter = (body @ camera_pose(camera) for body in bodies)
     noise = stage.streams.generator("camera", camera.name, "noise", index)
-    return stage.renderers[camera.name].render(pose, noise)
+    return stage.renderers[camera.name].render(pose, noise, time_s, bodies[0], shutter)
 
 
 def render_frames(stage: Stage, camera: CameraRecipe, first: int, last: int) -> Iterator[Message]:

@@ -1,34 +1,50 @@
-"""A pinhole camera in a world: colour, depth along the axis, classes and instances."""
+"""A camera in a world: colour, depth along the axis, classes and instances, and what the picture is made of."""
 
 from __future__ import annotations
 
 import os
 import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from oysterbench.recipe import CameraRecipe, SequenceRecipe
-from oysterbench.render import kernels
-from oysterbench.render.casting import Geometry, Placed
-from oysterbench.render.light import build_light, exposure, shadow_reach
+from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe
+from oysterbench.render import blur, caustics, kernels, lamps, sensor, snow
+from oysterbench.render.casting import Hit
+from oysterbench.render.lens import pixel_rays
+from oysterbench.render.light import build_light, exposure, sky_fan
+from oysterbench.render.optics import Optics
 from oysterbench.render.radiance import Daylight
-from oysterbench.render.relief import build_relief
-from oysterbench.render.texture import build_ground
+from oysterbench.render.upload import upload_geometry, upload_looks, upload_optics, upload_vehicle, without_water
+from oysterbench.render.view import View
 from oysterbench.render.water import build_water
-from oysterbench.scene.rig import camera_matrix
+from oysterbench.scene.rig import camera_matrix, camera_pose
+from oysterbench.scene.vehicle import build_vehicle
 from oysterbench.scene.world import World
 
+Pose = NDArray[np.float64]
+
 DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
-CREVICE_BLUR_CELLS = 2.0
-SHOT_NOISE = 1.0 / 6000.0  # variance per signal: a full well of 6000 electrons
-READ_NOISE = 0.0015  # of full scale
-GAMMA_LEVELS = 8192
-LEAF_TRIANGLES = 4  # of the meshes' trees: measured best
+MODULES = (kernels, sensor, lamps, caustics, snow, blur)
+LAYERS = (
+    "radiance",
+    "clean",
+    "direct",
+    "glow",
+    "backscatter",
+    "snow",
+    "depth",
+    "normals",
+    "classes",
+    "instances",
+    "visibility",
+)
 
 
 @dataclass(frozen=True)
@@ -36,8 +52,8 @@ class Frame:
     """What a camera sees at one pose.
 
     colour (H, W, 3) uint8 RGB; depth (H, W) float32, m along the optical axis, 0 where nothing is within the camera's
-    max_range_m; classes (H, W) uint8 as in recipe.CLASSES; instances (H, W) uint16, 0 for none. Depth, classes and
-    instances are those of the ray through the pixel's centre.
+    max_range_m; classes (H, W) uint8 as in recipe.CLASSES; instances (H, W) uint16, 0 for none, and one more than the
+    world's last for the vehicle. Depth, classes and instances are those of the ray through the pixel's centre.
     """
 
     colour: NDArray[np.uint8]
@@ -49,139 +65,266 @@ class Frame:
 def warm_up(device: str = "cpu") -> None:
     """Compile and load the kernels, into Warp's cache, so that processes started later find them there."""
     _start_warp()
-    wp.load_module(kernels, device=device)
+    for module in MODULES:
+        wp.load_module(module, device=device)
 
 
 class CameraRenderer:
-    """Renders a world for one camera; the world goes to the device once."""
+    """Renders a world for one camera; the world goes to the device once.
 
-    def __init__(self, world: World, camera: CameraRecipe, recipe: SequenceRecipe, device: str = "cpu") -> None:
+    rig: the vehicle that carries the camera, with its lamps and body; without it there are none. seconds: processor
+    time that each stage has taken so far.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        camera: CameraRecipe,
+        recipe: SequenceRecipe,
+        device: str = "cpu",
+        rig: RigRecipe | None = None,
+    ) -> None:
         _start_warp()
         self.camera = camera
         self.device = device
-        self._upload(world)
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._rays = pixel_rays(camera)
+        self._count = len(world.instances)
+        self._geometry, self._kept = upload_geometry(world, device)
+        if rig is not None:
+            self._geometry.vehicle, body = upload_vehicle(build_vehicle(rig), device)
+            self._kept += body
+        self._lamps = () if rig is None else rig.lamp
         self._light(world, recipe)
-        shape = (camera.height, camera.width)
-        self._radiance = wp.zeros(shape, dtype=wp.vec3, device=device)
-        self._smooth = wp.zeros(shape, dtype=wp.vec3, device=device)
-        self._depth = wp.zeros(shape, dtype=wp.float32, device=device)
-        self._classes = wp.zeros(shape, dtype=wp.uint8, device=device)
-        self._instances = wp.zeros(shape, dtype=wp.uint16, device=device)
-        self._colour = wp.zeros((*shape, 3), dtype=wp.uint8, device=device)
+        self._allocate()
 
-    def render(self, T_map_cam: NDArray[np.float64], generator: np.random.Generator) -> Frame:
-        """Frame from the pose T_map_cam (4, 4) of the optical frame in `map`; `generator` gives the sensor's noise."""
-        view = kernels.View()
-        matrix = camera_matrix(self.camera)
+    def render(
+        self,
+        T_map_cam: Pose,
+        generator: np.random.Generator,
+        time_s: float = 0.0,
+        T_map_base: Pose | None = None,
+        shutter: Sequence[Pose] = (),
+    ) -> Frame:
+        """Frame from the pose T_map_cam (4, 4) of the optical frame in `map`; `generator` gives the sensor's noise.
+
+        time_s moves waves and marine snow. T_map_base: where the vehicle is, for cameras that it does not carry as the
+        recipe says. shutter: further poses of the camera while the shutter is open, whose mean is the picture; depth,
+        classes and instances are those at T_map_cam.
+        """
+        weight = 1.0 / (1 + len(shutter))
+        self._radiance.zero_()
+        self._prepare(T_map_cam, time_s, T_map_base)
+        for pose in (*shutter, T_map_cam):
+            self._see(pose, time_s, weight)
+        with self._stage("noise"):
+            shape = (self.camera.height, self.camera.width, 3)
+            noise = wp.array(generator.standard_normal(shape, dtype=np.float32), device=self.device)
+        with self._stage("develop"):
+            gain = self.camera.gain
+            wp.launch(
+                sensor.develop,
+                shape[:2],
+                inputs=[
+                    self._radiance,
+                    self._vignetting,
+                    noise,
+                    self._gain,
+                    gain / sensor.FULL_WELL,
+                    gain * sensor.READ_NOISE,
+                    self._gamma,
+                ],
+                outputs=[self._colour],
+                device=self.device,
+            )
+            return Frame(*(array.numpy().copy() for array in (self._colour, *self._truth)))
+
+    def layers(
+        self, T_map_cam: Pose, names: Sequence[str], time_s: float = 0.0, T_map_base: Pose | None = None
+    ) -> dict[str, NDArray[np.generic]]:
+        """What the picture at a pose is made of, each by its name in LAYERS, before lens shading, exposure and noise.
+
+        Radiances (H, W, 3) float32, of which 1 is a white matte surface's in full daylight at the surface: `direct`,
+        `glow` (scattered forward), `backscatter` (of daylight and lamps) and `snow` (what flakes change) add up to
+        `radiance`; `clean` is the same light in the same place without any water. depth, classes, instances: as in
+        Frame. normals (H, W, 3) float32: outward unit normals in the optical frame, 0 where nothing is. visibility
+        (N + 2,) float32 by instance number: pixels in which it is seen over those in which it would be if it were
+        alone; NaN for what has none.
+        """
+        unknown = sorted(set(names) - set(LAYERS))
+        if unknown:
+            raise ValueError(f"unknown layers {unknown}; expected some of {', '.join(LAYERS)}")
+        self._radiance.zero_()
+        self._prepare(T_map_cam, time_s, T_map_base)
+        self._see(T_map_cam, time_s, 1.0)
+        radiance = self._radiance.numpy().copy()
+        share = self._blur_share
+        direct, glow, haze = (array.numpy().copy() for array in (self._sharp, self._glow, self._haze))
+        if share > 0:
+            glow = glow * np.float32(1 - share) + self._blurred.numpy() * np.float32(share)
+        depth, classes, instances = (array.numpy().copy() for array in self._truth)
+        found: dict[str, NDArray[np.generic]] = {
+            "radiance": radiance,
+            "direct": direct,
+            "glow": glow,
+            "backscatter": haze,
+            "snow": radiance - (direct + glow + haze),
+            "depth": depth,
+            "classes": classes,
+            "instances": instances,
+        }
+        if "normals" in names:
+            turned = self._normals.numpy() @ np.asarray(T_map_cam[:3, :3], dtype=np.float32)
+            found["normals"] = np.where(depth[..., None] > 0, turned, np.float32(0.0))
+        if "visibility" in names:
+            found["visibility"] = self._visibility(T_map_cam, instances)
+        if "clean" in names:
+            self._trace(self._view(T_map_cam), self._clear)
+            found["clean"] = self._sharp.numpy().copy()
+        return {name: found[name] for name in names}
+
+    def _prepare(self, T_map_cam: Pose, time_s: float, T_map_base: Pose | None) -> None:
+        """Move waves, lamps and vehicle to their places."""
+        if T_map_base is None:
+            T_map_base = np.asarray(T_map_cam, dtype=float) @ np.linalg.inv(camera_pose(self.camera))
+        T_map_base = np.round(T_map_base, 9)
+        with self._stage("caustics"):
+            self._waves.move(time_s)
+            self._optics.caustics = self._waves.light
+            self._clear.caustics = self._waves.light
+        if self._geometry.vehicle.mesh:
+            self._geometry.vehicle.rotation = wp.mat33(*T_map_base[:3, :3].astype(np.float32).ravel().tolist())
+            self._geometry.vehicle.position = wp.vec3(*T_map_base[:3, 3].tolist())
+        if self._optics.lamps.count:
+            lamps.place_lamps(self._optics.lamps, self._lamps, T_map_base, self.device)
+            self._clear.lamps.positions = self._optics.lamps.positions
+            self._clear.lamps.axes = self._optics.lamps.axes
+
+    def _view(self, T_map_cam: Pose) -> View:
+        view = View()
         pose = np.asarray(T_map_cam, dtype=np.float32)
         view.position = wp.vec3(*pose[:3, 3].tolist())
         view.rotation = wp.mat33(*pose[:3, :3].ravel().tolist())
-        view.focal, view.cx, view.cy = float(matrix[0, 0]), float(matrix[0, 2]), float(matrix[1, 2])
+        view.rays = self._ray_table
+        view.focal = float(camera_matrix(self.camera)[0, 0])
         view.max_range = self.camera.max_range_m
-        shape = (self.camera.height, self.camera.width)
-        scene = [self._geometry, self._looks, self._optics, view]
-        truth = [self._depth, self._classes, self._instances]
-        wp.launch(kernels.trace, shape, inputs=scene, outputs=[self._radiance, *truth], device=self.device)
-        wp.launch(
-            kernels.refine,
-            shape,
-            inputs=[*scene, self._radiance, self._instances],
-            outputs=[self._smooth],
-            device=self.device,
-        )
-        noise = wp.array(generator.standard_normal((*shape, 3), dtype=np.float32), device=self.device)
-        wp.launch(
-            kernels.develop,
-            shape,
-            inputs=[self._smooth, noise, self._gain, SHOT_NOISE, READ_NOISE, self._gamma],
-            outputs=[self._colour],
-            device=self.device,
-        )
-        return Frame(*(array.numpy().copy() for array in (self._colour, *truth)))
+        view.port = int(self.camera.port_mm is not None)
+        return view
 
-    def _upload(self, world: World) -> None:
-        """The world's arrays, meshes and tree of boxes on the device."""
-        device = self.device
-        instances = world.instances
-        terrain = world.terrain
-        start, step = terrain.coordinates[terrain.rim], np.diff(terrain.coordinates)[terrain.rim]
-        skirt = terrain.skirt()
-        self._skirt = _mesh(skirt.vertices, skirt.faces, device)
-        self._library = [_mesh(mesh.vertices, mesh.faces, device) for mesh in world.meshes]
-        corner_counts = [mesh.faces.size for mesh in world.meshes]
-        vertex_counts = [len(mesh.vertices) for mesh in world.meshes]
-        first_corner = np.cumsum([0, *corner_counts[:-1]])
-        first_vertex = np.cumsum([0, *vertex_counts[:-1]])
-        corners = [m.faces.ravel() + start for m, start in zip(world.meshes, first_vertex, strict=True)]
-        ids = np.array([mesh.id for mesh in self._library], dtype=np.uint64)
-        geometry = Geometry()
-        geometry.relief = build_relief(terrain.square, float(start), float(step), device)
-        geometry.skirt = self._skirt.id
-        geometry.skirt_corners = self._skirt.indices
-        geometry.skirt_normals = wp.array(skirt.normals, dtype=wp.vec3, device=device)
-        geometry.count = len(instances)
-        geometry.corners = wp.array(np.concatenate(corners), dtype=wp.int32, device=device)
-        normals = np.concatenate([mesh.normals for mesh in world.meshes])
-        geometry.normals = wp.array(normals, dtype=wp.vec3, device=device)
-        marks = np.concatenate([mesh.marks for mesh in world.meshes])
-        geometry.marks = wp.array(marks, dtype=wp.vec3, device=device)
-        placed: NDArray[Any] = np.zeros(len(instances), dtype=Placed.numpy_dtype())  # type: ignore[attr-defined]
-        placed["to_shape"] = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
-        placed["position"] = instances.positions
-        placed["mesh"] = ids[instances.shapes]
-        placed["rotation"] = instances.rotations
-        placed["scale"] = instances.scales
-        placed["first_corner"] = first_corner[instances.shapes]
-        placed["colour"] = instances.colours
-        placed["silt"] = instances.silt
-        placed["kind"] = instances.classes
-        geometry.placed = wp.array(placed, dtype=Placed, device=device)
-        if len(instances):
-            lowers, uppers = world.boxes()
-            self._boxes = wp.Bvh(
-                wp.array(lowers, dtype=wp.vec3, device=device), wp.array(uppers, dtype=wp.vec3, device=device)
+    def _see(self, T_map_cam: Pose, time_s: float, weight: float) -> None:
+        """Add what arrives at the sensor from a pose to `_radiance`, and leave the truth of it."""
+        view = self._view(T_map_cam)
+        self._trace(view, self._optics)
+        shape = self._radiance.shape
+        if self._blur_share > 0:
+            with self._stage("blur"):
+                self._blur.spread(self._glow, self._blurred)
+        flakes = self._snow.light
+        if flakes is not None:
+            with self._stage("snow"):
+                pose = np.round(np.asarray(T_map_cam, dtype=float), 9)
+                self._snow.fall(view, self._optics, self._truth[0], pose, self._rays, time_s)
+        with self._stage("compose"):
+            light = [self._sharp, self._glow, self._blurred, self._haze, self._blur_share]
+            flakes_or_none = [flakes, snow.UNIT] if flakes is not None else [self._no_flakes, 0.0]
+            wp.launch(
+                sensor.compose,
+                shape,
+                inputs=[*light, *flakes_or_none, weight],
+                outputs=[self._radiance],
+                device=self.device,
             )
-            geometry.boxes = self._boxes.id
-        self._geometry = geometry
 
-        looks = kernels.Looks()
-        looks.seed = world.texture_seed
-        blurred = ndimage.gaussian_filter(world.envelope, CREVICE_BLUR_CELLS)
-        looks.envelope = wp.array(blurred, dtype=wp.float32, device=device)
-        looks.envelope_start = float(world.envelope_lines[0])
-        looks.envelope_step = float(world.envelope_lines[1] - world.envelope_lines[0])
-        self._looks = looks
+    def _trace(self, view: View, optics: Optics) -> None:
+        """Cast, shade and refine the picture of a view into sharp, glow and haze."""
+        shape, device = self._radiance.shape, self.device
+        scene = [self._geometry, self._looks, optics, view]
+        surfaces = [self._hits, self._normals]
+        light = [self._sharp, self._glow, self._haze]
+        with self._stage("primary rays"):
+            wp.launch(
+                kernels.trace, shape, inputs=[self._geometry, view], outputs=[*surfaces, *self._truth], device=device
+            )
+        with self._stage("shadow rays"):
+            wp.launch(kernels.shadow, shape, inputs=[*scene, *surfaces], outputs=[self._lit], device=device)
+        if optics.occlusion > 0:
+            with self._stage("sky occlusion"):
+                inputs = [*scene, self._fan, *surfaces]
+                wp.launch(kernels.occlude, shape, inputs=inputs, outputs=[self._open], device=device)
+        if optics.lamps.count:
+            with self._stage("lamp beams"):
+                beams = optics.lamps.beams
+                inputs = [view, optics.lamps, self._scattering(optics), self._asymmetry]
+                wp.launch(lamps.sum_beams, beams.shape[:2], inputs=inputs, outputs=[beams], device=device)
+        with self._stage("shading"):
+            inputs = [*scene, *surfaces, self._lit, self._open]
+            outputs = [*light, self._level, self._openings]
+            wp.launch(kernels.shade, shape, inputs=inputs, outputs=outputs, device=device)
+        with self._stage("edges"):
+            inputs = [*scene, self._level, self._truth[2], self._openings]
+            wp.launch(kernels.refine, shape, inputs=inputs, outputs=light, device=device)
+
+    def _scattering(self, optics: Optics) -> wp.vec3:
+        return wp.vec3(0.0, 0.0, 0.0) if optics is self._clear else self._water_scattering
+
+    def _visibility(self, T_map_cam: Pose, instances: NDArray[np.uint16]) -> NDArray[np.float32]:
+        """Visible over unhidden pixels (N + 2,) of each instance number, NaN where there are none."""
+        counts = wp.zeros(self._count + 2, dtype=wp.int32, device=self.device)
+        inputs = [self._geometry, self._view(T_map_cam)]
+        wp.launch(kernels.count_unhidden, instances.shape, inputs=inputs, outputs=[counts], device=self.device)
+        alone = counts.numpy()
+        seen = np.bincount(instances.ravel(), minlength=len(alone))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(alone > 0, np.minimum(seen / alone, 1.0), np.nan)
+        share[0] = np.nan
+        return share.astype(np.float32)
 
     def _light(self, world: World, recipe: SequenceRecipe) -> None:
-        """Tables of water and light, and the camera's fixed exposure."""
+        """Tables of water and light, what moves in them, and the camera's fixed exposure."""
+        device, camera = self.device, self.camera
         light = build_light(recipe.light)
         daylight = Daylight(float(light.sun_direction[2]), light.sky)
         water = build_water(recipe.water, daylight, recipe.reef.depth_m + DEPTH_MARGIN_M)
-        optics = kernels.Optics()
-        optics.sun_direction = wp.vec3(*light.sun_direction.tolist())
-        lines = world.envelope_lines
-        ground = world.ground_height(*np.meshgrid(lines, lines))
-        cell = self._looks.envelope_step
-        reach = shadow_reach(world.envelope, ground, cell, light.sun_direction, float(kernels.SHADOW_M))
-        self._looks.ground = build_ground(recipe.reef)
-        self._looks.reach = wp.array(reach.astype(np.uint8), dtype=wp.uint8, device=self.device)
-        optics.sun, optics.sky = light.sun, light.sky
-        optics.seabed_shadows = int(world.terrain.steepest() > light.steepest_lit_slope())
-        optics.direct = self._table(water.direct)
-        optics.glow = self._table(water.glow)
-        optics.saturation = self._table(water.saturation)
-        optics.veil = self._table(water.veil)
-        optics.stretch = self._table(water.stretch)
-        optics.range_step = float(water.ranges[1])
-        optics.daylight = self._table(water.daylight)
-        optics.depth_step = float(water.depths[1])
-        optics.cosine_step = float(water.cosines[1] - water.cosines[0])
-        self._optics = optics
-        self._gain = wp.vec3(*exposure(water, recipe.reef.depth_m).tolist())
-        self._gamma = wp.array(_gamma_table(), dtype=wp.uint8, device=self.device)
+        self._looks = upload_looks(world, recipe, light, device)
+        self._optics = upload_optics(water, light, recipe, world.terrain.steepest(), device)
+        shape = (camera.height, camera.width)
+        self._optics.lamps = lamps.build_lamps(self._lamps, recipe.light.lamps, water, shape, device)
+        self._waves = caustics.Waves(recipe.light, water, recipe.reef.depth_m, world.texture_seed, device)
+        self._clear = without_water(self._optics, device)
+        self._clear.lamps = lamps.without_water(self._optics.lamps, device)
+        self._water_scattering = wp.vec3(*np.round(water.scattering, 7).tolist())
+        self._asymmetry = water.asymmetry
+        self._fan = wp.array(sky_fan(), dtype=wp.vec3, device=device)
+        self._snow = snow.Snow(recipe.water.snow_per_m3, camera, water, world.texture_seed, device)
+        self._blur_share = recipe.water.forward_blur
+        self._blur = blur.Blur(shape, float(camera_matrix(camera)[0, 0]), water.spread_rad, device)
+        metered = exposure(water, recipe.reef.depth_m, recipe.light.daylight, self._lamps, recipe.light.lamps)
+        self._gain = wp.vec3(*(metered * 2.0**camera.exposure_stops).tolist())
+        self._vignetting = wp.array(sensor.vignette(self._rays, camera), dtype=wp.float32, device=device)
+        self._gamma = wp.array(sensor.gamma_table(), dtype=wp.uint8, device=device)
 
-    def _table(self, values: NDArray[np.float64]) -> wp.array:
-        return wp.array(values.astype(np.float32), dtype=wp.vec3, device=self.device)
+    def _allocate(self) -> None:
+        """Pictures on the device."""
+        shape = (self.camera.height, self.camera.width)
+
+        def picture(kind: type) -> wp.array:
+            return wp.zeros(shape, dtype=kind, device=self.device)
+
+        self._ray_table = wp.array(self._rays, dtype=wp.vec3, device=self.device)
+        self._hits, self._normals = picture(Hit), picture(wp.vec3)
+        self._lit, self._open = picture(wp.uint8), picture(wp.float32)
+        self._sharp, self._glow, self._haze = (picture(wp.vec3) for _ in range(3))
+        self._blurred, self._radiance = picture(wp.vec3), picture(wp.vec3)
+        self._level, self._openings = picture(wp.float32), picture(wp.float32)
+        self._truth = [picture(wp.float32), picture(wp.uint8), picture(wp.uint16)]
+        self._no_flakes = wp.zeros((1, 1, 4), dtype=wp.int32, device=self.device)
+        self._colour = wp.zeros((*shape, 3), dtype=wp.uint8, device=self.device)
+
+    @contextmanager
+    def _stage(self, name: str) -> Iterator[None]:
+        start = time.process_time()
+        yield
+        self.seconds[name] += time.process_time() - start
 
 
 def _start_warp() -> None:
@@ -196,15 +339,3 @@ def _start_warp() -> None:
         os.dup2(kept, 2)
         os.close(kept)
         os.close(nowhere)
-
-
-def _mesh(vertices: NDArray[np.float32], faces: NDArray[np.int32], device: str) -> wp.Mesh:
-    points = wp.array(vertices, dtype=wp.vec3, device=device)
-    return wp.Mesh(points, wp.array(faces.ravel(), dtype=wp.int32, device=device), bvh_leaf_size=LEAF_TRIANGLES)
-
-
-def _gamma_table() -> NDArray[np.uint8]:
-    """sRGB code (GAMMA_LEVELS,) of equally spaced linear levels (IEC 61966-2-1)."""
-    linear = np.linspace(0.0, 1.0, GAMMA_LEVELS)
-    curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.round(255 * curve).astype(np.uint8)

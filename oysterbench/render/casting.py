@@ -13,6 +13,7 @@ from oysterbench.render.relief import Relief, cast_relief, over_relief, relief_n
 NOTHING = wp.constant(-1)
 RELIEF = wp.constant(-2)
 SKIRT = wp.constant(-3)
+VEHICLE = wp.constant(-4)
 
 
 @wp.struct
@@ -34,6 +35,22 @@ class Placed:
 
 
 @wp.struct
+class Vehicle:
+    """The rig's body, where it is now: rotation takes base_link into `map`; mesh 0 is none. marks are albedos.
+
+    radius: of the sphere around the origin that holds it, m.
+    """
+
+    mesh: wp.uint64
+    corners: wp.array(dtype=wp.int32)
+    normals: wp.array(dtype=wp.vec3)
+    marks: wp.array(dtype=wp.vec3)
+    rotation: wp.mat33
+    position: wp.vec3
+    radius: wp.float32
+
+
+@wp.struct
 class Geometry:
     """A world on a device. Corners, normals and marks of all library meshes are end to end."""
 
@@ -47,17 +64,26 @@ class Geometry:
     corners: wp.array(dtype=wp.int32)
     normals: wp.array(dtype=wp.vec3)
     marks: wp.array(dtype=wp.vec3)
+    vehicle: Vehicle
 
 
 @wp.struct
 class Hit:
-    """Nearest surface: instance is its row, or RELIEF, SKIRT or NOTHING; u, v weigh the face's first two corners."""
+    """Nearest surface: instance is its row, or RELIEF, SKIRT, VEHICLE or NOTHING; u, v weigh the face's first two
+    corners."""
 
     t: wp.float32
     instance: wp.int32
     face: wp.int32
     u: wp.float32
     v: wp.float32
+
+
+@wp.func
+def near_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3):
+    """Whether the line of a ray passes the sphere around the vehicle."""
+    across = wp.cross(vehicle.position - origin, direction)
+    return wp.dot(across, across) < vehicle.radius * vehicle.radius * wp.dot(direction, direction)
 
 
 @wp.func
@@ -92,6 +118,15 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
                 hit.face = found.face
                 hit.u = found.u
                 hit.v = found.v
+    if world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, origin, direction):
+        back = wp.transpose(world.vehicle.rotation)
+        body = wp.mesh_query_ray(world.vehicle.mesh, back * (origin - world.vehicle.position), back * direction, hit.t)
+        if body.result:
+            hit.t = body.t
+            hit.instance = VEHICLE
+            hit.face = body.face
+            hit.u = body.u
+            hit.v = body.v
     return hit
 
 
@@ -109,6 +144,11 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
             along = to_shape * direction
             if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, along, max_t):
                 return True
+    if world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, origin, direction):
+        back = wp.transpose(world.vehicle.rotation)
+        start = back * (origin - world.vehicle.position)
+        if wp.mesh_query_ray_anyhit(world.vehicle.mesh, start, back * direction, max_t):
+            return True
     return False
 
 
@@ -133,4 +173,7 @@ def surface_normal(world: Geometry, hit: Hit, p: wp.vec3):
         first = world.placed[hit.instance].first_corner + 3 * hit.face
         local = blend(world.normals, world.corners, first, hit.u, hit.v)
         normal = world.placed[hit.instance].rotation * wp.cw_div(local, world.placed[hit.instance].scale)
+    elif hit.instance == VEHICLE:
+        body = blend(world.vehicle.normals, world.vehicle.corners, 3 * hit.face, hit.u, hit.v)
+        normal = world.vehicle.rotation * body
     return wp.normalize(normal)

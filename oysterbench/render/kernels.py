@@ -1,128 +1,56 @@
-"""The camera's kernels: trace a sample through every pixel, add samples at edges, develop to 8 bits."""
+"""The camera's kernels: trace a ray through every pixel, find its sun and sky, shade it, add samples at edges."""
 
 from __future__ import annotations
 
-import platform
 from typing import Any
 
 import warp as wp
 
-from oysterbench.render.casting import NOTHING, Geometry, blend, blocked, cast, surface_normal
-from oysterbench.render.texture import Ground, Material, clothe, scramble, seabed
-
-COMPILER_FLAGS = "-mllvm=-inline-threshold=100000 -mllvm=-inline-cold-callsite-threshold=100000"
-if platform.machine() in ("x86_64", "AMD64"):
-    # One target for all: a host's own instructions are no faster here, and a cache of kernels may be shared by hosts.
-    COMPILER_FLAGS += " -target-cpu x86-64-v2"
-
-# No fused or reordered arithmetic: then every processor makes the same bytes.
-wp.set_module_options(
-    {
-        "cpu_compiler_flags": COMPILER_FLAGS,
-        "fuse_fp": False,
-        "fast_math": False,
-        "enable_backward": False,
-    }
+from oysterbench.render.casting import (
+    NOTHING,
+    VEHICLE,
+    Geometry,
+    Hit,
+    blend,
+    blocked,
+    cast,
+    near_vehicle,
+    surface_normal,
 )
+from oysterbench.render.optics import Optics, beam_light, caustic, lamp_irradiance, look_up, look_up_pair, veiling
+from oysterbench.render.target import KERNEL_OPTIONS
+from oysterbench.render.texture import Ground, Material, clothe, scramble, seabed
+from oysterbench.render.view import View, ray_start, ray_through
+
+wp.set_module_options(KERNEL_OPTIONS)
 
 FAR_M = wp.constant(150.0)  # past the skirt of every seabed
+ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
 ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
 CREVICE_M = wp.constant(0.07)  # depth below the blurred envelope at which little sky is left
 EDGE_CONTRAST = wp.constant(0.08)  # relative step in green across the outline of an instance that asks for more samples
 SHADOW_CONTRAST = wp.constant(0.45)
 HAZE = wp.constant(0.02)  # transmission in green below which a shadow would not be seen
-BOUNCE = wp.constant(0.16)  # albedo of the bottom as seen by a surface that faces down
+LAMP_SHADOW_M = wp.constant(0.5)  # from a surface: what throws a lamp's shadow on it stands close by
+FAINT = wp.constant(2.0e-5)  # irradiance of a lamp that no picture shows
+INTERREFLECTION = wp.constant(0.12)  # light of neighbours in the place of the sky that they hide
+VEHICLE_KIND = wp.constant(wp.uint8(6))
 
 
 @wp.struct
 class Looks:
     """What surfaces look like. envelope: blurred upper surface of everything, for the darkness of crevices.
-    reach: where on the same grid things may shade the seabed.
+    reach, near: where on the same grid things may shade the seabed, and where they may hide sky from it.
     """
 
     seed: wp.uint32
     ground: Ground
     envelope: wp.array2d(dtype=wp.float32)
     reach: wp.array2d(dtype=wp.uint8)
+    near: wp.array2d(dtype=wp.uint8)
     envelope_start: wp.float32
     envelope_step: wp.float32
-
-
-@wp.struct
-class Optics:
-    """Light and water. Tables run over depth, then over range from 0 or over the cosine of the view ray from -1."""
-
-    sun_direction: wp.vec3
-    sun: wp.float32
-    sky: wp.float32
-    seabed_shadows: wp.int32
-    direct: wp.array2d(dtype=wp.vec3)
-    glow: wp.array2d(dtype=wp.vec3)
-    saturation: wp.array2d(dtype=wp.vec3)
-    veil: wp.array2d(dtype=wp.vec3)
-    stretch: wp.array2d(dtype=wp.vec3)
-    range_step: wp.float32
-    daylight: wp.array(dtype=wp.vec3)
-    depth_step: wp.float32
-    cosine_step: wp.float32
-
-
-@wp.struct
-class View:
-    """A pinhole camera: rotation takes its optical axes into `map`; focal length and centre in pixels."""
-
-    position: wp.vec3
-    rotation: wp.mat33
-    focal: wp.float32
-    cx: wp.float32
-    cy: wp.float32
-    max_range: wp.float32
-
-
-@wp.func
-def look_up(table: wp.array(dtype=wp.vec3), place: float):
-    """Linear interpolation at a fractional index, clamped."""
-    last = table.shape[0] - 1
-    clamped = wp.clamp(place, 0.0, float(last) - 0.001)
-    i = int(clamped)
-    return table[i] + (table[i + 1] - table[i]) * (clamped - float(i))
-
-
-@wp.func
-def look_up_pair(table: wp.array2d(dtype=wp.vec3), row: float, column: float):
-    """Bilinear interpolation at fractional indices, clamped."""
-    y = wp.clamp(row, 0.0, float(table.shape[0] - 1) - 0.001)
-    x = wp.clamp(column, 0.0, float(table.shape[1] - 1) - 0.001)
-    i = int(y)
-    j = int(x)
-    v = y - float(i)
-    u = x - float(j)
-    low = table[i, j] * (1.0 - u) + table[i, j + 1] * u
-    high = table[i + 1, j] * (1.0 - u) + table[i + 1, j + 1] * u
-    return low * (1.0 - v) + high * v
-
-
-@wp.func
-def arriving(optics: Optics, depth: float, distance: float):
-    """Share of the light of a surface at a depth that arrives over a distance, sharp or blurred."""
-    row = depth / optics.depth_step
-    column = distance / optics.range_step
-    return look_up_pair(optics.direct, row, column) + look_up_pair(optics.glow, row, column)
-
-
-@wp.func
-def veiling(optics: Optics, depth: float, distance: float, cosine: float):
-    """Veiling light along a view ray from a camera at a depth."""
-    row = depth / optics.depth_step
-    column = (cosine + 1.0) / optics.cosine_step
-    place = look_up_pair(optics.stretch, row, column) * (distance / optics.range_step)
-    share = wp.vec3(
-        look_up_pair(optics.saturation, row, place[0])[0],
-        look_up_pair(optics.saturation, row, place[1])[1],
-        look_up_pair(optics.saturation, row, place[2])[2],
-    )
-    return wp.cw_mul(look_up_pair(optics.veil, row, column), share)
 
 
 @wp.func
@@ -157,22 +85,53 @@ def needs_shadow_ray(looks: Looks, optics: Optics, instance: int, p: wp.vec3):
 
 
 @wp.func
-def ray_through(view: View, u: float, v: float):
-    """Direction in `map` through pixel (u, v), of unit length along the optical axis, so that t is depth."""
-    return view.rotation * wp.vec3((u - view.cx) / view.focal, (v - view.cy) / view.focal, 1.0)
+def crowded(looks: Looks, p: wp.vec3):
+    """False only where nothing near a point of the seabed can hide its sky."""
+    j = int(wp.floor((p[0] - looks.envelope_start) / looks.envelope_step + 0.5))
+    i = int(wp.floor((p[1] - looks.envelope_start) / looks.envelope_step + 0.5))
+    last = looks.near.shape[0] - 1
+    near = wp.bool(True)
+    if i >= 0 and j >= 0 and i <= last and j <= last:
+        near = looks.near[i, j] != wp.uint8(0)
+    return near
 
 
 @wp.func
-def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, direction: wp.vec3, hit: Any):
-    """Radiance that leaves the surface at a hit towards the camera."""
-    p = view.position + direction * hit.t
-    length = wp.length(direction)
-    smooth = surface_normal(world, hit, p)
-    facing = wp.max(-wp.dot(smooth, direction) / length, 0.08)
+def in_the_sun(world: Geometry, looks: Looks, optics: Optics, instance: int, p: wp.vec3, normal: wp.vec3, t: float):
+    """Whether nothing stands between a point at depth t of the picture and the sun."""
+    lit = wp.dot(normal, optics.sun_direction) > 0.0
+    if lit and optics.sun > 0.0:
+        under = world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, p, optics.sun_direction)
+        if under or needs_shadow_ray(looks, optics, instance, p):
+            start = p + normal * (0.0005 + 0.0005 * t)
+            reach = SHADOW_M
+            if under:
+                reach = FAR_M
+            lit = not blocked(world, start, optics.sun_direction, reach, optics.seabed_shadows)
+    return lit
+
+
+@wp.struct
+class Signal:
+    """Radiance at the camera: sharp and blurred light of a surface, and light that the water adds."""
+
+    sharp: wp.vec3
+    glow: wp.vec3
+    haze: wp.vec3
+
+
+@wp.func
+def dress(world: Geometry, looks: Looks, view: View, p: wp.vec3, smooth: wp.vec3, direction: wp.vec3, hit: Any):
+    """The material at a hit."""
+    facing = wp.max(-wp.dot(smooth, direction) / wp.length(direction), 0.08)
     footprint = hit.t / (view.focal * wp.sqrt(facing))
     material = Material()
     i = hit.instance
-    if i < 0:
+    if i == VEHICLE:
+        body = world.vehicle
+        material.albedo = blend(body.marks, body.corners, 3 * hit.face, hit.u, hit.v)
+        material.normal = smooth
+    elif i < 0:
         material = seabed(p, smooth, looks.ground, footprint, looks.seed)
     else:
         it = world.placed[i]
@@ -182,76 +141,272 @@ def surface_light(world: Geometry, looks: Looks, optics: Optics, view: View, dir
         material = clothe(
             it.kind, q, mark, it.scale[0], smooth, it.rotation, it.colour, it.silt, looks.ground, footprint, seed
         )
-    n = material.normal
-    sun = wp.dot(n, optics.sun_direction)
-    light = wp.float32(0.0)
-    if sun > 0.0 and wp.dot(smooth, optics.sun_direction) > 0.0:
-        start = p + smooth * (0.0005 + 0.0005 * hit.t)
-        lit = arriving(optics, -p[2], hit.t * length)[1] < HAZE
-        if not lit:
-            lit = not needs_shadow_ray(looks, optics, i, p)
-        if not lit:
-            lit = not blocked(world, start, optics.sun_direction, SHADOW_M, optics.seabed_shadows)
-        if lit:
-            light = optics.sun * sun / optics.sun_direction[2]
-    opening = openness(looks, p)
-    light += opening * (optics.sky * 0.5 * (1.0 + n[2]) + BOUNCE * 0.5 * (1.0 - n[2]))
-    return wp.cw_mul(material.albedo, look_up(optics.daylight, -p[2] / optics.depth_step)) * light
+    return material
 
 
 @wp.func
-def sample(world: Geometry, looks: Looks, optics: Optics, view: View, direction: wp.vec3, hit: Any):
-    """Radiance at the camera along a ray whose nearest hit is given."""
+def lamp_light(world: Geometry, lamps: Any, p: wp.vec3, n: wp.vec3, smooth: wp.vec3, t: float):
+    """Irradiance (3,) of all lamps on a surface with normal n, with the shadows that things close by throw."""
+    light = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(lamps.count):
+        apart = lamps.positions[k] - p
+        distance = wp.length(apart)
+        cosine = wp.dot(n, apart) / distance
+        if cosine > 0.0 and wp.dot(smooth, apart) > 0.0:
+            arriving = lamp_irradiance(lamps, k, p) * cosine
+            if arriving[1] > FAINT:
+                start = p + smooth * (0.0005 + 0.0005 * t)
+                if not blocked(world, start, apart / distance, wp.min(LAMP_SHADOW_M, distance - 0.03), 0):
+                    light += arriving
+    return light
+
+
+@wp.func
+def shine(
+    world: Geometry,
+    looks: Looks,
+    optics: Optics,
+    view: View,
+    origin: wp.vec3,
+    direction: wp.vec3,
+    hit: Any,
+    smooth: wp.vec3,
+    lit: bool,
+    opening: float,
+):
+    """What the camera receives along a ray whose nearest hit is given; lit and opening: its sun and its sky there."""
     length = wp.length(direction)
     distance = hit.t * length
+    signal = Signal()
     if hit.instance == NOTHING:
         distance = ENDLESS_M
-    radiance = veiling(optics, -view.position[2], distance, direction[2] / length)
+    signal.haze = veiling(optics, -origin[2], distance, direction[2] / length)
     if hit.instance != NOTHING:
-        surface = surface_light(world, looks, optics, view, direction, hit)
-        depth = -(view.position[2] + hit.t * direction[2])
-        radiance += wp.cw_mul(surface, arriving(optics, depth, distance))
-    return radiance
+        p = origin + direction * hit.t
+        material = dress(world, looks, view, p, smooth, direction, hit)
+        n = material.normal
+        light = opening * (optics.sky * 0.5 * (1.0 + n[2]) + optics.bounce * 0.5 * (1.0 - n[2]))
+        sun = wp.dot(n, optics.sun_direction)
+        if lit and sun > 0.0:
+            light += optics.sun * caustic(optics, p) * sun / optics.sun_direction[2]
+        surface = look_up(optics.daylight, -p[2] / optics.depth_step) * light
+        if optics.lamps.count > 0:
+            surface += lamp_light(world, optics.lamps, p, n, smooth, hit.t) * (0.25 + 0.75 * opening)
+        surface = wp.cw_mul(material.albedo, surface)
+        row = -p[2] / optics.depth_step
+        column = distance / optics.range_step
+        signal.sharp = wp.cw_mul(surface, look_up_pair(optics.direct, row, column))
+        signal.glow = wp.cw_mul(surface, look_up_pair(optics.glow, row, column))
+    return signal
+
+
+@wp.func
+def scattered(optics: Optics, view: View, u: float, v: float, distance: float):
+    """Light of the lamps that the water scatters into a ray."""
+    light = wp.vec3(0.0, 0.0, 0.0)
+    if optics.lamps.count > 0:
+        rows = float(optics.lamps.beams.shape[0] - 1) / float(view.rays.shape[0] - 3)
+        columns = float(optics.lamps.beams.shape[1] - 1) / float(view.rays.shape[1] - 3)
+        light = beam_light(optics.lamps, v * rows, u * columns, distance)
+    return light
 
 
 @wp.kernel
 def trace(
     world: Geometry,
-    looks: Looks,
-    optics: Optics,
     view: View,
-    radiance: wp.array2d(dtype=wp.vec3),
+    hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
     depth: wp.array2d(dtype=wp.float32),
     classes: wp.array2d(dtype=wp.uint8),
     instances: wp.array2d(dtype=wp.uint16),
 ):
-    """One sample through the centre of each pixel, and the ground truth there."""
+    """The nearest surface along the ray through the centre of each pixel, and the ground truth there."""
     row, column = wp.tid()
     direction = ray_through(view, float(column), float(row))
-    hit = cast(world, view.position, direction, FAR_M)
-    radiance[row, column] = sample(world, looks, optics, view, direction, hit)
+    origin = ray_start(view, float(column), float(row))
+    hit = cast(world, origin, direction, FAR_M)
+    hits[row, column] = hit
+    normal = wp.vec3(0.0, 0.0, 0.0)
+    if hit.instance != NOTHING:
+        normal = surface_normal(world, hit, origin + direction * hit.t)
+    normals[row, column] = normal
     within = hit.instance != NOTHING and hit.t * wp.length(direction) <= view.max_range
     distance = wp.float32(0.0)
     kind = wp.uint8(0)
     number = wp.uint16(0)
     if within:
-        distance = hit.t
+        distance = hit.t + wp.dot(origin - view.position, view.rotation * wp.vec3(0.0, 0.0, 1.0))
         kind = wp.uint8(1)
         if hit.instance >= 0:
             kind = world.placed[hit.instance].kind
             number = wp.uint16(hit.instance + 1)
+        elif hit.instance == VEHICLE:
+            kind = VEHICLE_KIND
+            number = wp.uint16(world.count + 1)
     depth[row, column] = distance
     classes[row, column] = kind
     instances[row, column] = number
 
 
 @wp.func
+def hazy(optics: Optics, p: wp.vec3, distance: float):
+    """Whether a point is so far that its shadows are not seen."""
+    row = -p[2] / optics.depth_step
+    column = distance / optics.range_step
+    return look_up_pair(optics.direct, row, column)[1] + look_up_pair(optics.glow, row, column)[1] < HAZE
+
+
+@wp.kernel
+def shadow(
+    world: Geometry,
+    looks: Looks,
+    optics: Optics,
+    view: View,
+    hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
+    lit: wp.array2d(dtype=wp.uint8),
+):
+    """Whether the sun reaches each pixel's surface."""
+    row, column = wp.tid()
+    hit = hits[row, column]
+    sunny = wp.uint8(0)
+    if hit.instance != NOTHING:
+        direction = ray_through(view, float(column), float(row))
+        p = ray_start(view, float(column), float(row)) + direction * hit.t
+        normal = normals[row, column]
+        # Warp evaluates both sides of an `or`.
+        sun = wp.bool(hazy(optics, p, hit.t * wp.length(direction)))
+        if not sun:
+            sun = in_the_sun(world, looks, optics, hit.instance, p, normal, hit.t)
+        if sun:
+            sunny = wp.uint8(1)
+    lit[row, column] = sunny
+
+
+@wp.kernel
+def occlude(
+    world: Geometry,
+    looks: Looks,
+    optics: Optics,
+    view: View,
+    fan: wp.array(dtype=wp.vec3),
+    hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
+    open: wp.array2d(dtype=wp.float32),
+):
+    """One ray of a fan of 16 from each pixel's surface: 4 x 4 neighbours hold a whole fan (Keller & Heidrich 2001)."""
+    row, column = wp.tid()
+    hit = hits[row, column]
+    share = wp.float32(1.0)
+    if hit.instance != NOTHING:
+        direction = ray_through(view, float(column), float(row))
+        p = ray_start(view, float(column), float(row)) + direction * hit.t
+        normal = normals[row, column]
+        wanted = hit.instance >= 0
+        if not wanted:
+            wanted = crowded(looks, p)
+        if wanted:
+            wanted = not hazy(optics, p, hit.t * wp.length(direction))
+        if wanted:
+            # A frame around the normal (Duff et al. 2017).
+            side = wp.float32(1.0)
+            if normal[2] < 0.0:
+                side = wp.float32(-1.0)
+            a = -1.0 / (side + normal[2])
+            b = normal[0] * normal[1] * a
+            x = wp.vec3(1.0 + side * normal[0] * normal[0] * a, side * b, -side * normal[0])
+            y = wp.vec3(b, side + normal[1] * normal[1] * a, -normal[1])
+            ray = fan[(row & 3) * 4 + (column & 3)]
+            towards = x * ray[0] + y * ray[1] + normal * ray[2]
+            start = p + normal * (0.001 + 0.0005 * hit.t)
+            if blocked(world, start, towards, optics.occlusion, 0):
+                share = wp.float32(0.0)
+    open[row, column] = share
+
+
+@wp.func
+def gathered(
+    open: wp.array2d(dtype=wp.float32),
+    hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
+    row: int,
+    column: int,
+    prior: float,
+):
+    """Openness from the fan of the neighbours that lie on the same surface; `prior` where they are few."""
+    t = hits[row, column].t
+    normal = normals[row, column]
+    total = 1.5 * prior
+    weight = wp.float32(1.5)
+    for di in range(-2, 2):
+        for dj in range(-2, 2):
+            i = row + di
+            j = column + dj
+            if i >= 0 and j >= 0 and i < open.shape[0] and j < open.shape[1]:
+                same = wp.abs(hits[i, j].t - t) < 0.03 * t and wp.dot(normals[i, j], normal) > 0.6
+                if same:
+                    total += open[i, j]
+                    weight += 1.0
+    share = total / weight
+    return share + (1.0 - share) * INTERREFLECTION
+
+
+@wp.kernel
+def shade(
+    world: Geometry,
+    looks: Looks,
+    optics: Optics,
+    view: View,
+    hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
+    lit: wp.array2d(dtype=wp.uint8),
+    open: wp.array2d(dtype=wp.float32),
+    sharp: wp.array2d(dtype=wp.vec3),
+    glow: wp.array2d(dtype=wp.vec3),
+    haze: wp.array2d(dtype=wp.vec3),
+    level: wp.array2d(dtype=wp.float32),
+    openings: wp.array2d(dtype=wp.float32),
+):
+    """Light from each pixel's surface and water, and green of it all for finding edges."""
+    row, column = wp.tid()
+    u = float(column)
+    v = float(row)
+    origin = ray_start(view, u, v)
+    direction = ray_through(view, u, v)
+    hit = hits[row, column]
+    opening = wp.float32(1.0)
+    if hit.instance != NOTHING:
+        opening = openness(looks, origin + direction * hit.t)
+        if optics.occlusion > 0.0:
+            opening = gathered(open, hits, normals, row, column, opening)
+    signal = shine(
+        world,
+        looks,
+        optics,
+        view,
+        origin,
+        direction,
+        hit,
+        normals[row, column],
+        lit[row, column] != wp.uint8(0),
+        opening,
+    )
+    added = signal.haze + scattered(optics, view, u, v, hit.t * wp.length(direction))
+    sharp[row, column] = signal.sharp
+    glow[row, column] = signal.glow
+    haze[row, column] = added
+    level[row, column] = signal.sharp[1] + signal.glow[1] + added[1]
+    openings[row, column] = opening
+
+
+@wp.func
 def differs(
-    radiance: wp.array2d(dtype=wp.vec3), instances: wp.array2d(dtype=wp.uint16), i: int, j: int, k: int, m: int
+    level: wp.array2d(dtype=wp.float32), instances: wp.array2d(dtype=wp.uint16), i: int, j: int, k: int, m: int
 ):
     """Whether a visible edge runs between two pixels: of an instance, or of a shadow."""
-    a = radiance[i, j][1]
-    b = radiance[k, m][1]
+    a = level[i, j]
+    b = level[k, m]
     contrast = wp.abs(a - b) / wp.max(wp.max(a, b), 1.0e-6)
     return contrast > SHADOW_CONTRAST or (instances[i, j] != instances[k, m] and contrast > EDGE_CONTRAST)
 
@@ -262,48 +417,73 @@ def refine(
     looks: Looks,
     optics: Optics,
     view: View,
-    radiance: wp.array2d(dtype=wp.vec3),
+    level: wp.array2d(dtype=wp.float32),
     instances: wp.array2d(dtype=wp.uint16),
-    smooth: wp.array2d(dtype=wp.vec3),
+    openings: wp.array2d(dtype=wp.float32),
+    sharp: wp.array2d(dtype=wp.vec3),
+    glow: wp.array2d(dtype=wp.vec3),
+    haze: wp.array2d(dtype=wp.vec3),
 ):
     """Where an edge runs between neighbours, the mean of the centre and a sample on each side of it, on a slant."""
     i, j = wp.tid()
-    last_row = radiance.shape[0] - 1
-    last_column = radiance.shape[1] - 1
-    total = radiance[i, j]
-    edge = differs(radiance, instances, i, j, wp.max(i - 1, 0), j)
-    edge = edge or differs(radiance, instances, i, j, wp.min(i + 1, last_row), j)
-    edge = edge or differs(radiance, instances, i, j, i, wp.max(j - 1, 0))
-    edge = edge or differs(radiance, instances, i, j, i, wp.min(j + 1, last_column))
+    last_row = level.shape[0] - 1
+    last_column = level.shape[1] - 1
+    edge = differs(level, instances, i, j, wp.max(i - 1, 0), j)
+    edge = edge or differs(level, instances, i, j, wp.min(i + 1, last_row), j)
+    edge = edge or differs(level, instances, i, j, i, wp.max(j - 1, 0))
+    edge = edge or differs(level, instances, i, j, i, wp.min(j + 1, last_column))
     if edge:
+        total_sharp = sharp[i, j]
+        total_glow = glow[i, j]
+        total_haze = haze[i, j]
         du = wp.float32(0.33)
         dv = wp.float32(0.20)
         samples = wp.int32(2)
         for _k in range(samples):
-            direction = ray_through(view, float(j) + du, float(i) + dv)
-            hit = cast(world, view.position, direction, FAR_M)
-            total += sample(world, looks, optics, view, direction, hit)
+            u = float(j) + du
+            v = float(i) + dv
+            origin = ray_start(view, u, v)
+            direction = ray_through(view, u, v)
+            hit = cast(world, origin, direction, FAR_M)
+            normal = wp.vec3(0.0, 0.0, 1.0)
+            lit = wp.bool(False)
+            opening = wp.float32(1.0)
+            if hit.instance != NOTHING:
+                p = origin + direction * hit.t
+                normal = surface_normal(world, hit, p)
+                lit = hazy(optics, p, hit.t * wp.length(direction))
+                if not lit:
+                    lit = in_the_sun(world, looks, optics, hit.instance, p, normal, hit.t)
+                opening = openings[i, j]
+                if optics.occlusion == 0.0:
+                    opening = openness(looks, p)
+            signal = shine(world, looks, optics, view, origin, direction, hit, normal, lit, opening)
+            total_sharp += signal.sharp
+            total_glow += signal.glow
+            total_haze += signal.haze + scattered(optics, view, u, v, hit.t * wp.length(direction))
             du = -du
             dv = -dv
-        total = total / 3.0
-    smooth[i, j] = total
+        sharp[i, j] = total_sharp / 3.0
+        glow[i, j] = total_glow / 3.0
+        haze[i, j] = total_haze / 3.0
 
 
 @wp.kernel
-def develop(
-    radiance: wp.array2d(dtype=wp.vec3),
-    noise: wp.array3d(dtype=wp.float32),
-    gain: wp.vec3,
-    shot: float,
-    read: float,
-    gamma: wp.array(dtype=wp.uint8),
-    colour: wp.array3d(dtype=wp.uint8),
-):
-    """Exposure, shot and read noise (variance = shot * signal + read^2), clipping, gamma by table, 8 bits."""
+def count_unhidden(world: Geometry, view: View, counts: wp.array(dtype=wp.int32)):
+    """Pixels in which each instance would be seen if it were alone."""
     row, column = wp.tid()
-    signal = wp.cw_mul(radiance[row, column], gain)
-    levels = float(gamma.shape[0] - 1)
-    for channel in range(3):
-        s = signal[channel]
-        noisy = s + wp.sqrt(shot * s + read * read) * noise[row, column, channel]
-        colour[row, column, channel] = gamma[int(wp.clamp(noisy, 0.0, 1.0) * levels + 0.5)]
+    origin = ray_start(view, float(column), float(row))
+    direction = ray_through(view, float(column), float(row))
+    end = view.max_range / wp.length(direction)
+    if world.count > 0:
+        query = wp.bvh_query_ray(world.boxes, origin, direction)
+        i = wp.int32(0)
+        while wp.bvh_query_next(query, i, end):
+            start = world.placed[i].to_shape * (origin - world.placed[i].position)
+            if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, world.placed[i].to_shape * direction, end):
+                wp.atomic_add(counts, i + 1, 1)
+    if world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, origin, direction):
+        back = wp.transpose(world.vehicle.rotation)
+        start = back * (origin - world.vehicle.position)
+        if wp.mesh_query_ray_anyhit(world.vehicle.mesh, start, back * direction, end):
+            wp.atomic_add(counts, world.count + 1, 1)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from oysterbench.recipe import LightRecipe
+from oysterbench.recipe import LampRecipe, LightRecipe
+from oysterbench.render.lamps import DAYLIGHT_LUX, lamp_spread
 from oysterbench.render.water import Water
 
 Array = NDArray[np.float64]
@@ -20,6 +22,7 @@ GREY_RANGE_M = 1.6
 GREY_SLOPE = 0.5  # of the ray to it, below the horizon
 WHITE_BALANCE = 0.55
 """How far the fixed white balance goes from none (0) to neutral grey (1) in logarithm: cameras keep a cast."""
+LEAST_SEEN = 1e-5  # of full daylight: no camera sees in less
 
 
 @dataclass(frozen=True)
@@ -69,12 +72,29 @@ def shadow_reach(
     return shaded
 
 
-def exposure(water: Water, depth_m: float) -> Array:
+def sky_fan() -> NDArray[np.float32]:
+    """Directions (16, 3) of a hemisphere around z, as dense as their cosine with it, in an order that mixes them."""
+    k = np.arange(16)
+    radius, turn = np.sqrt((k + 0.5) / 16), k * np.pi * (3.0 - np.sqrt(5.0))
+    fan = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - radius**2)], axis=1)
+    mixed = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5]  # Bayer's matrix
+    return np.round(fan[mixed], 7).astype(np.float32)
+
+
+def exposure(
+    water: Water, depth_m: float, daylight: float = 1.0, lamps: Sequence[LampRecipe] = (), factor: float = 1.0
+) -> Array:
     """Gain (3,) from radiance (white matte surface under unit irradiance = 1) to the sensor's linear scale.
 
     Exposure and white balance of a camera that metered a grey reef at depth_m, GREY_RANGE_M away, and was then locked.
+    daylight: share of full daylight that there is; factor: on the lamps' intensity.
     """
-    seen = water.seen(GREY_ALBEDO, depth_m - GREY_RANGE_M * GREY_SLOPE, GREY_RANGE_M, -GREY_SLOPE)
+    seen = daylight * water.seen(GREY_ALBEDO, depth_m - GREY_RANGE_M * GREY_SLOPE, GREY_RANGE_M, -GREY_SLOPE)
+    left = np.exp(-GREY_RANGE_M * lamp_spread(water))
+    for lamp in lamps:
+        power = np.array(lamp.colour) * lamp.intensity_cd * factor / DAYLIGHT_LUX
+        seen = seen + GREY_ALBEDO * power / GREY_RANGE_M**2 * left * water.arriving(depth_m, GREY_RANGE_M)
+    seen = np.maximum(seen, LEAST_SEEN)
     brightness = float(np.mean(seen))
     balance = (brightness / seen) ** WHITE_BALANCE
     return GREY_LEVEL / brightness * balance / np.mean(balance * seen / brightness)

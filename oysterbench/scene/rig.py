@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from oysterbench.errors import RecipeError
 from oysterbench.geometry import Array, transform
 from oysterbench.recipe import CameraRecipe, ImuRecipe, RigRecipe
 
@@ -23,9 +24,35 @@ def camera_pose(recipe: CameraRecipe) -> Array:
     return transform(mount @ R_FORWARD_OPTICAL, recipe.position_m)
 
 
+PORT_INDEX = 1.33
+"""Refractive index of water against air at a flat port."""
+
+
 def camera_matrix(recipe: CameraRecipe) -> Array:
-    """Pinhole matrix (3, 3) in px; the centre of the first pixel is at (0, 0)."""
-    focal = recipe.width / 2 / np.tan(np.radians(recipe.hfov_deg) / 2)
+    """Pinhole matrix (3, 3) in px; the centre of the first pixel is at (0, 0). Behind a flat port, that in air.
+
+    The picture's half width spans half of hfov_deg, for a Brown-Conrady lens before its distortion. Raises RecipeError
+    when so wide a view does not fit behind a flat port, or a fisheye's coefficients turn it inside out.
+    """
+    half = np.radians(recipe.hfov_deg) / 2
+    if recipe.port_mm is not None:
+        sine = PORT_INDEX * np.sin(half)
+        if sine >= 0.995:
+            raise RecipeError(
+                f"camera {recipe.name}: key 'camera.hfov_deg': expected at most 96 behind a flat port, where light is "
+                f"reflected beyond, got {recipe.hfov_deg:g}"
+            )
+        half = np.arcsin(sine)
+    extent = np.tan(half)
+    if recipe.lens == "fisheye":
+        powers = half ** np.arange(2, 2 * len(recipe.distortion) + 1, 2)
+        extent = half * (1.0 + float(np.dot(recipe.distortion, powers)))
+        if extent <= 0:
+            raise RecipeError(
+                f"camera {recipe.name}: key 'camera.distortion': expected coefficients that keep the picture's edge "
+                f"outside its centre, got {list(recipe.distortion)}"
+            )
+    focal = np.round(recipe.width / 2 / extent, 9)
     return np.array([[focal, 0.0, (recipe.width - 1) / 2], [0.0, focal, (recipe.height - 1) / 2], [0.0, 0.0, 1.0]])
 
 
@@ -42,8 +69,10 @@ def rig_calibration(rig: RigRecipe) -> dict[str, Any]:
             "height": camera.height,
             "rate_hz": camera.rate_hz,
             "matrix": camera_matrix(camera).tolist(),
-            "distortion": [0.0, 0.0, 0.0, 0.0],
+            "distortion_model": "equidistant" if camera.lens == "fisheye" else "plumb_bob",
+            "distortion": [*camera.distortion, *([0.0] * (4 - len(camera.distortion)))],
             "T_base_cam": camera_pose(camera).tolist(),
+            **({} if camera.port_mm is None else {"port": {"distance_m": camera.port_mm / 1e3, "index": PORT_INDEX}}),
         }
         for camera in rig.camera
     }

@@ -179,4 +179,5 @@ def camera_calibration(entry: dict[str, Any]) -> CameraCalibration:
         matrix=np.array(entry["matrix"]),
         distortion=np.array(entry["distortion"]),
         T_base_cam=np.array(entry["T_base_cam"]),
+        distortion_model=str(entry.get("distortion_model", "plumb_bob")),
     )

@@ -214,8 +214,8 @@ def camera_info(stamp_ns: int, name: str, calibration: CameraCalibration) -> Mes
         header=_header(stamp_ns, optical_frame(name)),
         height=calibration.height,
         width=calibration.width,
-        distortion_model="plumb_bob",
-        d=np.append(calibration.distortion, 0.0),
+        distortion_model=calibration.distortion_model,
+        d=_coefficients(calibration),
         k=k.ravel(),
         r=np.eye(3).ravel(),
         p=np.column_stack([k, np.zeros(3)]).ravel(),
@@ -224,6 +224,12 @@ def camera_info(stamp_ns: int, name: str, calibration: CameraCalibration) -> Mes
         roi=_make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
     )
     return Message(f"/{name}/camera_info", stamp_ns, _bytes(message))
+
+
+def _coefficients(calibration: CameraCalibration) -> NDArray[np.float64]:
+    """Distortion coefficients, as many as the model has in CameraInfo."""
+    n = 4 if calibration.distortion_model == "equidistant" else 5
+    return np.pad(calibration.distortion, (0, n - len(calibration.distortion)))
 
 
 def colour_message(stamp_ns: int, camera: str, pixels: NDArray[np.uint8], quality: int) -> Message:

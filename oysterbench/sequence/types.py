@@ -40,7 +40,11 @@ class ImuSample:
 
 @dataclass(frozen=True)
 class CameraCalibration:
-    """Pinhole camera: matrix (3, 3) in px, Brown-Conrady distortion (k1, k2, p1, p2), pose of its optical frame."""
+    """A camera: matrix (3, 3) in px, distortion, pose of its optical frame.
+
+    distortion_model and distortion as in sensor_msgs/CameraInfo: plumb_bob (Brown-Conrady k1, k2, p1, p2[, k3]) or
+    equidistant (Kannala-Brandt k1 to k4).
+    """
 
     width: int
     height: int
@@ -48,6 +52,7 @@ class CameraCalibration:
     matrix: Array
     distortion: Array
     T_base_cam: Array
+    distortion_model: str = "plumb_bob"
 
 
 @dataclass(frozen=True)

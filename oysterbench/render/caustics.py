@@ -1,0 +1,135 @@
+"""Caustics: what the waves on the surface make of the sun on the bottom.
+
+Travelling waves (deep water, omega^2 = g k) refract a grid of rays; the rays land on a level plane at the reef's depth
+and their density there is the irradiance. As every ray lands somewhere in the tile, its mean is 1 exactly. For the
+small slopes of the waves that matter, a ray is moved sideways by depth * (1 - 1 / n) * slope (Airy).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from oysterbench.recipe import LightRecipe
+from oysterbench.render.optics import Caustics
+from oysterbench.render.target import KERNEL_OPTIONS
+from oysterbench.render.water import DEPTHS, Water, forward_share
+from oysterbench.scene.rig import GRAVITY
+from oysterbench.streams import Streams
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+Array = NDArray[np.float64]
+
+PERIOD_M = 4.0  # the waves repeat: few pictures see as far
+CELLS = 256  # of the tile, a side: 16 mm, about what the sun's disc blurs at 2 m
+RAYS = 512  # a side
+WAVES = 24
+SHORTEST_M, LONGEST_M = 0.16, 2.0  # waves of the tile; shorter ones focus above the reef and leave no pattern
+SLOPE_SHARE = 0.35  # of the mean square slope of the sea that those waves carry
+SPREAD_RAD = 0.7  # of the waves' directions about the wind's
+PATTERN_CONE_RAD = 0.07
+"""Sunlight scattered by less still draws the pattern (5 cm wide over 0.7 m); scattered by more it evens it out."""
+UNIT = wp.constant(64)  # steps between two cells in which a landing place is counted
+
+
+class Waves:
+    """The surface over a reef in time: a fixed set of waves, and the tile of light that they make."""
+
+    def __init__(self, recipe: LightRecipe, water: Water, depth_m: float, texture_seed: int, device: str) -> None:
+        self.device = device
+        generator = Streams(texture_seed).generator("waves")
+        # Mean square slope over wind speed: Cox & Munk, J. Opt. Soc. Am. 44, 1954; equal in every octave.
+        square = SLOPE_SHARE * (0.003 + 0.00512 * recipe.wind_m_s)
+        lengths = LONGEST_M * (SHORTEST_M / LONGEST_M) ** ((np.arange(WAVES) + generator.random(WAVES)) / WAVES)
+        heading = 2 * np.pi * generator.random() + SPREAD_RAD * generator.standard_normal(WAVES)
+        self.steps = np.rint(PERIOD_M / lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1)).astype(int)
+        self.steps[~self.steps.any(axis=1)] = (2, 0)
+        numbers = 2 * np.pi / PERIOD_M * np.hypot(*self.steps.T)
+        self.rates = np.sqrt(GRAVITY * numbers)
+        self.phases = 2 * np.pi * generator.random(WAVES)
+        self.along = self.steps / np.hypot(*self.steps.T)[:, None] * np.sqrt(2 * square / WAVES)
+        self.push = depth_m * (1 - 1 / 1.34) * CELLS / PERIOD_M  # cells by which a slope of 1 moves a ray
+        turn = 2 * np.pi * np.arange(RAYS) / RAYS
+        self._cosine, self._sine = (self._floats(f(turn)) for f in (np.cos, np.sin))
+        self._steps = wp.array(self.steps.astype(np.int32), dtype=wp.int32, device=device)
+        self._counts = wp.zeros((CELLS, CELLS), dtype=wp.int32, device=device)
+        self.light = Caustics()
+        self.light.on = int(recipe.wind_m_s > 0)
+        self.light.tile = wp.ones((CELLS, CELLS), dtype=wp.float32, device=device)
+        self.light.period = PERIOD_M
+        depths = np.linspace(0.0, float(water.depths[-1]), DEPTHS)
+        fade = (1.0 - forward_share(PATTERN_CONE_RAD)) * float(water.scattering[1])
+        self.light.fade = self._floats(np.exp(-fade * depths))
+        self.light.fade_step = float(depths[1])
+
+    def move(self, time_s: float) -> None:
+        """Bring the tile to a time."""
+        if not self.light.on:
+            return
+        angle = self.phases - self.rates * time_s
+        # The slope of wave w at x is along * cos(k x + angle): its parts with the cosine and the sine of k x.
+        parts = np.concatenate([self.along * np.cos(angle)[:, None], -self.along * np.sin(angle)[:, None]], axis=1)
+        moved = wp.array(np.round(parts * self.push, 6).astype(np.float32), dtype=wp.vec4, device=self.device)
+        self._counts.zero_()
+        wp.launch(
+            land,
+            (RAYS, RAYS),
+            inputs=[self._steps, moved, self._cosine, self._sine],
+            outputs=[self._counts],
+            device=self.device,
+        )
+        wp.launch(soften, (CELLS, CELLS), inputs=[self._counts], outputs=[self.light.tile], device=self.device)
+
+    def _floats(self, values: Array) -> wp.array:
+        return wp.array(np.round(values, 7).astype(np.float32), dtype=wp.float32, device=self.device)
+
+
+@wp.kernel
+def land(
+    steps: wp.array2d(dtype=wp.int32),
+    moved: wp.array(dtype=wp.vec4),
+    cosine: wp.array(dtype=wp.float32),
+    sine: wp.array(dtype=wp.float32),
+    counts: wp.array2d(dtype=wp.int32),
+):
+    """Where the ray of each grid point lands, shared among four cells in whole numbers: sums of any order agree."""
+    i, j = wp.tid()
+    n = cosine.shape[0]
+    dx = wp.float32(0.0)
+    dy = wp.float32(0.0)
+    for w in range(steps.shape[0]):
+        k = (steps[w, 0] * j + steps[w, 1] * i) & (n - 1)
+        c = cosine[k]
+        s = sine[k]
+        wave = moved[w]
+        dx += wave[0] * c + wave[2] * s
+        dy += wave[1] * c + wave[3] * s
+    cells = counts.shape[0]
+    per_cell = float(n / cells)
+    x = int(wp.floor((float(j) / per_cell + dx) * float(UNIT) + 0.5))
+    y = int(wp.floor((float(i) / per_cell + dy) * float(UNIT) + 0.5))
+    a = x & (UNIT - 1)
+    b = y & (UNIT - 1)
+    column = (x >> 6) & (cells - 1)
+    row = (y >> 6) & (cells - 1)
+    right = (column + 1) & (cells - 1)
+    below = (row + 1) & (cells - 1)
+    wp.atomic_add(counts, row, column, (UNIT - a) * (UNIT - b))
+    wp.atomic_add(counts, row, right, a * (UNIT - b))
+    wp.atomic_add(counts, below, column, (UNIT - a) * b)
+    wp.atomic_add(counts, below, right, a * b)
+
+
+@wp.kernel
+def soften(counts: wp.array2d(dtype=wp.int32), tile: wp.array2d(dtype=wp.float32)):
+    """Relative irradiance: the counts under a binomial filter of three cells, for the width of the sun."""
+    i, j = wp.tid()
+    n = counts.shape[0]
+    total = wp.int32(0)
+    for di in range(-1, 2):
+        for dj in range(-1, 2):
+            weight = (2 - wp.abs(di)) * (2 - wp.abs(dj))
+            total += weight * counts[(i + di + n) & (n - 1), (j + dj + n) & (n - 1)]
+    tile[i, j] = float(total) / 262144.0  # 16 weights, 4 rays a cell, 64 * 64 steps

@@ -1,0 +1,186 @@
+"""Light and water on the device: tables over depth, range and direction, and how kernels read them."""
+
+from __future__ import annotations
+
+import warp as wp
+
+
+@wp.struct
+class Caustics:
+    """What waves make of the sun: relative irradiance (N, N) on a level plane, mean 1, repeated every `period` m.
+
+    fade: 1/m, at which depth takes the contrast away; none: 0 for a flat surface.
+    """
+
+    tile: wp.array2d(dtype=wp.float32)
+    on: wp.int32
+    period: wp.float32
+    fade: wp.array(dtype=wp.float32)
+    fade_step: wp.float32
+
+
+@wp.struct
+class Lamps:
+    """Lamps in `map`: axes are unit vectors; power (3,) is the irradiance on the axis at 1 m, of a clear sky's = 1.
+
+    inner, outer: cosines of the cone's angles between which its edge falls off. left: share (3,) of the light that is
+    left after a distance, of `left_step` m a node. beams (rows, columns, nodes): light that the water scatters into
+    the view from 0 to a range of (node / (nodes - 1))^2 * reach m.
+    """
+
+    count: wp.int32
+    positions: wp.array(dtype=wp.vec3)
+    axes: wp.array(dtype=wp.vec3)
+    power: wp.array(dtype=wp.vec3)
+    inner: wp.array(dtype=wp.float32)
+    outer: wp.array(dtype=wp.float32)
+    left: wp.array(dtype=wp.vec3)
+    left_step: wp.float32
+    beams: wp.array3d(dtype=wp.vec3)
+    reach: wp.float32
+
+
+@wp.struct
+class Optics:
+    """Light and water. Tables run over depth, then over range from 0 or over the cosine of the view ray from -1."""
+
+    sun_direction: wp.vec3
+    sun: wp.float32
+    sky: wp.float32
+    bounce: wp.float32
+    occlusion: wp.float32
+    seabed_shadows: wp.int32
+    direct: wp.array2d(dtype=wp.vec3)
+    glow: wp.array2d(dtype=wp.vec3)
+    saturation: wp.array2d(dtype=wp.vec3)
+    veil: wp.array2d(dtype=wp.vec3)
+    stretch: wp.array2d(dtype=wp.vec3)
+    range_step: wp.float32
+    daylight: wp.array(dtype=wp.vec3)
+    depth_step: wp.float32
+    cosine_step: wp.float32
+    lamps: Lamps
+    caustics: Caustics
+
+
+@wp.func
+def look_up(table: wp.array(dtype=wp.vec3), place: float):
+    """Linear interpolation at a fractional index, clamped."""
+    last = table.shape[0] - 1
+    clamped = wp.clamp(place, 0.0, float(last) - 0.001)
+    i = int(clamped)
+    return table[i] + (table[i + 1] - table[i]) * (clamped - float(i))
+
+
+@wp.func
+def look_up_pair(table: wp.array2d(dtype=wp.vec3), row: float, column: float):
+    """Bilinear interpolation at fractional indices, clamped; exact where all values are one."""
+    y = wp.clamp(row, 0.0, float(table.shape[0] - 1) - 0.001)
+    x = wp.clamp(column, 0.0, float(table.shape[1] - 1) - 0.001)
+    i = int(y)
+    j = int(x)
+    u = x - float(j)
+    low = table[i, j] + (table[i, j + 1] - table[i, j]) * u
+    high = table[i + 1, j] + (table[i + 1, j + 1] - table[i + 1, j]) * u
+    return low + (high - low) * (y - float(i))
+
+
+@wp.func
+def filled(saturation: wp.array2d(dtype=wp.vec3), row: float, place: wp.vec3):
+    """Bilinear interpolation of a table, for each channel at a column of its own."""
+    y = wp.clamp(row, 0.0, float(saturation.shape[0] - 1) - 0.001)
+    i = int(y)
+    v = y - float(i)
+    last = float(saturation.shape[1] - 1) - 0.001
+    share = wp.vec3(0.0, 0.0, 0.0)
+    for channel in range(3):
+        x = wp.clamp(place[channel], 0.0, last)
+        j = int(x)
+        u = x - float(j)
+        a = saturation[i, j][channel]
+        c = saturation[i + 1, j][channel]
+        low = a + (saturation[i, j + 1][channel] - a) * u
+        high = c + (saturation[i + 1, j + 1][channel] - c) * u
+        share[channel] = low + (high - low) * v
+    return share
+
+
+@wp.func
+def veiling(optics: Optics, depth: float, distance: float, cosine: float):
+    """Veiling light of the day along a view ray from a camera at a depth."""
+    row = depth / optics.depth_step
+    column = (cosine + 1.0) / optics.cosine_step
+    place = look_up_pair(optics.stretch, row, column) * (distance / optics.range_step)
+    return wp.cw_mul(look_up_pair(optics.veil, row, column), filled(optics.saturation, row, place))
+
+
+@wp.func
+def look_up_wrapped(tile: wp.array2d(dtype=wp.float32), x: float, y: float):
+    """Bilinear interpolation in a tile that repeats, at a place in cells."""
+    n = tile.shape[0]
+    floor_x = wp.floor(x)
+    floor_y = wp.floor(y)
+    u = x - floor_x
+    v = y - floor_y
+    j = ((int(floor_x) % n) + n) % n
+    i = ((int(floor_y) % n) + n) % n
+    k = (j + 1) % n
+    m = (i + 1) % n
+    low = tile[i, j] + (tile[i, k] - tile[i, j]) * u
+    high = tile[m, j] + (tile[m, k] - tile[m, j]) * u
+    return low + (high - low) * v
+
+
+@wp.func
+def caustic(optics: Optics, p: wp.vec3):
+    """Irradiance of the sun at a point over that under a level surface: the place where its ray came in decides."""
+    share = wp.float32(1.0)
+    if optics.caustics.on != 0:
+        across = -p[2] / optics.sun_direction[2]
+        x = p[0] + optics.sun_direction[0] * across
+        y = p[1] + optics.sun_direction[1] * across
+        cells = float(optics.caustics.tile.shape[0]) / optics.caustics.period
+        place = wp.clamp(-p[2] / optics.caustics.fade_step, 0.0, float(optics.caustics.fade.shape[0] - 1) - 0.001)
+        i = int(place)
+        contrast = optics.caustics.fade[i] + (optics.caustics.fade[i + 1] - optics.caustics.fade[i]) * (
+            place - float(i)
+        )
+        share = 1.0 + contrast * (look_up_wrapped(optics.caustics.tile, x * cells, y * cells) - 1.0)
+    return share
+
+
+@wp.func
+def lamp_irradiance(lamps: Lamps, k: int, p: wp.vec3):
+    """Irradiance (3,) of lamp k on a surface at p that faces it, through the water between."""
+    apart = p - lamps.positions[k]
+    square = wp.max(wp.dot(apart, apart), 1.0e-4)
+    distance = wp.sqrt(square)
+    cosine = wp.dot(apart, lamps.axes[k]) / distance
+    s = wp.clamp((cosine - lamps.outer[k]) / (lamps.inner[k] - lamps.outer[k]), 0.0, 1.0)
+    edge = s * s * (3.0 - 2.0 * s) / square
+    light = wp.vec3(0.0, 0.0, 0.0)
+    if edge > 0.0:
+        light = wp.cw_mul(lamps.power[k], look_up(lamps.left, distance / lamps.left_step)) * edge
+    return light
+
+
+@wp.func
+def beam_light(lamps: Lamps, row: float, column: float, distance: float):
+    """Light of the lamps that the water scatters into a view ray of that length, at fractional rows and columns."""
+    nodes = lamps.beams.shape[2]
+    place = float(nodes - 1) * wp.sqrt(wp.clamp(distance / lamps.reach, 0.0, 1.0))
+    z = wp.min(place, float(nodes - 1) - 0.001)
+    y = wp.clamp(row, 0.0, float(lamps.beams.shape[0] - 1) - 0.001)
+    x = wp.clamp(column, 0.0, float(lamps.beams.shape[1] - 1) - 0.001)
+    i = int(y)
+    j = int(x)
+    k = int(z)
+    w = z - float(k)
+    u = x - float(j)
+    low_left = lamps.beams[i, j, k] + (lamps.beams[i, j, k + 1] - lamps.beams[i, j, k]) * w
+    low_right = lamps.beams[i, j + 1, k] + (lamps.beams[i, j + 1, k + 1] - lamps.beams[i, j + 1, k]) * w
+    high_left = lamps.beams[i + 1, j, k] + (lamps.beams[i + 1, j, k + 1] - lamps.beams[i + 1, j, k]) * w
+    high_right = lamps.beams[i + 1, j + 1, k] + (lamps.beams[i + 1, j + 1, k + 1] - lamps.beams[i + 1, j + 1, k]) * w
+    low = low_left + (low_right - low_left) * u
+    high = high_left + (high_right - high_left) * u
+    return low + (high - low) * (y - float(i))

@@ -1,0 +1,80 @@
+"""The sensor: what a lens leaves to each pixel, exposure and gain, noise, and 8 bits."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from oysterbench.recipe import CameraRecipe
+from oysterbench.render.target import KERNEL_OPTIONS
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+FULL_WELL = 6000.0  # electrons: the variance of shot noise is signal / FULL_WELL
+READ_NOISE = 0.0015  # of full scale, before gain
+GAMMA_LEVELS = 8192
+
+
+def vignette(rays: NDArray[np.float32], camera: CameraRecipe) -> NDArray[np.float32]:
+    """Share of light (H, W) that reaches a pixel: cos^4 of the angle off the axis, as far as the recipe wants it.
+
+    rays (H + 2, W + 2, 3): as of lens.pixel_rays.
+    """
+    inside = rays[1:-1, 1:-1].astype(float)
+    cosine2 = 1.0 / (1.0 + inside[..., 0] ** 2 + inside[..., 1] ** 2)
+    share = 1.0 - camera.vignetting * (1.0 - cosine2**2)
+    return np.round(share, 6).astype(np.float32)
+
+
+def gamma_table() -> NDArray[np.uint8]:
+    """sRGB code (GAMMA_LEVELS,) of equally spaced linear levels (IEC 61966-2-1)."""
+    linear = np.linspace(0.0, 1.0, GAMMA_LEVELS)
+    curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.round(255 * curve).astype(np.uint8)
+
+
+@wp.kernel
+def compose(
+    sharp: wp.array2d(dtype=wp.vec3),
+    glow: wp.array2d(dtype=wp.vec3),
+    blurred: wp.array2d(dtype=wp.vec3),
+    haze: wp.array2d(dtype=wp.vec3),
+    share: float,
+    snow: wp.array3d(dtype=wp.int32),
+    unit: float,
+    weight: float,
+    radiance: wp.array2d(dtype=wp.vec3),
+):
+    """Add what arrives in a pixel, `weight` times: surfaces, water and, where `unit` is not 0, flakes before them."""
+    i, j = wp.tid()
+    total = sharp[i, j] + haze[i, j]
+    total += glow[i, j] * (1.0 - share)
+    if share > 0.0:
+        total += blurred[i, j] * share
+    if unit > 0.0:
+        hidden = wp.min(float(snow[i, j, 3]) * unit, 1.0)
+        light = wp.vec3(float(snow[i, j, 0]), float(snow[i, j, 1]), float(snow[i, j, 2])) * unit
+        total = total * (1.0 - hidden) + light
+    radiance[i, j] += total * weight
+
+
+@wp.kernel
+def develop(
+    radiance: wp.array2d(dtype=wp.vec3),
+    vignetting: wp.array2d(dtype=wp.float32),
+    noise: wp.array3d(dtype=wp.float32),
+    gain: wp.vec3,
+    shot: float,
+    read: float,
+    gamma: wp.array(dtype=wp.uint8),
+    colour: wp.array3d(dtype=wp.uint8),
+):
+    """Exposure, shot and read noise (variance = shot * signal + read^2), clipping, gamma by table, 8 bits."""
+    row, column = wp.tid()
+    signal = wp.cw_mul(radiance[row, column], gain) * vignetting[row, column]
+    levels = float(gamma.shape[0] - 1)
+    for channel in range(3):
+        s = signal[channel]
+        noisy = s + wp.sqrt(shot * s + read * read) * noise[row, column, channel]
+        colour[row, column, channel] = gamma[int(wp.clamp(noisy, 0.0, 1.0) * levels + 0.5)]

@@ -1,0 +1,195 @@
+"""Marine snow: flakes that are fixed in a slowly moving water, lit by day and lamps, drawn as discs out of focus.
+
+Space is a grid whose cells each hold a Poisson number of flakes at hashed places: the same flake is in the next frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from oysterbench.recipe import CameraRecipe
+from oysterbench.render.lamps import phase
+from oysterbench.render.lens import project
+from oysterbench.render.optics import Optics, lamp_irradiance, look_up, look_up_pair, veiling
+from oysterbench.render.target import KERNEL_OPTIONS
+from oysterbench.render.view import View
+from oysterbench.render.water import Water
+from oysterbench.scene.rig import camera_matrix
+from oysterbench.streams import Streams
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+Array = NDArray[np.float64]
+
+SMALLEST_M, LARGEST_M = 0.0004, 0.004  # diameters; numbers fall with their cube (Jackson et al. 1997)
+NEAREST_M = 0.06  # nearer flakes are too far out of focus to be seen
+FARTHEST_M = 2.5
+PUPIL_M = 0.0012  # diameter of the lens' opening
+PER_CELL = 1.5  # mean number of flakes in a cell
+MOST_PER_CELL = 8
+SINKING_M_S = 0.0008  # tens of metres a day (Alldredge & Silver 1988)
+DRIFT_M_S = 0.02  # of a slow current
+ALBEDO = wp.constant(0.45)  # of a flake, matte
+FORWARD = wp.constant(0.7)  # asymmetry of what it scatters of a lamp's light
+MATTE = wp.constant(0.7)  # share of its light that it sends all ways
+LEAST_RADIUS_PX = 0.75  # of a disc: a pixel's own extent
+LARGEST_RADIUS_PX = 24.0
+UNIT = 2.0**-20  # step in which light is counted: sums of any order agree
+
+
+class Snow:
+    """The flakes of a water, and their light in pictures of one camera."""
+
+    def __init__(self, per_m3: float, camera: CameraRecipe, water: Water, texture_seed: int, device: str) -> None:
+        self.per_m3 = per_m3
+        self.camera = camera
+        self.device = device
+        generator = Streams(texture_seed).generator("snow")
+        self._salt = np.uint32(generator.integers(0, 2**32))
+        heading = 2 * np.pi * generator.random()
+        self._velocity = np.array([DRIFT_M_S * np.cos(heading), DRIFT_M_S * np.sin(heading), -SINKING_M_S])
+        self.cell = float((PER_CELL / max(per_m3, 1e-9)) ** (1 / 3))
+        mean = per_m3 * self.cell**3
+        terms = np.cumprod([np.exp(-mean), *(mean / k for k in range(1, MOST_PER_CELL + 1))])
+        self._cumulative = np.round(np.cumsum(terms), 9)
+        reach = 5.0 / float((water.absorption + 0.2 * water.scattering).min())
+        self._reach = float(np.clip(reach, 0.3, FARTHEST_M))
+        h, w = camera.height, camera.width
+        edges = np.array([[u, v, 1.0] for u in np.linspace(0, w - 1, 5) for v in np.linspace(0, h - 1, 5)])
+        self._edges = edges
+        self.light = wp.zeros((h, w, 4), dtype=wp.int32, device=device) if per_m3 > 0 else None
+
+    def flakes(self, T_map_cam: Array, rays: NDArray[np.float32], time_s: float) -> tuple[Array, Array]:
+        """Places (N, 3) in the optical frame, m, and diameters (N,), m, of the flakes near the view at a time."""
+        rotation, place = T_map_cam[:3, :3], T_map_cam[:3, 3] - self._velocity * time_s
+        rows, columns = (np.linspace(0, n - 1, 7).astype(int) for n in rays.shape[:2])
+        corners = np.concatenate([rays[np.ix_(rows, columns)][..., :2].reshape(-1, 2), np.ones((49, 1))], axis=1)
+        corners = corners / np.linalg.norm(corners, axis=1, keepdims=True) * self._reach * 1.05
+        corners = np.concatenate([_turn(rotation, corners), np.zeros((1, 3))]) + place
+        low, high = (np.floor(f(axis=0) / self.cell).astype(np.int64) for f in (corners.min, corners.max))
+        axes = [np.arange(a - 1, b + 2) for a, b in zip(low, high, strict=True)]
+        cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        middle = _turn(rotation.T, (cells + 0.5) * self.cell - place)
+        margin = self.cell * 0.87
+        tangent = np.abs(rays[..., :2]).max(axis=(0, 1)) * 1.02
+        slack = margin * np.sqrt(1 + tangent**2)
+        near = (middle[:, 2] > -margin) & ((middle**2).sum(axis=1) < (self._reach + margin) ** 2)
+        near &= (np.abs(middle[:, :2]) < np.maximum(middle[:, 2:], 0) * tangent + slack).all(axis=1)
+        cells = cells[near]
+        key = _hash(cells[:, 0], cells[:, 1], cells[:, 2], self._salt)
+        count = np.searchsorted(self._cumulative, _unit(key))
+        owner = np.repeat(np.arange(len(cells)), count)
+        first = np.cumsum(count) - count
+        key = _scramble(
+            key[owner] + np.uint32(0x9E3779B9) * (np.arange(len(owner)) - first[owner] + 1).astype(np.uint32)
+        )
+        offsets = np.empty((len(owner), 3))
+        for axis in range(3):
+            key = _scramble(key + np.uint32(axis + 1))
+            offsets[:, axis] = _unit(key)
+        key = _scramble(key + np.uint32(7))
+        # Numbers over a diameter fall with its square: a density of d^-3, by inversion.
+        sizes = SMALLEST_M / np.sqrt(1.0 - _unit(key) * (1.0 - (SMALLEST_M / LARGEST_M) ** 2))
+        places = _turn(rotation.T, (cells[owner] + offsets) * self.cell - place)
+        distance2 = (places**2).sum(axis=1)
+        seen = (places[:, 2] > NEAREST_M) & (distance2 < self._reach**2)
+        return places[seen], sizes[seen]
+
+    def fall(self, view: View, optics: Optics, depth: wp.array, T_map_cam: Array, rays: NDArray, time_s: float) -> None:
+        """Draw the flakes before the surfaces of `depth` (H, W) into `light`."""
+        assert self.light is not None
+        self.light.zero_()
+        places, sizes = self.flakes(T_map_cam, rays, time_s)
+        pixels = project(places, self.camera) if len(places) else np.zeros((0, 2))
+        focal = float(camera_matrix(self.camera)[0, 0])
+        z = places[:, 2]
+        confusion = PUPIL_M * np.abs(1 / z - 1 / self.camera.focus_m)
+        own = (sizes / z) ** 2
+        radius = np.maximum(0.5 * focal * np.sqrt(own + confusion**2), LEAST_RADIUS_PX)
+        radius = np.minimum(radius, LARGEST_RADIUS_PX)
+        cover = np.minimum(own * (0.5 * focal) ** 2 / radius**2, 1.0)
+        inside = (np.abs(pixels - [self.camera.width / 2, self.camera.height / 2]) - radius[:, None]).max(axis=1)
+        inside = inside < max(self.camera.width, self.camera.height) / 2 + 1
+        if not inside.any():
+            return
+        columns = np.column_stack([pixels, radius, cover])[inside]
+        discs = wp.array(np.round(columns, 5).astype(np.float32), dtype=wp.vec4, device=self.device)
+        where = wp.array(np.round(places[inside], 6).astype(np.float32), dtype=wp.vec3, device=self.device)
+        wp.launch(
+            draw,
+            len(columns),
+            inputs=[view, optics, discs, where, depth, 1.0 / UNIT],
+            outputs=[self.light],
+            device=self.device,
+        )
+
+
+def _turn(rotation: Array, points: Array) -> Array:
+    """Points (N, 3) turned, written out: sums in one order on every processor."""
+    x, y, z = points[:, 0, None], points[:, 1, None], points[:, 2, None]
+    return np.asarray(x * rotation[:, 0] + y * rotation[:, 1] + z * rotation[:, 2])
+
+
+def _scramble(x: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """A bijection of 32 bits that mixes well (Wellons 2018, "lowbias32")."""
+    x = (x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D)
+    x = (x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B)
+    return np.asarray(x ^ (x >> np.uint32(16)))
+
+
+def _hash(x: NDArray, y: NDArray, z: NDArray, salt: np.uint32) -> NDArray[np.uint32]:
+    a, b, c = ((v & 0xFFFFFFFF).astype(np.uint32) for v in (x, y, z))
+    return _scramble(_scramble(_scramble(a + salt) + b) + c)
+
+
+def _unit(x: NDArray[np.uint32]) -> Array:
+    return (x.astype(float) + 0.5) / 2.0**32
+
+
+@wp.kernel
+def draw(
+    view: View,
+    optics: Optics,
+    discs: wp.array(dtype=wp.vec4),
+    places: wp.array(dtype=wp.vec3),
+    depth: wp.array2d(dtype=wp.float32),
+    unit: float,
+    light: wp.array3d(dtype=wp.int32),
+):
+    """A flake: its light and what it hides, spread over its disc (column, row, radius in px, share that it covers)."""
+    k = wp.tid()
+    disc = discs[k]
+    place = places[k]
+    distance = wp.length(place)
+    direction = view.rotation * (place / distance)
+    p = view.position + direction * distance
+    # A matte ball in light from the upper half of all directions sends back half of it.
+    lit = look_up(optics.daylight, -p[2] / optics.depth_step) * (0.5 * (optics.sun + optics.sky))
+    for lamp in range(optics.lamps.count):
+        away = wp.normalize(p - optics.lamps.positions[lamp])
+        turned = -wp.dot(away, direction)
+        share = MATTE * (2.0 / 3.0) * (0.5 + 0.5 * -turned) + (1.0 - MATTE) * 3.14159265 * phase(turned, FORWARD)
+        lit += lamp_irradiance(optics.lamps, lamp, p) * share
+    row = -p[2] / optics.depth_step
+    column = distance / optics.range_step
+    arrives = look_up_pair(optics.direct, row, column) + look_up_pair(optics.glow, row, column)
+    seen = wp.cw_mul(lit * ALBEDO, arrives) + veiling(optics, -view.position[2], distance, direction[2])
+    radius = disc[2]
+    top = wp.max(int(wp.ceil(disc[1] - radius - 0.5)), 0)
+    bottom = wp.min(int(wp.floor(disc[1] + radius + 0.5)), depth.shape[0] - 1)
+    left = wp.max(int(wp.ceil(disc[0] - radius - 0.5)), 0)
+    right = wp.min(int(wp.floor(disc[0] + radius + 0.5)), depth.shape[1] - 1)
+    for i in range(top, bottom + 1):
+        for j in range(left, right + 1):
+            dx = float(j) - disc[0]
+            dy = float(i) - disc[1]
+            inside = wp.clamp(radius + 0.5 - wp.sqrt(dx * dx + dy * dy), 0.0, 1.0)
+            before = depth[i, j] <= 0.0 or depth[i, j] > place[2]
+            if inside > 0.0 and before:
+                share = inside * disc[3] * unit
+                wp.atomic_add(light, i, j, 0, int(seen[0] * share))
+                wp.atomic_add(light, i, j, 1, int(seen[1] * share))
+                wp.atomic_add(light, i, j, 2, int(seen[2] * share))
+                wp.atomic_add(light, i, j, 3, int(share))

@@ -1,0 +1,20 @@
+"""What kernels are compiled for: one arithmetic on every processor."""
+
+from __future__ import annotations
+
+import platform
+from typing import Any
+
+COMPILER_FLAGS = "-mllvm=-inline-threshold=100000 -mllvm=-inline-cold-callsite-threshold=100000"
+if platform.machine() in ("x86_64", "AMD64"):
+    # One target for all: a host's own instructions are no faster here, and a cache of kernels may be shared by hosts.
+    COMPILER_FLAGS += " -target-cpu x86-64-v2"
+
+# No fused or reordered arithmetic: then every processor makes the same bytes.
+KERNEL_OPTIONS: dict[str, Any] = {
+    "cpu_compiler_flags": COMPILER_FLAGS,
+    "fuse_fp": False,
+    "fast_math": False,
+    "enable_backward": False,
+}
+"""Options of every module with kernels."""

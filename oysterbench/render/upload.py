@@ -1,0 +1,145 @@
+"""A world, its looks and its optics on a device."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from oysterbench.recipe import SequenceRecipe
+from oysterbench.render import kernels
+from oysterbench.render.casting import Geometry, Placed, Vehicle
+from oysterbench.render.light import Light, shadow_reach
+from oysterbench.render.optics import Optics
+from oysterbench.render.relief import build_relief
+from oysterbench.render.texture import build_ground
+from oysterbench.render.water import Water
+from oysterbench.scene.mesh import Mesh
+from oysterbench.scene.world import World
+
+CREVICE_BLUR_CELLS = 2.0
+LEAF_TRIANGLES = 4  # of the meshes' trees: measured best
+CLEAR_BOUNCE = 0.16  # albedo of the bottom as seen by a surface that faces down
+
+
+def upload_geometry(world: World, device: str) -> tuple[Geometry, list[Any]]:
+    """The world's arrays, meshes and tree of boxes on the device, and what must be kept as long as they are used."""
+    instances = world.instances
+    terrain = world.terrain
+    start, step = terrain.coordinates[terrain.rim], np.diff(terrain.coordinates)[terrain.rim]
+    skirt = terrain.skirt()
+    skirt_mesh = _mesh(skirt.vertices, skirt.faces, device)
+    library = [_mesh(mesh.vertices, mesh.faces, device) for mesh in world.meshes]
+    corner_counts = [mesh.faces.size for mesh in world.meshes]
+    vertex_counts = [len(mesh.vertices) for mesh in world.meshes]
+    first_corner = np.cumsum([0, *corner_counts[:-1]])
+    first_vertex = np.cumsum([0, *vertex_counts[:-1]])
+    corners = [m.faces.ravel() + start for m, start in zip(world.meshes, first_vertex, strict=True)]
+    ids = np.array([mesh.id for mesh in library], dtype=np.uint64)
+    geometry = Geometry()
+    geometry.relief = build_relief(terrain.square, float(start), float(step), device)
+    geometry.skirt = skirt_mesh.id
+    geometry.skirt_corners = skirt_mesh.indices
+    geometry.skirt_normals = wp.array(skirt.normals, dtype=wp.vec3, device=device)
+    geometry.count = len(instances)
+    geometry.corners = wp.array(np.concatenate(corners), dtype=wp.int32, device=device)
+    normals = np.concatenate([mesh.normals for mesh in world.meshes])
+    geometry.normals = wp.array(normals, dtype=wp.vec3, device=device)
+    marks = np.concatenate([mesh.marks for mesh in world.meshes])
+    geometry.marks = wp.array(marks, dtype=wp.vec3, device=device)
+    placed: NDArray[Any] = np.zeros(len(instances), dtype=Placed.numpy_dtype())  # type: ignore[attr-defined]
+    placed["to_shape"] = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
+    placed["position"] = instances.positions
+    placed["mesh"] = ids[instances.shapes]
+    placed["rotation"] = instances.rotations
+    placed["scale"] = instances.scales
+    placed["first_corner"] = first_corner[instances.shapes]
+    placed["colour"] = instances.colours
+    placed["silt"] = instances.silt
+    placed["kind"] = instances.classes
+    geometry.placed = wp.array(placed, dtype=Placed, device=device)
+    kept: list[Any] = [skirt_mesh, *library]
+    if len(instances):
+        lowers, uppers = world.boxes()
+        boxes = wp.Bvh(wp.array(lowers, dtype=wp.vec3, device=device), wp.array(uppers, dtype=wp.vec3, device=device))
+        geometry.boxes = boxes.id
+        kept.append(boxes)
+    return geometry, kept
+
+
+def upload_vehicle(mesh: Mesh | None, device: str) -> tuple[Vehicle, list[Any]]:
+    """A rig's body on the device, not yet placed; mesh 0 for none."""
+    vehicle = Vehicle()
+    if mesh is None:
+        return vehicle, []
+    body = _mesh(mesh.vertices, mesh.faces, device)
+    vehicle.mesh = body.id
+    vehicle.corners = body.indices
+    vehicle.normals = wp.array(mesh.normals, dtype=wp.vec3, device=device)
+    vehicle.marks = wp.array(mesh.marks, dtype=wp.vec3, device=device)
+    vehicle.radius = float(np.sqrt((mesh.vertices.astype(float) ** 2).sum(axis=1).max())) + 1e-3
+    return vehicle, [body]
+
+
+def upload_looks(world: World, recipe: SequenceRecipe, light: Light, device: str) -> kernels.Looks:
+    """What surfaces look like, and where on the reef shadows and hidden sky are to be looked for."""
+    looks = kernels.Looks()
+    looks.seed = world.texture_seed
+    looks.ground = build_ground(recipe.reef)
+    blurred = ndimage.gaussian_filter(world.envelope, CREVICE_BLUR_CELLS)
+    looks.envelope = wp.array(blurred, dtype=wp.float32, device=device)
+    looks.envelope_start = float(world.envelope_lines[0])
+    cell = float(world.envelope_lines[1] - world.envelope_lines[0])
+    looks.envelope_step = cell
+    ground = world.ground_height(*np.meshgrid(world.envelope_lines, world.envelope_lines))
+    reach = shadow_reach(world.envelope, ground, cell, light.sun_direction, float(kernels.SHADOW_M))
+    looks.reach = wp.array(reach.astype(np.uint8), dtype=wp.uint8, device=device)
+    if recipe.light.occlusion_m > 0:
+        cells = int(np.ceil(recipe.light.occlusion_m / cell)) + 1
+        near = ndimage.maximum_filter(world.envelope > ground + 1e-3, size=2 * cells + 1)
+        looks.near = wp.array(near.astype(np.uint8), dtype=wp.uint8, device=device)
+    return looks
+
+
+def upload_optics(water: Water, light: Light, recipe: SequenceRecipe, steepest: float, device: str) -> Optics:
+    """Tables of water and daylight, without lamps and caustics. steepest: slope of the seabed (rise over run)."""
+
+    def table(values: NDArray[np.float64]) -> wp.array:
+        return wp.array(values.astype(np.float32), dtype=wp.vec3, device=device)
+
+    daylight = recipe.light.daylight
+    optics = Optics()
+    optics.sun_direction = wp.vec3(*light.sun_direction.tolist())
+    optics.sun, optics.sky, optics.bounce = light.sun * daylight, light.sky * daylight, CLEAR_BOUNCE * daylight
+    optics.occlusion = recipe.light.occlusion_m
+    optics.seabed_shadows = int(steepest > light.steepest_lit_slope())
+    optics.direct, optics.glow = table(water.direct), table(water.glow)
+    optics.saturation = table(water.saturation)
+    optics.veil = table(water.veil * daylight)
+    optics.stretch = table(water.stretch)
+    optics.range_step = float(water.ranges[1])
+    optics.daylight = table(water.daylight)
+    optics.depth_step = float(water.depths[1])
+    optics.cosine_step = float(water.cosines[1] - water.cosines[0])
+    return optics
+
+
+def without_water(optics: Optics, device: str) -> Optics:
+    """The same light where there is no water: every share that arrives is 1, and nothing is added on the way."""
+    clear = Optics()
+    for name in ("sun_direction", "sun", "sky", "bounce", "occlusion", "seabed_shadows", "caustics", "lamps"):
+        setattr(clear, name, getattr(optics, name))
+    ones, zeros = (wp.full((2, 2), wp.vec3(v, v, v), dtype=wp.vec3, device=device) for v in (1.0, 0.0))
+    clear.direct, clear.stretch = ones, ones
+    clear.glow, clear.saturation, clear.veil = zeros, zeros, zeros
+    clear.daylight = wp.full(2, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=device)
+    clear.range_step = clear.depth_step = clear.cosine_step = 1.0
+    return clear
+
+
+def _mesh(vertices: NDArray[np.float32], faces: NDArray[np.int32], device: str) -> wp.Mesh:
+    points = wp.array(vertices, dtype=wp.vec3, device=device)
+    return wp.Mesh(points, wp.array(faces.ravel(), dtype=wp.int32, device=device), bvh_leaf_size=LEAF_TRIANGLES)
