@@ -118,15 +118,17 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
                 hit.face = found.face
                 hit.u = found.u
                 hit.v = found.v
-    if world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, origin, direction):
-        back = wp.transpose(world.vehicle.rotation)
-        body = wp.mesh_query_ray(world.vehicle.mesh, back * (origin - world.vehicle.position), back * direction, hit.t)
-        if body.result:
-            hit.t = body.t
-            hit.instance = VEHICLE
-            hit.face = body.face
-            hit.u = body.u
-            hit.v = body.v
+    if world.vehicle.mesh != wp.uint64(0):  # noqa: SIM102 - Warp evaluates both sides of an `and`
+        if near_vehicle(world.vehicle, origin, direction):
+            back = wp.transpose(world.vehicle.rotation)
+            start = back * (origin - world.vehicle.position)
+            body = wp.mesh_query_ray(world.vehicle.mesh, start, back * direction, hit.t)
+            if body.result:
+                hit.t = body.t
+                hit.instance = VEHICLE
+                hit.face = body.face
+                hit.u = body.u
+                hit.v = body.v
     return hit
 
 
@@ -144,11 +146,12 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
             along = to_shape * direction
             if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, along, max_t):
                 return True
-    if world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, origin, direction):
-        back = wp.transpose(world.vehicle.rotation)
-        start = back * (origin - world.vehicle.position)
-        if wp.mesh_query_ray_anyhit(world.vehicle.mesh, start, back * direction, max_t):
-            return True
+    if world.vehicle.mesh != wp.uint64(0):  # noqa: SIM102 - Warp evaluates both sides of an `and`
+        if near_vehicle(world.vehicle, origin, direction):
+            back = wp.transpose(world.vehicle.rotation)
+            start = back * (origin - world.vehicle.position)
+            if wp.mesh_query_ray_anyhit(world.vehicle.mesh, start, back * direction, max_t):
+                return True
     return False
 
 

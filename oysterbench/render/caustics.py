@@ -29,8 +29,8 @@ WAVES = 24
 SHORTEST_M, LONGEST_M = 0.16, 2.0  # waves of the tile; shorter ones focus above the reef and leave no pattern
 SLOPE_SHARE = 0.35  # of the mean square slope of the sea that those waves carry
 SPREAD_RAD = 0.7  # of the waves' directions about the wind's
-PATTERN_CONE_RAD = 0.07
-"""Sunlight scattered by less still draws the pattern (5 cm wide over 0.7 m); scattered by more it evens it out."""
+PATTERN_CONE_RAD = 0.1
+"""Sunlight scattered by less still draws the pattern (15 cm wide over 1.5 m); scattered by more it evens it out."""
 UNIT = wp.constant(64)  # steps between two cells in which a landing place is counted
 
 

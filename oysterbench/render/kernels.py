@@ -20,7 +20,7 @@ from oysterbench.render.casting import (
 from oysterbench.render.optics import Optics, beam_light, caustic, lamp_irradiance, look_up, look_up_pair, veiling
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.texture import Ground, Material, clothe, scramble, seabed
-from oysterbench.render.view import View, ray_start, ray_through
+from oysterbench.render.view import View, pixel_ray, pixel_start, ray_start, ray_through
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -97,12 +97,37 @@ def crowded(looks: Looks, p: wp.vec3):
 
 
 @wp.func
-def in_the_sun(world: Geometry, looks: Looks, optics: Optics, instance: int, p: wp.vec3, normal: wp.vec3, t: float):
-    """Whether nothing stands between a point at depth t of the picture and the sun."""
+def hazy(optics: Optics, p: wp.vec3, distance: float):
+    """Whether a point is so far that its shadows are not seen."""
+    row = -p[2] / optics.depth_step
+    column = distance / optics.range_step
+    return look_up_pair(optics.direct, row, column)[1] + look_up_pair(optics.glow, row, column)[1] < HAZE
+
+
+@wp.func
+def in_the_sun(
+    world: Geometry,
+    looks: Looks,
+    optics: Optics,
+    instance: int,
+    p: wp.vec3,
+    normal: wp.vec3,
+    t: float,
+    distance: float,
+):
+    """Whether nothing stands between a point at depth t of the picture and the sun; far away, nothing does."""
+    # Nested, for Warp evaluates both sides of an `and`.
     lit = wp.dot(normal, optics.sun_direction) > 0.0
-    if lit and optics.sun > 0.0:
-        under = world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, p, optics.sun_direction)
-        if under or needs_shadow_ray(looks, optics, instance, p):
+    if lit:
+        under = wp.bool(False)
+        if world.vehicle.mesh != wp.uint64(0):
+            under = near_vehicle(world.vehicle, p, optics.sun_direction)
+        wanted = under
+        if not wanted:
+            wanted = needs_shadow_ray(looks, optics, instance, p)
+        if wanted:
+            wanted = not hazy(optics, p, distance)
+        if wanted:
             start = p + normal * (0.0005 + 0.0005 * t)
             reach = SHADOW_M
             if under:
@@ -223,8 +248,8 @@ def trace(
 ):
     """The nearest surface along the ray through the centre of each pixel, and the ground truth there."""
     row, column = wp.tid()
-    direction = ray_through(view, float(column), float(row))
-    origin = ray_start(view, float(column), float(row))
+    direction = pixel_ray(view, row, column)
+    origin = pixel_start(view, row, column)
     hit = cast(world, origin, direction, FAR_M)
     hits[row, column] = hit
     normal = wp.vec3(0.0, 0.0, 0.0)
@@ -249,14 +274,6 @@ def trace(
     instances[row, column] = number
 
 
-@wp.func
-def hazy(optics: Optics, p: wp.vec3, distance: float):
-    """Whether a point is so far that its shadows are not seen."""
-    row = -p[2] / optics.depth_step
-    column = distance / optics.range_step
-    return look_up_pair(optics.direct, row, column)[1] + look_up_pair(optics.glow, row, column)[1] < HAZE
-
-
 @wp.kernel
 def shadow(
     world: Geometry,
@@ -272,14 +289,11 @@ def shadow(
     hit = hits[row, column]
     sunny = wp.uint8(0)
     if hit.instance != NOTHING:
-        direction = ray_through(view, float(column), float(row))
-        p = ray_start(view, float(column), float(row)) + direction * hit.t
+        direction = pixel_ray(view, row, column)
+        p = pixel_start(view, row, column) + direction * hit.t
         normal = normals[row, column]
-        # Warp evaluates both sides of an `or`.
-        sun = wp.bool(hazy(optics, p, hit.t * wp.length(direction)))
-        if not sun:
-            sun = in_the_sun(world, looks, optics, hit.instance, p, normal, hit.t)
-        if sun:
+        distance = hit.t * wp.length(direction)
+        if in_the_sun(world, looks, optics, hit.instance, p, normal, hit.t, distance):
             sunny = wp.uint8(1)
     lit[row, column] = sunny
 
@@ -300,8 +314,8 @@ def occlude(
     hit = hits[row, column]
     share = wp.float32(1.0)
     if hit.instance != NOTHING:
-        direction = ray_through(view, float(column), float(row))
-        p = ray_start(view, float(column), float(row)) + direction * hit.t
+        direction = pixel_ray(view, row, column)
+        p = pixel_start(view, row, column) + direction * hit.t
         normal = normals[row, column]
         wanted = hit.instance >= 0
         if not wanted:
@@ -372,8 +386,8 @@ def shade(
     row, column = wp.tid()
     u = float(column)
     v = float(row)
-    origin = ray_start(view, u, v)
-    direction = ray_through(view, u, v)
+    origin = pixel_start(view, row, column)
+    direction = pixel_ray(view, row, column)
     hit = hits[row, column]
     opening = wp.float32(1.0)
     if hit.instance != NOTHING:
@@ -451,9 +465,8 @@ def refine(
             if hit.instance != NOTHING:
                 p = origin + direction * hit.t
                 normal = surface_normal(world, hit, p)
-                lit = hazy(optics, p, hit.t * wp.length(direction))
-                if not lit:
-                    lit = in_the_sun(world, looks, optics, hit.instance, p, normal, hit.t)
+                distance = hit.t * wp.length(direction)
+                lit = in_the_sun(world, looks, optics, hit.instance, p, normal, hit.t, distance)
                 opening = openings[i, j]
                 if optics.occlusion == 0.0:
                     opening = openness(looks, p)
@@ -472,8 +485,8 @@ def refine(
 def count_unhidden(world: Geometry, view: View, counts: wp.array(dtype=wp.int32)):
     """Pixels in which each instance would be seen if it were alone."""
     row, column = wp.tid()
-    origin = ray_start(view, float(column), float(row))
-    direction = ray_through(view, float(column), float(row))
+    origin = pixel_start(view, row, column)
+    direction = pixel_ray(view, row, column)
     end = view.max_range / wp.length(direction)
     if world.count > 0:
         query = wp.bvh_query_ray(world.boxes, origin, direction)

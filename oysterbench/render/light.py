@@ -19,6 +19,7 @@ WATER_INDEX = 1.34  # refractive index of sea water
 GREY_ALBEDO = 0.16  # a reef's mean; exposed to GREY_LEVEL at GREY_RANGE_M
 GREY_LEVEL = 0.20  # linear; 0.48 after gamma
 GREY_RANGE_M = 1.6
+LAMP_RANGE_M = 1.0  # at which lamps are metered
 GREY_SLOPE = 0.5  # of the ray to it, below the horizon
 WHITE_BALANCE = 0.55
 """How far the fixed white balance goes from none (0) to neutral grey (1) in logarithm: cameras keep a cast."""
@@ -90,10 +91,10 @@ def exposure(
     daylight: share of full daylight that there is; factor: on the lamps' intensity.
     """
     seen = daylight * water.seen(GREY_ALBEDO, depth_m - GREY_RANGE_M * GREY_SLOPE, GREY_RANGE_M, -GREY_SLOPE)
-    left = np.exp(-GREY_RANGE_M * lamp_spread(water))
+    left = np.exp(-LAMP_RANGE_M * lamp_spread(water)) * water.arriving(depth_m, LAMP_RANGE_M)
     for lamp in lamps:
         power = np.array(lamp.colour) * lamp.intensity_cd * factor / DAYLIGHT_LUX
-        seen = seen + GREY_ALBEDO * power / GREY_RANGE_M**2 * left * water.arriving(depth_m, GREY_RANGE_M)
+        seen = seen + GREY_ALBEDO * power / LAMP_RANGE_M**2 * left
     seen = np.maximum(seen, LEAST_SEEN)
     brightness = float(np.mean(seen))
     balance = (brightness / seen) ** WHITE_BALANCE

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from oysterbench.recipe import CameraRecipe
 from oysterbench.render.lamps import phase
 from oysterbench.render.lens import project
-from oysterbench.render.optics import Optics, lamp_irradiance, look_up, look_up_pair, veiling
+from oysterbench.render.optics import Optics, beam_light, lamp_irradiance, look_up, look_up_pair, veiling
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.view import View
 from oysterbench.render.water import Water
@@ -32,9 +32,11 @@ MOST_PER_CELL = 8
 SINKING_M_S = 0.0008  # tens of metres a day (Alldredge & Silver 1988)
 DRIFT_M_S = 0.02  # of a slow current
 ALBEDO = wp.constant(0.45)  # of a flake, matte
+HIDING = wp.constant(0.5)  # share of what is behind it that a flake hides: it is a loose web
 FORWARD = wp.constant(0.7)  # asymmetry of what it scatters of a lamp's light
 MATTE = wp.constant(0.7)  # share of its light that it sends all ways
 LEAST_RADIUS_PX = 0.75  # of a disc: a pixel's own extent
+SMALL_RADIUS_PX = wp.constant(2.0)  # of discs that are drawn round and soft
 LARGEST_RADIUS_PX = 24.0
 UNIT = 2.0**-20  # step in which light is counted: sums of any order agree
 
@@ -176,20 +178,32 @@ def draw(
     column = distance / optics.range_step
     arrives = look_up_pair(optics.direct, row, column) + look_up_pair(optics.glow, row, column)
     seen = wp.cw_mul(lit * ALBEDO, arrives) + veiling(optics, -view.position[2], distance, direction[2])
+    if optics.lamps.count > 0:
+        rows = float(optics.lamps.beams.shape[0] - 1) / float(depth.shape[0] - 1)
+        columns = float(optics.lamps.beams.shape[1] - 1) / float(depth.shape[1] - 1)
+        seen += beam_light(optics.lamps, disc[1] * rows, disc[0] * columns, distance)
+    seen = seen * HIDING
     radius = disc[2]
-    top = wp.max(int(wp.ceil(disc[1] - radius - 0.5)), 0)
-    bottom = wp.min(int(wp.floor(disc[1] + radius + 0.5)), depth.shape[0] - 1)
-    left = wp.max(int(wp.ceil(disc[0] - radius - 0.5)), 0)
-    right = wp.min(int(wp.floor(disc[0] + radius + 0.5)), depth.shape[1] - 1)
+    reach = radius + 0.5
+    if radius < SMALL_RADIUS_PX:
+        reach = 1.75 * radius
+    top = wp.max(int(wp.ceil(disc[1] - reach)), 0)
+    bottom = wp.min(int(wp.floor(disc[1] + reach)), depth.shape[0] - 1)
+    left = wp.max(int(wp.ceil(disc[0] - reach)), 0)
+    right = wp.min(int(wp.floor(disc[0] + reach)), depth.shape[1] - 1)
     for i in range(top, bottom + 1):
         for j in range(left, right + 1):
             dx = float(j) - disc[0]
             dy = float(i) - disc[1]
+            # Soft at its rim by a pixel, or, when it is small, all over: as dense as a disc of that radius.
             inside = wp.clamp(radius + 0.5 - wp.sqrt(dx * dx + dy * dy), 0.0, 1.0)
+            if radius < SMALL_RADIUS_PX:
+                off = wp.max(1.0 - (dx * dx + dy * dy) / (3.0 * radius * radius), 0.0)
+                inside = off * off
             before = depth[i, j] <= 0.0 or depth[i, j] > place[2]
             if inside > 0.0 and before:
                 share = inside * disc[3] * unit
                 wp.atomic_add(light, i, j, 0, int(seen[0] * share))
                 wp.atomic_add(light, i, j, 1, int(seen[1] * share))
                 wp.atomic_add(light, i, j, 2, int(seen[2] * share))
-                wp.atomic_add(light, i, j, 3, int(share))
+                wp.atomic_add(light, i, j, 3, int(HIDING * share))

@@ -48,3 +48,19 @@ def ray_start(view: View, u: float, v: float):
     if view.port != 0:
         start = start + view.rotation * wp.vec3(0.0, 0.0, ray_at(view, u, v)[2])
     return start
+
+
+@wp.func
+def pixel_ray(view: View, row: int, column: int):
+    """Direction in `map` through the centre of a pixel, of unit length along the optical axis: t is depth."""
+    ray = view.rays[row + 1, column + 1]
+    return view.rotation * wp.vec3(ray[0], ray[1], 1.0)
+
+
+@wp.func
+def pixel_start(view: View, row: int, column: int):
+    """Where on the optical axis the ray of a pixel starts, in `map`, m."""
+    start = view.position
+    if view.port != 0:
+        start = start + view.rotation * wp.vec3(0.0, 0.0, view.rays[row + 1, column + 1][2])
+    return start

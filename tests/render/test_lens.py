@@ -1,0 +1,105 @@
+"""Lenses against OpenCV: what the depth image says lies at a pixel is projected onto that pixel."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from reefs import CAMERA, FLAT, SPLIT, noise, pose, renderer_of, small_reef
+from scipy.ndimage import map_coordinates
+
+from oysterbench.errors import RecipeError
+from oysterbench.render.lens import pixel_rays, project
+from oysterbench.scene.rig import PORT_INDEX, rig_calibration
+from oysterbench.sequence import topics
+from oysterbench.sequence.read import camera_calibration
+
+BROWN = dataclasses.replace(CAMERA, lens="brown-conrady", distortion=(-0.21, 0.06, 1.5e-3, -8e-4, -0.01))
+FISHEYE = dataclasses.replace(CAMERA, lens="fisheye", hfov_deg=130.0, distortion=(0.03, -0.012, 0.004, -0.0008))
+PORT = dataclasses.replace(CAMERA, port_mm=40.0)
+
+
+def calibration(camera):
+    return camera_calibration(rig_calibration(dataclasses.replace(SPLIT.rig, camera=(camera,)))["cameras"]["test"])
+
+
+def opencv_pixels(points, camera):
+    """Pixels (N, 2) of points (N, 3) in the optical frame, by OpenCV and the calibration that travels in a sequence."""
+    known = calibration(camera)
+    project_points = cv2.fisheye.projectPoints if known.distortion_model == "equidistant" else cv2.projectPoints
+    pixels, _ = project_points(points[:, None], np.zeros(3), np.zeros(3), known.matrix, known.distortion)
+    return pixels.reshape(-1, 2)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, BROWN, FISHEYE], ids=["pinhole", "brown-conrady", "fisheye"])
+def test_the_rays_of_pixels_are_those_of_opencv(camera):
+    rays = pixel_rays(camera)[1:-1, 1:-1].astype(float).reshape(-1, 3)
+    points = np.column_stack([rays[:, :2], np.ones(len(rays))]) * 2.5
+    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
+    expected = np.column_stack([columns.ravel(), rows.ravel()])
+    assert np.abs(opencv_pixels(points, camera) - expected).max() < 1e-4
+    assert np.abs(project(points, camera) - expected).max() < 1e-4
+    assert np.all(rays[:, 2] == 0)
+
+
+@pytest.mark.parametrize("camera", [CAMERA, BROWN, FISHEYE], ids=["pinhole", "brown-conrady", "fisheye"])
+def test_points_of_a_rendered_plane_project_onto_their_pixels(camera):
+    flat = small_reef(FLAT)
+    T_map_cam = pose(0.1, -0.2, -2.0, 30, 60)
+    depth = renderer_of(flat, camera).render(T_map_cam, noise()).depth
+    generator = np.random.default_rng(3)
+    points = np.column_stack([generator.uniform(-1.5, 1.5, (2000, 2)), np.full(2000, -3.0)])
+    seen = (points - T_map_cam[:3, 3]) @ T_map_cam[:3, :3]
+    seen = seen[seen[:, 2] > 0.3]
+    pixels = opencv_pixels(seen, camera)
+    inside = np.all((pixels > 1) & (pixels < [camera.width - 2, camera.height - 2]), axis=1)
+    inside &= np.hypot(*(seen[:, :2] / seen[:, 2:]).T) < 2.0  # a polynomial folds far outside the picture
+    assert inside.sum() > 200
+    # The inverse depth of a plane is nearly linear over a pixel.
+    inverse = map_coordinates(1.0 / np.where(depth > 0, depth, np.inf), pixels[inside][:, ::-1].T, order=1)
+    assert 1.0 / inverse == pytest.approx(seen[inside, 2], rel=1e-3)
+
+
+def test_rays_behind_a_flat_port_bend_by_snells_law():
+    rays = pixel_rays(PORT)[1:-1, 1:-1].astype(float)
+    known = calibration(PORT)
+    rows, columns = np.mgrid[0 : PORT.height, 0 : PORT.width]
+    air = np.hypot(columns - known.matrix[0, 2], rows - known.matrix[1, 2]) / known.matrix[0, 0]
+    water = np.hypot(rays[..., 0], rays[..., 1])
+    sine_air, sine_water = np.sin(np.arctan(air)), np.sin(np.arctan(water))
+    assert sine_air == pytest.approx(PORT_INDEX * sine_water, abs=1e-6)
+    assert 0.04 * air == pytest.approx((0.04 - rays[..., 2]) * water, abs=1e-7), (
+        "the ray leaves the port where it met it"
+    )
+    points = np.stack([rays[..., 0] * 1.5, rays[..., 1] * 1.5, rays[..., 2] + 1.5], axis=-1).reshape(-1, 3)
+    assert np.abs(project(points, PORT) - np.column_stack([columns.ravel(), rows.ravel()])).max() < 1e-3
+    edge = np.arctan(water[:, -1].min())
+    assert 2 * np.rad2deg(edge) == pytest.approx(PORT.hfov_deg, abs=1.0)
+
+
+def test_depth_behind_a_port_counts_from_the_pupil():
+    flat = small_reef(FLAT)
+    frame = renderer_of(flat, PORT).render(pose(0.0, 0.0, -2.0, 0, 90), noise())
+    assert frame.depth == pytest.approx(1.0, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("camera", "model", "n"), [(CAMERA, "plumb_bob", 5), (BROWN, "plumb_bob", 5), (FISHEYE, "equidistant", 4)]
+)
+def test_the_distortion_travels_in_the_messages(camera, model, n):
+    message = topics.camera_info(1, "test", calibration(camera))
+    assert model.encode() in message.data
+    assert len(topics._coefficients(calibration(camera))) == n
+    assert topics._coefficients(calibration(camera))[: len(camera.distortion)] == pytest.approx(camera.distortion)
+
+
+def test_a_lens_that_folds_its_picture_is_refused():
+    with pytest.raises(RecipeError, match=r"camera test: key 'camera.distortion'.*folds"):
+        pixel_rays(dataclasses.replace(CAMERA, lens="brown-conrady", distortion=(-2.0, 0.0, 0.0, 0.0)))
+
+
+def test_a_view_too_wide_for_a_port_is_refused():
+    with pytest.raises(RecipeError, match=r"key 'camera.hfov_deg'.*flat port"):
+        rig_calibration(dataclasses.replace(SPLIT.rig, camera=(dataclasses.replace(PORT, hfov_deg=120.0),)))
