@@ -31,7 +31,8 @@ PATH_KINDS = ("loop",)
 LOOP_RIPPLE = 0.25
 """The radius of a loop varies by this share of its mean."""
 TRACKS = ("slam",)
-LENSES = ("pinhole", "brown-conrady", "fisheye")
+LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
+"""How many coefficients of distortion each lens has."""
 VEHICLES = ("none", "bluerov2")
 
 
@@ -143,7 +144,9 @@ class CameraRecipe:
     yaw_deg: float = number(-180, 180, 0.0)
     jpeg_quality: int = number(50, 100, 95)
     max_range_m: float = number(1, 100, 20.0)  # farther than this is water
-    lens: str = choice(LENSES, "pinhole")  # brown-conrady: k1 k2 p1 p2 [k3]; fisheye (Kannala-Brandt): k1 k2 k3 k4
+    lens: str = choice(
+        tuple(LENSES), "pinhole"
+    )  # brown-conrady: k1 k2 p1 p2 [k3]; fisheye (Kannala-Brandt): k1 k2 k3 k4
     distortion: tuple[float, ...] = number(-10, 10, ())  # coefficients as OpenCV has them
     port_mm: float | None = number(0, 200, None)  # from the pupil to a flat port; then the lens works in air behind it
     vignetting: float = number(0, 1, 0.0)  # share of the natural fall of light with cos^4 of the angle off the axis
@@ -312,6 +315,12 @@ def _check_split(split: SplitRecipe, where: str) -> None:
         if not name or not all(c.isalnum() or c in "-_" for c in name):
             raise RecipeError(f"{where}: key 'name': expected letters, digits, '-' and '_', got {name!r}")
     for camera in split.rig.camera:
+        if len(camera.distortion) not in LENSES[camera.lens]:
+            wanted = " or ".join(str(n) for n in LENSES[camera.lens])
+            raise RecipeError(
+                f"{where}: rig {split.rig.name}: key 'camera.distortion': expected {wanted} coefficients for "
+                f"lens = {camera.lens!r}, got {list(camera.distortion)}"
+            )
         if camera.layer_rate_hz and not (camera.rate_hz / camera.layer_rate_hz).is_integer():
             raise RecipeError(
                 f"{where}: rig {split.rig.name}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = "

@@ -17,9 +17,10 @@ from oysterbench.render.casting import (
     near_vehicle,
     surface_normal,
 )
+from oysterbench.render.looks import Looks, crowded, needs_shadow_ray, openness
 from oysterbench.render.optics import Optics, beam_light, caustic, lamp_irradiance, look_up, look_up_pair, veiling
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.texture import Ground, Material, clothe, scramble, seabed
+from oysterbench.render.texture import Material, clothe, scramble, seabed
 from oysterbench.render.view import View, pixel_ray, pixel_start, ray_start, ray_through
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -28,72 +29,14 @@ FAR_M = wp.constant(150.0)  # past the skirt of every seabed
 ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
 ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
-CREVICE_M = wp.constant(0.07)  # depth below the blurred envelope at which little sky is left
 EDGE_CONTRAST = wp.constant(0.08)  # relative step in green across the outline of an instance that asks for more samples
 SHADOW_CONTRAST = wp.constant(0.45)
 HAZE = wp.constant(0.02)  # transmission in green below which a shadow would not be seen
 LAMP_SHADOW_M = wp.constant(0.5)  # from a surface: what throws a lamp's shadow on it stands close by
 FAINT = wp.constant(2.0e-5)  # irradiance of a lamp that no picture shows
+PRIOR_RAYS = wp.constant(1.0)  # weight of crevices by height beside rays that were cast
 INTERREFLECTION = wp.constant(0.12)  # light of neighbours in the place of the sky that they hide
 VEHICLE_KIND = wp.constant(wp.uint8(6))
-
-
-@wp.struct
-class Looks:
-    """What surfaces look like. envelope: blurred upper surface of everything, for the darkness of crevices.
-    reach, near: where on the same grid things may shade the seabed, and where they may hide sky from it.
-    """
-
-    seed: wp.uint32
-    ground: Ground
-    envelope: wp.array2d(dtype=wp.float32)
-    reach: wp.array2d(dtype=wp.uint8)
-    near: wp.array2d(dtype=wp.uint8)
-    envelope_start: wp.float32
-    envelope_step: wp.float32
-
-
-@wp.func
-def openness(looks: Looks, p: wp.vec3):
-    """Share of the sky that a point sees, from its depth below the blurred envelope: 1 in the open."""
-    x = (p[0] - looks.envelope_start) / looks.envelope_step
-    y = (p[1] - looks.envelope_start) / looks.envelope_step
-    last = float(looks.envelope.shape[0] - 2)
-    share = wp.float32(1.0)
-    if x > 0.0 and y > 0.0 and x < last and y < last:
-        j = int(x)
-        i = int(y)
-        u = x - float(j)
-        v = y - float(i)
-        low = looks.envelope[i, j] * (1.0 - u) + looks.envelope[i, j + 1] * u
-        high = looks.envelope[i + 1, j] * (1.0 - u) + looks.envelope[i + 1, j + 1] * u
-        below = (low * (1.0 - v) + high * v - p[2]) / CREVICE_M
-        share = 1.0 / (1.0 + 2.2 * wp.max(below, 0.0))
-    return share
-
-
-@wp.func
-def needs_shadow_ray(looks: Looks, optics: Optics, instance: int, p: wp.vec3):
-    """False only where nothing can stand between a point of the seabed and the sun."""
-    j = int(wp.floor((p[0] - looks.envelope_start) / looks.envelope_step + 0.5))
-    i = int(wp.floor((p[1] - looks.envelope_start) / looks.envelope_step + 0.5))
-    last = looks.reach.shape[0] - 1
-    needed = instance >= 0 or optics.seabed_shadows != 0 or i < 0 or j < 0 or i > last or j > last
-    if not needed:
-        needed = looks.reach[i, j] != wp.uint8(0)
-    return needed
-
-
-@wp.func
-def crowded(looks: Looks, p: wp.vec3):
-    """False only where nothing near a point of the seabed can hide its sky."""
-    j = int(wp.floor((p[0] - looks.envelope_start) / looks.envelope_step + 0.5))
-    i = int(wp.floor((p[1] - looks.envelope_start) / looks.envelope_step + 0.5))
-    last = looks.near.shape[0] - 1
-    near = wp.bool(True)
-    if i >= 0 and j >= 0 and i <= last and j <= last:
-        near = looks.near[i, j] != wp.uint8(0)
-    return near
 
 
 @wp.func
@@ -351,14 +294,14 @@ def gathered(
     """Openness from the fan of the neighbours that lie on the same surface; `prior` where they are few."""
     t = hits[row, column].t
     normal = normals[row, column]
-    total = 1.5 * prior
-    weight = wp.float32(1.5)
+    total = PRIOR_RAYS * prior
+    weight = wp.float32(PRIOR_RAYS)
     for di in range(-2, 2):
         for dj in range(-2, 2):
             i = row + di
             j = column + dj
             if i >= 0 and j >= 0 and i < open.shape[0] and j < open.shape[1]:
-                same = wp.abs(hits[i, j].t - t) < 0.03 * t and wp.dot(normals[i, j], normal) > 0.6
+                same = wp.abs(hits[i, j].t - t) < 0.03 * t and wp.dot(normals[i, j], normal) > 0.4
                 if same:
                     total += open[i, j]
                     weight += 1.0

@@ -23,7 +23,7 @@ wp.set_module_options(KERNEL_OPTIONS)
 
 Array = NDArray[np.float64]
 
-SMALLEST_M, LARGEST_M = 0.0004, 0.004  # diameters; numbers fall with their cube (Jackson et al. 1997)
+SMALLEST_M, LARGEST_M = 0.0004, 0.003  # diameters; numbers fall with their cube (Jackson et al. 1997)
 NEAREST_M = 0.06  # nearer flakes are too far out of focus to be seen
 FARTHEST_M = 2.5
 PUPIL_M = 0.0012  # diameter of the lens' opening
@@ -32,10 +32,11 @@ MOST_PER_CELL = 8
 SINKING_M_S = 0.0008  # tens of metres a day (Alldredge & Silver 1988)
 DRIFT_M_S = 0.02  # of a slow current
 ALBEDO = wp.constant(0.45)  # of a flake, matte
-HIDING = wp.constant(0.5)  # share of what is behind it that a flake hides: it is a loose web
+HIDING = wp.constant(0.4)  # share of what is behind it that a flake hides: it is a loose web
 FORWARD = wp.constant(0.7)  # asymmetry of what it scatters of a lamp's light
 MATTE = wp.constant(0.7)  # share of its light that it sends all ways
 LEAST_RADIUS_PX = 0.75  # of a disc: a pixel's own extent
+SOFT_RIM = wp.constant(0.5)  # width of a disc's rim over its radius
 SMALL_RADIUS_PX = wp.constant(2.0)  # of discs that are drawn round and soft
 LARGEST_RADIUS_PX = 24.0
 UNIT = 2.0**-20  # step in which light is counted: sums of any order agree
@@ -184,7 +185,7 @@ def draw(
         seen += beam_light(optics.lamps, disc[1] * rows, disc[0] * columns, distance)
     seen = seen * HIDING
     radius = disc[2]
-    reach = radius + 0.5
+    reach = radius + wp.max(0.5, 0.5 * SOFT_RIM * radius)
     if radius < SMALL_RADIUS_PX:
         reach = 1.75 * radius
     top = wp.max(int(wp.ceil(disc[1] - reach)), 0)
@@ -195,8 +196,9 @@ def draw(
         for j in range(left, right + 1):
             dx = float(j) - disc[0]
             dy = float(i) - disc[1]
-            # Soft at its rim by a pixel, or, when it is small, all over: as dense as a disc of that radius.
-            inside = wp.clamp(radius + 0.5 - wp.sqrt(dx * dx + dy * dy), 0.0, 1.0)
+            # Soft at its rim, or, when it is small, all over: as dense as a disc of that radius.
+            rim = wp.max(1.0, SOFT_RIM * radius)
+            inside = wp.clamp((radius + 0.5 * rim - wp.sqrt(dx * dx + dy * dy)) / rim, 0.0, 1.0)
             if radius < SMALL_RADIUS_PX:
                 off = wp.max(1.0 - (dx * dx + dy * dy) / (3.0 * radius * radius), 0.0)
                 inside = off * off

@@ -13,6 +13,7 @@ from oysterbench.recipe import SequenceRecipe
 from oysterbench.render import kernels
 from oysterbench.render.casting import Geometry, Placed, Vehicle
 from oysterbench.render.light import Light, shadow_reach
+from oysterbench.render.looks import Looks
 from oysterbench.render.optics import Optics
 from oysterbench.render.relief import build_relief
 from oysterbench.render.texture import build_ground
@@ -84,9 +85,9 @@ def upload_vehicle(mesh: Mesh | None, device: str) -> tuple[Vehicle, list[Any]]:
     return vehicle, [body]
 
 
-def upload_looks(world: World, recipe: SequenceRecipe, light: Light, device: str) -> kernels.Looks:
+def upload_looks(world: World, recipe: SequenceRecipe, light: Light, device: str) -> Looks:
     """What surfaces look like, and where on the reef shadows and hidden sky are to be looked for."""
-    looks = kernels.Looks()
+    looks = Looks()
     looks.seed = world.texture_seed
     looks.ground = build_ground(recipe.reef)
     blurred = ndimage.gaussian_filter(world.envelope, CREVICE_BLUR_CELLS)

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 from reefs import CAMERA, FLAT, noise, pose, renderer_of, rig_with, small_reef, world_of
 
 from oysterbench.recipe import CLASSES, LampRecipe
@@ -193,3 +199,34 @@ def test_everything_on_gives_the_same_bytes_twice(full):
     again = renderer_of(small_reef(water=THICK, light=EVERYTHING), rig=LAMPS).render(PLACE, noise(), time_s=2.0)
     for field in dataclasses.fields(first):
         assert np.array_equal(getattr(first, field.name), getattr(again, field.name)), field.name
+
+
+PRINT_DIGEST = """
+import hashlib, sys
+sys.path.insert(0, {folder!r})
+import warp as wp
+from oysterbench.render.camera import MODULES
+for module in MODULES:
+    wp.get_module(module.__name__).options["cpu_compiler_flags"] = {flags!r}
+from test_layers import EVERYTHING, LAMPS, PLACE, THICK, noise, renderer_of, small_reef
+frame = renderer_of(small_reef(water=THICK, light=EVERYTHING), rig=LAMPS).render(PLACE, noise(), time_s=1.0)
+print(hashlib.sha256(frame.colour.tobytes() + frame.depth.tobytes() + frame.instances.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the targets are those of x86-64")
+def test_everything_on_gives_the_same_bytes_on_any_processor(tmp_path):
+    def digest(flags, **environment):
+        script = PRINT_DIGEST.format(folder=str(Path(__file__).parent), flags=flags)
+        environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path), **environment}
+        run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+        assert run.returncode == 0, run.stderr
+        return run.stdout.split()[-1]
+
+    plain = {
+        "NPY_DISABLE_CPU_FEATURES": " ".join(name for name in __cpu_dispatch__ if __cpu_features__[name]),
+        "OPENBLAS_CORETYPE": "Nehalem",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA",
+    }
+    assert digest("-march=native") == digest("-target-cpu x86-64", **plain)

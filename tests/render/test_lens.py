@@ -11,6 +11,7 @@ from reefs import CAMERA, FLAT, SPLIT, noise, pose, renderer_of, small_reef
 from scipy.ndimage import map_coordinates
 
 from oysterbench.errors import RecipeError
+from oysterbench.recipe import parse_split, vary_split
 from oysterbench.render.lens import pixel_rays, project
 from oysterbench.scene.rig import PORT_INDEX, rig_calibration
 from oysterbench.sequence import topics
@@ -103,3 +104,24 @@ def test_a_lens_that_folds_its_picture_is_refused():
 def test_a_view_too_wide_for_a_port_is_refused():
     with pytest.raises(RecipeError, match=r"key 'camera.hfov_deg'.*flat port"):
         rig_calibration(dataclasses.replace(SPLIT.rig, camera=(dataclasses.replace(PORT, hfov_deg=120.0),)))
+
+
+@pytest.mark.parametrize(("lens", "coefficients"), [("pinhole", [0.1]), ("fisheye", [0.1, 0.0, 0.0])])
+def test_a_lens_with_the_wrong_number_of_coefficients_is_refused(lens, coefficients):
+    with pytest.raises(RecipeError, match=r"key 'camera.distortion': expected \d coefficients"):
+        vary_split(SPLIT, {"camera.lens": lens, "camera.distortion": coefficients}, "here")
+
+
+@pytest.mark.parametrize(
+    ("rig", "cameras"),
+    [("bluerov2-views", {"cam_front", "cam_down", "cam_third"}), ("bluerov2-stereo", {"cam_left", "cam_right"})],
+)
+def test_the_rigs_of_several_cameras_can_be_used_by_any_split(rig, cameras):
+    split = parse_split(SPLIT.source.replace('rig = "bluerov2"', f'rig = "{rig}"'), "split.toml")
+    known = rig_calibration(split.rig)["cameras"]
+    assert set(known) == cameras
+    for camera in split.rig.camera:
+        assert np.isfinite(pixel_rays(camera)).all()
+    if rig == "bluerov2-stereo":
+        left, right = (np.array(known[name]["T_base_cam"]) for name in ("cam_left", "cam_right"))
+        assert (np.linalg.inv(left) @ right)[:3, 3] == pytest.approx([0.12, 0.0, 0.0])
