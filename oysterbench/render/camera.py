@@ -15,7 +15,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe
-from oysterbench.render import blur, caustics, kernels, lamps, sensor, snow
+from oysterbench.render import blur, caustics, kernels, lamps, occlusion, sensor, snow, visibility
 from oysterbench.render.casting import Hit
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.light import build_light, exposure, sky_fan
@@ -31,7 +31,7 @@ from oysterbench.scene.world import World
 Pose = NDArray[np.float64]
 
 DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
-MODULES = (kernels, sensor, lamps, caustics, snow, blur)
+MODULES = (kernels, occlusion, sensor, lamps, caustics, snow, blur, visibility)
 LAYERS = (
     "radiance",
     "clean",
@@ -250,7 +250,7 @@ class CameraRenderer:
         if optics.occlusion > 0:
             with self._stage("sky occlusion"):
                 inputs = [*scene, self._fan, *surfaces]
-                wp.launch(kernels.occlude, shape, inputs=inputs, outputs=[self._open], device=device)
+                wp.launch(occlusion.occlude, shape, inputs=inputs, outputs=[self._open], device=device)
         if optics.lamps.count:
             with self._stage("lamp beams"):
                 beams = optics.lamps.beams
@@ -271,7 +271,7 @@ class CameraRenderer:
         """Visible over unhidden pixels (N + 2,) of each instance number, NaN where there are none."""
         counts = wp.zeros(self._count + 2, dtype=wp.int32, device=self.device)
         inputs = [self._geometry, self._view(T_map_cam)]
-        wp.launch(kernels.count_unhidden, instances.shape, inputs=inputs, outputs=[counts], device=self.device)
+        wp.launch(visibility.count_unhidden, instances.shape, inputs=inputs, outputs=[counts], device=self.device)
         alone = counts.numpy()
         seen = np.bincount(instances.ravel(), minlength=len(alone))
         with np.errstate(invalid="ignore", divide="ignore"):

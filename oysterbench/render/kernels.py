@@ -17,8 +17,9 @@ from oysterbench.render.casting import (
     near_vehicle,
     surface_normal,
 )
-from oysterbench.render.looks import Looks, crowded, needs_shadow_ray, openness
-from oysterbench.render.optics import Optics, beam_light, caustic, lamp_irradiance, look_up, look_up_pair, veiling
+from oysterbench.render.looks import Looks, needs_shadow_ray, openness
+from oysterbench.render.occlusion import gathered
+from oysterbench.render.optics import Optics, beam_light, caustic, hazy, lamp_irradiance, look_up, look_up_pair, veiling
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.texture import Material, clothe, scramble, seabed
 from oysterbench.render.view import View, pixel_ray, pixel_start, ray_start, ray_through
@@ -31,20 +32,9 @@ ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
 EDGE_CONTRAST = wp.constant(0.08)  # relative step in green across the outline of an instance that asks for more samples
 SHADOW_CONTRAST = wp.constant(0.45)
-HAZE = wp.constant(0.02)  # transmission in green below which a shadow would not be seen
 LAMP_SHADOW_M = wp.constant(0.5)  # from a surface: what throws a lamp's shadow on it stands close by
 FAINT = wp.constant(2.0e-5)  # irradiance of a lamp that no picture shows
-PRIOR_RAYS = wp.constant(1.0)  # weight of crevices by height beside rays that were cast
-INTERREFLECTION = wp.constant(0.12)  # light of neighbours in the place of the sky that they hide
 VEHICLE_KIND = wp.constant(wp.uint8(6))
-
-
-@wp.func
-def hazy(optics: Optics, p: wp.vec3, distance: float):
-    """Whether a point is so far that its shadows are not seen."""
-    row = -p[2] / optics.depth_step
-    column = distance / optics.range_step
-    return look_up_pair(optics.direct, row, column)[1] + look_up_pair(optics.glow, row, column)[1] < HAZE
 
 
 @wp.func
@@ -242,74 +232,6 @@ def shadow(
 
 
 @wp.kernel
-def occlude(
-    world: Geometry,
-    looks: Looks,
-    optics: Optics,
-    view: View,
-    fan: wp.array(dtype=wp.vec3),
-    hits: wp.array2d(dtype=Hit),
-    normals: wp.array2d(dtype=wp.vec3),
-    open: wp.array2d(dtype=wp.float32),
-):
-    """One ray of a fan of 16 from each pixel's surface: 4 x 4 neighbours hold a whole fan (Keller & Heidrich 2001)."""
-    row, column = wp.tid()
-    hit = hits[row, column]
-    share = wp.float32(1.0)
-    if hit.instance != NOTHING:
-        direction = pixel_ray(view, row, column)
-        p = pixel_start(view, row, column) + direction * hit.t
-        normal = normals[row, column]
-        wanted = hit.instance >= 0
-        if not wanted:
-            wanted = crowded(looks, p)
-        if wanted:
-            wanted = not hazy(optics, p, hit.t * wp.length(direction))
-        if wanted:
-            # A frame around the normal (Duff et al. 2017).
-            side = wp.float32(1.0)
-            if normal[2] < 0.0:
-                side = wp.float32(-1.0)
-            a = -1.0 / (side + normal[2])
-            b = normal[0] * normal[1] * a
-            x = wp.vec3(1.0 + side * normal[0] * normal[0] * a, side * b, -side * normal[0])
-            y = wp.vec3(b, side + normal[1] * normal[1] * a, -normal[1])
-            ray = fan[(row & 3) * 4 + (column & 3)]
-            towards = x * ray[0] + y * ray[1] + normal * ray[2]
-            start = p + normal * (0.001 + 0.0005 * hit.t)
-            if blocked(world, start, towards, optics.occlusion, 0):
-                share = wp.float32(0.0)
-    open[row, column] = share
-
-
-@wp.func
-def gathered(
-    open: wp.array2d(dtype=wp.float32),
-    hits: wp.array2d(dtype=Hit),
-    normals: wp.array2d(dtype=wp.vec3),
-    row: int,
-    column: int,
-    prior: float,
-):
-    """Openness from the fan of the neighbours that lie on the same surface; `prior` where they are few."""
-    t = hits[row, column].t
-    normal = normals[row, column]
-    total = PRIOR_RAYS * prior
-    weight = wp.float32(PRIOR_RAYS)
-    for di in range(-2, 2):
-        for dj in range(-2, 2):
-            i = row + di
-            j = column + dj
-            if i >= 0 and j >= 0 and i < open.shape[0] and j < open.shape[1]:
-                same = wp.abs(hits[i, j].t - t) < 0.03 * t and wp.dot(normals[i, j], normal) > 0.4
-                if same:
-                    total += open[i, j]
-                    weight += 1.0
-    share = total / weight
-    return share + (1.0 - share) * INTERREFLECTION
-
-
-@wp.kernel
 def shade(
     world: Geometry,
     looks: Looks,
@@ -422,24 +344,3 @@ def refine(
         sharp[i, j] = total_sharp / 3.0
         glow[i, j] = total_glow / 3.0
         haze[i, j] = total_haze / 3.0
-
-
-@wp.kernel
-def count_unhidden(world: Geometry, view: View, counts: wp.array(dtype=wp.int32)):
-    """Pixels in which each instance would be seen if it were alone."""
-    row, column = wp.tid()
-    origin = pixel_start(view, row, column)
-    direction = pixel_ray(view, row, column)
-    end = view.max_range / wp.length(direction)
-    if world.count > 0:
-        query = wp.bvh_query_ray(world.boxes, origin, direction)
-        i = wp.int32(0)
-        while wp.bvh_query_next(query, i, end):
-            start = world.placed[i].to_shape * (origin - world.placed[i].position)
-            if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, world.placed[i].to_shape * direction, end):
-                wp.atomic_add(counts, i + 1, 1)
-    if world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, origin, direction):
-        back = wp.transpose(world.vehicle.rotation)
-        start = back * (origin - world.vehicle.position)
-        if wp.mesh_query_ray_anyhit(world.vehicle.mesh, start, back * direction, end):
-            wp.atomic_add(counts, world.count + 1, 1)

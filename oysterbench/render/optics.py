@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+HAZE = wp.constant(0.02)  # transmission in green below which a shadow would not be seen
+
 
 @wp.struct
 class Caustics:
@@ -184,3 +186,11 @@ def beam_light(lamps: Lamps, row: float, column: float, distance: float):
     low = low_left + (low_right - low_left) * u
     high = high_left + (high_right - high_left) * u
     return low + (high - low) * (y - float(i))
+
+
+@wp.func
+def hazy(optics: Optics, p: wp.vec3, distance: float):
+    """Whether a point is so far that its shadows are not seen."""
+    row = -p[2] / optics.depth_step
+    column = distance / optics.range_step
+    return look_up_pair(optics.direct, row, column)[1] + look_up_pair(optics.glow, row, column)[1] < HAZE

@@ -1,0 +1,84 @@
+"""How much sky a surface sees: one short ray a pixel, and the mean over neighbours on the same surface."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from oysterbench.render.casting import NOTHING, Geometry, Hit, blocked
+from oysterbench.render.looks import Looks, crowded
+from oysterbench.render.optics import Optics, hazy
+from oysterbench.render.target import KERNEL_OPTIONS
+from oysterbench.render.view import View, pixel_ray, pixel_start
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+PRIOR_RAYS = wp.constant(1.0)  # weight of crevices by height beside rays that were cast
+INTERREFLECTION = wp.constant(0.12)  # light of neighbours in the place of the sky that they hide
+
+
+@wp.kernel
+def occlude(
+    world: Geometry,
+    looks: Looks,
+    optics: Optics,
+    view: View,
+    fan: wp.array(dtype=wp.vec3),
+    hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
+    open: wp.array2d(dtype=wp.float32),
+):
+    """One ray of a fan of 16 from each pixel's surface: 4 x 4 neighbours hold a whole fan (Keller & Heidrich 2001)."""
+    row, column = wp.tid()
+    hit = hits[row, column]
+    share = wp.float32(1.0)
+    if hit.instance != NOTHING:
+        direction = pixel_ray(view, row, column)
+        p = pixel_start(view, row, column) + direction * hit.t
+        normal = normals[row, column]
+        wanted = hit.instance >= 0
+        if not wanted:
+            wanted = crowded(looks, p)
+        if wanted:
+            wanted = not hazy(optics, p, hit.t * wp.length(direction))
+        if wanted:
+            # A frame around the normal (Duff et al. 2017).
+            side = wp.float32(1.0)
+            if normal[2] < 0.0:
+                side = wp.float32(-1.0)
+            a = -1.0 / (side + normal[2])
+            b = normal[0] * normal[1] * a
+            x = wp.vec3(1.0 + side * normal[0] * normal[0] * a, side * b, -side * normal[0])
+            y = wp.vec3(b, side + normal[1] * normal[1] * a, -normal[1])
+            ray = fan[(row & 3) * 4 + (column & 3)]
+            towards = x * ray[0] + y * ray[1] + normal * ray[2]
+            start = p + normal * (0.001 + 0.0005 * hit.t)
+            if blocked(world, start, towards, optics.occlusion, 0):
+                share = wp.float32(0.0)
+    open[row, column] = share
+
+
+@wp.func
+def gathered(
+    open: wp.array2d(dtype=wp.float32),
+    hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
+    row: int,
+    column: int,
+    prior: float,
+):
+    """Openness from the fan of the neighbours that lie on the same surface; `prior` where they are few."""
+    t = hits[row, column].t
+    normal = normals[row, column]
+    total = PRIOR_RAYS * prior
+    weight = wp.float32(PRIOR_RAYS)
+    for di in range(-2, 2):
+        for dj in range(-2, 2):
+            i = row + di
+            j = column + dj
+            if i >= 0 and j >= 0 and i < open.shape[0] and j < open.shape[1]:
+                same = wp.abs(hits[i, j].t - t) < 0.03 * t and wp.dot(normals[i, j], normal) > 0.4
+                if same:
+                    total += open[i, j]
+                    weight += 1.0
+    share = total / weight
+    return share + (1.0 - share) * INTERREFLECTION

@@ -1,0 +1,32 @@
+"""How many pixels an instance would fill if nothing were before it."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from oysterbench.render.casting import Geometry, near_vehicle
+from oysterbench.render.target import KERNEL_OPTIONS
+from oysterbench.render.view import View, pixel_ray, pixel_start
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+
+@wp.kernel
+def count_unhidden(world: Geometry, view: View, counts: wp.array(dtype=wp.int32)):
+    """Pixels in which each instance would be seen if it were alone."""
+    row, column = wp.tid()
+    origin = pixel_start(view, row, column)
+    direction = pixel_ray(view, row, column)
+    end = view.max_range / wp.length(direction)
+    if world.count > 0:
+        query = wp.bvh_query_ray(world.boxes, origin, direction)
+        i = wp.int32(0)
+        while wp.bvh_query_next(query, i, end):
+            start = world.placed[i].to_shape * (origin - world.placed[i].position)
+            if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, world.placed[i].to_shape * direction, end):
+                wp.atomic_add(counts, i + 1, 1)
+    if world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, origin, direction):
+        back = wp.transpose(world.vehicle.rotation)
+        start = back * (origin - world.vehicle.position)
+        if wp.mesh_query_ray_anyhit(world.vehicle.mesh, start, back * direction, end):
+            wp.atomic_add(counts, world.count + 1, 1)
