@@ -296,7 +296,7 @@ def gallery(real: Path | None, out: Path) -> None:
 
 @main.command(short_help="Export one oyster as a mesh.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Which oyster.")
-@click.option("--size", "size_mm", type=float, help="Height of the shell in mm, 25 to 170.  [default: by the seed]")
+@click.option("--size", "size_mm", type=float, help="Height of the shell in mm, 25 to 172.  [default: by the seed]")
 @click.option("--state", default="live", show_default=True, help="live, box, left valve or right valve.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default="oyster.glb", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print its measures as JSON.")
