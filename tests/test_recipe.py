@@ -115,3 +115,18 @@ def test_a_split_can_be_varied_and_the_new_values_are_checked(tiny_split):
         vary_split(tiny_split, {"reef.depth_m": -1}, "gallery.toml")
     with pytest.raises(RecipeError, match=r"unknown key 'wine\.type'"):
         vary_split(tiny_split, {"wine.type": "red"}, "gallery.toml")
+
+
+def test_lamps_can_be_varied_too(tiny_split):
+    lit = parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + "[[lamp]]\nintensity_cd = 100.0\n")
+    assert vary_split(lit, {"lamp.intensity_cd": 5.0}, "gallery.toml").rig.lamp[0].intensity_cd == 5.0
+
+
+def test_a_key_at_its_default_changes_no_digest(tiny_split):
+    assert make_split(TINY_SPLIT.replace("oysters = 60", "oysters = 60\nsilt = 0.5")).digest() == tiny_split.digest()
+    assert make_split(TINY_SPLIT.replace("oysters = 60", "oysters = 60\nsilt = 0.6")).digest() != tiny_split.digest()
+
+
+def test_an_unknown_layer_is_named():
+    with pytest.raises(RecipeError, match=r"key 'camera\.layers': expected one of depth, class.*got 'heat'"):
+        parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + 'layers = ["depth", "heat"]\n')

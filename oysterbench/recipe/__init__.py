@@ -1,0 +1,45 @@
+"""Recipes: TOML files that say what a split, a sequence and a rig are, read into validated frozen dataclasses.
+
+Everything that makes the bytes of a sequence is in here; keys carry their unit, angles are in degrees. A bad
+value is refused with file, key, value and the allowed range. The fields of the dataclasses document the keys.
+"""
+
+from oysterbench.recipe.keys import as_plain
+from oysterbench.recipe.rig import CameraRecipe, ImuRecipe, LampRecipe, RigRecipe, count
+from oysterbench.recipe.scene import (
+    BOTTOMS,
+    CLASSES,
+    JERLOV_TYPES,
+    LOOP_RIPPLE,
+    WATER_TYPES,
+    LightRecipe,
+    PathRecipe,
+    ReefRecipe,
+    SequenceRecipe,
+    WaterRecipe,
+)
+from oysterbench.recipe.split import SplitRecipe, load_split, parse_split, split_names, vary_split
+
+__all__ = [
+    "BOTTOMS",
+    "CLASSES",
+    "JERLOV_TYPES",
+    "LOOP_RIPPLE",
+    "WATER_TYPES",
+    "CameraRecipe",
+    "ImuRecipe",
+    "LampRecipe",
+    "LightRecipe",
+    "PathRecipe",
+    "ReefRecipe",
+    "RigRecipe",
+    "SequenceRecipe",
+    "SplitRecipe",
+    "WaterRecipe",
+    "as_plain",
+    "count",
+    "load_split",
+    "parse_split",
+    "split_names",
+    "vary_split",
+]

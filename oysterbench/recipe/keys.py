@@ -1,0 +1,117 @@
+"""Keys of a recipe: fields of frozen dataclasses that carry their allowed values, and TOML tables turned into them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import field
+from typing import Any
+
+from oysterbench.errors import RecipeError
+
+
+def number(low: float, high: float, default: Any = dataclasses.MISSING) -> Any:
+    """A numeric key with its allowed range, both ends included."""
+    return field(default=default, metadata={"range": (low, high)})
+
+
+def choice(options: tuple[str, ...], default: Any = dataclasses.MISSING) -> Any:
+    """A text key with its allowed values."""
+    return field(default=default, metadata={"options": options})
+
+
+def build(kind: type, table: Any, where: str, prefix: str) -> Any:
+    """Dataclass `kind` from a TOML table, key by key."""
+    if not isinstance(table, Mapping):
+        raise RecipeError(f"{where}: key {prefix[:-1]!r}: expected a table, got {table!r}")
+    hints = typing.get_type_hints(kind)
+    fields = {f.name: f for f in dataclasses.fields(kind)}
+    for key in table:
+        if key not in fields:
+            raise RecipeError(
+                f"{where}: unknown key {prefix + key!r}; known keys here: {', '.join(_documented(fields))}"
+            )
+    values = {}
+    for name, definition in fields.items():
+        if name in table:
+            values[name] = _convert(table[name], hints[name], definition, where, prefix + name)
+        elif definition.default is dataclasses.MISSING:
+            raise RecipeError(f"{where}: missing key {prefix + name!r}{_allowed(definition)}")
+    return kind(**values)
+
+
+def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: str, key: str) -> Any:
+    """One value, checked against its type and range."""
+    if isinstance(hint, types.UnionType):  # a key that may be left out
+        if value is None:
+            return None
+        hint = next(kind for kind in typing.get_args(hint) if kind is not type(None))
+    if dataclasses.is_dataclass(hint):
+        kind = typing.cast(type, hint)
+        return value if isinstance(value, kind) else build(kind, value, where, f"{key}.")
+    if typing.get_origin(hint) is tuple:
+        inner = typing.get_args(hint)
+        if not isinstance(value, list):
+            raise RecipeError(f"{where}: key {key!r}: expected a list, got {value!r}")
+        if len(inner) == 2 and inner[1] is Ellipsis:
+            return tuple(_convert(item, inner[0], definition, where, key) for item in value)
+        if len(value) != len(inner):
+            raise RecipeError(f"{where}: key {key!r}: expected {len(inner)} numbers, got {value!r}")
+        return tuple(_convert(v, t, definition, where, key) for v, t in zip(value, inner, strict=True))
+    if hint is str:
+        options = definition.metadata.get("options")
+        if not isinstance(value, str) or (options and value not in options):
+            raise RecipeError(f"{where}: key {key!r}: expected {_text(options)}, got {value!r}")
+        return value
+    if isinstance(value, bool) or not isinstance(value, int if hint is int else (int, float)):
+        wanted = "a whole number" if hint is int else "a number"
+        raise RecipeError(f"{where}: key {key!r}: expected {wanted}{_allowed(definition)}, got {value!r}")
+    low, high = definition.metadata.get("range", (-math.inf, math.inf))
+    if not low <= value <= high:
+        raise RecipeError(f"{where}: key {key!r}: expected {low:g} to {high:g}, got {value!r}")
+    return hint(value)
+
+
+def _documented(fields: Mapping[str, Any]) -> list[str]:
+    return [name for name in fields if name not in ("source", "rig_source")]
+
+
+def _allowed(definition: dataclasses.Field[Any]) -> str:
+    if "range" in definition.metadata:
+        low, high = definition.metadata["range"]
+        return f" from {low:g} to {high:g}"
+    if "options" in definition.metadata:
+        return f" ({_text(definition.metadata['options'])})"
+    return ""
+
+
+def _text(options: tuple[str, ...] | None) -> str:
+    return "one of " + ", ".join(options) if options else "text"
+
+
+def stated(value: Any) -> Any:
+    """A recipe as nested dicts and lists, without the keys that have their default values.
+
+    So a key that is added later, with a default that changes nothing, leaves what older recipes state as it was.
+    """
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = ((f, getattr(value, f.name)) for f in dataclasses.fields(value))
+        return {f.name: stated(item) for f, item in fields if item != f.default}
+    if isinstance(value, tuple):
+        return [stated(item) for item in value]
+    return value
+
+
+def as_plain(value: Any) -> Any:
+    """A recipe as nested dicts and lists, for JSON; what is not given (None) is left out."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        values = {f.name: as_plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {name: item for name, item in values.items() if item is not None}
+    if isinstance(value, tuple | list):
+        return [as_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {key: as_plain(item) for key, item in value.items()}
+    return value

@@ -1,0 +1,101 @@
+"""What a sequence is made of: its reef, its water and light, and the path over it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from oysterbench.recipe.keys import choice, number
+
+CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone", 4: "plant", 5: "sponge", 6: "vehicle", 7: "hash"}
+"""What the numbers of a class image mean; hash is broken shell."""
+
+BOTTOMS = ("sand", "mud", "gravel", "shell")
+
+JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
+WATER_TYPES = (*JERLOV_TYPES, "chesapeake-clear", "chesapeake-mid", "chesapeake-turbid", "pure")
+PATH_KINDS = ("loop",)
+LOOP_RIPPLE = 0.25
+"""The radius of a loop varies by this share of its mean."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReefRecipe:
+    """The bottom and what lies on it, in a square centred on the origin of `map`."""
+
+    size_m: float = number(4, 200)
+    depth_m: float = number(0.5, 60)  # mean depth of the bottom
+    relief_rms_m: float = number(0, 3)  # of the fractal seabed
+    oysters: int | None = number(0, 60_000, None)  # how many, or instead:
+    density_per_m2: float | None = number(0, 1_000, None)  # oysters on a square metre, dead ones included
+    oyster_size_mm: float = number(25, 170, 85.0)  # median shell height
+    clump_size: float = number(1, 30, 7.0)  # mean oysters in a clump
+    patchiness: float = number(0, 1, 0.5)  # of the clumps: 0 spreads them evenly, 1 leaves bare ground between patches
+    box_share: float = number(0, 1, 0.08)  # of the oysters: dead, both valves still on their hinge
+    valve_share: float = number(0, 1, 0.15)  # of the oysters: a single valve, loose on the bottom
+    stones: int = number(0, 5_000, 0)
+    rocks: int = number(0, 500, 0)  # of 0.2 to 0.4 m
+    bottom: str = choice(BOTTOMS, "sand")
+    silt: float = number(0, 1, 0.5)  # sediment on what faces up
+    hash_per_m2: float = number(0, 500, 0.0)  # pieces of broken shell
+    plant_cover: float = number(0, 1, 0.0)  # share of the bottom that seagrass or algae grow on
+    sponges_per_m2: float = number(0, 50, 0.0)  # on shells and stones
+
+    @property
+    def oyster_count(self) -> int:
+        """How many oysters, from either key."""
+        return round((self.density_per_m2 or 0.0) * self.size_m**2) if self.oysters is None else self.oysters
+
+
+@dataclass(frozen=True, kw_only=True)
+class WaterRecipe:
+    """The water's type, and what it holds more or less of. Absorption at 440 nm, scattering at 550 nm, both in 1/m."""
+
+    type: str | None = choice(WATER_TYPES, None)  # of Jerlov, of Chesapeake Bay, or pure water to add to; or instead:
+    jerlov: str | None = choice(JERLOV_TYPES, None)  # Jerlov's types alone; `type` goes before it
+    turbidity: float = number(0, 20, 1.0)  # factor on scattering and absorption of the type's particles
+    secchi_m: float | None = number(0.2, 12, None)  # makes all but the water itself so much that a disc vanishes there
+    cdom_440: float = number(0, 10, 0.0)  # added absorption of dissolved matter
+    nap_440: float = number(0, 20, 0.0)  # added absorption of mineral and dead particles
+    algae_440: float = number(0, 10, 0.0)  # added absorption of algae
+    scattering_550: float = number(0, 60, 0.0)  # added scattering of particles
+    snow_per_m3: float = number(0, 50_000, 0.0)  # marine snow: flakes of 0.4 mm and more
+    forward_blur: float = number(0, 1, 0.0)  # share of the light scattered forward that is drawn blurred, not sharp
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightRecipe:
+    """Sun and sky above the surface."""
+
+    sun_elevation_deg: float = number(5, 90)
+    sun_azimuth_deg: float = number(-360, 360)  # direction towards the sun, from east, counter-clockwise
+    sky_fraction: float = number(0, 1, 0.3)  # share of the downwelling irradiance that comes from the sky
+    daylight: float = number(0, 1, 1.0)  # share of full daylight (100 000 lx) that there is: less for dusk and night
+    wind_m_s: float = number(0, 15, 0.0)  # over the surface; its waves gather the sun into caustics, none in a calm
+    occlusion_m: float = number(0, 0.5, 0.0)  # reach of rays that find what hides the sky; 0: crevices by height alone
+    lamps: float = number(0, 100, 1.0)  # factor on the intensity of the rig's lamps
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathRecipe:
+    """How the vehicle moves: from rest along a loop over the reef, with the small motions of a hovering ROV."""
+
+    kind: str = choice(PATH_KINDS)
+    radius_m: float = number(0.2, 100)  # mean radius of the loop
+    speed_m_s: float = number(0.01, 5)  # along the loop, once the ramp is over
+    ramp_s: float = number(0.5, 60, 3.0)  # time from rest to full speed
+    altitude_m: float = number(0.2, 20)  # above the smoothed bottom
+    sway_m: float = number(0, 0.5, 0.06)  # amplitude of surge, sway and heave about the nominal path
+    tilt_deg: float = number(0, 30, 4.0)  # amplitude of roll, pitch and yaw about the nominal attitude
+    clearance_m: float = number(0, 10, 0.3)  # least distance kept above oysters and stones
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceRecipe:
+    """One sequence: a reef, its water and light, and the path over it."""
+
+    name: str
+    duration_s: float = number(1, 7200)
+    reef: ReefRecipe
+    water: WaterRecipe
+    light: LightRecipe
+    path: PathRecipe

@@ -1,0 +1,185 @@
+"""A split: the TOML file that says what it is, found by its name or path, read and checked as a whole."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from oysterbench.errors import RecipeError
+from oysterbench.recipe.keys import as_plain, build, choice, number, stated
+from oysterbench.recipe.rig import LENSES, RigRecipe
+from oysterbench.recipe.scene import LOOP_RIPPLE, WATER_TYPES, SequenceRecipe
+
+TRACKS = ("slam",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitRecipe:
+    """A split: what the TOML file says, plus the rig that it names."""
+
+    name: str
+    version: str
+    track: str = choice(TRACKS)
+    seed: int = number(0, 2**63 - 1)
+    summary: str
+    sequence: tuple[SequenceRecipe, ...]
+    rig: RigRecipe
+    rig_source: str = field(repr=False)  # text of the rig's file
+    source: str = field(repr=False)  # text of the split's file
+
+    def find_sequence(self, name: str) -> SequenceRecipe:
+        """The sequence of that name."""
+        for sequence in self.sequence:
+            if sequence.name == name:
+                return sequence
+        names = ", ".join(sequence.name for sequence in self.sequence)
+        raise RecipeError(f"split {self.name} has no sequence {name!r}; it has {names}")
+
+    def digest(self) -> str:
+        """SHA-256 over the values of recipe and rig: two recipes with one digest make the same bytes."""
+        values = {k: v for k, v in stated(self).items() if k not in ("source", "rig_source", "summary")}
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def split_names() -> list[str]:
+    """Names of the splits that come with oysterbench."""
+    folder = resources.files("oysterbench_datasets") / "splits"
+    return sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def load_split(name_or_path: str) -> SplitRecipe:
+    """Read a split by its name, or a TOML file by its path.
+
+    Raises RecipeError naming the file, the key, the value and what is allowed.
+    """
+    path = Path(name_or_path)
+    if name_or_path.endswith(".toml"):
+        source = _read_text(path, f"{path}: no such recipe; `oysterbench splits` lists the known splits")
+    else:
+        known = split_names()
+        if name_or_path not in known:
+            raise RecipeError(
+                f"unknown split {name_or_path!r}; known splits: {', '.join(known)} (or the path of a .toml recipe)"
+            )
+        path = Path(str(resources.files("oysterbench_datasets") / "splits" / f"{name_or_path}.toml"))
+        source = _read_text(path, f"{path}: no such recipe")
+    return parse_split(source, str(path))
+
+
+def parse_split(source: str, where: str, rig_source: str | None = None) -> SplitRecipe:
+    """Read a split from the text of its recipe; the rig is found by its name unless its text is given."""
+    table = _parse_toml(source, where)
+    rig_name = table.pop("rig", None)
+    if not isinstance(rig_name, str):
+        raise RecipeError(
+            f"{where}: key 'rig': expected the name of a file in datasets/rigs, or the path of a .toml file beside the "
+            f"recipe, got {rig_name!r}"
+        )
+    if rig_source is None:
+        if rig_name.endswith(".toml"):
+            rig_path = Path(where).parent / rig_name
+        else:
+            rig_path = Path(str(resources.files("oysterbench_datasets") / "rigs" / f"{rig_name}.toml"))
+        rig_source = _read_text(rig_path, f"{where}: key 'rig': there is no rig {rig_name!r} ({rig_path} is absent)")
+    rig_where = f"rig {rig_name}"
+    rig = build(RigRecipe, _parse_toml(rig_source, rig_where), rig_where, "")
+    table = {**table, "rig": rig, "rig_source": rig_source, "source": source}
+    split = build(SplitRecipe, table, where, "")
+    _check_split(split, where)
+    return split
+
+
+def vary_split(split: SplitRecipe, changes: Mapping[str, Any], where: str) -> SplitRecipe:
+    """The split with one sequence, its first, and with some values replaced, each checked like those of a file.
+
+    Keys of `changes` are those of a sequence (`water.jerlov`) or, behind `camera.` or `lamp.`, of all the rig's cameras
+    or lamps (`camera.pitch_deg`).
+    """
+    sequence, rig = as_plain(split.sequence[0]), as_plain(split.rig)
+    for key, value in changes.items():
+        first, *rest = key.split(".")
+        tables = rig[first] if first in ("camera", "lamp") else [sequence]
+        path = rest if first in ("camera", "lamp") else [first, *rest]
+        for table in tables:
+            for parent in path[:-1]:
+                if not isinstance(table.get(parent), dict):
+                    raise RecipeError(f"{where}: unknown key {key!r}; known keys here: {', '.join(table)}")
+                table = table[parent]
+            table[path[-1]] = value
+    varied = dataclasses.replace(
+        split,
+        sequence=(build(SequenceRecipe, sequence, where, ""),),
+        rig=build(RigRecipe, rig, where, ""),
+    )
+    _check_split(varied, where)
+    return varied
+
+
+def _check_split(split: SplitRecipe, where: str) -> None:
+    """What no single key can say."""
+    if not split.sequence:
+        raise RecipeError(f"{where}: expected at least one [[sequence]], got none")
+    names = [sequence.name for sequence in split.sequence]
+    if len(set(names)) != len(names):
+        raise RecipeError(f"{where}: key 'sequence.name': names must differ, got {names}")
+    for name in (split.name, *names):
+        if not name or not all(c.isalnum() or c in "-_" for c in name):
+            raise RecipeError(f"{where}: key 'name': expected letters, digits, '-' and '_', got {name!r}")
+    for camera in split.rig.camera:
+        if len(camera.distortion) not in LENSES[camera.lens]:
+            wanted = " or ".join(str(n) for n in LENSES[camera.lens])
+            raise RecipeError(
+                f"{where}: rig {split.rig.name}: key 'camera.distortion': expected {wanted} coefficients for "
+                f"lens = {camera.lens!r}, got {list(camera.distortion)}"
+            )
+        if camera.layer_rate_hz and not (camera.rate_hz / camera.layer_rate_hz).is_integer():
+            raise RecipeError(
+                f"{where}: rig {split.rig.name}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = "
+                f"{camera.rate_hz}, got {camera.layer_rate_hz}"
+            )
+    for sequence in split.sequence:
+        if sequence.water.type is None and sequence.water.jerlov is None:
+            raise RecipeError(
+                f"{where}: sequence {sequence.name}: missing key 'water.type' (one of {', '.join(WATER_TYPES)})"
+            )
+        given = [key for key in ("oysters", "density_per_m2") if getattr(sequence.reef, key) is not None]
+        if len(given) != 1:
+            raise RecipeError(
+                f"{where}: sequence {sequence.name}: keys 'reef.oysters', 'reef.density_per_m2': expected exactly one "
+                f"of them, got {' and '.join(given) or 'neither'}"
+            )
+        room = sequence.reef.size_m / 2 / (1 + LOOP_RIPPLE) - 2 * sequence.path.sway_m
+        if sequence.path.radius_m > room:
+            raise RecipeError(
+                f"{where}: sequence {sequence.name}: key 'path.radius_m': the path leaves the reef; expected at most "
+                f"{room:.3g} for reef.size_m = {sequence.reef.size_m:g}, "
+                f"got {sequence.path.radius_m:g}"
+            )
+        if sequence.path.altitude_m >= sequence.reef.depth_m:
+            raise RecipeError(
+                f"{where}: sequence {sequence.name}: key 'path.altitude_m': the vehicle would leave the water; "
+                f"expected less than reef.depth_m = {sequence.reef.depth_m:g}, got {sequence.path.altitude_m:g}"
+            )
+
+
+def _read_text(path: Path, absent: str) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise RecipeError(absent) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecipeError(f"{path}: cannot be read: {error}") from None
+
+
+def _parse_toml(source: str, where: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(source)
+    except tomllib.TOMLDecodeError as error:
+        raise RecipeError(f"{where}: not valid TOML: {error}") from None
