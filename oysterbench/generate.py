@@ -230,7 +230,7 @@ def run_job(split: SplitRecipe, job: Job, parts: Path, salt: bytes = b"") -> Non
     if job.camera:
         camera = next(camera for camera in split.rig.camera if camera.name == job.camera)
         messages: Iterator[Message] = render_frames(stage, camera, job.first, job.last)
-        types = topics.camera_topics(job.camera)
+        types = topics.camera_topics(job.camera, camera.sent_layers)
     else:
         messages = measure_sensors(stage, split, split.find_sequence(job.sequence))
         types = {topics.IMU: topics.TYPES[topics.IMU], topics.TRUTH: topics.TYPES[topics.TRUTH]}
@@ -247,9 +247,9 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
     calibration = rig_calibration(split.rig)
     poses = {topics.IMU_FRAME: np.array(calibration["imu"]["T_base_imu"])}
     types = dict(topics.TYPES)
-    for name, entry in calibration["cameras"].items():
-        poses[topics.optical_frame(name)] = np.array(entry["T_base_cam"])
-        types |= topics.camera_topics(name)
+    for camera in split.rig.camera:
+        poses[topics.optical_frame(camera.name)] = np.array(calibration["cameras"][camera.name]["T_base_cam"])
+        types |= topics.camera_topics(camera.name, camera.sent_layers)
     frames = {name: (T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)) for name, T in poses.items()}
     jobs = plan(split, recipe)
     cameras = [[parts / job.part for job in jobs if job.camera == camera.name] for camera in split.rig.camera]

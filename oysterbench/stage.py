@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.geometry import Array, transform
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe, SplitRecipe, count
@@ -30,6 +32,7 @@ def stamps(n: int, rate_hz: float) -> np.ndarray:
 INERTIAL_STEP = 1e-7  # rad/s and m/s^2: four orders below the noise of the best unit's sample
 TRUTH_STEP = 1e-6  # m, m/s and rad/s
 ATTITUDE_STEP = 1e-7  # of a unit quaternion
+FRAME_LAYERS = ("depth", "class", "instance")
 SHUTTER_POSES = 4  # besides the frame's own, evenly while the shutter is open
 
 
@@ -67,11 +70,33 @@ def look(stage: Stage, camera: CameraRecipe, index: int) -> Frame:
     """Frame `index` of a camera: what it sees at index / rate_hz seconds."""
     time_s = index / camera.rate_hz
     opened = camera.shutter_ms * 1e-3 * (np.arange(SHUTTER_POSES) / SHUTTER_POSES - 0.5) if camera.shutter_ms else ()
-    motion = stage.path.at(np.maximum(time_s + np.array([0.0, *opened]), 0.0))
-    bodies = [transform(r, p) for r, p in zip(motion.rotation, motion.position, strict=True)]
-    pose, *shutter = (body @ camera_pose(camera) for body in bodies)
+    body, *shutter = _bodies(stage, np.maximum(time_s + np.array([0.0, *opened]), 0.0))
+    mount = camera_pose(camera)
     noise = stage.streams.generator("camera", camera.name, "noise", index)
-    return stage.renderers[camera.name].render(pose, noise, time_s, bodies[0], shutter)
+    renderer = stage.renderers[camera.name]
+    return renderer.render(body @ mount, noise, time_s, body, [pose @ mount for pose in shutter])
+
+
+def look_behind(stage: Stage, camera: CameraRecipe, index: int) -> dict[str, NDArray[Any]]:
+    """Those layers of frame `index` that no frame carries by itself, as the camera's recipe names them."""
+    wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
+    if not wanted:
+        return {}
+    time_s = index / camera.rate_hz
+    (body,) = _bodies(stage, np.array([time_s]))
+    renderer = stage.renderers[camera.name]
+    layers: dict[str, NDArray[Any]] = dict(
+        renderer.layers(body @ camera_pose(camera), [*wanted, "instances"], time_s, body)
+    )
+    if "visibility" in layers:
+        layers["visibility"] = layers["visibility"][layers["instances"]]
+    return {name: layers[name] for name in wanted}
+
+
+def _bodies(stage: Stage, times_s: Array) -> list[Array]:
+    """T_map_base (4, 4) at times (N,) s."""
+    motion = stage.path.at(times_s)
+    return [transform(r, p) for r, p in zip(motion.rotation, motion.position, strict=True)]
 
 
 def render_frames(stage: Stage, camera: CameraRecipe, first: int, last: int) -> Iterator[Message]:
@@ -85,9 +110,14 @@ def render_frames(stage: Stage, camera: CameraRecipe, first: int, last: int) -> 
         yield topics.camera_info(stamp, camera.name, calibration)
         yield topics.colour_message(stamp, camera.name, frame.colour, camera.jpeg_quality)
         if every and index % every == 0:
-            yield topics.layer_message(stamp, camera.name, "depth", frame.depth)
-            yield topics.layer_message(stamp, camera.name, "class", frame.classes)
-            yield topics.layer_message(stamp, camera.name, "instance", frame.instances)
+            layers: dict[str, NDArray[Any]] = {
+                "depth": frame.depth,
+                "class": frame.classes,
+                "instance": frame.instances,
+            }
+            layers |= look_behind(stage, camera, index)
+            for name in camera.layers:
+                yield topics.layer_message(stamp, camera.name, name, layers[name])
 
 
 def measure_sensors(stage: Stage, split: SplitRecipe, recipe: SequenceRecipe) -> Iterator[Message]:

@@ -76,10 +76,14 @@ class McapSequence(Sequence):
             yield Image(stamp, camera, pixels)
 
     def layer(self, camera: str, layer: str) -> Iterator[Image]:
-        """Images of a layer: `depth` (float32 m, 0 = none), `class` (uint8), `instance` (uint16)."""
+        """Images of a layer, such as `depth` (see `Image`): those that the recipe's `layers` name."""
         self._check_camera(camera)
-        if layer not in topics.LAYERS:
-            raise SequenceError(f"unknown layer {layer!r}; layers: {', '.join(topics.LAYERS)}")
+        if f"/{camera}/{layer}" not in self.types or layer not in topics.LAYERS:
+            known = [name for name in topics.LAYERS if f"/{camera}/{name}" in self.types]
+            raise SequenceError(
+                f"{self.path}: {camera} has no layer {layer!r}; its layers: {', '.join(known) or 'none'}; more can be "
+                "asked for with the rig's key 'camera.layers'"
+            )
         for data in self._messages(f"/{camera}/{layer}"):
             stamp, pixels = self._decoded(topics.read_layer, data, layer)
             yield Image(stamp, camera, pixels)

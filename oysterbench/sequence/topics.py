@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -33,8 +33,22 @@ TYPES = {
     TRUTH: "nav_msgs/msg/Odometry",
 }
 
-LAYERS = {"depth": "16UC1", "class": "mono8", "instance": "16UC1"}
+LAYERS = {
+    "depth": "16UC1",
+    "class": "mono8",
+    "instance": "16UC1",
+    "normals": "32FC3",
+    "clean": "32FC3",
+    "direct": "32FC3",
+    "glow": "32FC3",
+    "backscatter": "32FC3",
+    "snow": "32FC3",
+    "visibility": "32FC1",
+}
 """Layers of a camera and their encodings. Depth in mm along the optical axis, 0 = none (REP 118)."""
+
+PIXELS = {"mono8": ("u1", 1), "16UC1": ("<u2", 1), "32FC1": ("<f4", 1), "32FC3": ("<f4", 3)}
+"""Encodings: type of a number, and numbers in a pixel."""
 
 QOS = """\
 - history: keep_last
@@ -50,13 +64,13 @@ QOS = """\
 """As ROS 2 Jazzy's recorder writes it; the times are its "infinite"."""
 
 
-def camera_topics(camera: str) -> dict[str, str]:
+def camera_topics(camera: str, layers: Iterable[str] = tuple(LAYERS)) -> dict[str, str]:
     """Topic and type of everything that a camera sends: `image`, `camera_info` and the layers."""
     topics = {
         f"/{camera}/image": COLOUR,
         f"/{camera}/camera_info": "sensor_msgs/msg/CameraInfo",
     }
-    return topics | {f"/{camera}/{layer}": LAYER for layer in LAYERS}
+    return topics | {f"/{camera}/{layer}": LAYER for layer in layers}
 
 
 def optical_frame(camera: str) -> str:
@@ -251,11 +265,12 @@ def read_colour(data: bytes) -> tuple[int, NDArray[Any]]:
 
 
 def layer_message(stamp_ns: int, camera: str, layer: str, pixels: NDArray[Any]) -> Message:
-    """Depth (H, W) float32 m, class (H, W) uint8 or instance (H, W) uint16 image."""
+    """A layer's image, in the units of `Image`; depth is rounded to mm."""
     if layer == "depth":
-        pixels = np.rint(np.clip(pixels, 0.0, 65.535) * 1000.0).astype("<u2")
-    pixels = np.ascontiguousarray(pixels, dtype="<u2" if LAYERS[layer] == "16UC1" else "u1")
-    height, width = pixels.shape
+        pixels = np.rint(np.clip(pixels, 0.0, 65.535) * 1000.0)
+    kind, numbers = PIXELS[LAYERS[layer]]
+    pixels = np.ascontiguousarray(pixels, dtype=kind)
+    height, width = pixels.shape[:2]
     message = _make(
         LAYER,
         header=_header(stamp_ns, optical_frame(camera)),
@@ -263,7 +278,7 @@ def layer_message(stamp_ns: int, camera: str, layer: str, pixels: NDArray[Any]) 
         width=width,
         encoding=LAYERS[layer],
         is_bigendian=0,
-        step=width * pixels.itemsize,
+        step=width * numbers * pixels.itemsize,
         data=pixels.view(np.uint8).ravel(),
     )
     return Message(f"/{camera}/{layer}", stamp_ns, _bytes(message))
@@ -272,8 +287,9 @@ def layer_message(stamp_ns: int, camera: str, layer: str, pixels: NDArray[Any]) 
 def read_layer(data: bytes, layer: str) -> tuple[int, NDArray[Any]]:
     """Stamp and pixels of a layer, in the units of `Image`."""
     message = decode(data, LAYER)
-    kind = "<u2" if message.encoding == "16UC1" else "u1"
-    pixels = np.asarray(message.data).view(kind).reshape(message.height, message.width)
+    kind, numbers = PIXELS[message.encoding]
+    shape = (message.height, message.width) if numbers == 1 else (message.height, message.width, numbers)
+    pixels = np.asarray(message.data).view(kind).reshape(shape)
     if layer == "depth":
         return stamp_of(message.header), pixels.astype(np.float32) / np.float32(1000.0)
-    return stamp_of(message.header), pixels.astype(np.uint16 if kind == "<u2" else np.uint8)
+    return stamp_of(message.header), pixels.astype(np.dtype(kind).newbyteorder("="))

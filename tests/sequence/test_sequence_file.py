@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import TINY_RIG, TINY_SPLIT
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 import oysterbench
 from oysterbench.errors import MethodError, SequenceError
+from oysterbench.generate import generate_split
+from oysterbench.recipe import parse_split
 from oysterbench.sequence import Image, ImuSample, topics
 from oysterbench.sequence.types import imu_arrays
 
@@ -114,6 +117,25 @@ def test_reading_the_inertial_unit_touches_no_image(tiny_file):
             assert inside == {"/imu"}
 
 
+def test_every_layer_can_be_asked_for(tmp_path):
+    asked = TINY_RIG + f"layers = {list(topics.LAYERS)}\n".replace("'", '"')
+    split = parse_split(TINY_SPLIT.replace("duration_s = 2.5", "duration_s = 1.0"), "tiny.toml", rig_source=asked)
+    sequence = oysterbench.open(generate_split(split, tmp_path)["tiny-01"])
+    found = {name: [image.pixels for image in sequence.layer("cam_front", name)] for name in topics.LAYERS}
+    assert {name: len(images) for name, images in found.items()} == dict.fromkeys(topics.LAYERS, 2)
+    depth, instance, normals, share = (found[name][0] for name in ("depth", "instance", "normals", "visibility"))
+    bottom = depth > 0
+    np.testing.assert_allclose(np.linalg.norm(normals[bottom], axis=-1), 1.0, atol=1e-3)
+    assert np.isnan(share[instance == 0]).all()
+    assert share[instance > 0].min() > 0
+    assert share[instance > 0].max() == 1
+    # What comes back from the bottom is weakened by the water, and the water adds light of its own.
+    near = bottom & (found["clean"][0].min(axis=-1) > 0.01)
+    assert np.median((found["direct"][0] / found["clean"][0])[near]) < 0.8
+    assert found["backscatter"][0][bottom].min() > 0
+    assert found["glow"][0].dtype == np.float32
+
+
 def test_a_method_cannot_reach_the_truth(sequence):
     sensors = sequence.for_method()
     with pytest.raises(MethodError, match="does not see the truth"):
@@ -127,7 +149,7 @@ def read_all(path):
     sequence = oysterbench.open(path)
     sequence.truth()
     list(sequence.stream())
-    for layer in topics.LAYERS:
+    for layer in ("depth", "class", "instance"):
         list(sequence.layer("cam_front", layer))
 
 
@@ -180,5 +202,5 @@ def test_an_absent_file_and_camera_are_named(tmp_path, sequence):
         oysterbench.open(tmp_path / "absent.mcap")
     with pytest.raises(SequenceError, match="no camera 'cam_down'; cameras: cam_front"):
         list(sequence.images("cam_down"))
-    with pytest.raises(SequenceError, match="unknown layer 'normals'"):
+    with pytest.raises(SequenceError, match="no layer 'normals'; its layers: depth, class, instance"):
         list(sequence.layer("cam_front", "normals"))
