@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from oysterbench.geometry import Array, transform
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe, SplitRecipe, count
 from oysterbench.render.camera import CameraRenderer, Frame
+from oysterbench.samples import ImuSample
 from oysterbench.scene.path import Path, build_path
 from oysterbench.scene.rig import camera_pose, rig_calibration
 from oysterbench.scene.world import World, build_world
@@ -20,7 +21,6 @@ from oysterbench.sensors import imu
 from oysterbench.sequence import topics
 from oysterbench.sequence.read import camera_calibration
 from oysterbench.sequence.topics import EPOCH_NS, Message
-from oysterbench.sequence.types import ImuSample
 from oysterbench.streams import Streams
 
 

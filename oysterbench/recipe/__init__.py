@@ -5,7 +5,7 @@ value is refused with file, key, value and the allowed range. The fields of the 
 """
 
 from oysterbench.recipe.keys import as_plain
-from oysterbench.recipe.rig import CameraRecipe, ImuRecipe, LampRecipe, RigRecipe, count
+from oysterbench.recipe.rig import CameraRecipe, LampRecipe, RigRecipe, count
 from oysterbench.recipe.scene import (
     BOTTOMS,
     CLASSES,
@@ -16,7 +16,19 @@ from oysterbench.recipe.scene import (
     PathRecipe,
     ReefRecipe,
     SequenceRecipe,
+    SiteRecipe,
     WaterRecipe,
+)
+from oysterbench.recipe.sensors import (
+    AltimeterRecipe,
+    DvlRecipe,
+    ImuRecipe,
+    MagnetometerRecipe,
+    PressureRecipe,
+    ScannerRecipe,
+    SensorRecipe,
+    SonarRecipe,
+    VibrationRecipe,
 )
 from oysterbench.recipe.split import SplitRecipe, load_split, parse_split, split_names, vary_split
 
@@ -26,15 +38,24 @@ __all__ = [
     "JERLOV_TYPES",
     "LOOP_RIPPLE",
     "WATER_TYPES",
+    "AltimeterRecipe",
     "CameraRecipe",
+    "DvlRecipe",
     "ImuRecipe",
     "LampRecipe",
     "LightRecipe",
+    "MagnetometerRecipe",
     "PathRecipe",
+    "PressureRecipe",
     "ReefRecipe",
     "RigRecipe",
+    "ScannerRecipe",
+    "SensorRecipe",
     "SequenceRecipe",
+    "SiteRecipe",
+    "SonarRecipe",
     "SplitRecipe",
+    "VibrationRecipe",
     "WaterRecipe",
     "as_plain",
     "count",

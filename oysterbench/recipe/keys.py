@@ -66,6 +66,10 @@ def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: s
         if not isinstance(value, str) or (options and value not in options):
             raise RecipeError(f"{where}: key {key!r}: expected {_text(options)}, got {value!r}")
         return value
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise RecipeError(f"{where}: key {key!r}: expected true or false, got {value!r}")
+        return value
     if isinstance(value, bool) or not isinstance(value, int if hint is int else (int, float)):
         wanted = "a whole number" if hint is int else "a number"
         raise RecipeError(f"{where}: key {key!r}: expected {wanted}{_allowed(definition)}, got {value!r}")

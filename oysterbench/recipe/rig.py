@@ -1,4 +1,4 @@
-"""What a vehicle carries: cameras, lamps and an inertial unit."""
+"""What a vehicle carries: its cameras and lamps, and the sensors of `recipe.sensors`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,15 @@ import math
 from dataclasses import dataclass, field
 
 from oysterbench.recipe.keys import choice, number
+from oysterbench.recipe.sensors import (
+    AltimeterRecipe,
+    DvlRecipe,
+    ImuRecipe,
+    MagnetometerRecipe,
+    PressureRecipe,
+    ScannerRecipe,
+    SonarRecipe,
+)
 
 LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
 """How many coefficients of distortion each lens has."""
@@ -43,26 +52,14 @@ class CameraRecipe:
     gain: float = number(1, 64, 1.0)  # amplification of fewer photons to the same brightness: more noise
     shutter_ms: float = number(0, 200, 0.0)  # time that the shutter is open, for motion blur; 0: an instant
     focus_m: float = number(0.05, 20, 1.0)  # distance at which marine snow is sharp
+    clock_offset_ms: float = number(-1000, 1000, 0.0)  # of its stamps: positive when they are late
+    dropout: float = number(0, 0.99, 0.0)  # share of its frames that are lost
+    dropout_burst: float = number(1, 1000, 1.0)  # frames lost in a row, on average
 
     @property
     def sent_layers(self) -> tuple[str, ...]:
         """The layers that go into the file."""
         return self.layers if self.layer_rate_hz else ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImuRecipe:
-    """Noise of an inertial unit: continuous white densities, bias random walks, and turn-on biases (1 sigma)."""
-
-    rate_hz: float = number(10, 4000)
-    gyro_noise_density: float = number(0, 1)  # rad/s/sqrt(Hz)
-    gyro_random_walk: float = number(0, 1)  # rad/s^2/sqrt(Hz)
-    gyro_turn_on: float = number(0, 1, 0.0)  # rad/s
-    accel_noise_density: float = number(0, 10)  # m/s^2/sqrt(Hz)
-    accel_random_walk: float = number(0, 10)  # m/s^3/sqrt(Hz)
-    accel_turn_on: float = number(0, 10, 0.0)  # m/s^2
-    position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
-    rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # imu to base_link
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +77,7 @@ class LampRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class RigRecipe:
-    """A vehicle: its body, its cameras and lamps, and its inertial unit."""
+    """A vehicle: its body, its cameras and lamps, its inertial unit, and whatever else it measures with."""
 
     name: str
     summary: str
@@ -88,6 +85,12 @@ class RigRecipe:
     imu: ImuRecipe
     camera: tuple[CameraRecipe, ...]
     lamp: tuple[LampRecipe, ...] = ()
+    sonar: tuple[SonarRecipe, ...] = ()
+    scanner: tuple[ScannerRecipe, ...] = ()
+    altimeter: tuple[AltimeterRecipe, ...] = ()
+    dvl: DvlRecipe | None = None
+    pressure: PressureRecipe | None = None
+    magnetometer: MagnetometerRecipe | None = None
     vehicle: str = choice(VEHICLES, "none")  # body that the cameras see and that casts a shadow
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from oysterbench.recipe.keys import choice, number
 
@@ -76,6 +76,25 @@ class LightRecipe:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SiteRecipe:
+    """The place and its day: what sound, pressure, compass and hull feel. Directions from east, counter-clockwise."""
+
+    temperature_c: float = number(-2, 40, 20.0)
+    salinity_ppt: float = number(0, 45, 15.0)
+    ph: float = number(7, 9, 7.8)
+    tide_m: float = number(0, 10, 0.0)  # amplitude of the tide about z = 0, as a pressure sensor feels it
+    tide_period_h: float = number(0.01, 30, 12.42)
+    wave_height_m: float = number(0, 10, 0.0)  # significant
+    wave_period_s: float = number(0.5, 30, 5.0)  # of the highest part of the spectrum
+    wave_to_deg: float = number(-360, 360, 0.0)  # where the waves go
+    current_m_s: float = number(0, 3, 0.0)  # mean
+    current_to_deg: float = number(-360, 360, 0.0)  # where the current goes
+    field_ut: float = number(20, 70, 50.5)  # strength of the Earth's magnetic field
+    inclination_deg: float = number(-90, 90, 65.0)  # its dip below the horizon
+    declination_deg: float = number(-180, 180, -10.8)  # of magnetic from true north, east positive
+
+
+@dataclass(frozen=True, kw_only=True)
 class PathRecipe:
     """How the vehicle moves: from rest along a loop over the reef, with the small motions of a hovering ROV."""
 
@@ -91,7 +110,7 @@ class PathRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceRecipe:
-    """One sequence: a reef, its water and light, and the path over it."""
+    """One sequence: a reef, its water and light, the path over it, and the site that it lies at."""
 
     name: str
     duration_s: float = number(1, 7200)
@@ -99,3 +118,4 @@ class SequenceRecipe:
     water: WaterRecipe
     light: LightRecipe
     path: PathRecipe
+    site: SiteRecipe = field(default=SiteRecipe())

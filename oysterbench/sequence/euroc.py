@@ -12,7 +12,8 @@ import numpy as np
 
 from oysterbench.errors import SequenceError
 from oysterbench.geometry import Array
-from oysterbench.sequence.types import CameraCalibration, Image, ImuCalibration, ImuSample, Sequence
+from oysterbench.samples import Image, ImuSample
+from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 from oysterbench.trajectory import Trajectory, read_trajectory
 
 GRAVITY = 9.81  # m/s^2; the layout has no key for it

@@ -16,9 +16,10 @@ from mcap.reader import McapReader, make_reader
 from zstandard import ZstdError
 
 from oysterbench.errors import SequenceError
+from oysterbench.samples import Image, ImuSample
 from oysterbench.sequence import topics
 from oysterbench.sequence.topics import Message
-from oysterbench.sequence.types import CameraCalibration, Image, ImuCalibration, ImuSample, Sequence
+from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 from oysterbench.trajectory import Trajectory
 
 if TYPE_CHECKING:

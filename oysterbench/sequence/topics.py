@@ -15,7 +15,8 @@ from rosbags.typesys.store import Typestore
 
 from oysterbench.errors import SequenceError
 from oysterbench.geometry import Array
-from oysterbench.sequence.types import CameraCalibration, ImuSample
+from oysterbench.samples import ImuSample
+from oysterbench.sequence.types import CameraCalibration
 from oysterbench.trajectory import Trajectory
 
 EPOCH_NS = 1_767_225_600_000_000_000

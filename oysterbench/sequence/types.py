@@ -6,39 +6,14 @@ import heapq
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.errors import MethodError
 from oysterbench.geometry import Array
+from oysterbench.samples import Image, ImuSample
 from oysterbench.trajectory import Trajectory
-
-
-@dataclass(frozen=True)
-class Image:
-    """One camera frame.
-
-    pixels: (H, W, 3) uint8 RGB; or a layer: depth (H, W) float32 m along the optical axis, 0 = none; class (H, W)
-    uint8 (`recipe.CLASSES`); instance (H, W) uint16, 0 = none; normals (H, W, 3) float32, outward, in the optical
-    frame; visibility (H, W) float32, share of the instance at a pixel that nothing hides, NaN = none; light (H, W, 3)
-    float32, 1 = a white matte surface in full daylight: clean (without water), and direct + glow (scattered forward) +
-    backscatter + snow, which add up to what reaches the lens.
-    """
-
-    stamp_ns: int
-    camera: str
-    pixels: NDArray[Any]
-
-
-@dataclass(frozen=True)
-class ImuSample:
-    """Angular rate (3,) rad/s and specific force (3,) m/s^2, both in the IMU frame."""
-
-    stamp_ns: int
-    gyro: Array
-    accel: Array
 
 
 @dataclass(frozen=True)
