@@ -7,13 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.errors import SequenceError
-from oysterbench.sequence.types import (
-    CameraCalibration,
-    Image,
-    ImuCalibration,
-    ImuSample,
-    Sequence,
-)
+from oysterbench.samples import Image, ImuSample
+from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
 __all__ = ["CameraCalibration", "Image", "ImuCalibration", "ImuSample", "Sequence", "describe", "open_sequence"]
 
