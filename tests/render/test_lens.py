@@ -92,8 +92,8 @@ def test_depth_behind_a_port_counts_from_the_pupil():
 def test_the_distortion_travels_in_the_messages(camera, model, n):
     message = topics.camera_info(1, "test", calibration(camera))
     assert model.encode() in message.data
-    assert len(topics._coefficients(calibration(camera))) == n
-    assert topics._coefficients(calibration(camera))[: len(camera.distortion)] == pytest.approx(camera.distortion)
+    assert len(topics.coefficients(calibration(camera))) == n
+    assert topics.coefficients(calibration(camera))[: len(camera.distortion)] == pytest.approx(camera.distortion)
 
 
 def test_a_lens_that_folds_its_picture_is_refused():

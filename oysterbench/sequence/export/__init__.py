@@ -1,0 +1,1 @@
+"""Sequences in the formats of others, a file per format."""

@@ -1,0 +1,81 @@
+"""Where the vehicle truly is, as odometry, pose and transform; and where its sensors sit on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from oysterbench.geometry import Array
+from oysterbench.sequence.names import BASE, MAP, POSE_TYPES, TF, TF_STATIC, TRUTH, TRUTH_POSE, TYPES
+from oysterbench.sequence.wire import Message, decode, encode, header, make, point, quaternion, stamp_of, vector
+from oysterbench.trajectory import Trajectory
+
+
+def truth_message(stamp_ns: int, position: Array, attitude: Array, velocity: Array, rate: Array) -> Message:
+    """True pose of base_link in map; velocity (m/s) and rate (rad/s) in base_link, as nav_msgs defines."""
+    pose = make("geometry_msgs/msg/Pose", position=point(position), orientation=quaternion(attitude))
+    twist = make("geometry_msgs/msg/Twist", linear=vector(velocity), angular=vector(rate))
+    message = make(
+        TYPES[TRUTH],
+        header=header(stamp_ns, MAP),
+        child_frame_id=BASE,
+        pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+        twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+    )
+    return Message(TRUTH, stamp_ns, encode(message))
+
+
+def truth_pose_message(stamp_ns: int, position: Array, attitude: Array) -> Message:
+    """True pose of base_link in map: position (3,) m, quaternion (4,)."""
+    pose = make("geometry_msgs/msg/Pose", position=point(position), orientation=quaternion(attitude))
+    message = make(POSE_TYPES[TRUTH_POSE], header=header(stamp_ns, MAP), pose=pose)
+    return Message(TRUTH_POSE, stamp_ns, encode(message))
+
+
+def transform_message(stamp_ns: int, position: Array, attitude: Array) -> Message:
+    """The same pose as a transform on `/tf`, so that a viewer can place what the sensors see."""
+    return Message(TF, stamp_ns, _transforms(stamp_ns, MAP, {BASE: (position, attitude)}))
+
+
+def static_transforms(stamp_ns: int, frames: Mapping[str, tuple[Array, Array]]) -> Message:
+    """Poses in base_link of the rig's frames: name -> (position (3,) m, quaternion (4,))."""
+    return Message(TF_STATIC, stamp_ns, _transforms(stamp_ns, BASE, frames))
+
+
+def _transforms(stamp_ns: int, parent: str, frames: Mapping[str, tuple[Array, Array]]) -> bytes:
+    transforms = [
+        make(
+            "geometry_msgs/msg/TransformStamped",
+            header=header(stamp_ns, parent),
+            child_frame_id=frame,
+            transform=make("geometry_msgs/msg/Transform", translation=vector(position), rotation=quaternion(attitude)),
+        )
+        for frame, (position, attitude) in frames.items()
+    ]
+    return encode(make(TYPES[TF_STATIC], transforms=transforms))
+
+
+def read_truth(messages: list[bytes]) -> Trajectory:
+    """Trajectory from odometry messages."""
+    stamps, positions, quaternions = [], [], []
+    for data in messages:
+        message = decode(data, TYPES[TRUTH])
+        place, turn = message.pose.pose.position, message.pose.pose.orientation
+        stamps.append(stamp_of(message.header))
+        positions.append([place.x, place.y, place.z])
+        quaternions.append([turn.x, turn.y, turn.z, turn.w])
+    return Trajectory(
+        np.array(stamps, dtype=np.int64), np.array(positions).reshape(-1, 3), np.array(quaternions).reshape(-1, 4)
+    )
+
+
+def read_twist(data: bytes) -> tuple[int, Array, Array]:
+    """Stamp, true velocity (3,) m/s and rate (3,) rad/s, both in base_link, from an odometry message."""
+    message = decode(data, TYPES[TRUTH])
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    return (
+        stamp_of(message.header),
+        np.array([linear.x, linear.y, linear.z]),
+        np.array([angular.x, angular.y, angular.z]),
+    )
