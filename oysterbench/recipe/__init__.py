@@ -4,16 +4,16 @@ Everything that makes the bytes of a sequence is in here; keys carry their unit,
 value is refused with file, key, value and the allowed range. The fields of the dataclasses document the keys.
 """
 
+from oysterbench.recipe.grades import IMU_GRADES
 from oysterbench.recipe.keys import as_plain
+from oysterbench.recipe.path import LOOP_RIPPLE, PathRecipe
 from oysterbench.recipe.rig import CameraRecipe, LampRecipe, RigRecipe, count
 from oysterbench.recipe.scene import (
     BOTTOMS,
     CLASSES,
     JERLOV_TYPES,
-    LOOP_RIPPLE,
     WATER_TYPES,
     LightRecipe,
-    PathRecipe,
     ReefRecipe,
     SequenceRecipe,
     SiteRecipe,
@@ -35,6 +35,7 @@ from oysterbench.recipe.split import SplitRecipe, load_split, parse_split, split
 __all__ = [
     "BOTTOMS",
     "CLASSES",
+    "IMU_GRADES",
     "JERLOV_TYPES",
     "LOOP_RIPPLE",
     "WATER_TYPES",

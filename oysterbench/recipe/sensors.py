@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
+from oysterbench.recipe.grades import IMU_GRADES
 from oysterbench.recipe.keys import choice, number
 
 VIBRATION_KINDS = ("white", "sine", "psd")
@@ -29,7 +31,7 @@ class VibrationRecipe:
     kind: str = choice(VIBRATION_KINDS)
     level: tuple[float, float, float] = number(0, 1000, (0.0, 0.0, 0.0))
     """Per axis, m/s^2 or rad/s: standard deviation of a sample (white), or amplitude (sine)."""
-    frequency_hz: float = number(0, 2000, 1.0)  # of a sine
+    frequency_hz: float = number(0, 2000, 1.0)  # of a sine; above half the unit's rate it aliases, as does a psd
     psd: tuple[tuple[float, float, float, float], ...] = number(0, 1e6, ())
     """Rows of frequency (Hz, increasing) and one-sided power spectral density per axis, (m/s^2)^2/Hz or (rad/s)^2/Hz;
     linear between the rows, nothing outside them."""
@@ -40,9 +42,9 @@ class ImuRecipe(SensorRecipe):
     """An inertial unit. `grade` gives every key of noise that is not given itself (`IMU_GRADES`)."""
 
     rate_hz: float = number(10, 4000)
-    grade: str | None = choice(("low", "mid", "high", "mems"), None)
+    grade: str | None = choice(tuple(IMU_GRADES), None)
     gyro_noise_density: float = number(0, 1)  # rad/s/sqrt(Hz), angle random walk
-    gyro_random_walk: float = number(0, 1)  # rad/s^2/sqrt(Hz), of the bias
+    gyro_random_walk: float = number(0, 1)  # rad/s^2/sqrt(Hz), of the bias, without end
     gyro_turn_on: float = number(0, 1, 0.0)  # rad/s, 1 sigma
     gyro_bias_instability: float = number(0, 1, 0.0)  # rad/s, stationary 1 sigma of a Gauss-Markov process
     gyro_bias_tau_s: float = number(1, 1e5, 100.0)  # its correlation time
@@ -61,6 +63,19 @@ class ImuRecipe(SensorRecipe):
     accel_step: float = number(0, 10, 0.0)  # m/s^2
     vibration: tuple[VibrationRecipe, ...] = ()
     rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # imu to base_link
+
+    @property
+    def gyro_bias_walk(self) -> float:
+        """Random walk (rad/s^2/sqrt(Hz)) that the bias is over less than its correlation time, instability included.
+
+        What a filter should take that knows a bias as a walk only.
+        """
+        return math.hypot(self.gyro_random_walk, self.gyro_bias_instability * math.sqrt(2 / self.gyro_bias_tau_s))
+
+    @property
+    def accel_bias_walk(self) -> float:
+        """The same (m/s^3/sqrt(Hz)) of the accelerometer."""
+        return math.hypot(self.accel_random_walk, self.accel_bias_instability * math.sqrt(2 / self.accel_bias_tau_s))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,9 +173,9 @@ class MagnetometerRecipe(SensorRecipe):
 
     rate_hz: float = number(0.1, 1000, 50.0)
     noise_ut: float = number(0, 10, 0.3)  # uT, 1 sigma of a sample
-    hard_iron_ut: tuple[float, float, float] = number(-1000, 1000, (0.0, 0.0, 0.0))  # field that turns with the vehicle
+    hard_iron_ut: tuple[float, float, float] = number(-1000, 1000, (0.0, 0.0, 0.0))  # in the sensor's frame
     soft_iron: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]] = number(
         -10, 10, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    )  # takes the Earth's field to the one at the sensor
+    )  # takes the Earth's field to the one at the sensor, both in its frame
     step_ut: float = number(0, 10, 0.0)
     rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # magnetometer to base_link

@@ -9,13 +9,17 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from oysterbench.errors import RecipeError
+from oysterbench.recipe.grades import with_grade
 from oysterbench.recipe.keys import as_plain, build, choice, number, stated
-from oysterbench.recipe.rig import LENSES, RigRecipe
-from oysterbench.recipe.scene import LOOP_RIPPLE, WATER_TYPES, SequenceRecipe
+from oysterbench.recipe.path import check_path
+from oysterbench.recipe.rig import LENSES, CameraRecipe, RigRecipe
+from oysterbench.recipe.scene import WATER_TYPES, SequenceRecipe
+from oysterbench.recipe.sensors import ImuRecipe, SensorRecipe
 
 TRACKS = ("slam",)
 
@@ -89,7 +93,7 @@ def parse_split(source: str, where: str, rig_source: str | None = None) -> Split
             rig_path = Path(str(resources.files("oysterbench_datasets") / "rigs" / f"{rig_name}.toml"))
         rig_source = _read_text(rig_path, f"{where}: key 'rig': there is no rig {rig_name!r} ({rig_path} is absent)")
     rig_where = f"rig {rig_name}"
-    rig = build(RigRecipe, _parse_toml(rig_source, rig_where), rig_where, "")
+    rig = build(RigRecipe, with_grade(_parse_toml(rig_source, rig_where)), rig_where, "")
     table = {**table, "rig": rig, "rig_source": rig_source, "source": source}
     split = build(SplitRecipe, table, where, "")
     _check_split(split, where)
@@ -144,6 +148,8 @@ def _check_split(split: SplitRecipe, where: str) -> None:
                 f"{where}: rig {split.rig.name}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = "
                 f"{camera.rate_hz}, got {camera.layer_rate_hz}"
             )
+    _check_losses(split.rig, f"{where}: rig {split.rig.name}")
+    _check_vibration(split.rig.imu, f"{where}: rig {split.rig.name}")
     for sequence in split.sequence:
         if sequence.water.type is None and sequence.water.jerlov is None:
             raise RecipeError(
@@ -155,17 +161,42 @@ def _check_split(split: SplitRecipe, where: str) -> None:
                 f"{where}: sequence {sequence.name}: keys 'reef.oysters', 'reef.density_per_m2': expected exactly one "
                 f"of them, got {' and '.join(given) or 'neither'}"
             )
-        room = sequence.reef.size_m / 2 / (1 + LOOP_RIPPLE) - 2 * sequence.path.sway_m
-        if sequence.path.radius_m > room:
-            raise RecipeError(
-                f"{where}: sequence {sequence.name}: key 'path.radius_m': the path leaves the reef; expected at most "
-                f"{room:.3g} for reef.size_m = {sequence.reef.size_m:g}, "
-                f"got {sequence.path.radius_m:g}"
-            )
+        check_path(sequence.path, sequence.reef.size_m, f"{where}: sequence {sequence.name}")
         if sequence.path.altitude_m >= sequence.reef.depth_m:
             raise RecipeError(
                 f"{where}: sequence {sequence.name}: key 'path.altitude_m': the vehicle would leave the water; "
                 f"expected less than reef.depth_m = {sequence.reef.depth_m:g}, got {sequence.path.altitude_m:g}"
+            )
+
+
+def _check_losses(rig: RigRecipe, where: str) -> None:
+    """A share of losses needs bursts that long, as at least one message comes through between two of them."""
+    for key in (f.name for f in dataclasses.fields(rig)):
+        value = getattr(rig, key)
+        for sensor in value if isinstance(value, tuple) else (value,):
+            if not isinstance(sensor, SensorRecipe | CameraRecipe):
+                continue
+            shortest = sensor.dropout / (1 - sensor.dropout)
+            if sensor.dropout_burst < shortest:
+                raise RecipeError(
+                    f"{where}: key '{key}.dropout_burst': expected at least {shortest:.3g} for dropout = "
+                    f"{sensor.dropout:g}, got {sensor.dropout_burst:g}"
+                )
+
+
+def _check_vibration(unit: ImuRecipe, where: str) -> None:
+    for vibration in unit.vibration:
+        if vibration.kind != "psd":
+            if vibration.psd:
+                raise RecipeError(
+                    f"{where}: key 'imu.vibration.psd': expected none for kind = {vibration.kind!r}; give level"
+                )
+            continue
+        frequencies = [row[0] for row in vibration.psd]
+        if len(frequencies) < 2 or any(high <= low for low, high in pairwise(frequencies)):
+            raise RecipeError(
+                f"{where}: key 'imu.vibration.psd': expected at least two rows of increasing frequency, "
+                f"got frequencies {frequencies}"
             )
 
 
