@@ -23,6 +23,8 @@ LAYERS = ("depth", "class", "instance", "normals", "clean", "direct", "glow", "b
 """Ground truth behind a picture: what each pixel shows, its light without water and by its way through the water, and
 how much of each instance can be seen."""
 
+IMAGE_FORMATS = ("jpeg", "png")
+
 VEHICLES = ("none", "bluerov2")
 
 
@@ -40,6 +42,7 @@ class CameraRecipe:
     position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
     pitch_deg: float = number(-90, 90, 0.0)
     yaw_deg: float = number(-180, 180, 0.0)
+    image_format: str = choice(IMAGE_FORMATS, "jpeg")  # of its colour frames in the file; png keeps every bit
     jpeg_quality: int = number(50, 100, 95)
     max_range_m: float = number(1, 100, 20.0)  # farther than this is water
     lens: str = choice(

@@ -13,7 +13,8 @@ import numpy as np
 from oysterbench.errors import SequenceError
 from oysterbench.geometry import Array
 from oysterbench.samples import Image, ImuSample
-from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
+from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
+from oysterbench.sequence.types import Sequence
 from oysterbench.trajectory import Trajectory, read_trajectory
 
 GRAVITY = 9.81  # m/s^2; the layout has no key for it
@@ -57,20 +58,24 @@ class EurocSequence(Sequence):
             T_base_cam=_numbers(settings, "data").reshape(4, 4),
         )
 
-    def images(self, camera: str) -> Iterator[Image]:
+    def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         if camera not in self.cameras:
             raise SequenceError(f"{self.folder}: no camera {camera!r}; cameras: {', '.join(self.cameras)}")
         for line in _rows(self._root / camera / "data.csv"):
             stamp, file = line.split(",")[:2]
+            if not _within(int(stamp), start_ns, end_ns):
+                continue
             path = self._root / camera / "data" / file.strip()
             pixels = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
             if pixels is None:
                 raise SequenceError(f"{path}: expected an image, could not read one")
             yield Image(int(stamp), camera, pixels)
 
-    def imu(self) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
         for line in _rows(self._root / "imu0" / "data.csv"):
             fields = line.split(",")
+            if not _within(int(fields[0]), start_ns, end_ns):
+                continue
             values = np.array(fields[1:7], dtype=float)
             yield ImuSample(int(fields[0]), values[:3], values[3:])
 
@@ -88,6 +93,10 @@ class EurocSequence(Sequence):
         if not path.is_file():
             raise SequenceError(f"{self.folder} has no truth: {path} is absent")
         return read_trajectory(path)
+
+
+def _within(stamp_ns: int, start_ns: int | None, end_ns: int | None) -> bool:
+    return (start_ns is None or stamp_ns >= start_ns) and (end_ns is None or stamp_ns < end_ns)
 
 
 def _rows(path: Path) -> Iterator[str]:

@@ -5,28 +5,49 @@ from __future__ import annotations
 import io
 import json
 import os
-import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from mcap.exceptions import InvalidMagic, McapError
-from mcap.reader import McapReader, make_reader
-from zstandard import ZstdError
-
 from oysterbench.errors import SequenceError
-from oysterbench.samples import Image, ImuSample
+from oysterbench.samples import (
+    Cloud,
+    DvlSample,
+    Image,
+    ImuSample,
+    MagneticSample,
+    PressureSample,
+    RangeSample,
+    ScanPing,
+    SonarImage,
+)
 from oysterbench.sequence import topics
-from oysterbench.sequence.topics import Message
-from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
+from oysterbench.sequence.calibration import RigCalibration, camera_calibration, inertial_calibration, rig_calibration
+from oysterbench.sequence.file import (
+    DAMAGE,
+    Attachments,
+    Reading,
+    damaged,
+    read_attachments,
+    read_messages,
+    summary_of,
+)
+from oysterbench.sequence.types import Sequence
 from oysterbench.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import pandas as pd
 
-DAMAGE = (McapError, ZstdError, struct.error, EOFError, LookupError, ValueError, ArithmeticError, MemoryError, OSError)
-"""What the libraries underneath raise on bytes that are not what they should be."""
+__all__ = [
+    "CALIBRATION",
+    "METADATA",
+    "OYSTERS",
+    "McapSequence",
+    "camera_calibration",
+    "inertial_calibration",
+    "read_attachments",
+    "read_messages",
+]
 
 METADATA = "oysterbench"
 CALIBRATION = "calibration.json"
@@ -41,15 +62,13 @@ class McapSequence(Sequence):
         if not self.path.is_file():
             raise SequenceError(f"{self.path}: no such file; expected a sequence (.mcap) or an EuRoC folder")
         with Reading(self.path) as reader:
-            summary = reader.get_summary()
-            if summary is None or summary.statistics is None:
-                raise SequenceError(_damaged(self.path, "it has no index"))
+            summary = summary_of(self.path, reader)
             records = {record.name: record.metadata for record in reader.iter_metadata()}
-            attachments = {item.name: item.data for item in reader.iter_attachments()}
-            if METADATA not in records or CALIBRATION not in attachments:
+            self.attachments: Mapping[str, bytes] = Attachments(self.path, summary)
+            if METADATA not in records or CALIBRATION not in self.attachments:
                 raise SequenceError(f"{self.path}: an MCAP file, but not a sequence written by oysterbench")
+            assert summary.statistics is not None
             self.metadata = records[METADATA]
-            self.attachments = attachments
             self.statistics = summary.statistics
             self.counts = {
                 channel.topic: summary.statistics.channel_message_counts.get(channel.id, 0)
@@ -58,10 +77,14 @@ class McapSequence(Sequence):
             self.types = {
                 channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()
             }
-            calibration = json.loads(attachments[CALIBRATION])
             self.name = self.metadata["sequence"]
-            self.imu_calibration = inertial_calibration(calibration["imu"])
-            self.cameras = {name: camera_calibration(entry) for name, entry in calibration["cameras"].items()}
+            self._calibrate(rig_calibration(json.loads(self.attachments[CALIBRATION])))
+
+    def _calibrate(self, rig: RigCalibration) -> None:
+        self.imu_calibration, self.cameras = rig.imu, rig.cameras
+        self.sonars, self.scanners, self.altimeters = rig.sonars, rig.scanners, rig.altimeters
+        self.dvl_calibration, self.pressure_calibration = rig.dvl, rig.pressure
+        self.magnetometer_calibration = rig.magnetometer
 
     @property
     def duration_s(self) -> float:
@@ -70,31 +93,76 @@ class McapSequence(Sequence):
     def contents(self) -> list[tuple[str, str, int]]:
         return [(topic, self.types[topic], count) for topic, count in self.counts.items()]
 
-    def images(self, camera: str) -> Iterator[Image]:
-        self._check_camera(camera)
-        for data in self._messages(f"/{camera}/image"):
+    def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
+        self._check(camera, self.cameras, "camera")
+        for (data,) in self._messages((f"/{camera}/image",), start_ns, end_ns):
             stamp, pixels = self._decoded(topics.read_colour, data)
             yield Image(stamp, camera, pixels)
 
-    def layer(self, camera: str, layer: str) -> Iterator[Image]:
+    def layer(self, camera: str, layer: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         """Images of a layer, such as `depth` (see `Image`): those that the recipe's `layers` name."""
-        self._check_camera(camera)
+        self._check(camera, self.cameras, "camera")
         if f"/{camera}/{layer}" not in self.types or layer not in topics.LAYERS:
             known = [name for name in topics.LAYERS if f"/{camera}/{name}" in self.types]
             raise SequenceError(
                 f"{self.path}: {camera} has no layer {layer!r}; its layers: {', '.join(known) or 'none'}; more can be "
                 "asked for with the rig's key 'camera.layers'"
             )
-        for data in self._messages(f"/{camera}/{layer}"):
+        for (data,) in self._messages((f"/{camera}/{layer}",), start_ns, end_ns):
             stamp, pixels = self._decoded(topics.read_layer, data, layer)
             yield Image(stamp, camera, pixels)
 
-    def imu(self) -> Iterator[ImuSample]:
-        for data in self._messages(topics.IMU):
-            yield self._decoded(topics.read_imu, data)
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+        return self._samples(topics.read_imu, (topics.IMU,), start_ns, end_ns)
+
+    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlSample]:
+        if self.dvl_calibration is None:
+            self._lacks("DVL")
+        names = (topics.DVL_VELOCITY, topics.DVL_BEAMS, topics.DVL_ALTITUDE)
+        return self._samples(topics.read_dvl, names, start_ns, end_ns, self.dvl_calibration.beam_directions)
+
+    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureSample]:
+        if self.pressure_calibration is None:
+            self._lacks("pressure sensor")
+        return self._samples(topics.read_pressure, (topics.PRESSURE,), start_ns, end_ns)
+
+    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticSample]:
+        if self.magnetometer_calibration is None:
+            self._lacks("magnetometer")
+        return self._samples(topics.read_magnetic, (topics.MAGNETOMETER,), start_ns, end_ns)
+
+    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeSample]:
+        self._check(name, self.altimeters, "altimeter")
+        return self._samples(topics.read_range, (f"/{name}/range",), start_ns, end_ns, name)
+
+    def sonar(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[SonarImage]:
+        self._check(name, self.sonars, "sonar")
+        return self._samples(topics.read_sonar, (f"/{name}/image",), start_ns, end_ns, name)
+
+    def scans(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ScanPing]:
+        self._check(name, self.scanners, "scanner")
+        return self._samples(topics.read_scan, (f"/{name}/ping", f"/{name}/head"), start_ns, end_ns, name)
+
+    def clouds(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Cloud]:
+        self._check(name, self.sonars, "sonar")
+        if f"/{name}/cloud" not in self.types:
+            raise SequenceError(f"{self.path}: {name} sends no cloud; the rig's key 'sonar.cloud' asks for one")
+        return self._samples(topics.read_cloud, (f"/{name}/cloud",), start_ns, end_ns, name)
+
+    def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
+        """Messages of a scalar sensor as a table: indexed by stamp_ns, a column per number (`sequence.tables`)."""
+        from oysterbench.sequence.tables import ROWS, table
+
+        if topic not in self.types or self.types[topic] not in ROWS:
+            scalar = [name for name, kind in self.types.items() if kind in ROWS]
+            raise SequenceError(
+                f"{self.path}: no topic {topic!r} that makes a table; those that do: {', '.join(scalar)}"
+            )
+        data = (data for (data,) in self._messages((topic,), start_ns, end_ns))
+        return self._decoded(table, data, self.types[topic])
 
     def truth(self) -> Trajectory:
-        truth = self._decoded(topics.read_truth, list(self._messages(topics.TRUTH)))
+        truth = self._decoded(topics.read_truth, [data for (data,) in self._messages((topics.TRUTH,))])
         if len(truth) == 0:
             raise SequenceError(f"{self.path} has no truth: no message on {topics.TRUTH}")
         return truth
@@ -108,81 +176,34 @@ class McapSequence(Sequence):
 
         return self._decoded(pd.read_csv, io.BytesIO(self.attachments[OYSTERS]))
 
-    def _check_camera(self, camera: str) -> None:
-        if camera not in self.cameras:
-            raise SequenceError(f"{self.path}: no camera {camera!r}; cameras: {', '.join(self.cameras)}")
+    def _check(self, name: str, known: Mapping[str, Any], kind: str) -> None:
+        if name not in known:
+            raise SequenceError(f"{self.path}: no {kind} {name!r}; {kind}s: {', '.join(known) or 'none'}")
 
-    def _messages(self, topic: str) -> Iterator[bytes]:
-        for message in read_messages(self.path, [topic]):
-            yield message.data
+    def _samples(
+        self,
+        read: Callable[..., Any],
+        names: tuple[str, ...],
+        start_ns: int | None,
+        end_ns: int | None,
+        *arguments: Any,
+    ) -> Iterator[Any]:
+        for data in self._messages(names, start_ns, end_ns):
+            yield self._decoded(read, *data, *arguments)
 
-    def _decoded(self, read, *arguments):
+    def _messages(
+        self, names: tuple[str, ...], start_ns: int | None = None, end_ns: int | None = None
+    ) -> Iterator[tuple[bytes, ...]]:
+        """The data of one message of each topic at a time. Several topics are those of one sensor: they go together."""
+        sources = [read_messages(self.path, [name], start_ns, end_ns) for name in names]
+        try:
+            for messages in zip(*sources, strict=True):
+                yield tuple(message.data for message in messages)
+        except ValueError as error:  # one topic has more messages than another
+            raise SequenceError(damaged(self.path, f"{', '.join(names)}: {error}")) from None
+
+    def _decoded(self, read: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return read(*arguments)
         except DAMAGE as error:
-            raise SequenceError(_damaged(self.path, str(error))) from None
-
-
-class Reading:
-    """A file opened with the MCAP reader; whatever is wrong with its bytes becomes one SequenceError."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __enter__(self) -> McapReader:
-        self._file = open(self.path, "rb")
-        try:
-            return make_reader(self._file, validate_crcs=True)
-        except InvalidMagic:
-            self._file.close()
-            raise SequenceError(
-                f"{self.path}: not an MCAP file; expected a sequence (.mcap) or an EuRoC folder; if it was one, delete "
-                "it and render or download it again"
-            ) from None
-        except DAMAGE as error:
-            self._file.close()
-            raise SequenceError(_damaged(self.path, str(error) or type(error).__name__)) from None
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        self._file.close()
-        if isinstance(error, DAMAGE) and not isinstance(error, SequenceError):
-            raise SequenceError(_damaged(self.path, str(error) or type(error).__name__)) from None
-
-
-def read_attachments(path: Path) -> dict[str, bytes]:
-    """Attachments by name."""
-    with Reading(path) as reader:
-        return {item.name: item.data for item in reader.iter_attachments()}
-
-
-def read_messages(path: Path, names: Iterable[str] | None = None) -> Iterator[Message]:
-    """Messages of some topics (all by default) in time order, checksums checked; SequenceError on damage."""
-    with Reading(path) as reader:
-        for _, channel, message in reader.iter_messages(topics=None if names is None else list(names)):
-            yield Message(channel.topic, message.log_time, message.data)
-
-
-def _damaged(path: Path, cause: str) -> str:
-    return (
-        f"{path}: truncated or damaged ({cause or 'unreadable'}); expected a whole sequence file; "
-        "delete it and render or download it again"
-    )
-
-
-def inertial_calibration(entry: dict[str, Any]) -> ImuCalibration:
-    """From an entry of calibration.json."""
-    values = {key: float(value) for key, value in entry.items() if key != "T_base_imu"}
-    return ImuCalibration(T_base_imu=np.array(entry["T_base_imu"]), **values)
-
-
-def camera_calibration(entry: dict[str, Any]) -> CameraCalibration:
-    """From an entry of calibration.json."""
-    return CameraCalibration(
-        width=int(entry["width"]),
-        height=int(entry["height"]),
-        rate_hz=float(entry["rate_hz"]),
-        matrix=np.array(entry["matrix"]),
-        distortion=np.array(entry["distortion"]),
-        T_base_cam=np.array(entry["T_base_cam"]),
-        distortion_model=str(entry.get("distortion_model", "plumb_bob")),
-    )
+            raise SequenceError(damaged(self.path, str(error))) from None

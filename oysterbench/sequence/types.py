@@ -4,65 +4,120 @@ from __future__ import annotations
 
 import heapq
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import MethodError
+from oysterbench.errors import MethodError, SequenceError
 from oysterbench.geometry import Array
-from oysterbench.samples import Image, ImuSample
+from oysterbench.samples import (
+    Cloud,
+    DvlSample,
+    Image,
+    ImuSample,
+    MagneticSample,
+    PressureSample,
+    RangeSample,
+    ScanPing,
+    SonarImage,
+)
+from oysterbench.sequence.calibration import (
+    AltimeterCalibration,
+    CameraCalibration,
+    DvlCalibration,
+    ImuCalibration,
+    MagnetometerCalibration,
+    PressureCalibration,
+    ScannerCalibration,
+    SonarCalibration,
+)
+from oysterbench.sequence.names import LAYERS, TRUTH_TOPICS
 from oysterbench.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-@dataclass(frozen=True)
-class CameraCalibration:
-    """A camera: matrix (3, 3) in px, distortion, pose of its optical frame.
+__all__ = ["CameraCalibration", "ImuCalibration", "Measurement", "SensorsOnly", "Sequence", "imu_arrays"]
 
-    distortion_model and distortion as in sensor_msgs/CameraInfo: plumb_bob (Brown-Conrady k1, k2, p1, p2[, k3]) or
-    equidistant (Kannala-Brandt k1 to k4).
-    """
+Measurement = (
+    ImuSample | DvlSample | PressureSample | MagneticSample | RangeSample | SonarImage | ScanPing | Image | Cloud
+)
+"""What a stream may hold."""
 
-    width: int
-    height: int
-    rate_hz: float
-    matrix: Array
-    distortion: Array
-    T_base_cam: Array
-    distortion_model: str = "plumb_bob"
+SINGLE = ("imu", "dvl", "pressure", "magnetometer")
+"""Sensors of which a rig has one at most: their kind is their name."""
 
-
-@dataclass(frozen=True)
-class ImuCalibration:
-    """Continuous noise densities, bias random walks, 1-sigma turn-on biases (units as in `recipe.ImuRecipe`), pose."""
-
-    rate_hz: float
-    gyro_noise_density: float
-    gyro_random_walk: float
-    gyro_turn_on: float
-    accel_noise_density: float
-    accel_random_walk: float
-    accel_turn_on: float
-    gravity: float  # m/s^2
-    T_base_imu: Array
+CALIBRATIONS = ("cameras", "sonars", "scanners", "altimeters", *(f"{kind}_calibration" for kind in SINGLE))
 
 
 class Sequence(ABC):
-    """Sensors of one run of a vehicle, in time order, and the truth if the file holds it."""
+    """Sensors of one run of a vehicle, in time order, and the truth if the file holds it.
+
+    Every iterator gives the samples with `start_ns <= stamp_ns < end_ns`, all by default, and reads no more of a file
+    than that. SequenceError where the sequence has no such sensor, or its file is damaged.
+    """
 
     name: str
+    metadata: Mapping[str, str]
     cameras: Mapping[str, CameraCalibration]
     imu_calibration: ImuCalibration
-    metadata: Mapping[str, str]
+    sonars: Mapping[str, SonarCalibration] = MappingProxyType({})
+    scanners: Mapping[str, ScannerCalibration] = MappingProxyType({})
+    altimeters: Mapping[str, AltimeterCalibration] = MappingProxyType({})
+    dvl_calibration: DvlCalibration | None = None
+    pressure_calibration: PressureCalibration | None = None
+    magnetometer_calibration: MagnetometerCalibration | None = None
 
     @abstractmethod
-    def images(self, camera: str) -> Iterator[Image]:
+    def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         """Colour frames of a camera, in time order."""
 
     @abstractmethod
-    def imu(self) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
         """Inertial samples, in time order."""
+
+    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlSample]:
+        """Samples of the Doppler velocity log, in time order."""
+        self._lacks("DVL")
+
+    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureSample]:
+        """Samples of the pressure sensor, in time order."""
+        self._lacks("pressure sensor")
+
+    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticSample]:
+        """Samples of the magnetometer, in time order."""
+        self._lacks("magnetometer")
+
+    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeSample]:
+        """Ranges of an altimeter, in time order."""
+        self._lacks(f"altimeter {name!r}")
+
+    def sonar(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[SonarImage]:
+        """Fan images of an imaging sonar, in time order."""
+        self._lacks(f"sonar {name!r}")
+
+    def scans(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ScanPing]:
+        """Pings of a scanning sonar, in time order."""
+        self._lacks(f"scanner {name!r}")
+
+    def clouds(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Cloud]:
+        """Returns of an imaging sonar with elevation, class and instance: truth, which no method sees."""
+        self._lacks(f"cloud of a sonar {name!r}")
+
+    def layer(self, camera: str, layer: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
+        """Images of a layer of truth, such as `depth` (see `Image`), in time order."""
+        self._lacks(f"layer {layer!r} of a camera {camera!r}")
+
+    def oysters(self) -> pd.DataFrame:
+        """The truth about each oyster, a row each."""
+        self._lacks("truth about oysters")
+
+    def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
+        """Messages of a scalar sensor as a table, indexed by stamp_ns."""
+        self._lacks(f"table of {topic}")
 
     @abstractmethod
     def truth(self) -> Trajectory:
@@ -77,41 +132,94 @@ class Sequence(ABC):
     def contents(self) -> list[tuple[str, str, int]]:
         """Name, type and number of messages of each topic."""
 
-    def stream(self, *cameras: str) -> Iterator[ImuSample | Image]:
-        """Inertial samples and the frames of `cameras` (all by default), merged in time order.
+    def stream(self, *sensors: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Any]:
+        """Inertial samples and those of `sensors` (all cameras by default), merged in time order.
 
-        At one stamp the inertial sample comes first, so that a frame is always preceded by all inertial samples
-        up to its stamp.
+        A sensor is `dvl`, `pressure` or `magnetometer`, or a camera, sonar, scanner or altimeter by its name. At one
+        stamp they come in this order, inertial first, so that a frame is always preceded by all inertial samples up to
+        its stamp; of the others as they were named.
         """
-        sources: list[Iterator[ImuSample | Image]] = [self.imu()]
-        sources += [self.images(camera) for camera in (cameras or tuple(self.cameras))]
-        return heapq.merge(*sources, key=lambda item: (item.stamp_ns, isinstance(item, Image)))
+        wanted = [name for name in dict.fromkeys(sensors or tuple(self.cameras)) if name != "imu"]
+        sources = [self._tagged(k, read(start_ns, end_ns)) for k, read in enumerate(map(self._reader, wanted), start=1)]
+        inertial = self._tagged(0, self.imu(start_ns, end_ns))
+        return (item for _, _, item in heapq.merge(inertial, *sources, key=lambda row: row[:2]))
+
+    @staticmethod
+    def _tagged(rank: int, samples: Iterator[Any]) -> Iterator[tuple[int, int, Any]]:
+        return ((sample.stamp_ns, rank, sample) for sample in samples)
+
+    def _reader(self, sensor: str) -> Callable[[int | None, int | None], Iterator[Any]]:
+        if sensor in SINGLE:
+            return getattr(self, sensor)
+        named: list[tuple[Mapping[str, Any], Callable[..., Iterator[Any]]]] = [
+            (self.altimeters, self.ranges),
+            (self.cameras, self.images),
+            (self.sonars, self.sonar),
+            (self.scanners, self.scans),
+        ]
+        for known, read in named:
+            if sensor in known:
+                return lambda start_ns, end_ns: read(sensor, start_ns, end_ns)
+        known_names = [kind for kind in SINGLE if getattr(self, f"{kind}_calibration") is not None]
+        known_names += [name for known, _ in named for name in known]
+        raise SequenceError(f"{self.name} has no sensor {sensor!r}; its sensors: {', '.join(known_names)}")
 
     def for_method(self) -> Sequence:
         """The same sensors without the truth: what a method is given."""
         return SensorsOnly(self)
 
+    def _lacks(self, what: str) -> NoReturn:
+        raise SequenceError(f"{self.name} has no {what}; `oysterbench info` lists what a sequence has")
+
 
 class SensorsOnly(Sequence):
-    """A sequence whose truth cannot be reached."""
+    """A sequence whose truth cannot be reached: no poses, layers, oysters, nor clouds.
+
+    A sonar's cloud is hidden as a whole, not only its classes and instances: an imaging sonar measures no elevation, so
+    the third coordinate of its points is truth as well.
+    """
 
     def __init__(self, sequence: Sequence) -> None:
         self.name = sequence.name
-        self.cameras = sequence.cameras
-        self.imu_calibration = sequence.imu_calibration
+        for key in CALIBRATIONS:
+            setattr(self, key, getattr(sequence, key))
         self.metadata = {"sequence": sequence.name}
         self._duration_s = sequence.duration_s
-        self._contents = [row for row in sequence.contents() if not row[0].startswith("/truth")]
-        images, imu = sequence.images, sequence.imu
-        # Only the two iterators are kept, in closures, not the sequence: nothing here leads to the truth by name.
-        self._images = lambda camera: images(camera)
-        self._imu = lambda: imu()
+        self._contents = [row for row in sequence.contents() if is_measured(row[0])]
+        # Only the iterators are kept, in closures, not the sequence: nothing here leads to the truth by name.
+        self._iterators: dict[str, Callable[..., Any]] = {
+            kind: _closed(getattr(sequence, kind))
+            for kind in ("images", "imu", "dvl", "pressure", "magnetometer", "ranges", "sonar", "scans", "frame")
+        }
 
-    def images(self, camera: str) -> Iterator[Image]:
-        return self._images(camera)
+    def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
+        return self._iterators["images"](camera, start_ns, end_ns)
 
-    def imu(self) -> Iterator[ImuSample]:
-        return self._imu()
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+        return self._iterators["imu"](start_ns, end_ns)
+
+    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlSample]:
+        return self._iterators["dvl"](start_ns, end_ns)
+
+    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureSample]:
+        return self._iterators["pressure"](start_ns, end_ns)
+
+    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticSample]:
+        return self._iterators["magnetometer"](start_ns, end_ns)
+
+    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeSample]:
+        return self._iterators["ranges"](name, start_ns, end_ns)
+
+    def sonar(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[SonarImage]:
+        return self._iterators["sonar"](name, start_ns, end_ns)
+
+    def scans(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ScanPing]:
+        return self._iterators["scans"](name, start_ns, end_ns)
+
+    def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
+        if topic not in (name for name, _, _ in self._contents):
+            self._hidden(f"frame({topic!r})")
+        return self._iterators["frame"](topic, start_ns, end_ns)
 
     @property
     def duration_s(self) -> float:
@@ -121,7 +229,29 @@ class SensorsOnly(Sequence):
         return list(self._contents)
 
     def truth(self) -> Trajectory:
-        raise MethodError("a method does not see the truth: Sequence.truth() is for evaluators")
+        self._hidden("truth()")
+
+    def oysters(self) -> pd.DataFrame:
+        self._hidden("oysters()")
+
+    def clouds(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Cloud]:
+        self._hidden("clouds()")
+
+    def layer(self, camera: str, layer: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
+        self._hidden("layer()")
+
+    def _hidden(self, call: str) -> NoReturn:
+        raise MethodError(f"a method does not see the truth: Sequence.{call} is for evaluators")
+
+
+def is_measured(topic: str) -> bool:
+    """Whether a topic is what a real vehicle would have: neither truth, nor a layer, nor a cloud with classes."""
+    last = topic.rsplit("/", 1)[-1]
+    return not (topic in TRUTH_TOPICS or topic.startswith("/truth") or last in LAYERS or last == "cloud")
+
+
+def _closed(call: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *arguments: call(*arguments)
 
 
 def imu_arrays(samples: Iterator[ImuSample]) -> tuple[NDArray[np.int64], Array, Array]:
