@@ -130,3 +130,10 @@ def test_a_key_at_its_default_changes_no_digest(tiny_split):
 def test_an_unknown_layer_is_named():
     with pytest.raises(RecipeError, match=r"key 'camera\.layers': expected one of depth, class.*got 'heat'"):
         parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + 'layers = ["depth", "heat"]\n')
+
+
+@pytest.mark.parametrize(("name", "message"), [("cam_front", "is taken"), ("dvl", "is taken"), ("my sonar", "letter")])
+def test_a_sensor_name_is_good_for_topics_and_given_once(name, message):
+    rig = TINY_RIG + f'[[sonar]]\nname = "{name}"\nrate_hz = 2.0\n'
+    with pytest.raises(RecipeError, match=rf"rig tiny: key 'sonar\.name': .*{message}"):
+        parse_split(TINY_SPLIT, "tiny.toml", rig_source=rig)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -148,6 +149,7 @@ def _check_split(split: SplitRecipe, where: str) -> None:
                 f"{where}: rig {split.rig.name}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = "
                 f"{camera.rate_hz}, got {camera.layer_rate_hz}"
             )
+    _check_names(split.rig, f"{where}: rig {split.rig.name}")
     _check_losses(split.rig, f"{where}: rig {split.rig.name}")
     _check_vibration(split.rig.imu, f"{where}: rig {split.rig.name}")
     for sequence in split.sequence:
@@ -167,6 +169,23 @@ def _check_split(split: SplitRecipe, where: str) -> None:
                 f"{where}: sequence {sequence.name}: key 'path.altitude_m': the vehicle would leave the water; "
                 f"expected less than reef.depth_m = {sequence.reef.depth_m:g}, got {sequence.path.altitude_m:g}"
             )
+
+
+RESERVED_NAMES = ("imu", "dvl", "pressure", "magnetometer", "truth", "tf", "tf_static")
+
+
+def _check_names(rig: RigRecipe, where: str) -> None:
+    """A sensor's name begins its topics: names must be good in ROS 2, and no two sensors share one."""
+    seen = set(RESERVED_NAMES)
+    for key in ("camera", "sonar", "scanner", "altimeter"):
+        for sensor in getattr(rig, key):
+            if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", sensor.name):
+                raise RecipeError(
+                    f"{where}: key '{key}.name': expected a letter, then letters, digits and '_', got {sensor.name!r}"
+                )
+            if sensor.name in seen:
+                raise RecipeError(f"{where}: key '{key}.name': {sensor.name!r} is taken; names must differ")
+            seen.add(sensor.name)
 
 
 def _check_losses(rig: RigRecipe, where: str) -> None:
