@@ -15,10 +15,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe
-from oysterbench.render import blur, caustics, kernels, lamps, occlusion, sensor, snow, visibility
+from oysterbench.render import blur, caustics, edges, kernels, lamps, occlusion, sensor, snow, visibility
 from oysterbench.render.casting import Hit
 from oysterbench.render.lens import pixel_rays
-from oysterbench.render.light import build_light, exposure, sky_fan
+from oysterbench.render.light import build_light, exposure, sky_fan, sun_fan
 from oysterbench.render.optics import Optics
 from oysterbench.render.radiance import Daylight
 from oysterbench.render.upload import upload_geometry, upload_looks, upload_optics, upload_vehicle, without_water
@@ -31,7 +31,7 @@ from oysterbench.scene.world import World
 Pose = NDArray[np.float64]
 
 DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
-MODULES = (kernels, occlusion, sensor, lamps, caustics, snow, blur, visibility)
+MODULES = (kernels, edges, occlusion, sensor, lamps, caustics, snow, blur, visibility)
 LAYERS = (
     "radiance",
     "clean",
@@ -240,7 +240,6 @@ class CameraRenderer:
         shape, device = self._radiance.shape, self.device
         scene = [self._geometry, self._looks, optics, view]
         surfaces = [self._hits, self._normals]
-        light = [self._sharp, self._glow, self._haze]
         with self._stage("primary rays"):
             wp.launch(
                 kernels.trace, shape, inputs=[self._geometry, view], outputs=[*surfaces, *self._truth], device=device
@@ -258,11 +257,12 @@ class CameraRenderer:
                 wp.launch(lamps.sum_beams, beams.shape[:2], inputs=inputs, outputs=[beams], device=device)
         with self._stage("shading"):
             inputs = [*scene, *surfaces, self._lit, self._open]
-            outputs = [*light, self._level, self._openings]
+            outputs = [*self._jagged, self._level, self._openings]
             wp.launch(kernels.shade, shape, inputs=inputs, outputs=outputs, device=device)
         with self._stage("edges"):
-            inputs = [*scene, self._level, self._truth[2], self._openings]
-            wp.launch(kernels.refine, shape, inputs=inputs, outputs=light, device=device)
+            inputs = [self._geometry, view, self._hits, self._level, *self._jagged]
+            outputs = [self._sharp, self._glow, self._haze]
+            wp.launch(edges.refine, shape, inputs=inputs, outputs=outputs, device=device)
 
     def _scattering(self, optics: Optics) -> wp.vec3:
         return wp.vec3(0.0, 0.0, 0.0) if optics is self._clear else self._water_scattering
@@ -285,8 +285,9 @@ class CameraRenderer:
         light = build_light(recipe.light)
         daylight = Daylight(float(light.sun_direction[2]), light.sky)
         water = build_water(recipe.water, daylight, recipe.reef.depth_m + DEPTH_MARGIN_M)
-        self._looks = upload_looks(world, recipe, light, device)
-        self._optics = upload_optics(water, light, recipe, world.terrain.steepest(), device)
+        fan = sun_fan(light, water, recipe.reef.depth_m)
+        self._looks = upload_looks(world, recipe, np.vstack([fan, light.sun_direction]), device)
+        self._optics = upload_optics(water, light, fan, recipe, world.terrain.steepest(), device)
         shape = (camera.height, camera.width)
         self._optics.lamps = lamps.build_lamps(self._lamps, recipe.light.lamps, water, shape, device)
         self._waves = caustics.Waves(recipe.light, water, recipe.reef.depth_m, world.texture_seed, device)
@@ -315,6 +316,7 @@ class CameraRenderer:
         self._lit, self._open = picture(wp.uint8), picture(wp.float32)
         self._sharp, self._glow, self._haze = (picture(wp.vec3) for _ in range(3))
         self._blurred, self._radiance = picture(wp.vec3), picture(wp.vec3)
+        self._jagged = [picture(wp.vec3) for _ in range(3)]
         self._level, self._openings = picture(wp.float32), picture(wp.float32)
         self._truth = [picture(wp.float32), picture(wp.uint8), picture(wp.uint16)]
         self._no_flakes = wp.zeros((1, 1, 4), dtype=wp.int32, device=self.device)

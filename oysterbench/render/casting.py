@@ -15,6 +15,8 @@ RELIEF = wp.constant(-2)
 SKIRT = wp.constant(-3)
 VEHICLE = wp.constant(-4)
 
+FAR_M = wp.constant(150.0)  # past the skirt of every seabed
+
 
 @wp.struct
 class Placed:

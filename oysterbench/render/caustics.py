@@ -12,9 +12,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from oysterbench.recipe import LightRecipe
+from oysterbench.render.light import build_light
 from oysterbench.render.optics import Caustics
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.water import DEPTHS, Water, forward_share
+from oysterbench.render.water import DEPTHS, IMAGE_CONE_RAD, Water, forward_share
 from oysterbench.scene.rig import GRAVITY
 from oysterbench.streams import Streams
 
@@ -30,7 +31,8 @@ SHORTEST_M, LONGEST_M = 0.16, 2.0  # waves of the tile; shorter ones focus above
 SLOPE_SHARE = 0.35  # of the mean square slope of the sea that those waves carry
 SPREAD_RAD = 0.7  # of the waves' directions about the wind's
 PATTERN_CONE_RAD = 0.1
-"""Sunlight scattered by less still draws the pattern (15 cm wide over 1.5 m); scattered by more it evens it out."""
+"""Sunlight scattered by less still draws the pattern (15 cm wide over 1.5 m); scattered by more it evens it out. What
+is scattered past IMAGE_CONE_RAD is no part of the beam that has a pattern, and here is what lies between."""
 UNIT = wp.constant(64)  # steps between two cells in which a landing place is counted
 
 
@@ -60,8 +62,8 @@ class Waves:
         self.light.tile = wp.ones((CELLS, CELLS), dtype=wp.float32, device=device)
         self.light.period = PERIOD_M
         depths = np.linspace(0.0, float(water.depths[-1]), DEPTHS)
-        fade = (1.0 - forward_share(PATTERN_CONE_RAD)) * float(water.scattering[1])
-        self.light.fade = self._floats(np.exp(-fade * depths))
+        fade = (forward_share(IMAGE_CONE_RAD) - forward_share(PATTERN_CONE_RAD)) * float(water.scattering[1])
+        self.light.fade = self._floats(np.exp(-fade * depths / build_light(recipe).sun_direction[2]))
         self.light.fade_step = float(depths[1])
 
     def move(self, time_s: float) -> None:

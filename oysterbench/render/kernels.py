@@ -1,4 +1,4 @@
-"""The camera's kernels: trace a ray through every pixel, find its sun and sky, shade it, add samples at edges."""
+"""The camera's kernels: trace a ray through every pixel, find its sun and sky, shade it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import warp as wp
 
 from oysterbench.render.casting import (
+    FAR_M,
     NOTHING,
     VEHICLE,
     Geometry,
@@ -18,55 +19,94 @@ from oysterbench.render.casting import (
     surface_normal,
 )
 from oysterbench.render.looks import Looks, needs_shadow_ray, openness
-from oysterbench.render.occlusion import gathered
-from oysterbench.render.optics import Optics, beam_light, caustic, hazy, lamp_irradiance, look_up, look_up_pair, veiling
+from oysterbench.render.occlusion import gathered, same_surface
+from oysterbench.render.optics import (
+    Optics,
+    beam_at,
+    beam_light,
+    caustic,
+    hazy,
+    lamp_irradiance,
+    look_up,
+    look_up_pair,
+    veiling,
+)
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.texture import Material, clothe, scramble, seabed
-from oysterbench.render.view import View, pixel_ray, pixel_start, ray_start, ray_through
+from oysterbench.render.view import View, pixel_ray, pixel_start
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-FAR_M = wp.constant(150.0)  # past the skirt of every seabed
-ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
 ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
-EDGE_CONTRAST = wp.constant(0.08)  # relative step in green across the outline of an instance that asks for more samples
-SHADOW_CONTRAST = wp.constant(0.45)
+SHADED, LIT, SURELY_LIT = wp.constant(0), wp.constant(1), wp.constant(2)  # what is known of the sun in a pixel
+LEAST_SPREAD = wp.constant(0.02)  # of the sun's fan: narrower ones throw sharp shadows
 LAMP_SHADOW_M = wp.constant(0.5)  # from a surface: what throws a lamp's shadow on it stands close by
+LEAST_SHADOW = wp.constant(0.03)  # share of a surface's light: less is not missed, and no ray asks whether it arrives
 FAINT = wp.constant(2.0e-5)  # irradiance of a lamp that no picture shows
 VEHICLE_KIND = wp.constant(wp.uint8(6))
 
 
 @wp.func
-def in_the_sun(
+def sunlit(
     world: Geometry,
     looks: Looks,
     optics: Optics,
     instance: int,
     p: wp.vec3,
     normal: wp.vec3,
+    towards: wp.vec3,
     t: float,
     distance: float,
 ):
-    """Whether nothing stands between a point at depth t of the picture and the sun; far away, nothing does."""
+    """SHADED or LIT as a ray towards a part of the sun's light says, at depth t of the picture, or SURELY_LIT."""
     # Nested, for Warp evaluates both sides of an `and`.
-    lit = wp.dot(normal, optics.sun_direction) > 0.0
-    if lit:
-        under = wp.bool(False)
-        if world.vehicle.mesh != wp.uint64(0):
-            under = near_vehicle(world.vehicle, p, optics.sun_direction)
-        wanted = under
-        if not wanted:
-            wanted = needs_shadow_ray(looks, optics, instance, p)
-        if wanted:
-            wanted = not hazy(optics, p, distance)
-        if wanted:
+    seen = wp.uint8(SURELY_LIT)
+    under = wp.bool(False)
+    if world.vehicle.mesh != wp.uint64(0):
+        under = near_vehicle(world.vehicle, p, towards)
+    wanted = under
+    if not wanted:
+        wanted = needs_shadow_ray(looks, optics, instance, p)
+    if wanted:
+        wanted = optics.sun * beam_at(optics, p)[1] > LEAST_SHADOW * (optics.sun + optics.sky)
+    if wanted:
+        wanted = not hazy(optics, p, distance)
+    if wanted:
+        seen = wp.uint8(SHADED)
+        if wp.dot(normal, towards) > 0.0:
             start = p + normal * (0.0005 + 0.0005 * t)
             reach = SHADOW_M
             if under:
                 reach = FAR_M
-            lit = not blocked(world, start, optics.sun_direction, reach, optics.seabed_shadows)
-    return lit
+            if not blocked(world, start, towards, reach, optics.seabed_shadows):
+                seen = wp.uint8(LIT)
+    return seen
+
+
+@wp.func
+def sun_share(
+    lit: wp.array2d(dtype=wp.uint8),
+    hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
+    spread: float,
+    row: int,
+    column: int,
+):
+    """Share of the sun's light that arrives in a pixel: of its fan, which 4 x 4 neighbours hold, if that is wide."""
+    own = lit[row, column]
+    share = wp.where(own == wp.uint8(SHADED), 0.0, 1.0)
+    if own != wp.uint8(SURELY_LIT) and spread > LEAST_SPREAD:
+        weight = wp.float32(1.0)
+        for di in range(-2, 2):
+            for dj in range(-2, 2):
+                i = row + di
+                j = column + dj
+                if (di != 0 or dj != 0) and same_surface(hits, normals, row, column, i, j):
+                    share += wp.where(lit[i, j] == wp.uint8(SHADED), 0.0, 1.0)
+                    weight += 1.0
+        share = share / weight
+    return share
 
 
 @wp.struct
@@ -103,8 +143,28 @@ def dress(world: Geometry, looks: Looks, view: View, p: wp.vec3, smooth: wp.vec3
 
 
 @wp.func
-def lamp_light(world: Geometry, lamps: Any, p: wp.vec3, n: wp.vec3, smooth: wp.vec3, t: float):
-    """Irradiance (3,) of all lamps on a surface with normal n, with the shadows that things close by throw."""
+def day_light(optics: Optics, p: wp.vec3, n: wp.vec3, lit: float, opening: float):
+    """Irradiance (3,) of the day on a surface with normal n that sees those shares of sun and sky."""
+    towards = wp.dot(n, optics.sun_direction)
+    level = optics.sun_direction[2]
+    # A wide source has a soft terminator.
+    square = optics.spread * optics.spread
+    facing = (towards + wp.sqrt(towards * towards + square)) / (level + wp.sqrt(level * level + square))
+    beam = beam_at(optics, p) * optics.sun
+    soft = wp.vec3(optics.sun + optics.sky, optics.sun + optics.sky, optics.sun + optics.sky) - beam
+    below = optics.bounce * 0.5 * (1.0 - n[2])
+    light = (soft * (0.5 + 0.5 * n[2]) + wp.vec3(below, below, below)) * opening
+    if lit > 0.0:
+        light += beam * (caustic(optics, p) * facing * lit)
+    return wp.cw_mul(look_up(optics.daylight, -p[2] / optics.depth_step), light)
+
+
+@wp.func
+def lamp_light(world: Geometry, lamps: Any, p: wp.vec3, n: wp.vec3, smooth: wp.vec3, t: float, least: float):
+    """Irradiance (3,) of all lamps on a surface with normal n, with the shadows that things close by throw.
+
+    least: irradiance in green of a lamp whose shadow would be seen.
+    """
     light = wp.vec3(0.0, 0.0, 0.0)
     for k in range(lamps.count):
         apart = lamps.positions[k] - p
@@ -113,8 +173,11 @@ def lamp_light(world: Geometry, lamps: Any, p: wp.vec3, n: wp.vec3, smooth: wp.v
         if cosine > 0.0 and wp.dot(smooth, apart) > 0.0:
             arriving = lamp_irradiance(lamps, k, p) * cosine
             if arriving[1] > FAINT:
-                start = p + smooth * (0.0005 + 0.0005 * t)
-                if not blocked(world, start, apart / distance, wp.min(LAMP_SHADOW_M, distance - 0.03), 0):
+                lit = wp.bool(True)
+                if arriving[1] > least:
+                    start = p + smooth * (0.0005 + 0.0005 * t)
+                    lit = not blocked(world, start, apart / distance, wp.min(LAMP_SHADOW_M, distance - 0.03), 0)
+                if lit:
                     light += arriving
     return light
 
@@ -129,7 +192,7 @@ def shine(
     direction: wp.vec3,
     hit: Any,
     smooth: wp.vec3,
-    lit: bool,
+    lit: float,
     opening: float,
 ):
     """What the camera receives along a ray whose nearest hit is given; lit and opening: its sun and its sky there."""
@@ -143,13 +206,10 @@ def shine(
         p = origin + direction * hit.t
         material = dress(world, looks, view, p, smooth, direction, hit)
         n = material.normal
-        light = opening * (optics.sky * 0.5 * (1.0 + n[2]) + optics.bounce * 0.5 * (1.0 - n[2]))
-        sun = wp.dot(n, optics.sun_direction)
-        if lit and sun > 0.0:
-            light += optics.sun * caustic(optics, p) * sun / optics.sun_direction[2]
-        surface = look_up(optics.daylight, -p[2] / optics.depth_step) * light
+        surface = day_light(optics, p, n, lit, opening)
         if optics.lamps.count > 0:
-            surface += lamp_light(world, optics.lamps, p, n, smooth, hit.t) * (0.25 + 0.75 * opening)
+            lamps = lamp_light(world, optics.lamps, p, n, smooth, hit.t, LEAST_SHADOW * surface[1])
+            surface += lamps * (0.25 + 0.75 * opening)
         surface = wp.cw_mul(material.albedo, surface)
         row = -p[2] / optics.depth_step
         column = distance / optics.range_step
@@ -217,18 +277,17 @@ def shadow(
     normals: wp.array2d(dtype=wp.vec3),
     lit: wp.array2d(dtype=wp.uint8),
 ):
-    """Whether the sun reaches each pixel's surface."""
+    """Whether light reaches each pixel's surface from one direction of the sun's fan of 16: neighbours ask others."""
     row, column = wp.tid()
     hit = hits[row, column]
-    sunny = wp.uint8(0)
+    seen = wp.uint8(SURELY_LIT)
     if hit.instance != NOTHING:
         direction = pixel_ray(view, row, column)
         p = pixel_start(view, row, column) + direction * hit.t
-        normal = normals[row, column]
+        towards = optics.fan[(row & 3) * 4 + (column & 3)]
         distance = hit.t * wp.length(direction)
-        if in_the_sun(world, looks, optics, hit.instance, p, normal, hit.t, distance):
-            sunny = wp.uint8(1)
-    lit[row, column] = sunny
+        seen = sunlit(world, looks, optics, hit.instance, p, normals[row, column], towards, hit.t, distance)
+    lit[row, column] = seen
 
 
 @wp.kernel
@@ -268,7 +327,7 @@ def shade(
         direction,
         hit,
         normals[row, column],
-        lit[row, column] != wp.uint8(0),
+        sun_share(lit, hits, normals, optics.spread, row, column),
         opening,
     )
     added = signal.haze + scattered(optics, view, u, v, hit.t * wp.length(direction))
@@ -277,70 +336,3 @@ def shade(
     haze[row, column] = added
     level[row, column] = signal.sharp[1] + signal.glow[1] + added[1]
     openings[row, column] = opening
-
-
-@wp.func
-def differs(
-    level: wp.array2d(dtype=wp.float32), instances: wp.array2d(dtype=wp.uint16), i: int, j: int, k: int, m: int
-):
-    """Whether a visible edge runs between two pixels: of an instance, or of a shadow."""
-    a = level[i, j]
-    b = level[k, m]
-    contrast = wp.abs(a - b) / wp.max(wp.max(a, b), 1.0e-6)
-    return contrast > SHADOW_CONTRAST or (instances[i, j] != instances[k, m] and contrast > EDGE_CONTRAST)
-
-
-@wp.kernel
-def refine(
-    world: Geometry,
-    looks: Looks,
-    optics: Optics,
-    view: View,
-    level: wp.array2d(dtype=wp.float32),
-    instances: wp.array2d(dtype=wp.uint16),
-    openings: wp.array2d(dtype=wp.float32),
-    sharp: wp.array2d(dtype=wp.vec3),
-    glow: wp.array2d(dtype=wp.vec3),
-    haze: wp.array2d(dtype=wp.vec3),
-):
-    """Where an edge runs between neighbours, the mean of the centre and a sample on each side of it, on a slant."""
-    i, j = wp.tid()
-    last_row = level.shape[0] - 1
-    last_column = level.shape[1] - 1
-    edge = differs(level, instances, i, j, wp.max(i - 1, 0), j)
-    edge = edge or differs(level, instances, i, j, wp.min(i + 1, last_row), j)
-    edge = edge or differs(level, instances, i, j, i, wp.max(j - 1, 0))
-    edge = edge or differs(level, instances, i, j, i, wp.min(j + 1, last_column))
-    if edge:
-        total_sharp = sharp[i, j]
-        total_glow = glow[i, j]
-        total_haze = haze[i, j]
-        du = wp.float32(0.33)
-        dv = wp.float32(0.20)
-        samples = wp.int32(2)
-        for _k in range(samples):
-            u = float(j) + du
-            v = float(i) + dv
-            origin = ray_start(view, u, v)
-            direction = ray_through(view, u, v)
-            hit = cast(world, origin, direction, FAR_M)
-            normal = wp.vec3(0.0, 0.0, 1.0)
-            lit = wp.bool(False)
-            opening = wp.float32(1.0)
-            if hit.instance != NOTHING:
-                p = origin + direction * hit.t
-                normal = surface_normal(world, hit, p)
-                distance = hit.t * wp.length(direction)
-                lit = in_the_sun(world, looks, optics, hit.instance, p, normal, hit.t, distance)
-                opening = openings[i, j]
-                if optics.occlusion == 0.0:
-                    opening = openness(looks, p)
-            signal = shine(world, looks, optics, view, origin, direction, hit, normal, lit, opening)
-            total_sharp += signal.sharp
-            total_glow += signal.glow
-            total_haze += signal.haze + scattered(optics, view, u, v, hit.t * wp.length(direction))
-            du = -du
-            dv = -dv
-        sharp[i, j] = total_sharp / 3.0
-        glow[i, j] = total_glow / 3.0
-        haze[i, j] = total_haze / 3.0

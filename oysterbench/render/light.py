@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from oysterbench.recipe import LampRecipe, LightRecipe
 from oysterbench.render.lamps import DAYLIGHT_LUX, lamp_spread
-from oysterbench.render.water import Water
+from oysterbench.render.water import IMAGE_CONE_RAD, Water, forward_share
 
 Array = NDArray[np.float64]
 
@@ -23,6 +23,8 @@ LAMP_RANGE_M = 1.0  # at which lamps are metered
 GREY_SLOPE = 0.5  # of the ray to it, below the horizon
 WHITE_BALANCE = 0.55
 """How far the fixed white balance goes from none (0) to neutral grey (1) in logarithm: cameras keep a cast."""
+MIXED = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5]  # Bayer's matrix: neighbours differ most
+LOWEST_LIGHT = 0.3  # cosine with the zenith: little light comes flatter than that
 LEAST_SEEN = 1e-5  # of full daylight: no camera sees in less
 
 
@@ -53,23 +55,31 @@ def build_light(recipe: LightRecipe) -> Light:
 
 
 def shadow_reach(
-    envelope: NDArray[np.floating], ground: NDArray[np.floating], cell: float, sun_direction: Array, longest: float
+    envelope: NDArray[np.floating], ground: NDArray[np.floating], cell: float, fan: NDArray[np.floating], longest: float
 ) -> NDArray[np.bool_]:
     """Grid cells (M, M) whose seabed something on it may shade; everywhere else no shadow ray is needed.
 
     envelope, ground (M, M): z of the upper surface with and without things on the bottom, indexed [y, x], m, on a
-    grid of `cell` m; longest: length of the shadow rays, m. Conservative by a cell all around.
+    grid of `cell` m; fan (N, 3): unit vectors towards the light; longest: length of the shadow rays, m. Conservative by
+    a cell all around.
     """
     things = np.where(envelope > ground + 1e-3, envelope, -np.inf)
     tops = ndimage.maximum_filter(things, size=5)
     floor = ndimage.minimum_filter(ground, size=3)
+    tallest = float(np.max(tops - floor, initial=0.0))
     shaded = np.zeros(envelope.shape, dtype=bool)
-    rows, columns = np.indices(envelope.shape)
-    for distance in np.arange(0.0, longest, cell):
-        step = distance * sun_direction / cell
-        row = np.clip(rows + int(np.round(step[1])), 0, len(envelope) - 1)
-        column = np.clip(columns + int(np.round(step[0])), 0, len(envelope) - 1)
-        shaded |= tops[row, column] > floor + (distance - cell) * sun_direction[2]
+    rows, columns = np.arange(envelope.shape[0]), np.arange(envelope.shape[1])
+    lifts: dict[tuple[int, int], float] = {}  # by which the lowest ray has risen where it is over a cell that far away
+    for direction in np.unique(np.asarray(fan, dtype=float), axis=0):
+        for distance in np.arange(0.0, longest, cell):
+            lift = (distance - cell) * direction[2]
+            if lift > tallest:
+                break
+            column, row = np.round(distance * direction[:2] / cell).astype(int)
+            lifts[row, column] = min(lifts.get((row, column), np.inf), lift)
+    for (row, column), lift in lifts.items():
+        over = tops[np.clip(rows + row, 0, len(rows) - 1)][:, np.clip(columns + column, 0, len(columns) - 1)]
+        shaded |= over > floor + lift
     return shaded
 
 
@@ -78,8 +88,28 @@ def sky_fan() -> NDArray[np.float32]:
     k = np.arange(16)
     radius, turn = np.sqrt((k + 0.5) / 16), k * np.pi * (3.0 - np.sqrt(5.0))
     fan = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - radius**2)], axis=1)
-    mixed = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5]  # Bayer's matrix
-    return np.round(fan[mixed], 7).astype(np.float32)
+    return np.round(fan[MIXED], 7).astype(np.float32)
+
+
+def sun_fan(light: Light, water: Water, depth_m: float) -> NDArray[np.float32]:
+    """Directions (16, 3) in `map` towards the sun's light at a depth, each of an equal share, mixed as in `sky_fan`.
+
+    Of the light that is turned by less than IMAGE_CONE_RAD, exp((F(r) - F(cone)) b z / mu) is turned by less than r, in
+    green: quasi-single scattering, as in Water; F is forward_share.
+    """
+    path = float(water.scattering[1]) * depth_m / light.sun_direction[2]
+    angles = np.linspace(0.0, IMAGE_CONE_RAD, 200)
+    within = np.exp([(forward_share(angle) - forward_share(IMAGE_CONE_RAD)) * path for angle in angles])
+    k = np.arange(16)
+    turned, turn = np.interp((k + 0.5) / 16, within, angles), k * np.pi * (3.0 - np.sqrt(5.0))
+    side = np.cross([0.0, 1.0, 0.0], light.sun_direction)
+    side /= np.linalg.norm(side)
+    other = np.cross(light.sun_direction, side)
+    across = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other
+    fan = np.cos(turned)[:, None] * light.sun_direction + np.sin(turned)[:, None] * across
+    fan[:, 2] = np.maximum(fan[:, 2], LOWEST_LIGHT)
+    fan /= np.linalg.norm(fan, axis=1, keepdims=True)
+    return np.round(fan[MIXED], 6).astype(np.float32)
 
 
 def exposure(

@@ -58,6 +58,16 @@ def occlude(
 
 
 @wp.func
+def same_surface(hits: wp.array2d(dtype=Hit), normals: wp.array2d(dtype=wp.vec3), i: int, j: int, k: int, m: int):
+    """Whether two pixels see parts of one surface that lie side by side; False outside of the picture."""
+    same = k >= 0 and m >= 0 and k < hits.shape[0] and m < hits.shape[1]
+    if same:
+        t = hits[i, j].t
+        same = wp.abs(hits[k, m].t - t) < 0.03 * t and wp.dot(normals[k, m], normals[i, j]) > 0.4
+    return same
+
+
+@wp.func
 def gathered(
     open: wp.array2d(dtype=wp.float32),
     hits: wp.array2d(dtype=Hit),
@@ -67,18 +77,12 @@ def gathered(
     prior: float,
 ):
     """Openness from the fan of the neighbours that lie on the same surface; `prior` where they are few."""
-    t = hits[row, column].t
-    normal = normals[row, column]
     total = PRIOR_RAYS * prior
     weight = wp.float32(PRIOR_RAYS)
     for di in range(-2, 2):
         for dj in range(-2, 2):
-            i = row + di
-            j = column + dj
-            if i >= 0 and j >= 0 and i < open.shape[0] and j < open.shape[1]:
-                same = wp.abs(hits[i, j].t - t) < 0.03 * t and wp.dot(normals[i, j], normal) > 0.4
-                if same:
-                    total += open[i, j]
-                    weight += 1.0
+            if same_surface(hits, normals, row, column, row + di, column + dj):
+                total += open[row + di, column + dj]
+                weight += 1.0
     share = total / weight
     return share + (1.0 - share) * INTERREFLECTION

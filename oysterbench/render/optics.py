@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import warp as wp
 
+from oysterbench.render.noise import noise2, step_smoothly
+
+LAYER_COSINE, LAYER_SINE = wp.constant(0.8253356), wp.constant(0.5646425)  # 0.6 rad: neither rows nor diagonals meet
+LAYER_PATCH_M = wp.constant(1.7)
 HAZE = wp.constant(0.02)  # transmission in green below which a shadow would not be seen
 
 
@@ -44,9 +48,16 @@ class Lamps:
 
 @wp.struct
 class Optics:
-    """Light and water. Tables run over depth, then over range from 0 or over the cosine of the view ray from -1."""
+    """Light and water. Tables run over depth, then over range from 0 or over the cosine of the view ray from -1.
+
+    sun, sky, bounce: irradiance just below the surface of the sun and of the sky, and of the bottom on what faces down;
+    beam: the share of the sun's that throws shadows, from the directions of the fan (16,), which are spread by that
+    root mean square of a sine; the rest comes from above like the sky's.
+    """
 
     sun_direction: wp.vec3
+    fan: wp.array(dtype=wp.vec3)
+    spread: wp.float32
     sun: wp.float32
     sky: wp.float32
     bounce: wp.float32
@@ -59,6 +70,7 @@ class Optics:
     stretch: wp.array2d(dtype=wp.vec3)
     range_step: wp.float32
     daylight: wp.array(dtype=wp.vec3)
+    beam: wp.array(dtype=wp.vec3)
     depth_step: wp.float32
     cosine_step: wp.float32
     lamps: Lamps
@@ -135,7 +147,11 @@ def look_up_wrapped(tile: wp.array2d(dtype=wp.float32), x: float, y: float):
 
 @wp.func
 def caustic(optics: Optics, p: wp.vec3):
-    """Irradiance of the sun at a point over that under a level surface: the place where its ray came in decides."""
+    """Irradiance of the sun at a point over that under a level surface: the place where its ray came in decides.
+
+    The tile is laid out twice, turned and shifted, and a slow noise mixes the two: so that its period is not seen. The
+    mixture has the mean and the variance of the tile.
+    """
     share = wp.float32(1.0)
     if optics.caustics.on != 0:
         across = -p[2] / optics.sun_direction[2]
@@ -144,11 +160,24 @@ def caustic(optics: Optics, p: wp.vec3):
         cells = float(optics.caustics.tile.shape[0]) / optics.caustics.period
         place = wp.clamp(-p[2] / optics.caustics.fade_step, 0.0, float(optics.caustics.fade.shape[0] - 1) - 0.001)
         i = int(place)
-        contrast = optics.caustics.fade[i] + (optics.caustics.fade[i + 1] - optics.caustics.fade[i]) * (
-            place - float(i)
-        )
-        share = 1.0 + contrast * (look_up_wrapped(optics.caustics.tile, x * cells, y * cells) - 1.0)
+        low = optics.caustics.fade[i]
+        contrast = low + (optics.caustics.fade[i + 1] - low) * (place - float(i))
+        one = look_up_wrapped(optics.caustics.tile, x * cells, y * cells) - 1.0
+        u = (LAYER_COSINE * x - LAYER_SINE * y) * cells + 0.37 * float(optics.caustics.tile.shape[0])
+        v = (LAYER_SINE * x + LAYER_COSINE * y) * cells
+        two = look_up_wrapped(optics.caustics.tile, u, v) - 1.0
+        mix = noise2(x / LAYER_PATCH_M, y / LAYER_PATCH_M, wp.uint32(0))
+        first = step_smoothly(-0.6, 0.6, mix[0])
+        second = 1.0 - first
+        wave = (first * one + second * two) / wp.sqrt(first * first + second * second)
+        share = wp.max(1.0 + contrast * wave, 0.0)
     return share
+
+
+@wp.func
+def beam_at(optics: Optics, p: wp.vec3):
+    """Share (3,) of the sun's light that throws shadows at a point."""
+    return look_up(optics.beam, -p[2] / optics.depth_step)
 
 
 @wp.func

@@ -23,6 +23,7 @@ from oysterbench.scene.world import World
 
 CREVICE_BLUR_CELLS = 2.0
 LEAF_TRIANGLES = 4  # of the meshes' trees: measured best
+LEAST_SUN = 1e-6
 CLEAR_BOUNCE = 0.16  # albedo of the bottom as seen by a surface that faces down
 
 
@@ -85,8 +86,11 @@ def upload_vehicle(mesh: Mesh | None, device: str) -> tuple[Vehicle, list[Any]]:
     return vehicle, [body]
 
 
-def upload_looks(world: World, recipe: SequenceRecipe, light: Light, device: str) -> Looks:
-    """What surfaces look like, and where on the reef shadows and hidden sky are to be looked for."""
+def upload_looks(world: World, recipe: SequenceRecipe, fan: NDArray[np.float32], device: str) -> Looks:
+    """What surfaces look like, and where on the reef shadows and hidden sky are to be looked for.
+
+    fan (N, 3): unit vectors towards all that throws shadows.
+    """
     looks = Looks()
     looks.seed = world.texture_seed
     looks.ground = build_ground(recipe.reef)
@@ -96,7 +100,7 @@ def upload_looks(world: World, recipe: SequenceRecipe, light: Light, device: str
     cell = float(world.envelope_lines[1] - world.envelope_lines[0])
     looks.envelope_step = cell
     ground = world.ground_height(*np.meshgrid(world.envelope_lines, world.envelope_lines))
-    reach = shadow_reach(world.envelope, ground, cell, light.sun_direction, float(kernels.SHADOW_M))
+    reach = shadow_reach(world.envelope, ground, cell, fan, float(kernels.SHADOW_M))
     looks.reach = wp.array(reach.astype(np.uint8), dtype=wp.uint8, device=device)
     if recipe.light.occlusion_m > 0:
         cells = int(np.ceil(recipe.light.occlusion_m / cell)) + 1
@@ -105,8 +109,13 @@ def upload_looks(world: World, recipe: SequenceRecipe, light: Light, device: str
     return looks
 
 
-def upload_optics(water: Water, light: Light, recipe: SequenceRecipe, steepest: float, device: str) -> Optics:
-    """Tables of water and daylight, without lamps and caustics. steepest: slope of the seabed (rise over run)."""
+def upload_optics(
+    water: Water, light: Light, fan: NDArray[np.float32], recipe: SequenceRecipe, steepest: float, device: str
+) -> Optics:
+    """Tables of water and daylight, without lamps and caustics.
+
+    fan (16, 3): as of light.sun_fan; steepest: slope of the seabed (rise over run).
+    """
 
     def table(values: NDArray[np.float64]) -> wp.array:
         return wp.array(values.astype(np.float32), dtype=wp.vec3, device=device)
@@ -114,6 +123,8 @@ def upload_optics(water: Water, light: Light, recipe: SequenceRecipe, steepest: 
     daylight = recipe.light.daylight
     optics = Optics()
     optics.sun_direction = wp.vec3(*light.sun_direction.tolist())
+    optics.fan = wp.array(fan, dtype=wp.vec3, device=device)
+    optics.spread = round(float(np.sqrt(np.mean(1.0 - (fan @ light.sun_direction) ** 2))), 6)
     optics.sun, optics.sky, optics.bounce = light.sun * daylight, light.sky * daylight, CLEAR_BOUNCE * daylight
     optics.occlusion = recipe.light.occlusion_m
     optics.seabed_shadows = int(steepest > light.steepest_lit_slope())
@@ -122,7 +133,7 @@ def upload_optics(water: Water, light: Light, recipe: SequenceRecipe, steepest: 
     optics.veil = table(water.veil * daylight)
     optics.stretch = table(water.stretch)
     optics.range_step = float(water.ranges[1])
-    optics.daylight = table(water.daylight)
+    optics.daylight, optics.beam = table(water.daylight), table(water.beam / max(light.sun, LEAST_SUN))
     optics.depth_step = float(water.depths[1])
     optics.cosine_step = float(water.cosines[1] - water.cosines[0])
     return optics
@@ -131,12 +142,25 @@ def upload_optics(water: Water, light: Light, recipe: SequenceRecipe, steepest: 
 def without_water(optics: Optics, device: str) -> Optics:
     """The same light where there is no water: every share that arrives is 1, and nothing is added on the way."""
     clear = Optics()
-    for name in ("sun_direction", "sun", "sky", "bounce", "occlusion", "seabed_shadows", "caustics", "lamps"):
+    for name in (
+        "sun_direction",
+        "fan",
+        "spread",
+        "sun",
+        "sky",
+        "bounce",
+        "occlusion",
+        "seabed_shadows",
+        "caustics",
+        "lamps",
+    ):
         setattr(clear, name, getattr(optics, name))
+    towards = wp.vec3(*clear.sun_direction)
+    clear.fan, clear.spread = wp.full(16, towards, dtype=wp.vec3, device=device), 0.0
     ones, zeros = (wp.full((2, 2), wp.vec3(v, v, v), dtype=wp.vec3, device=device) for v in (1.0, 0.0))
     clear.direct, clear.stretch = ones, ones
     clear.glow, clear.saturation, clear.veil = zeros, zeros, zeros
-    clear.daylight = wp.full(2, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=device)
+    clear.daylight, clear.beam = (wp.full(2, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=device) for _ in range(2))
     clear.range_step = clear.depth_step = clear.cosine_step = 1.0
     return clear
 

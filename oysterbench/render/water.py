@@ -51,7 +51,8 @@ class Water:
 
     ranges (R,), depths (D,), in m, and cosines (K,) of the view ray with the zenith: evenly spaced axes.
     direct, glow (D, R, 3): shares of a surface's daylight signal that arrive sharp and blurred by spread_rad, for a
-    surface at that depth. daylight (D, 3): downwelling irradiance over that just below the surface.
+    surface at that depth. daylight (D, 3): downwelling irradiance over that just below the surface; beam (D, 3): the
+    share of it that still comes from around the sun, scattered by less than IMAGE_CONE_RAD, and throws shadows.
     veil (D, K, 3): radiance of an endless path from a camera at that depth; saturation (D, R, 3): the share of it that
     a path of that range gives, for a horizontal ray; for any other, look it up at range * stretch.
     stretch (D, K, 3): how much faster than a level ray one of that cosine fills, where it begins. absorption,
@@ -66,6 +67,7 @@ class Water:
     saturation: Array
     veil: Array
     daylight: Array
+    beam: Array
     stretch: Array
     absorption: Array
     scattering: Array
@@ -125,6 +127,8 @@ def tabulate(
     radiance = np.maximum(radiance, 0.0)  # (D, K, L)
     horizontal = radiance[:, COSINES // 2]
 
+    beam = (1.0 - daylight.sky) * np.exp(-depths[:, None] / daylight.sun_cosine * image)  # (D, L)
+
     signal = irradiance[:, None] * weights  # (D, 3, L)
     direct = _attenuate(signal, c, ranges)
     arriving = _attenuate(signal, image, ranges)
@@ -142,6 +146,7 @@ def tabulate(
         saturation=_steady(1.0 - _attenuate(ambient, image, ranges)),
         veil=_steady(np.pi * radiance @ weights.T),
         daylight=_steady(irradiance @ weights.T),
+        beam=_steady(np.minimum(beam @ weights.T / (irradiance @ weights.T), 1.0 - daylight.sky)),
         stretch=_steady(np.maximum(filling / level, LEAST_STRETCH)),
         absorption=_steady(weights @ a),
         scattering=_steady(weights @ b),
