@@ -102,7 +102,7 @@ class SonarRecipe(AcousticRecipe):
     max_range_m: float = number(0.5, 200, 10.0)
     bandwidth_khz: float = number(1, 1000, 200.0)  # resolves c / 2B in range
     looks: float = number(0.5, 100, 1.0)  # of the speckle: intensity is Gamma with this shape; 1 is fully developed
-    noise_db: float = number(-200, 0, -60.0)  # noise over the echo of a perfect scatterer filling a beam at 1 m
+    noise_db: float = number(-200, 0, -105.0)  # noise over the echo of a perfect scatterer filling a beam at 1 m
     tvg: bool = field(default=True)  # time-varying gain: undoes spreading and absorption
     multipath: float = number(0, 1, 0.0)  # amplitude kept by sound that takes one more bounce off bottom or surface
     cloud: bool = field(default=False)  # also a point cloud with class and instance of each return
@@ -122,7 +122,7 @@ class ScannerRecipe(AcousticRecipe):
     max_range_m: float = number(0.5, 200, 10.0)
     bandwidth_khz: float = number(1, 1000, 50.0)
     looks: float = number(0.5, 100, 1.0)
-    noise_db: float = number(-200, 0, -60.0)
+    noise_db: float = number(-200, 0, -105.0)
     tvg: bool = field(default=True)
 
 

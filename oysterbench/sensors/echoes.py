@@ -1,0 +1,236 @@
+"""What imaging and scanning sonars share: from rays to power per range bin, and from power to recorded amplitudes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array
+from oysterbench.recipe import ScannerRecipe, SiteRecipe, SonarRecipe
+from oysterbench.render.rays import Echoes, RayCaster
+from oysterbench.sensors.acoustics import absorption, echo_strength, range_resolution, sound_speed
+
+PLAIN_STEP = 5e-6
+GAINED_STEP = 1e-4
+"""Amplitude of one count, without and with time-varying gain, over that of a perfect scatterer at 1 m."""
+
+FULL_SCALE = 2**16 - 1
+POWER_STEP = 2.0**-60
+"""Powers are rounded to it (-180 dB), so that the last bits of a CPU's mathematics seldom show in an amplitude."""
+
+BOTTOM_FOOTPRINT_M = 2.0
+THING_FOOTPRINT_M = 0.1
+"""Longest stretch of range that one ray stands for, on the bottom and on what lies on it."""
+
+SIDELOBES = 3  # of the pulse's sinc^2 that are kept each side
+
+
+@dataclass(frozen=True)
+class Medium:
+    """Water where a sonar is: its speed of sound, m/s, and its absorption, loss, dB/m."""
+
+    speed: float
+    loss: float
+
+    @classmethod
+    def at(cls, site: SiteRecipe, depth_m: float, frequency_khz: float) -> Medium:
+        """The water at a depth in m."""
+        return cls(sound_speed(site, depth_m), absorption(site, depth_m, frequency_khz))
+
+
+@dataclass(frozen=True)
+class RangeAxis:
+    """Equal range bins from `start` m, `step` m each, as the sonar believes them to be.
+
+    stretch: believed over true range, the assumed over the true speed of sound.
+    """
+
+    start: float
+    step: float
+    bins: int
+    stretch: float
+
+    def bin_of(self, ranges: Array) -> Array:
+        """Place on the axis of true ranges (m), in bins from the near edge of the first."""
+        return (ranges * self.stretch - self.start) / self.step
+
+    @property
+    def reach(self) -> float:
+        """True range of the far edge, m."""
+        return (self.start + self.step * self.bins) / self.stretch
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays of a sonar: azimuths (N,) to the left and elevations (N,) upwards, rad, in its frame; the sides of the
+    rectangle that each stands for, widths (N,) and heights (N,), rad; column (N,) in which its echo is added up;
+    weights (N,): the beam's two-way response along the ray."""
+
+    azimuths: Array
+    elevations: Array
+    widths: Array
+    heights: Array
+    columns: NDArray[np.int64]
+    weights: Array
+
+
+@dataclass(frozen=True)
+class Returns:
+    """What comes back along N rays: the surfaces; directions (N, 3) and the sides along the range axis of what each ray
+    stands for, footprints (N,) m; powers (N,), that of a perfect scatterer filling the beam at 1 m being 1."""
+
+    echoes: Echoes
+    directions: Array
+    footprints: Array
+    powers: Array
+
+
+def range_axis(recipe: SonarRecipe | ScannerRecipe, true_speed: float) -> RangeAxis:
+    """The range bins of a sonar in water of a speed of sound in m/s."""
+    step = (recipe.max_range_m - recipe.min_range_m) / recipe.bins
+    assumed = recipe.assumed_sound_speed_m_s or true_speed
+    return RangeAxis(recipe.min_range_m, step, recipe.bins, assumed / true_speed)
+
+
+def bin_middles(recipe: SonarRecipe | ScannerRecipe) -> Array:
+    """(bins,) m: the ranges of the middles of a sonar's bins, as it believes them."""
+    step = (recipe.max_range_m - recipe.min_range_m) / recipe.bins
+    return np.asarray(recipe.min_range_m + step * (np.arange(recipe.bins) + 0.5))
+
+
+def send(
+    caster: RayCaster, T_map_sonar: Array, rays: Rays, mu: Array, absorption_db_m: float, fill: float, reach: float
+) -> Returns:
+    """Cast rays from a pose and weigh what they meet.
+
+    mu (8,): of the classes. fill: power of a perfect scatterer that fills the beam at 1 m. Each ray stands for its
+    solid angle, so that a patch sends back the same however many rays meet it.
+    """
+    ahead, left, up = axes_along(T_map_sonar[:3, :3], rays.azimuths, rays.elevations)
+    echoes = caster.cast(T_map_sonar[:3, 3], ahead, reach)
+    ranges, normals = echoes.ranges.astype(float), echoes.normals.astype(float)
+    cosines = np.abs(dot(normals, ahead))
+    cos_e = np.cos(rays.elevations)
+    solid_angles = rays.widths * rays.heights * cos_e
+    powers = echo_strength(ranges, cosines, mu[echoes.classes], absorption_db_m) * rays.weights * solid_angles / fill
+    # Over a plane n.(x - p) = 0 the range changes by -r (n.e) / (n.d) per radian that the ray d turns towards e.
+    near = np.where(np.isfinite(ranges), ranges, 0.0)
+    slope = near / np.maximum(cosines, 1e-3)
+    footprints = slope * np.hypot(rays.heights * dot(normals, up), rays.widths * cos_e * dot(normals, left))
+    longest = np.where(echoes.instances > 0, THING_FOOTPRINT_M, BOTTOM_FOOTPRINT_M)
+    return Returns(echoes, ahead, np.minimum(footprints, longest), powers)
+
+
+def add_up(
+    axis: RangeAxis, columns: NDArray[np.int64], count: int, ranges: Array, footprints: Array, powers: Array
+) -> Array:
+    """Power (count, bins) of returns, each spread evenly over its footprint about its range.
+
+    The integral of a box over bins is the difference of two ramps, of which each bin's step is added up once.
+    """
+    heard = powers > 0
+    columns = columns[heard]
+    ranges, footprints, powers = ranges[heard], footprints[heard], powers[heard]
+    half = np.maximum(0.5 * footprints * axis.stretch / axis.step, 1e-3)
+    middle = axis.bin_of(ranges)
+    density = powers / (2 * half)
+    length = axis.bins + 2  # a bin before the first for what is too near, and the overflow of the last
+    steps = np.zeros(count * length)
+    for edge, sign in ((middle - half, 1.0), (middle + half, -1.0)):
+        place = np.clip(edge, -1.0, axis.bins) + 1.0
+        whole = np.minimum(place.astype(np.int64), axis.bins)
+        share = place - whole
+        cell = columns * length + whole
+        steps += np.bincount(cell, sign * density * (1 - share), steps.size)
+        steps += np.bincount(cell + 1, sign * density * share, steps.size)
+    return np.cumsum(steps.reshape(count, length), axis=1)[:, 1 : axis.bins + 1]
+
+
+def pulse_kernel(axis: RangeAxis, resolution: float) -> Array:
+    """Shares (2 k + 1,) of an echo's power that fall into its own bin and the k bins on each side; their sum is 1.
+
+    A pulse of flat spectrum, compressed, has the envelope sinc^2(r / resolution) with a resolution of c / 2B in m. It
+    is averaged over the bin that the echo comes from and the one that it falls into.
+    """
+    fine = 64
+    width = resolution * axis.stretch / axis.step
+    side = max(1, int(np.ceil((SIDELOBES + 1) * width)))
+    offsets = np.arange(-(side + 1) * fine, (side + 1) * fine + 1) / fine
+    pulse = np.zeros_like(offsets)
+    samples = np.linspace(-0.5, 0.5, 65)[:-1] + 1 / 128  # inside a step of the fine grid, which narrow pulses need
+    for sample in samples / fine:
+        place = (offsets + sample) / width
+        pulse += np.where(np.abs(place) <= SIDELOBES + 1, np.sinc(place) ** 2, 0.0)
+    taps = np.array([np.sum(pulse * np.maximum(1 - np.abs(offsets - k), 0.0)) for k in range(-side, side + 1)])
+    return np.round(taps / taps.sum(), 12)
+
+
+def smear(power: Array, kernel: Array) -> Array:
+    """Power (columns, bins) through a kernel along the range axis; what leaves the axis is lost."""
+    side = len(kernel) // 2
+    padded = np.pad(power, ((0, 0), (side, side)))
+    bins = power.shape[1]
+    return np.asarray(sum(tap * padded[:, k : k + bins] for k, tap in enumerate(kernel) if tap > 0))
+
+
+def resolve(power: Array, axis: RangeAxis, true_speed: float, bandwidth_khz: float) -> Array:
+    """Power (columns, bins) as the pulse resolves it in range."""
+    return smear(np.maximum(power, 0.0), pulse_kernel(axis, range_resolution(true_speed, bandwidth_khz)))
+
+
+def record(
+    power: Array,
+    recipe: SonarRecipe | ScannerRecipe,
+    absorption_db_m: float,
+    generator: np.random.Generator,
+) -> NDArray[np.uint16]:
+    """Amplitudes (..., bins) uint16 that a sonar records of expected powers (..., bins).
+
+    The speckle multiplies the power with a Gamma of mean 1 and shape `looks`; one look is fully developed speckle, of
+    Rayleigh amplitude. The noise floor is complex Gaussian and adds to the complex echo, of which the amplitude is
+    recorded, in counts of `amplitude_step`. Linear, not in dB; what is over full scale is cut there.
+    """
+    power = np.rint(power / POWER_STEP) * POWER_STEP
+    if recipe.looks == 1:
+        speckled = power * generator.standard_exponential(power.shape)
+    else:
+        speckled = power * generator.standard_gamma(recipe.looks, power.shape) / recipe.looks
+    sigma = np.sqrt(10 ** (recipe.noise_db / 10) / 2)  # of each of two quadratures
+    noise = sigma * generator.standard_normal((2, *power.shape))
+    amplitude = np.sqrt((np.sqrt(speckled) + noise[0]) ** 2 + noise[1] ** 2)
+    counts = amplitude * (time_varying_gain(recipe, absorption_db_m) / amplitude_step(recipe))
+    return np.minimum(np.rint(counts), FULL_SCALE).astype(np.uint16)
+
+
+def time_varying_gain(recipe: SonarRecipe | ScannerRecipe, absorption_db_m: float) -> Array:
+    """Gain (bins,) of amplitudes: r^2 10^(2 a r / 20), which undoes spreading and absorption, or 1 without `tvg`."""
+    if not recipe.tvg:
+        return np.ones(recipe.bins)
+    ranges = bin_middles(recipe)
+    return np.asarray(ranges**2 * 10 ** (0.1 * absorption_db_m * ranges))
+
+
+def amplitude_step(recipe: SonarRecipe | ScannerRecipe) -> float:
+    """Amplitude of one count of a recorded sonar, over that of a perfect scatterer that fills a beam at 1 m."""
+    return GAINED_STEP if recipe.tvg else PLAIN_STEP
+
+
+def axes_along(rotation: Array, azimuths: Array, elevations: Array) -> tuple[Array, Array, Array]:
+    """Unit vectors (N, 3) along rays, and at right angles to them to the left and up, turned by rotation (3, 3)."""
+    sin_a, cos_a = np.sin(azimuths), np.cos(azimuths)
+    sin_e, cos_e = np.sin(elevations), np.cos(elevations)
+    ahead = _turn(rotation, cos_e * cos_a, cos_e * sin_a, sin_e)
+    left = _turn(rotation, -sin_a, cos_a, np.zeros_like(sin_a))
+    return ahead, left, _turn(rotation, -sin_e * cos_a, -sin_e * sin_a, cos_e)
+
+
+def dot(a: Array, b: Array) -> Array:
+    """(N,) scalar products of vectors (N, 3), or (1, 3), in the same order of sums on every processor."""
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
+
+
+def _turn(rotation: Array, x: Array, y: Array, z: Array) -> Array:
+    """Vectors (N, 3) from their parts, turned. Written out: a matrix product's order of sums depends on the CPU."""
+    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rotation], axis=-1)

@@ -1,0 +1,249 @@
+"""Imaging sonar: a fan of beams that resolve azimuth and range, and hear all elevations of their aperture at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from oysterbench.geometry import Array
+from oysterbench.recipe import SiteRecipe, SonarRecipe
+from oysterbench.render.rays import RayCaster
+from oysterbench.samples import Cloud, SonarImage
+from oysterbench.sensors import acoustics, echoes
+from oysterbench.sensors.echoes import RangeAxis, Rays, Returns
+from oysterbench.streams import Streams
+
+ROWS = 240  # of rays over the elevations
+PROBE_COLUMNS, PROBE_ROWS = 12, 48  # of the rays that tell where elevations have to be dense
+EVEN_SHARE = 0.35  # of the rows that are even in elevation; the rest are even in range
+COLUMNS_PER_WIDTH = 1.5  # at least so many columns of rays in a beam's half-power width
+PATTERN_REACH = 4.0  # half-power widths, each side, within which a beam hears
+RAISED_M = 0.05  # what is lower over the bottom has its bounce off the bottom together with its echo
+CLOUD_ROWS = 32  # of the cloud, over the elevations
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of rays, even in azimuth, and what each adds to the beams.
+
+    edges (C + 1,): azimuths, from left to right, rad. Beam b adds up taps (K,) times the columns from b * per_beam on;
+    its own are the per_beam in their middle, after `margin` others.
+    """
+
+    edges: Array
+    per_beam: int
+    margin: int
+    taps: Array
+
+    @property
+    def width(self) -> float:
+        """Of a column, rad."""
+        return float(self.edges[0] - self.edges[1])
+
+
+@dataclass(frozen=True)
+class Ping:
+    """What one ping finds: its rays, their returns, the range axis, and the absorption in dB/m.
+
+    power (beams, bins): what the sonar records on average.
+    """
+
+    rays: Rays
+    returns: Returns
+    axis: RangeAxis
+    loss: float
+    power: Array
+
+
+class ImagingSonar:
+    """A multibeam sonar in a world, over a bottom of a kind of recipe.BOTTOMS.
+
+    An image's pixels are linear amplitudes in counts of `amplitude_step`: row k is at `ranges[k]` and column b at
+    `azimuths[b]`, both as the sonar believes them. A row holds all the power that comes back from within it; 1 is the
+    amplitude of a perfect scatterer (mu = 1, facing the sonar) 1 m away that fills a beam.
+    """
+
+    def __init__(self, caster: RayCaster, recipe: SonarRecipe, site: SiteRecipe, bottom: str = "sand") -> None:
+        self.caster = caster
+        self.recipe = recipe
+        self.site = site
+        self.amplitude_step = echoes.amplitude_step(recipe)
+        self._mount = acoustics.mount_pose(recipe)
+        self._mu = acoustics.backscatter(bottom)
+        self._vertical = float(np.radians(recipe.vfov_deg))
+        self._highest = acoustics.first_null(self._vertical)
+        self._columns = build_columns(recipe)
+        across = self._columns.taps.sum() * self._columns.width
+        self._fill = across * acoustics.aperture(self._vertical)
+
+    @property
+    def azimuths(self) -> Array:
+        """(beams,) rad to the left of the sonar's axis, from left to right."""
+        return beam_azimuths(self.recipe)
+
+    @property
+    def ranges(self) -> Array:
+        """(bins,) m, of the middles of the rows."""
+        return echoes.bin_middles(self.recipe)
+
+    def ping(
+        self, T_map_base: Array, streams: Streams, index: int, stamp_ns: int = 0
+    ) -> tuple[SonarImage, Cloud | None]:
+        """Ping `index`, with the vehicle at T_map_base (4, 4): the image, and the cloud if the recipe asks for one."""
+        branch = streams.at("sonar", self.recipe.name, index)
+        found = self.listen(T_map_base, branch)
+        pixels = echoes.record(found.power, self.recipe, found.loss, branch.generator("noise"))
+        image = SonarImage(stamp_ns, self.recipe.name, np.ascontiguousarray(pixels.T))
+        return image, self._cloud(found, stamp_ns) if self.recipe.cloud else None
+
+    def listen(self, T_map_base: Array, streams: Streams) -> Ping:
+        """What a ping from T_map_base (4, 4) finds, before speckle, noise and gain; `streams` scatters the rays."""
+        T_map_sonar = np.asarray(T_map_base, dtype=float) @ self._mount
+        medium = echoes.Medium.at(self.site, -float(T_map_sonar[2, 3]), self.recipe.frequency_khz)
+        axis = echoes.range_axis(self.recipe, medium.speed)
+        rays = self._rays(T_map_sonar, axis, streams.generator("rays"))
+        returns = echoes.send(self.caster, T_map_sonar, rays, self._mu, medium.loss, self._fill, axis.reach)
+        count = len(self._columns.edges) - 1
+        ranges = returns.echoes.ranges.astype(float)
+        power = echoes.add_up(axis, rays.columns, count, ranges, returns.footprints, returns.powers)
+        if self.recipe.multipath:
+            for later, weaker in self._bounces(T_map_sonar, rays, returns, medium.loss):
+                power += echoes.add_up(axis, rays.columns, count, later, returns.footprints, weaker)
+        power = gather(power, self._columns, self.recipe.beams)
+        return Ping(
+            rays, returns, axis, medium.loss, echoes.resolve(power, axis, medium.speed, self.recipe.bandwidth_khz)
+        )
+
+    def _rays(self, T_map_sonar: Array, axis: RangeAxis, generator: np.random.Generator) -> Rays:
+        """Rays anywhere in the cells of a grid: even columns, and rows that are denser where the range changes fast."""
+        columns = self._columns
+        rows = self._row_edges(T_map_sonar, axis)
+        count = len(columns.edges) - 1
+        anywhere = generator.random((2, count, ROWS))
+        azimuths = columns.edges[:-1, None] - columns.width * anywhere[0]
+        heights = np.diff(rows)
+        elevations = rows[:-1] + heights * anywhere[1]
+        return Rays(
+            azimuths=azimuths.ravel(),
+            elevations=elevations.ravel(),
+            widths=np.full(azimuths.size, columns.width),
+            heights=np.tile(heights, count),
+            columns=np.repeat(np.arange(count), ROWS),
+            weights=acoustics.beam_pattern(elevations.ravel(), self._vertical),
+        )
+
+    def _row_edges(self, T_map_sonar: Array, axis: RangeAxis) -> Array:
+        """Elevations (ROWS + 1,) between which the rows of rays lie, rad.
+
+        At grazing incidence a small step in elevation is a large one in range: a few probing rays tell where, and there
+        the rows lie closer. Each ray stands for the height of its row, so that this changes no expected power.
+        """
+        azimuths = np.linspace(self._columns.edges[0], self._columns.edges[-1], PROBE_COLUMNS)
+        elevations = np.linspace(-self._highest, self._highest, PROBE_ROWS + 1)
+        a, e = (values.ravel() for values in np.meshgrid(azimuths, elevations, indexing="ij"))
+        probes, _, _ = echoes.axes_along(T_map_sonar[:3, :3], a, e)
+        ranges = self.caster.cast(T_map_sonar[:3, 3], probes, axis.reach).ranges.astype(float)
+        seen = np.clip(ranges.reshape(len(azimuths), len(elevations)), axis.start / axis.stretch, axis.reach)
+        change = np.abs(np.diff(seen, axis=1)).mean(axis=0)
+        total = change.sum()
+        spent = np.full(PROBE_ROWS, 1.0 / PROBE_ROWS)
+        if total > 0:
+            spent = EVEN_SHARE * spent + (1 - EVEN_SHARE) * change / total
+        reached = np.concatenate([[0.0], np.cumsum(spent)])
+        return np.interp(np.linspace(0.0, reached[-1], ROWS + 1), reached, elevations)
+
+    def _bounces(self, T_map_sonar: Array, rays: Rays, returns: Returns, loss: float) -> list[tuple[Array, Array]]:
+        """Ranges (N,) m and powers (N,) of echoes that take one more bounce, off the flat surface and off the bottom.
+
+        Out on the straight way and back over a mirror, or the other way round: two ways of the same length, that of
+        the straight path r and that of the path L to the sonar's image in the plane z = 0 or in the level bottom below
+        the sonar. The sonar takes (r + L) / 2 for the range. Nothing is looked for that might hide the bounce, and it
+        comes in with the beam of the straight echo.
+        """
+        straight = returns.echoes.ranges.astype(float)
+        heard = np.isfinite(straight)
+        r = np.where(heard, straight, 1.0)
+        start = T_map_sonar[:3, 3]
+        points = start + r[:, None] * returns.directions
+        normals = returns.echoes.normals.astype(float)
+        facing = np.maximum(np.abs(echoes.dot(normals, returns.directions)), 1e-3)
+        bottom = float(self.caster.world.ground_height(start[0], start[1]))
+        found = []
+        for plane, below in ((0.0, points[:, 2] < 0.0), (bottom, points[:, 2] > bottom + RAISED_M)):
+            image = np.array([start[0], start[1], 2 * plane - start[2]])
+            back = image - points
+            length = np.sqrt(echoes.dot(back, back))
+            # The bounced sound arrives from where the point's own mirror image is.
+            arriving = back * [-1.0, -1.0, 1.0]
+            sine = echoes.dot(arriving, T_map_sonar[None, :3, 2]) / length
+            ahead = echoes.dot(arriving, T_map_sonar[None, :3, 0]) > 0
+            one_way = np.sqrt(acoustics.beam_pattern(np.arcsin(np.clip(sine, -1.0, 1.0)), self._vertical))
+            response = one_way / np.sqrt(np.maximum(rays.weights, 1e-9))
+            leaving = np.maximum(echoes.dot(normals, back) / length, 0.0)
+            spread = (r / length) ** 2 * 10 ** (-0.1 * loss * (length - r))
+            weaker = returns.powers * 2 * self.recipe.multipath**2 * response * spread * leaving / facing
+            found.append(((r + length) / 2, np.where(heard & below & ahead, weaker, 0.0)))
+        return found
+
+    def _cloud(self, found: Ping, stamp_ns: int) -> Cloud:
+        """The strongest return in each beam's each of CLOUD_ROWS parts of the elevations, where it is over the noise.
+
+        A point lies on its ray, at the range that the sonar believes; its intensity is the power of all returns that
+        are in the same part.
+        """
+        rays, returns, columns = found.rays, found.returns, self._columns
+        beam = (rays.columns - columns.margin) // columns.per_beam
+        row = ((rays.elevations + self._highest) / (2 * self._highest) * CLOUD_ROWS).astype(np.int64)
+        place = found.axis.bin_of(returns.echoes.ranges.astype(float))
+        heard = (returns.powers > 0) & (beam >= 0) & (beam < self.recipe.beams)
+        chosen = np.flatnonzero(heard & (place >= 0) & (place < found.axis.bins))
+        cell = beam[chosen] * CLOUD_ROWS + np.minimum(row[chosen], CLOUD_ROWS - 1)
+        total = np.bincount(cell, returns.powers[chosen], self.recipe.beams * CLOUD_ROWS)
+        order = np.lexsort((returns.powers[chosen], cell))
+        order = order[np.append(np.diff(cell[order]) > 0, True)[: len(order)]]  # the last, strongest of each cell
+        strongest, power = chosen[order], total[cell[order]]
+        strong = power > 10 ** (self.recipe.noise_db / 10)
+        strongest, power = strongest[strong], power[strong]
+        a, e = rays.azimuths[strongest], rays.elevations[strongest]
+        believed = returns.echoes.ranges[strongest].astype(float) * found.axis.stretch
+        points = believed[:, None] * np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        return Cloud(
+            stamp_ns=stamp_ns,
+            sensor=self.recipe.name,
+            points=np.round(points, 5).astype(np.float32),
+            intensity=power.astype(np.float32),
+            classes=returns.echoes.classes[strongest],
+            instances=returns.echoes.instances[strongest],
+        )
+
+
+def beam_azimuths(recipe: SonarRecipe) -> Array:
+    """(beams,) rad to the left of the axis: the middles of equal parts of the horizontal aperture, left to right."""
+    share = (np.arange(recipe.beams) + 0.5) / recipe.beams
+    return np.radians(recipe.hfov_deg) * (0.5 - share)
+
+
+def build_columns(recipe: SonarRecipe) -> Columns:
+    """Columns of rays that are narrow against a beam, past the aperture's edges as far as the outer beams hear."""
+    spacing = np.radians(recipe.hfov_deg) / recipe.beams
+    width = np.radians(recipe.beam_deg)
+    per_beam = int(np.ceil(COLUMNS_PER_WIDTH * spacing / width))
+    column = spacing / per_beam
+    margin = int(np.ceil(PATTERN_REACH * width / column))
+    count = recipe.beams * per_beam + 2 * margin
+    edges = column * (count / 2 - np.arange(count + 1))
+    across = per_beam + 2 * margin
+    fine = 32  # samples of the pattern over a column
+    offsets = (np.arange(across * fine) + 0.5) / fine - across / 2
+    pattern = acoustics.beam_pattern(offsets * column, width)
+    return Columns(edges, per_beam, margin, np.round(pattern.reshape(across, fine).mean(axis=1), 12))
+
+
+def gather(power: Array, columns: Columns, beams: int) -> Array:
+    """Power (beams, bins) that beams hear of the power (columns, bins) that comes from each column."""
+    heard = np.zeros((beams, power.shape[1]))
+    last = (beams - 1) * columns.per_beam + 1
+    for k, tap in enumerate(columns.taps):
+        heard += tap * power[k : k + last : columns.per_beam]
+    return heard
