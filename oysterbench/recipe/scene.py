@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from oysterbench.recipe.keys import choice, number
+from oysterbench.recipe.path import PathRecipe
 
 CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone", 4: "plant", 5: "sponge", 6: "vehicle", 7: "hash"}
 """What the numbers of a class image mean; hash is broken shell."""
@@ -13,9 +14,6 @@ BOTTOMS = ("sand", "mud", "gravel", "shell")
 
 JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")
 WATER_TYPES = (*JERLOV_TYPES, "chesapeake-clear", "chesapeake-mid", "chesapeake-turbid", "pure")
-PATH_KINDS = ("loop",)
-LOOP_RIPPLE = 0.25
-"""The radius of a loop varies by this share of its mean."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,20 +90,6 @@ class SiteRecipe:
     field_ut: float = number(20, 70, 50.5)  # strength of the Earth's magnetic field
     inclination_deg: float = number(-90, 90, 65.0)  # its dip below the horizon
     declination_deg: float = number(-180, 180, -10.8)  # of magnetic from true north, east positive
-
-
-@dataclass(frozen=True, kw_only=True)
-class PathRecipe:
-    """How the vehicle moves: from rest along a loop over the reef, with the small motions of a hovering ROV."""
-
-    kind: str = choice(PATH_KINDS)
-    radius_m: float = number(0.2, 100)  # mean radius of the loop
-    speed_m_s: float = number(0.01, 5)  # along the loop, once the ramp is over
-    ramp_s: float = number(0.5, 60, 3.0)  # time from rest to full speed
-    altitude_m: float = number(0.2, 20)  # above the smoothed bottom
-    sway_m: float = number(0, 0.5, 0.06)  # amplitude of surge, sway and heave about the nominal path
-    tilt_deg: float = number(0, 30, 4.0)  # amplitude of roll, pitch and yaw about the nominal attitude
-    clearance_m: float = number(0, 10, 0.3)  # least distance kept above oysters and stones
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,127 @@
+"""The path of a sequence, from its recipe: the way, the bottom below it, what pushes the vehicle off, how it leans."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d, uniform_filter
+
+from oysterbench.geometry import Array
+from oysterbench.recipe import PathRecipe, SequenceRecipe
+from oysterbench.scene.path import disturbance, routes
+from oysterbench.scene.path.clearance import Height, check_clearance, lift
+from oysterbench.scene.path.itinerary import KNOT_S, Itinerary, Way, clock, ramp
+from oysterbench.scene.path.motion import Path
+from oysterbench.scene.waves import build_waves
+from oysterbench.streams import Streams
+
+TERRAIN_SMOOTHING_S = 1.0
+"""An ROV follows the bottom through its altimeter and its own inertia, not stone by stone."""
+
+SPOT_CELL_M, SPOT_CELLS = 0.1, 5  # of the map on which spots are found, and cells of a side that are a spot
+
+
+def build_path(recipe: SequenceRecipe, ground_height: Height, obstacle_height: Height, streams: Streams) -> Path:
+    """The path of a sequence over its reef.
+
+    ground_height, obstacle_height: z (m) in `map` of the bare bottom, and of the top of what lies on it, at x, y.
+    With `path.lift` the vehicle rises over what it would come too close to.
+
+    Raises RecipeError where the path would come closer to an obstacle than `path.clearance_m`, leave the reef, or break
+    the surface.
+    """
+    times = np.arange(0.0, recipe.duration_s + 1.0, KNOT_S)  # past the end, so that the end is like the rest
+    plan, site = recipe.path, recipe.site
+    way = nominal_way(recipe, clock(times, plan.ramp_s), ground_height, obstacle_height, streams)
+    bottom = gaussian_filter1d(ground_height(way.x, way.y), TERRAIN_SMOOTHING_S / KNOT_S, mode="nearest")
+    nominal = np.column_stack([way.x, way.y, bottom + way.altitude])
+    wobble = disturbance.sway(times, plan, streams) + disturbance.excitation(times, plan, streams)
+    position, attitude = nominal + wobble[:, :3], wobble[:, 3:]
+    attitude[:, 0] += way.heading
+    begun = ramp(times, plan.ramp_s)[:, None]  # held until then
+    if site.wave_height_m:
+        waves = build_waves(site, recipe.reef.depth_m, streams)
+        position += plan.wave_following * begun * waves.displacement(nominal, times)
+    water = np.zeros((len(times), 2))
+    if site.current_m_s:
+        mean, gusts = disturbance.current(times, site, streams)
+        water = mean + gusts
+        position[:, :2] += plan.hold_s * begun * gusts
+        attitude[:, 0] += way.along * disturbance.crab(way.heading, water, plan.speed_m_s)
+    if plan.lean:
+        pitch, roll = disturbance.lean(times, nominal[:, :2], attitude[:, 0], water, plan.lean)
+        attitude[:, 1] += pitch
+        attitude[:, 2] += roll
+    path = _path(times, position, attitude, recipe)
+    if plan.lift:
+        position[:, 2] += lift(path, times, recipe, obstacle_height)
+        path = _path(times, position, attitude, recipe)
+    check_clearance(path, recipe, obstacle_height)
+    return path
+
+
+def _path(times: Array, position: Array, attitude: Array, recipe: SequenceRecipe) -> Path:
+    return Path(
+        make_interp_spline(times, position, k=5), make_interp_spline(times, attitude, k=5), float(recipe.duration_s)
+    )
+
+
+def nominal_way(
+    recipe: SequenceRecipe, clock_s: Array, ground_height: Height, obstacle_height: Height, streams: Streams
+) -> Way:
+    """The way that the recipe asks for, at clock (N,) s of full pace."""
+    plan = recipe.path
+    if plan.kind == "loop":
+        rng = streams.generator("path", "loop")
+        x, y, heading = routes.loop(_given(plan.radius_m), plan.speed_m_s * clock_s, rng)
+        return Way(x, y, np.full(len(x), plan.altitude_m), heading, np.ones(len(x)))
+    if plan.kind == "inspection" and not plan.spots_m:
+        spots = find_spots(recipe, ground_height, obstacle_height, streams.generator("path", "spots"))
+        plan = dataclasses.replace(plan, spots_m=tuple(spots))
+    return itinerary(plan, float(clock_s[-1]), streams).way(clock_s)
+
+
+def itinerary(plan: PathRecipe, seconds: float, streams: Streams) -> Itinerary:
+    """The itinerary of a path that is none of the closed curves, for at least so many seconds where it goes on."""
+    speed, turn_rate = plan.speed_m_s, np.radians(plan.turn_rate_deg_s)
+    heading, rng = np.radians(plan.heading_deg), streams.generator("path", plan.kind)
+    pace = (plan.altitude_m, speed, turn_rate)
+    match plan.kind:
+        case "lawnmower":
+            shape = (_given(plan.length_m), _given(plan.width_m), _given(plan.spacing_m))
+            sets = routes.lanes(*shape, heading, plan.centre_m, plan.cross)
+            return routes.survey(sets, *pace, plan.repeat, seconds)
+        case "transect":
+            line = routes.lanes(_given(plan.length_m), 0.0, 1.0, heading, plan.centre_m, False)
+            return routes.survey(line, *pace, plan.repeat, seconds)
+        case "orbit":
+            radii = [_given(plan.radius_m) + ring * (plan.spacing_m or 0.0) for ring in range(plan.rings)]
+            return routes.orbit(radii, plan.centre_m, plan.look == "inward", *pace, seconds, rng)
+        case "inspection":
+            looks = (plan.stand_off_m, plan.close_m, plan.sides, plan.hover_s)
+            return routes.inspection([(x, y) for x, y in plan.spots_m], *looks, *pace, seconds, rng)
+        case "waypoints":
+            return routes.waypoints(plan.waypoints, *pace, plan.repeat, seconds)
+        case "free":
+            return routes.wander(_given(plan.extent_m), plan.revisit, *pace, seconds, rng)
+    raise ValueError(f"no itinerary for a path of kind {plan.kind!r}")
+
+
+def find_spots(
+    recipe: SequenceRecipe, ground_height: Height, obstacle_height: Height, rng: np.random.Generator
+) -> routes.Places:
+    """Places (x, y m) to inspect: drawn from where most stands on the bottom, with room to go round them."""
+    plan = recipe.path
+    half = recipe.reef.size_m / 2 - 2 * plan.sway_m - plan.stand_off_m
+    lines = np.linspace(-half, half, 2 * int(np.ceil(half / SPOT_CELL_M)) + 1)
+    x, y = np.meshgrid(lines, lines)
+    relief = uniform_filter(obstacle_height(x, y) - ground_height(x, y), SPOT_CELLS, mode="nearest")
+    return routes.dense_spots(relief, lines, plan.spots, 2 * plan.stand_off_m, rng)
+
+
+def _given(value: float | None) -> float:
+    """A key that `recipe.path.check_path` has found to be there."""
+    assert value is not None
+    return value

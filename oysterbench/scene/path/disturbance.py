@@ -1,0 +1,123 @@
+"""What moves the vehicle besides its will: its own sway, an opening manoeuvre, waves, current, drag and inertia."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+
+from oysterbench.geometry import Array
+from oysterbench.recipe import PathRecipe, SiteRecipe
+from oysterbench.scene.path.itinerary import KNOT_S, ramp
+from oysterbench.scene.rig import GRAVITY
+from oysterbench.streams import Streams
+
+SWAY_PERIODS_S = (2.2, 3.4, 5.3)
+"""Periods of a station-keeping ROV's motion; the shorter ones carry most of the acceleration."""
+
+EXCITATION_PERIODS_S = (1.7, 2.5, 3.6)
+EXCITATION_S, EXCITATION_EDGE_S = 8.0, 2.0  # length of the opening manoeuvre, and of its soft begin and end
+EXCITATION_M, EXCITATION_RAD = 0.10, np.radians(6.0)  # amplitudes
+
+GUST_PERIODS_S = (13.0, 29.0, 61.0)
+GUST_SHARE = 0.2
+"""Of the mean current: largest variation, per axis. Tidal streams near the bottom have a turbulence of about 0.1."""
+
+SLOWEST_SHARE = 0.5  # of the speed: way through the water that the crab angle reckons with in a following current
+CRAB_SMOOTHING_S = 1.0  # of the helm, which follows gusts with delay
+
+
+@dataclass(frozen=True)
+class Hull:
+    """Lumped coefficients of a BlueROV2: surge first, sway second."""
+
+    mass_kg: float = 11.5
+    added_kg: tuple[float, float] = (5.5, 12.7)
+    linear: tuple[float, float] = (4.03, 6.22)  # N/(m/s)
+    quadratic: tuple[float, float] = (18.18, 21.66)  # N/(m/s)^2
+
+
+HULL = Hull()
+"""Wu 2018, `6-DoF modelling and control of a remotely operated vehicle`, tables of added mass and damping."""
+
+LEAN_LIMIT_RAD = np.radians(35.0)
+LEAN_SMOOTHING_S = 0.5  # a quarter of the hull's period of pitch and roll
+
+
+def sines(times: Array, periods_s: tuple[float, ...], rng: np.random.Generator) -> Array:
+    """(N,) sum of sines of about these periods with random phases and weights that sum to one."""
+    total = np.zeros(len(times))
+    weights = rng.dirichlet(np.full(len(periods_s), 4.0))
+    for weight, period in zip(weights, periods_s, strict=True):
+        period = period * rng.uniform(0.85, 1.15)
+        phase = rng.uniform(0, 2 * np.pi)
+        total += weight * np.sin(2 * np.pi * times / period + phase)
+    return total
+
+
+def sway(times: Array, plan: PathRecipe, streams: Streams) -> Array:
+    """(N, 6) displacement x, y, z m and yaw, pitch, roll rad of a vehicle that hovers, growing with the ramp."""
+    motion = np.column_stack([sines(times, SWAY_PERIODS_S, streams.generator("path", "sway", k)) for k in range(6)])
+    motion *= ramp(times, plan.ramp_s)[:, None]
+    return np.hstack([plan.sway_m * motion[:, :3], np.radians(plan.tilt_deg) * motion[:, 3:]])
+
+
+def excitation(times: Array, plan: PathRecipe, streams: Streams) -> Array:
+    """(N, 6) displacement x, y, z m and yaw, pitch, roll rad of the opening manoeuvre, from rest and to rest.
+
+    Turns and translations about all axes over a few seconds make scale, gravity and biases observable to a filter that
+    starts from images and inertial samples alone (Martinelli 2014).
+    """
+    motion = np.zeros((len(times), 6))
+    if plan.excitation:
+        window = ramp(times, EXCITATION_EDGE_S) * ramp(EXCITATION_S - times, EXCITATION_EDGE_S)
+        for axis in range(6):
+            size = EXCITATION_M if axis < 3 else EXCITATION_RAD
+            rng = streams.generator("path", "excitation", axis)
+            motion[:, axis] = plan.excitation * size * window * sines(times, EXCITATION_PERIODS_S, rng)
+    return motion
+
+
+def current(times: Array, site: SiteRecipe, streams: Streams) -> tuple[Array, Array]:
+    """Mean current (2,) and its variation (N, 2) in m/s along x and y of `map`."""
+    to = np.radians(site.current_to_deg)
+    mean = site.current_m_s * np.array([np.cos(to), np.sin(to)])
+    gusts = [sines(times, GUST_PERIODS_S, streams.generator("path", "gusts", axis)) for axis in range(2)]
+    return mean, GUST_SHARE * site.current_m_s * np.column_stack(gusts)
+
+
+def crab(heading: Array, water: Array, speed: float) -> Array:
+    """Angles (N,) rad, to the left positive, that the bow is turned by so that the track stays along `heading` (N,).
+
+    water (N, 2) m/s: the current. The way through the water is the track's velocity less the current; in a following
+    current that angle is bounded by reckoning with SLOWEST_SHARE of the speed at least.
+    """
+    ahead = water[:, 0] * np.cos(heading) + water[:, 1] * np.sin(heading)
+    left = -water[:, 0] * np.sin(heading) + water[:, 1] * np.cos(heading)
+    angle = np.arctan2(-left, np.maximum(speed - ahead, SLOWEST_SHARE * speed))
+    return gaussian_filter1d(angle, CRAB_SMOOTHING_S / KNOT_S, mode="nearest")
+
+
+def lean(times: Array, track: Array, yaw: Array, water: Array, share: float) -> tuple[Array, Array]:
+    """Pitch and roll (N,) rad of a hull whose thrust acts below its centre of drag and weight.
+
+    track (N, 2) m: x and y; yaw (N,) rad; water (N, 2) m/s. Thrust holds drag and inertia, F = (m + m_a) a + (d_1 +
+    d_2 |u|) u per axis with u through the water; the moment of its lever is held by weight over the righting arm,
+    tan(angle) = share * F / (m g), where `share` is lever over righting arm. So the bow goes down when it gains way
+    or makes way, and the hull leans into its turns.
+    """
+    spline = make_interp_spline(times, track, k=5)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+
+    def in_body(vector: Array) -> Array:
+        return np.column_stack([vector[:, 0] * cos + vector[:, 1] * sin, -vector[:, 0] * sin + vector[:, 1] * cos])
+
+    through = in_body(spline.derivative(1)(times) - water)
+    inertia = (HULL.mass_kg + np.array(HULL.added_kg)) * in_body(spline.derivative(2)(times))
+    force = inertia + (np.array(HULL.linear) + np.array(HULL.quadratic) * np.abs(through)) * through
+    angle = np.arctan(share * force / (HULL.mass_kg * GRAVITY))
+    angle = LEAN_LIMIT_RAD * np.tanh(angle / LEAN_LIMIT_RAD)
+    angle = gaussian_filter1d(angle, LEAN_SMOOTHING_S / KNOT_S, axis=0, mode="nearest")
+    return angle[:, 0], -angle[:, 1]  # about y, bow down positive; about x, right side down positive

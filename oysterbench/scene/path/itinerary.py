@@ -1,0 +1,119 @@
+"""Itineraries: places to be at, one after the other, and the smooth way through them within the vehicle's limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+
+from oysterbench.geometry import Array
+
+KNOT_S = 0.1
+"""Spacing of the splines' knots: 20 times shorter than the shortest period of the vehicle's own motion."""
+
+SMOOTHING_S = 0.5
+"""Standard deviation in time of the Gaussian that rounds corners off: a thruster's and a hull's delay. Being a mean
+over time it makes nothing faster, and shifts nothing farther than 0.8 of it times the change of velocity."""
+
+REACH = 4.0  # standard deviations that the Gaussian goes to
+
+STATE = 5
+"""Columns of a state: x m, y m, altitude m, heading rad, and 1 where the bow points along the way, 0 where it looks."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A nominal way at N times: x, y m in `map`, altitude m over the bottom, heading rad (from east,
+    counter-clockwise, unwrapped) and the share to which the bow points along the way, each (N,)."""
+
+    x: Array
+    y: Array
+    altitude: Array
+    heading: Array
+    along: Array
+
+
+class Itinerary:
+    """States in the order of their visit, each at the earliest time that speed and rate of turn allow.
+
+    speed m/s: of the way through x, y and altitude. turn_rate rad/s: of the heading.
+    """
+
+    def __init__(self, start: Array, speed: float, turn_rate: float) -> None:
+        """Begin at a state (5,), see STATE."""
+        self.speed, self.turn_rate = speed, turn_rate
+        self.elapsed = 0.0  # s
+        self.state = np.array(start, dtype=float)
+        self._states = [self.state[None]]
+        self._durations: list[Array] = []
+
+    def through(self, states: Array, speed: float | None = None) -> None:
+        """Visit states (K, 5); each heading is reached by the shorter turn, half a turn to the left."""
+        states = np.array(states, dtype=float)
+        before = np.vstack([self.state, states[:-1]])
+        turns = np.pi - np.mod(np.pi - (states[:, 3] - before[:, 3]), 2 * np.pi)
+        # The last bits of half a turn differ between processors; its side must not.
+        turns = np.where(turns < 1e-6 - np.pi, turns + 2 * np.pi, turns)
+        states[:, 3] = self.state[3] + np.cumsum(turns)
+        away = np.linalg.norm(states[:, :3] - before[:, :3], axis=1)
+        self._append(states, np.maximum(away / (speed or self.speed), np.abs(turns) / self.turn_rate))
+
+    def line(self, place: Array, altitude: float) -> None:
+        """Turn on the spot to the course of a straight line, and follow it to its end, x and y (2,) m."""
+        away = place - self.state[:2]
+        if np.hypot(*away) > 1e-6:
+            self.turn(float(np.arctan2(away[1], away[0])), along=True)
+        self.through(np.array([[*place, altitude, *self.state[3:]]]))
+
+    def turn(self, heading: float, along: bool = False) -> None:
+        """Turn on the spot."""
+        self.through(np.array([[*self.state[:3], heading, float(along)]]))
+
+    def wait(self, seconds: float) -> None:
+        """Hover."""
+        self._append(self.state[None].copy(), np.array([seconds]))
+
+    def _append(self, states: Array, durations: Array) -> None:
+        moves = durations > 1e-9
+        self.state = states[-1]
+        if moves.any():
+            self._states.append(states[moves])
+            self._durations.append(durations[moves])
+            self.elapsed += float(durations.sum())
+
+    def way(self, clock: Array) -> Way:
+        """The smoothed way at clock (N,) s of full pace, not falling, from 0; it hovers where it ends."""
+        states = np.concatenate(self._states)
+        times = np.concatenate([[0.0], np.cumsum(np.concatenate([[], *self._durations]))])
+        return Way(*smooth(times, states, float(clock[-1]))(clock).T)
+
+
+def smooth(times: Array, states: Array, end: float) -> BSpline:
+    """Spline over 0 to `end` s of the states (M, K) at times (M,) s, linear between them, after a Gaussian in time.
+
+    Before its first state the way is carried back along its first leg, so that it begins where that does.
+    """
+    lead = int(np.ceil(REACH * SMOOTHING_S / KNOT_S))
+    steps = np.arange(-lead, int(np.ceil(end / KNOT_S)) + lead + 2)
+    grid = steps * KNOT_S
+    values = np.column_stack([np.interp(grid, times, column) for column in states.T])
+    if len(times) > 1:
+        slope = (states[1] - states[0]) / (times[1] - times[0])
+        values += np.minimum(grid, 0.0)[:, None] * slope
+    values = gaussian_filter1d(values, SMOOTHING_S / KNOT_S, axis=0, mode="nearest", truncate=REACH)
+    inner = steps >= 0
+    return make_interp_spline(grid[inner][: -lead or None], values[inner][: -lead or None], k=5)
+
+
+def ramp(times: Array, ramp_s: float) -> Array:
+    """Smootherstep from 0 to 1 over ramp_s (Perlin 2002): its first and second derivatives vanish at both ends."""
+    grown = np.clip(times / ramp_s, 0.0, 1.0)
+    return grown**3 * (10 + grown * (6 * grown - 15))
+
+
+def clock(times: Array, ramp_s: float) -> Array:
+    """Integral (N,) s of the ramp over time: seconds of full pace. The way begins at rest, without acceleration."""
+    grown = np.clip(times / ramp_s, 0.0, 1.0)
+    return ramp_s * (grown**6 - 3 * grown**5 + 2.5 * grown**4) + np.maximum(times - ramp_s, 0.0)

@@ -1,0 +1,321 @@
+"""Routes: what each kind of path is, as places in their order. `loop` is a closed curve without corners to round."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from oysterbench.geometry import Array
+from oysterbench.recipe import LOOP_RIPPLE
+from oysterbench.scene.path.itinerary import SMOOTHING_S, Itinerary
+
+ARC_STEP_RAD = np.radians(5.0)
+CURVE_STEP_M = 0.05
+SLOW = 0.4  # of the speed: close to a spot that is inspected
+WANDER_CHORD = (0.2, 0.6)  # of the extent: shortest and longest legs of a free path
+SHARPEST_TURN = np.radians(120.0)  # between two legs of a free path
+
+Places = list[tuple[float, float]]
+Curve = tuple[Array, Array]
+"""Places (K, 2) m along a curve, and its tangents (K, 2) there."""
+
+
+def loop(radius_m: float, way: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """x, y (m) and heading (rad, unwrapped) at way (N,) m along a closed loop around the origin."""
+    start, bend = rng.uniform(0.0, 2 * np.pi, 2)
+    turn = rng.choice([-1.0, 1.0])
+    angle = np.linspace(0.0, 2 * np.pi, 4001)
+    # An ellipse-like and a three-lobed term: curvature changes along the way, so that no part is a plain circle.
+    radius = radius_m * (1 + LOOP_RIPPLE * (0.6 * np.sin(2 * angle + bend) + 0.4 * np.sin(3 * angle)))
+    curve = np.column_stack([radius * np.cos(start + turn * angle), radius * np.sin(start + turn * angle)])
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+    closed = make_interp_spline(length, curve, k=5, bc_type="periodic")
+    position = closed(way)
+    tangent = closed.derivative(1)(way)
+    return position[:, 0], position[:, 1], np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
+
+
+def lanes(
+    length_m: float, width_m: float, spacing_m: float, heading: float, centre: tuple[float, float], cross: bool
+) -> list[Curve]:
+    """Parallel lanes from the right of the centre to its left, with half circles at their ends.
+
+    The first runs along `heading`, the next against it, and so on; with `cross` a second set runs across them, from
+    that of its corners which is nearest.
+    """
+    turned = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
+    sets = [_meander(length_m, width_m, spacing_m)]
+    if cross:
+        places, tangents = _meander(width_m, length_m, spacing_m)
+        end, start = sets[0][0][-1], places[0, ::-1]
+        mirror = np.where(end * start < 0, -1.0, 1.0)
+        sets.append((places[:, ::-1] * mirror, tangents[:, ::-1] * mirror))
+    return [(np.asarray(centre) + places @ turned, tangents @ turned) for places, tangents in sets]
+
+
+def _meander(length_m: float, width_m: float, spacing_m: float) -> Curve:
+    """Lanes along the first axis, from the lowest of the second to the highest, about the origin."""
+    count = int(np.floor(width_m / spacing_m + 1e-9)) + 1
+    turn = np.arange(ARC_STEP_RAD, np.pi - 1e-9, ARC_STEP_RAD)
+    bulge = spacing_m / 2 * np.column_stack([np.sin(turn), 1 - np.cos(turn)])
+    places, tangents = [], []
+    for lane in range(count):
+        forth = np.array([1.0 if lane % 2 == 0 else -1.0, 1.0])
+        middle = np.array([0.0, (lane - (count - 1) / 2) * spacing_m])
+        end = np.array([length_m / 2, 0.0])
+        places += [middle - forth * end, middle + forth * end]
+        tangents += 2 * [forth * [1.0, 0.0]]
+        if lane + 1 < count:
+            places += list(middle + forth * (end + bulge))
+            tangents += list(forth * np.column_stack([np.cos(turn), np.sin(turn)]))
+    return np.array(places), np.array(tangents)
+
+
+def survey(
+    sets: list[Curve], altitude: float, speed: float, turn_rate: float, repeat: bool, seconds: float
+) -> Itinerary:
+    """Along curves, one after the other; with `repeat` back and forth until `seconds` are over."""
+    back = [(places[::-1], -tangents[::-1]) for places, tangents in reversed(sets)]
+    itinerary = _begin(sets[0], altitude, speed, turn_rate)
+    rounds = 0
+    while True:
+        for places, tangents in back if rounds % 2 else sets:
+            itinerary.line(places[0], altitude)
+            _follow(itinerary, (places, tangents), altitude)
+        rounds += 1
+        if not repeat or itinerary.elapsed > seconds:
+            return itinerary
+
+
+def orbit(
+    radii_m: list[float],
+    centre: tuple[float, float],
+    inward: bool,
+    altitude: float,
+    speed: float,
+    turn_rate: float,
+    seconds: float,
+    rng: np.random.Generator,
+) -> Itinerary:
+    """A lap on each circle, outwards and back in, from a seeded angle to a seeded side until `seconds` are over."""
+    angle, side = float(rng.uniform(0.0, 2 * np.pi)), float(rng.choice([-1.0, 1.0]))
+    facing = np.pi if inward else side * np.pi / 2
+    laps = [_unsmoothed(radius, speed, turn_rate) for radius in radii_m]
+    laps = [*laps, *laps[-2:0:-1]]
+    turns = side * np.linspace(0.0, 2 * np.pi, int(np.ceil(2 * np.pi / ARC_STEP_RAD)) + 1)
+
+    def states(radius: float, angles: Array) -> Array:
+        on = np.column_stack([centre[0] + radius * np.cos(angles), centre[1] + radius * np.sin(angles)])
+        return np.column_stack([on, np.full(len(on), altitude), angles + facing, np.full(len(on), float(not inward))])
+
+    itinerary = Itinerary(states(laps[0], np.array([angle]))[0], speed, turn_rate)
+    lap = 0
+    while itinerary.elapsed <= seconds:
+        itinerary.through(states(laps[lap % len(laps)], angle + turns))
+        lap += 1
+    return itinerary
+
+
+def _unsmoothed(radius: float, speed: float, turn_rate: float) -> float:
+    """Radius of a circle that the smoothing in time shrinks to `radius`: by exp(-(omega sigma)^2 / 2)."""
+    wider = radius
+    for _ in range(50):
+        omega = min(speed / wider, turn_rate)
+        wider = radius * float(np.exp(0.5 * (omega * SMOOTHING_S) ** 2))
+    return wider
+
+
+def inspection(
+    spots: Places,
+    stand_off: float,
+    close: float,
+    sides: int,
+    hover_s: float,
+    altitude: float,
+    speed: float,
+    turn_rate: float,
+    seconds: float,
+    rng: np.random.Generator,
+) -> Itinerary:
+    """Round the spots (x, y m) until `seconds` are over.
+
+    At each: come near slowly and down to `close`, look at it from `stand_off`, go round it to look from all sides, and
+    rise again.
+    """
+    inside = -np.array(spots[0])
+    inside = inside / np.hypot(*inside) if np.hypot(*inside) > 0.1 else np.array([1.0, 0.0])
+    start = np.array(spots[0]) + (2 * stand_off + 1.0) * inside
+    itinerary = Itinerary(np.array([*start, altitude, np.arctan2(-inside[1], -inside[0]), 1.0]), speed, turn_rate)
+    visit = 0
+    while itinerary.elapsed <= seconds:
+        spot = np.array(spots[visit % len(spots)])
+        from_spot = itinerary.state[:2] - spot
+        away = float(np.hypot(*from_spot))
+        outward = from_spot / away if away > 1e-6 else np.array([1.0, 0.0])
+        if away > 2 * stand_off:
+            itinerary.line(spot + 2 * stand_off * outward, altitude)
+        angle = float(np.arctan2(outward[1], outward[0]))
+        itinerary.turn(angle + np.pi)
+        _look_at(itinerary, spot, np.array([angle]), stand_off, close, SLOW * speed)
+        itinerary.wait(hover_s)
+        side = float(rng.choice([-1.0, 1.0]))
+        for _ in range(sides - 1):
+            turn = 2 * np.pi / sides
+            arc = angle + side * np.linspace(0.0, turn, int(np.ceil(turn / ARC_STEP_RAD)) + 1)[1:]
+            _look_at(itinerary, spot, arc, stand_off, close, SLOW * speed)
+            itinerary.wait(hover_s)
+            angle += side * turn
+        _look_at(itinerary, spot, np.array([angle]), stand_off, altitude, SLOW * speed)
+        visit += 1
+    return itinerary
+
+
+def _look_at(itinerary: Itinerary, spot: Array, angles: Array, away: float, altitude: float, speed: float) -> None:
+    """Go round a spot by angles (K,), facing it."""
+    n = len(angles)
+    on = spot + away * np.column_stack([np.cos(angles), np.sin(angles)])
+    itinerary.through(np.column_stack([on, np.full(n, altitude), angles + np.pi, np.zeros(n)]), speed)
+
+
+def dense_spots(relief: Array, lines: Array, count: int, apart_m: float, rng: np.random.Generator) -> Places:
+    """`count` places (x, y m) drawn from the tenth of a grid where most stands on the bottom, each next the nearest.
+
+    relief (N, N) m, indexed [y, x], on grid lines (N,) m: mean height of what stands there. They lie at least apart_m
+    from each other as long as the reef has such places, then nearer by and by.
+    """
+    order = np.argsort(-np.round(relief, 4), axis=None, kind="stable")[: max(relief.size // 10, count)]
+    rows, columns = np.unravel_index(rng.permutation(order), relief.shape)
+    free = np.column_stack([lines[columns], lines[rows]])
+    chosen: list[Array] = []
+    while len(chosen) < count:
+        if chosen:
+            room = np.min([np.hypot(*(free - spot).T) for spot in chosen], axis=0)
+            far = np.flatnonzero(room >= apart_m - 1e-9)
+            if not len(far):
+                apart_m *= 0.7
+                continue
+            near = far[np.argmin(np.round(np.hypot(*(free[far] - chosen[-1]).T), 6))]
+        else:
+            near = 0
+        chosen.append(free[near])
+    return [(float(x), float(y)) for x, y in chosen]
+
+
+def waypoints(
+    places: tuple[tuple[float, ...], ...],
+    altitude: float,
+    speed: float,
+    turn_rate: float,
+    repeat: bool,
+    seconds: float,
+) -> Itinerary:
+    """Through places [x, y, (altitude m, (yaw deg))] in straight lines, the bow along them.
+
+    With yaw: turned to there; between two such places the heading goes evenly from the one yaw to the other. With
+    `repeat` round and round until `seconds` are over.
+    """
+
+    def state(place: tuple[float, ...]) -> Array:
+        yaw = np.radians(place[3]) if len(place) == 4 else 0.0
+        return np.array([*place[:2], place[2] if len(place) > 2 else altitude, yaw, 0.0])
+
+    start = state(places[0])
+    others = [place for place in places if np.hypot(place[0] - start[0], place[1] - start[1]) > 1e-6]
+    if len(places[0]) < 4 and others:
+        start[3:] = np.arctan2(others[0][1] - start[1], others[0][0] - start[0]), 1.0
+    itinerary = Itinerary(start, speed, turn_rate)
+    previous = places[0]
+    following = places[1:]
+    while True:
+        for place in following:
+            if len(previous) == 4 and len(place) == 4:
+                itinerary.through(state(place)[None])
+            else:
+                itinerary.line(state(place)[:2], float(state(place)[2]))
+                if len(place) == 4:
+                    itinerary.turn(float(np.radians(place[3])))
+            previous = place
+        following = places
+        if not repeat or not others or itinerary.elapsed > seconds:
+            return itinerary
+
+
+def wander(
+    extent_m: float,
+    revisit: float,
+    altitude: float,
+    speed: float,
+    turn_rate: float,
+    seconds: float,
+    rng: np.random.Generator,
+) -> Itinerary:
+    """A free path in a square about the origin: a smooth curve along places of which some are met again.
+
+    The places are the control points of a uniform cubic B-spline, so that the curve stays inside their hull (de Boor
+    2001, ch. IX) and comes to the same waters whenever it follows the same leg.
+    """
+    places = _ramble(extent_m, revisit, speed * seconds, rng)
+    curve = BSpline(np.arange(len(places) + 4, dtype=float), places, 3)
+    at = np.linspace(3.0, float(len(places)), 100 * (len(places) - 3) + 1)
+    on = curve(at)
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(on, axis=0).T))])
+    even = np.interp(np.arange(0.0, length[-1], CURVE_STEP_M), length, at)
+    way = curve(even), curve.derivative(1)(even)
+    itinerary = _begin(way, altitude, speed, turn_rate)
+    _follow(itinerary, way, altitude)
+    return itinerary
+
+
+def _ramble(extent_m: float, revisit: float, length_m: float, rng: np.random.Generator) -> Array:
+    """Places (K, 2) m, new and known ones, whose B-spline is at least length_m long."""
+    shortest, longest = WANDER_CHORD[0] * extent_m, WANDER_CHORD[1] * extent_m
+    places = [rng.uniform(-extent_m / 2, extent_m / 2, 2)]
+    visits = [0]
+    walked = 0.0
+    while walked < 2.5 * length_m + 4 * extent_m or len(visits) < 6:
+        here = places[visits[-1]]
+        course = here - places[visits[-2]] if len(visits) > 1 else np.zeros(2)
+        new = rng.uniform(-extent_m / 2, extent_m / 2, (64, 2))
+        wanted = [*(np.array(places) if rng.random() < revisit else new[:0]), *new]
+        fitting = [
+            k
+            for k, place in enumerate(wanted)
+            if shortest < np.hypot(*(place - here)) < longest and _bend(course, place - here) < SHARPEST_TURN
+        ]
+        if not fitting:  # in a corner: the middle of the square is always far enough
+            visits.append(len(places))
+            places.append(-0.3 * here)
+        elif len(wanted) > len(new) and fitting[0] < len(places):
+            known = [k for k in fitting if k < len(places)]
+            visits.append(int(known[int(rng.integers(0, len(known)))]))
+        else:
+            visits.append(len(places))
+            places.append(wanted[fitting[0]])
+        walked += float(np.hypot(*(places[visits[-1]] - here)))
+    return np.array([places[k] for k in visits])
+
+
+def _bend(before: Array, after: Array) -> float:
+    """Angle between two legs, rad."""
+    turn = np.arctan2(before[0] * after[1] - before[1] * after[0], before @ after)
+    return float(abs(turn))
+
+
+def _begin(curve: Curve, altitude: float, speed: float, turn_rate: float) -> Itinerary:
+    """At the first place of a curve, the bow along it."""
+    places, tangents = curve
+    return Itinerary(np.array([*places[0], altitude, _courses(tangents)[0], 1.0]), speed, turn_rate)
+
+
+def _follow(itinerary: Itinerary, curve: Curve, altitude: float) -> None:
+    """Along a curve, the bow along it."""
+    places, tangents = curve
+    n = len(places)
+    states = np.column_stack([places, np.full(n, altitude), _courses(tangents), np.ones(n)])
+    itinerary.turn(states[0, 3], along=True)
+    itinerary.through(states)
+
+
+def _courses(tangents: Array) -> Array:
+    """Courses (K,) rad of tangents (K, 2)."""
+    return np.arctan2(tangents[:, 1], tangents[:, 0])
