@@ -1,4 +1,4 @@
-"""Trajectory: time-stamped poses of the body in the world, and the text formats they come in."""
+"""The text formats that trajectories come in."""
 
 from __future__ import annotations
 
@@ -9,60 +9,13 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oysterbench.errors import TrajectoryError
 from oysterbench.files import write_atomically
-from oysterbench.geometry import Array, interpolate_poses, poses_to_matrices
+from oysterbench.trajectory.poses import Trajectory
 
 MAX_SECONDS = 1e11  # a stamp above this is not seconds: it would be 3000 years after the epoch
 MIN_NANOSECONDS = 1e17  # a stamp above this is nanoseconds: as microseconds it would be 3000 years after the epoch
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """Poses `T_map_body` in time.
-
-    stamps_ns:   (N,) int64, nanoseconds
-    positions:   (N, 3) float64, m, in the world frame
-    quaternions: (N, 4) float64, x y z w, body to world
-
-    Nothing is checked or sorted here: `evaluate.validate` names what is wrong with a trajectory.
-    """
-
-    stamps_ns: NDArray[np.int64]
-    positions: Array
-    quaternions: Array
-
-    def __post_init__(self) -> None:
-        n = len(self.stamps_ns)
-        if self.positions.shape != (n, 3) or self.quaternions.shape != (n, 4):
-            raise TrajectoryError(
-                f"expected {n} positions (N, 3) and quaternions (N, 4), "
-                f"got {self.positions.shape} and {self.quaternions.shape}"
-            )
-
-    def __len__(self) -> int:
-        return len(self.stamps_ns)
-
-    @property
-    def path_length(self) -> float:
-        """Sum of the distances between consecutive positions, m."""
-        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
-
-    @property
-    def matrices(self) -> Array:
-        """(N, 4, 4) transforms T_map_body."""
-        return poses_to_matrices(self.positions, self.quaternions)
-
-    def at(self, stamps_ns: NDArray[np.int64]) -> Trajectory:
-        """Interpolated poses (lerp, slerp) at stamps inside the time span."""
-        positions, quaternions = interpolate_poses(self.stamps_ns, self.positions, self.quaternions, stamps_ns)
-        return Trajectory(np.asarray(stamps_ns, dtype=np.int64), positions, quaternions)
-
-    def select(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trajectory:
-        """The poses at `index`."""
-        return Trajectory(self.stamps_ns[index], self.positions[index], self.quaternions[index])
 
 
 def seconds_to_ns(text: str) -> int:
