@@ -1,0 +1,36 @@
+"""When a sensor's messages are stamped, and which of them arrive."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.recipe import CameraRecipe, SensorRecipe
+from oysterbench.streams import Streams
+
+
+def stamps(n: int, rate_hz: float, epoch_ns: int, offset_ms: float = 0.0) -> NDArray[np.int64]:
+    """(n,) int64 stamps of samples taken k / rate after the epoch, by a clock that is offset_ms ahead."""
+    return epoch_ns + round(offset_ms * 1e6) + np.rint(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def kept(n: int, recipe: SensorRecipe | CameraRecipe, streams: Streams) -> NDArray[np.bool_]:
+    """(n,) which of n messages arrive; streams: the sensor's own branch.
+
+    A chain of two states, of which one loses all (Gilbert 1960): runs of messages that arrive and that do not take
+    turns, each of geometric length, and the losses make up `dropout` of all, in bursts of `dropout_burst` on average.
+    """
+    if not recipe.dropout:
+        return np.ones(n, dtype=bool)
+    lost_mean = recipe.dropout_burst
+    kept_mean = lost_mean * (1 - recipe.dropout) / recipe.dropout
+    # The first message is lost as often as any other, and a run of this law is as long from any message in it.
+    starts_lost = bool(streams.generator("losses", "start").random() < recipe.dropout)
+    pairs = n // 2 + 1  # a run holds at least one message, so that these reach past the last
+    lengths = [
+        streams.generator("losses", name).geometric(1 / max(mean, 1.0), pairs)  # 1 - 1e-16 is 1
+        for name, mean in (("kept", kept_mean), ("lost", lost_mean))
+    ]
+    ends = np.cumsum(np.column_stack(lengths[::-1] if starts_lost else lengths).ravel())
+    run = np.searchsorted(ends, np.arange(n), side="right")
+    return (run % 2 == 1) == starts_lost
