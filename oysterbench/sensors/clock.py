@@ -28,7 +28,7 @@ def kept(n: int, recipe: SensorRecipe | CameraRecipe, streams: Streams) -> NDArr
     starts_lost = bool(streams.generator("losses", "start").random() < recipe.dropout)
     pairs = n // 2 + 1  # a run holds at least one message, so that these reach past the last
     lengths = [
-        streams.generator("losses", name).geometric(1 / max(mean, 1.0), pairs)  # 1 - 1e-16 is 1
+        np.minimum(streams.generator("losses", name).geometric(1 / round(mean, 12), pairs), n)
         for name, mean in (("kept", kept_mean), ("lost", lost_mean))
     ]
     ends = np.cumsum(np.column_stack(lengths[::-1] if starts_lost else lengths).ravel())

@@ -69,3 +69,10 @@ def test_nothing_is_lost_unless_asked_for_and_cameras_lose_frames_alike():
 def test_two_sensors_lose_different_messages():
     a, b = (kept(20_000, losing(0.3, 3.0), Streams(1).at(name)) for name in ("imu", "pressure"))
     assert np.corrcoef(a, b)[0, 1] == pytest.approx(0.0, abs=0.05)
+
+
+def test_hardly_any_losses_and_hardly_any_messages_are_possible():
+    assert kept(1000, losing(1e-15), Streams(1)).all()
+    arrived = kept(100_000, losing(0.9, 9.0), Streams(1))  # the shortest bursts that leave one message between them
+    assert np.mean(~arrived) == pytest.approx(0.9, abs=0.01)
+    assert not np.any(arrived[1:] & arrived[:-1])
