@@ -1,0 +1,83 @@
+"""Altimeter: a single-beam echo sounder that reports the range of the first strong echo in its cone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oysterbench.geometry import Array
+from oysterbench.recipe import AltimeterRecipe, SiteRecipe
+from oysterbench.render.rays import RayCaster
+from oysterbench.scene.path import Path
+from oysterbench.sensors import acoustics
+from oysterbench.streams import Streams
+
+RAYS = 401  # over the main lobe
+PULSE_M = 0.05  # of range that the echo's envelope adds up: some 70 us
+STRONG = 0.5  # of the strongest echo: what the detector takes for the bottom
+PINGS_AT_ONCE = 128  # bounds the memory
+
+
+def measure(
+    path: Path,
+    caster: RayCaster,
+    recipe: AltimeterRecipe,
+    site: SiteRecipe,
+    times_s: Array,
+    streams: Streams,
+    bottom: str = "sand",
+) -> Array:
+    """Ranges (N,) m at times (N,) s; +inf where nothing answers from between min_range_m and max_range_m.
+
+    The first echo that has half the strength of the strongest, once spreading and absorption are made up for; then the
+    error of the assumed speed of sound, noise, and the step of the digital reading. bottom: of recipe.BOTTOMS.
+    """
+    T_base_sounder = acoustics.mount_pose(recipe)
+    cone, weights = beam_rays(np.radians(recipe.beam_deg))
+    mu = acoustics.backscatter(bottom)
+    ranges = np.empty(len(times_s))
+    for first in range(0, len(times_s), PINGS_AT_ONCE):
+        chunk = slice(first, first + PINGS_AT_ONCE)
+        motion = path.at(times_s[chunk])
+        origins = motion.position + np.einsum("nij,j->ni", motion.rotation, T_base_sounder[:3, 3])
+        directions = np.einsum("nij,jk,rk->nri", motion.rotation, T_base_sounder[:3, :3], cone)
+        speeds = np.array([acoustics.sound_speed(site, -z) for z in origins[:, 2]])
+        stretch = (recipe.assumed_sound_speed_m_s or speeds) / speeds
+        starts = np.repeat(origins, RAYS, axis=0)
+        reach = 1.1 * recipe.max_range_m / float(np.min(stretch))
+        echoes = caster.cast(starts, directions.reshape(-1, 3), reach)
+        cosines = np.abs(np.einsum("ni,ni->n", echoes.normals.astype(float), directions.reshape(-1, 3)))
+        strengths = (mu[echoes.classes] * cosines).reshape(-1, RAYS) * weights
+        seen = echoes.ranges.astype(float).reshape(-1, RAYS)
+        ranges[chunk] = [first_strong(r, s) for r, s in zip(seen, strengths, strict=True)] * stretch
+    noise = streams.generator("altimeter", recipe.name, "noise").standard_normal(len(times_s))
+    answered = (ranges >= recipe.min_range_m) & (ranges <= recipe.max_range_m)
+    certain = np.where(answered, ranges, 0.0)
+    read = certain + noise * np.hypot(recipe.noise_m, recipe.noise_share * certain)
+    if recipe.step_m:
+        read = np.rint(read / recipe.step_m) * recipe.step_m
+    return np.where(answered, read, np.inf)
+
+
+def first_strong(ranges: Array, strengths: Array) -> float:
+    """Range of the first of echoes (R,) m of given strengths (R,) from which on a pulse's length holds STRONG of what
+    the strongest such length holds; inf without any."""
+    heard = np.isfinite(ranges) & (strengths > 0)
+    if not heard.any():
+        return float("inf")
+    order = np.argsort(ranges[heard], kind="stable")
+    nearest, strength = ranges[heard][order], strengths[heard][order]
+    total = np.concatenate([[0.0], np.cumsum(strength)])
+    within = total[np.searchsorted(nearest, nearest + PULSE_M, side="right")] - total[:-1]
+    return float(nearest[np.argmax(within >= STRONG * within.max())])
+
+
+def beam_rays(width: float) -> tuple[Array, Array]:
+    """Unit vectors (RAYS, 3) about x, even over the cap up to the first null of a round beam of a half-power width in
+    rad, the first on the axis, and the beam's two-way response (RAYS,) along them."""
+    limit = acoustics.first_null(width)
+    k = np.arange(RAYS)
+    cosines = 1 - (1 - np.cos(limit)) * k / RAYS
+    around = np.pi * (3 - np.sqrt(5)) * k  # the golden angle (Vogel 1979)
+    sines = np.sqrt(1 - cosines**2)
+    rays = np.column_stack([cosines, sines * np.cos(around), sines * np.sin(around)])
+    return rays, acoustics.beam_pattern(np.arccos(cosines), width)

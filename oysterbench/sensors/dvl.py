@@ -1,0 +1,159 @@
+"""Doppler velocity log: four beams in Janus form, each with a velocity, a range and a lock of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from oysterbench.geometry import Array
+from oysterbench.recipe import DvlRecipe, SiteRecipe
+from oysterbench.render.rays import RayCaster
+from oysterbench.samples import DvlSample
+from oysterbench.scene.path import Path
+from oysterbench.sensors import acoustics
+from oysterbench.streams import Streams
+
+FREQUENCY_KHZ = 1000.0  # of the A50 class
+BEAM_AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)
+CONE_RAYS, CONE_DEG = 6, 1.5  # around each beam's axis, and how far off it: a beam is some 4 deg wide
+GRAZING_COSINE = 0.25  # of the incidence, below which an echo is too long to measure
+WEAKEST_BOTTOM = "mud"  # that it holds on to at its greatest range
+MARGIN = 1.2  # that rays reach farther, for an assumed speed of sound that makes ranges shorter
+FEWEST_BEAMS = 3  # for three components of velocity
+PINGS_AT_ONCE = 512  # bounds the memory
+READING_STEP = 1e-6  # m/s and m, to which readings may be rounded: far below the noise
+
+
+def measure(
+    path: Path,
+    caster: RayCaster,
+    recipe: DvlRecipe,
+    site: SiteRecipe,
+    times_s: Array,
+    stamps_ns: Sequence[int] | NDArray[np.int64],
+    streams: Streams,
+    bottom: str = "sand",
+) -> list[DvlSample]:
+    """What the log reports at times (N,) s, stamped with stamps_ns (N,); at its recipe's rate at any altitude.
+
+    The velocity of the log along each beam, scaled by the error of scale and the assumed over the true speed of sound,
+    with noise; a beam counts where it finds an echo that can be measured. bottom: of recipe.BOTTOMS.
+    """
+    times_s = np.asarray(times_s, dtype=float)
+    branch = streams.at("dvl")
+    n = len(times_s)
+    scale = 1.0 + recipe.scale_error * float(branch.generator("scale").standard_normal())
+    twist = np.radians(recipe.misalignment_deg) * branch.generator("misalignment").standard_normal(3)
+    beams = beam_directions(recipe)
+    mount = mount_rotation(recipe)
+    true_beams = beams @ (mount @ Rotation.from_rotvec(twist).as_matrix()).T  # in base_link
+    velocity_noise = recipe.beam_noise_m_s * branch.generator("velocity").standard_normal((n, 4))
+    range_noise = 1.0 + recipe.range_noise_share * branch.generator("range").standard_normal((n, 4))
+
+    motion = path.at(times_s)
+    origins = motion.position + np.einsum("nij,j->ni", motion.rotation, recipe.position_m)
+    moving = np.einsum("nji,nj->ni", motion.rotation, motion.velocity) + np.cross(motion.rate, recipe.position_m)
+    speeds = np.array([acoustics.sound_speed(site, -z) for z in origins[:, 2]])
+    stretch = ((recipe.assumed_sound_speed_m_s or speeds) / speeds)[:, None]
+    ranges, valid = np.empty((n, 4)), np.empty((n, 4), dtype=bool)
+    for first in range(0, n, PINGS_AT_ONCE):
+        chunk = slice(first, first + PINGS_AT_ONCE)
+        ranges[chunk], valid[chunk] = _listen(
+            caster, recipe, site, bottom, origins[chunk], motion.rotation[chunk], true_beams
+        )
+    ranges = ranges * stretch * range_noise
+    valid = valid & (ranges >= recipe.min_range_m) & (ranges <= recipe.max_range_m)
+    along = moving @ true_beams.T * scale * stretch + velocity_noise
+    return [
+        _sample(int(stamps_ns[k]), recipe, beams, np.where(valid[k], ranges[k], np.nan), along[k], valid[k])
+        for k in range(n)
+    ]
+
+
+def beam_directions(recipe: DvlRecipe) -> Array:
+    """Unit vectors (4, 3) of the beams in the log's frame (x forward, y left, z up)."""
+    off, around = np.radians(recipe.janus_deg), np.radians(BEAM_AZIMUTHS_DEG)
+    down = np.full(4, -np.cos(off))
+    return np.column_stack([np.sin(off) * np.cos(around), np.sin(off) * np.sin(around), down])
+
+
+def mount_rotation(recipe: DvlRecipe) -> Array:
+    """R_base_dvl (3, 3) as calibrated."""
+    return Rotation.from_euler("Z", recipe.yaw_deg, degrees=True).as_matrix()
+
+
+def solve(beams: Array, along: Array, valid: NDArray[np.bool_], noise: float) -> tuple[Array, Array]:
+    """Velocity (3,) and its covariance (3, 3), by least squares, from velocities (4,) along beams (4, 3) of which those
+    marked valid (4,) count, with a noise of 1 sigma each; NaN with fewer than three beams."""
+    if valid.sum() < FEWEST_BEAMS:
+        return np.full(3, np.nan), np.full((3, 3), np.nan)
+    matrix = beams[valid]
+    inverse = np.linalg.inv(matrix.T @ matrix)
+    velocity: Array = inverse @ (matrix.T @ along[valid])
+    return velocity, np.round(noise**2 * inverse, 15)
+
+
+def _listen(
+    caster: RayCaster,
+    recipe: DvlRecipe,
+    site: SiteRecipe,
+    bottom: str,
+    origins: Array,
+    rotations: Array,
+    beams: Array,
+) -> tuple[Array, NDArray[np.bool_]]:
+    """True ranges (N, 4) m of the beams (4, 3) in base_link, and whether their echoes can be measured (N, 4).
+
+    The mean over a beam's rays, by the strength of their echoes. An echo is lost where the beam grazes the surface, and
+    where it is weaker than that of mud, at the incidence of a level bottom, from the greatest range.
+    """
+    rays = np.concatenate([_cone(beam) for beam in beams])
+    directions = np.einsum("nij,rj->nri", rotations, rays)
+    starts = np.repeat(origins, len(rays), axis=0)
+    echoes = caster.cast(starts, directions.reshape(-1, 3), MARGIN * recipe.max_range_m)
+    cosines = np.abs(np.einsum("ni,ni->n", echoes.normals.astype(float), directions.reshape(-1, 3)))
+    loss = acoustics.absorption(site, -float(origins[:, 2].mean()), FREQUENCY_KHZ)
+    mu = acoustics.backscatter(bottom)[echoes.classes]
+    steep = np.where(cosines >= GRAZING_COSINE, mu, 0.0)
+    shape = (len(origins), 4, CONE_RAYS + 1)
+    seen = echoes.ranges.astype(float).reshape(shape)
+    strengths = acoustics.echo_strength(seen, cosines.reshape(shape), steep.reshape(shape), loss)
+    total = strengths.sum(axis=2)
+    ranges = (strengths * np.where(np.isfinite(seen), seen, 0.0)).sum(axis=2) / np.where(total > 0, total, 1.0)
+    weakest = acoustics.backscatter(WEAKEST_BOTTOM)[1]
+    slant = np.cos(np.radians(recipe.janus_deg + CONE_DEG))
+    threshold = acoustics.echo_strength(np.array(recipe.max_range_m), slant, weakest, loss)
+    return ranges, total / (CONE_RAYS + 1) >= threshold
+
+
+def _cone(axis: Array) -> Array:
+    """The axis (3,) of a beam and CONE_RAYS rays around it, unit vectors."""
+    side = np.cross(axis, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    other = np.cross(axis, side)
+    around = 2 * np.pi * np.arange(CONE_RAYS)[:, None] / CONE_RAYS
+    off = np.radians(CONE_DEG)
+    ring = np.cos(off) * axis + np.sin(off) * (np.cos(around) * side + np.sin(around) * other)
+    return np.concatenate([axis[None], ring])
+
+
+def _sample(
+    stamp: int, recipe: DvlRecipe, beams: Array, ranges: Array, along: Array, valid: NDArray[np.bool_]
+) -> DvlSample:
+    """One message's worth."""
+    velocity, covariance = solve(beams, along, valid, recipe.beam_noise_m_s)
+    locked = valid.sum() >= FEWEST_BEAMS
+    return DvlSample(
+        stamp_ns=stamp,
+        velocity=velocity,
+        covariance=covariance,
+        figure_of_merit=float(np.sqrt(np.trace(covariance))),
+        altitude=float(np.mean(-ranges[valid] * beams[valid, 2])) if locked else float("nan"),
+        beam_directions=beams,
+        beam_ranges=ranges,
+        beam_velocities=np.where(valid, along, np.nan),
+        beam_valid=valid,
+    )
