@@ -195,6 +195,19 @@ def test_switching_one_error_on_adds_it_and_changes_no_other():
     assert together == pytest.approx(sum(alone), abs=1e-12)
 
 
+def test_no_two_errors_draw_the_same_numbers():
+    still, white = np.zeros((20_000, 3)), {"kind": "white", "level": (1.0, 1.0, 1.0)}
+    shakes = tuple(VibrationRecipe(on=on, **white) for on in ("gyro", "gyro", "accel"))
+    noises = [read_out(still, unit(gyro_noise_density=1.0), "gyro", Streams(2))]
+    noises.append(read_out(still, unit(accel_noise_density=1.0), "accel", Streams(2)))
+    noises.append(np.diff(read_out(still, unit(gyro_random_walk=1.0), "gyro", Streams(2)), axis=0, append=0.0))
+    noises.append(read_out(still, unit(vibration=shakes[:1]), "gyro", Streams(2)))
+    noises.append(read_out(still, unit(vibration=shakes[:2]), "gyro", Streams(2)) - noises[-1])
+    noises.append(read_out(still, unit(vibration=shakes), "accel", Streams(2)))
+    columns = np.column_stack([noise[:-1] for noise in noises])
+    assert np.corrcoef(columns.T) == pytest.approx(np.eye(columns.shape[1]), abs=0.04)
+
+
 def test_scale_and_misalignment_are_linear_in_the_truth_and_as_large_as_asked_for():
     recipe = unit(accel_scale=0.01, accel_misalignment_deg=0.5)
     gains = np.stack([read_out(np.eye(3), recipe, "accel", Streams(seed)).T for seed in range(300)])

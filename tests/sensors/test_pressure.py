@@ -64,7 +64,7 @@ def test_offset_stays_and_noise_does_not(path):
     assert all(np.ptp(offset) < 1e-6 for offset in offsets)
     weight = density(CALM) * GRAVITY
     assert np.std([offset[0] for offset in offsets]) == pytest.approx(0.02 * weight, rel=0.15)
-    recipe = sensor(noise_m=0.003, step_pa=20.0)
+    recipe = sensor(noise_m=0.002, step_pa=40.0)
     noise = np.concatenate([read(path, recipe, seed=seed) - still for seed in range(20)])
     assert noise.var() == pytest.approx(noise_variance(recipe, CALM), rel=0.05)
     assert noise.mean() == pytest.approx(0.0, abs=3.0)
