@@ -23,6 +23,7 @@ TRACKS = ("slam",)
 DEFAULT_SPLIT = {"slam": "slam-mini"}
 DEFAULT_METHODS = {"slam": ("gtsam_vi", "dead_reckoning")}
 ALIGNMENTS = ("none", "origin", "se3", "posyaw", "sim3")
+FORMATS = ("euroc", "tum", "kitti", "coco", "kalibr", "ply")
 ASSOCIATIONS = ("interpolate", "nearest")
 INTERRUPTED = 130
 
@@ -66,6 +67,7 @@ def main() -> None:
       oysterbench splits                            what can be rendered, and what is here
       oysterbench render slam-mini --workers 2
       oysterbench info mini-01.mcap
+      oysterbench export mini-01.mcap --format euroc --out mini-01
       oysterbench gallery                           waters, lights, reefs and views on one sheet
       oysterbench oyster --seed 7 --out oyster.glb
     """
@@ -267,6 +269,43 @@ def info(sequence: Path, as_json: bool) -> None:
     for row in facts["topics"]:
         table.add_row(row["topic"], row["type"], str(row["messages"]), f"{row['rate_hz']:g}")
     _print_rich(table)
+
+
+@main.command(short_help="Export a sequence: EuRoC, TUM RGB-D, KITTI, COCO, Kalibr, PLY.")
+@click.argument("sequence", type=click.Path(path_type=Path))
+@click.option("--format", "form", type=click.Choice(FORMATS), required=True, help="What to write.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, which must not be there yet.")
+@click.option("--truth/--no-truth", default=True, show_default=True, help="With or without what no method may see.")
+@click.option("--json", "as_json", is_flag=True, help="Print the folder and what there is to say as JSON.")
+def export(sequence: Path, form: str, out: Path, truth: bool, as_json: bool) -> None:
+    """Export a sequence in a format of others, as a folder that is there whole or not at all.
+
+    \b
+    Examples:
+      oysterbench export mini-01.mcap --format euroc --out mini-01-euroc
+      oysterbench export mini-01.mcap --format euroc --out for-a-method --no-truth
+      oysterbench export mini-01.mcap --format tum --out mini-01-tum
+      oysterbench export mini-01.mcap --format coco --out mini-01-coco
+
+    \b
+    Formats:
+      euroc    mav0/ with PNG images, IMU, sensor.yaml files and the state
+      tum      rgb/ and depth/ with their lists, groundtruth.txt, accelerometer.txt
+      kitti    odometry: undistorted image_0/ (and image_1/ of a stereo pair), calib.txt, times.txt, poses
+      coco     images and instances.json, with polygons that give back each mask
+      kalibr   camchain-imucam.yaml and imu.yaml
+      ply      coloured point clouds in the world frame, of depth images and of sonars
+    """
+    from oysterbench.sequence import open_sequence
+    from oysterbench.sequence.export import export_sequence
+
+    folder, notes = export_sequence(open_sequence(sequence), form, out, truth)
+    if as_json:
+        click.echo(json.dumps({"folder": str(folder), "format": form, "notes": notes}, indent=2))
+        return
+    for note in notes:
+        _say(note)
+    click.echo(folder)
 
 
 @main.command(short_help="One sheet of pictures over waters, lights, reefs and views.")

@@ -1,0 +1,104 @@
+"""COCO instances: images/ as the file has them, and instances.json with polygons that give back each mask."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.errors import SequenceError
+from oysterbench.recipe import CLASSES
+from oysterbench.sequence.export.parts import write_png
+from oysterbench.sequence.export.polygons import mask_polygons
+from oysterbench.sequence.types import Sequence
+
+LICENCE = {"id": 1, "name": "CC BY 4.0", "url": "https://creativecommons.org/licenses/by/4.0/"}
+
+
+def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+    """Of every camera with the layers class and instance, the frames that have them. Ids are from 1."""
+    topics = {topic for topic, _, _ in sequence.contents()}
+    cameras = [name for name in sequence.cameras if {f"/{name}/class", f"/{name}/instance"} <= topics]
+    if not truth or not cameras:
+        raise SequenceError(
+            f"{sequence.name}: COCO is made of the layers class and instance, which are truth: expected a camera that "
+            f"has them and no --no-truth, got {'--no-truth' if not truth else 'no such camera'}"
+        )
+    (folder / "images").mkdir()
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for camera in cameras:
+        for stamp, pixels, classes, instances, visibility in _frames(
+            sequence, camera, f"/{camera}/visibility" in topics
+        ):
+            file = f"{camera}_{stamp}.png"
+            write_png(folder / "images" / file, pixels)
+            height, width = classes.shape
+            image_id = len(images) + 1
+            images.append(
+                {
+                    "id": image_id,
+                    "file_name": file,
+                    "width": width,
+                    "height": height,
+                    "license": LICENCE["id"],
+                    "camera": camera,
+                    "stamp_ns": stamp,
+                }
+            )
+            for annotation in annotate(classes, instances, visibility):
+                annotations.append({"id": len(annotations) + 1, "image_id": image_id, **annotation})
+    document = {
+        "info": {"description": f"oysterbench {sequence.name}", "version": sequence.metadata.get("split_version", "")},
+        "licenses": [LICENCE],
+        "categories": [
+            {"id": number, "name": name, "supercategory": "reef"} for number, name in CLASSES.items() if number
+        ],
+        "images": images,
+        "annotations": annotations,
+    }
+    (folder / "instances.json").write_text(json.dumps(document) + "\n", encoding="utf-8")
+    return [f"{len(images)} images, {len(annotations)} instances"]
+
+
+def annotate(
+    classes: NDArray[np.uint8], instances: NDArray[np.uint16], visibility: NDArray[np.float32] | None
+) -> Iterator[dict[str, Any]]:
+    """The annotations of one image, from layers (H, W); instance 0 is none. Area is the number of pixels."""
+    for number in np.unique(instances[instances > 0]):
+        mask = instances == number
+        rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+        top, left = int(rows[0]), int(columns[0])
+        height, width = int(rows[-1]) - top + 1, int(columns[-1]) - left + 1
+        polygons = mask_polygons(mask[top : top + height, left : left + width])
+        yield {
+            "category_id": int(np.bincount(classes[mask]).argmax()),
+            "iscrowd": 0,
+            "area": int(mask.sum()),
+            "bbox": [left, top, width, height],
+            "segmentation": [
+                [value + (top if k % 2 else left) for k, value in enumerate(polygon)] for polygon in polygons
+            ],
+            "instance": int(number),
+            **({} if visibility is None else {"visibility": round(float(np.nanmax(visibility[mask])), 6)}),
+        }
+
+
+def _frames(sequence: Sequence, camera: str, with_visibility: bool) -> Iterator[tuple[int, Any, Any, Any, Any]]:
+    """Stamp, colour, classes, instances and visibility (or None) of the frames that have layers."""
+    layers = [sequence.layer(camera, layer) for layer in ("class", "instance")]
+    if with_visibility:
+        layers.append(sequence.layer(camera, "visibility"))
+    images = sequence.images(camera)
+    for found in zip(*layers, strict=True):
+        stamp = found[0].stamp_ns
+        if any(layer.stamp_ns != stamp for layer in found):
+            raise SequenceError(f"{sequence.name}: the layers of {camera} at {stamp} are not of one stamp")
+        image = next((image for image in images if image.stamp_ns >= stamp), None)
+        if image is None or image.stamp_ns != stamp:
+            raise SequenceError(f"{sequence.name}: {camera} has layers at {stamp} and no frame")
+        yield stamp, image.pixels, found[0].pixels, found[1].pixels, found[2].pixels if with_visibility else None

@@ -1,0 +1,121 @@
+"""EuRoC/ASL folders: mav0/cam0, cam1, ..., imu0 and state_groundtruth_estimate0. The body is the IMU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oysterbench.geometry import Array, invert
+from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
+from oysterbench.sequence.export.parts import numbers, sensor_poses, write_lines, write_png
+from oysterbench.sequence.names import TRUTH
+from oysterbench.sequence.types import Sequence
+
+IMU_HEADER = (
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+)
+TRUTH_HEADER = (
+    "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],"
+    "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],b_w_RS_S_x [rad s^-1],b_w_RS_S_y [rad s^-1],"
+    "b_w_RS_S_z [rad s^-1],b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]"
+)
+DISTORTION_MODELS = {"plumb_bob": "radial-tangential", "equidistant": "equidistant"}
+
+
+def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+    """Images as PNG, inertial samples and state with all their digits."""
+    root = folder / "mav0"
+    T_imu_base = invert(sequence.imu_calibration.T_base_imu)
+    for index, (name, camera) in enumerate(sequence.cameras.items()):
+        place = root / f"cam{index}"
+        (place / "data").mkdir(parents=True)
+        write_lines(place / "sensor.yaml", _camera_yaml(name, camera, T_imu_base @ camera.T_base_cam))
+        rows = ["#timestamp [ns],filename"]
+        for image in sequence.images(name):
+            write_png(place / "data" / f"{image.stamp_ns}.png", image.pixels)
+            rows.append(f"{image.stamp_ns},{image.stamp_ns}.png")
+        write_lines(place / "data.csv", rows)
+    inertial = root / "imu0"
+    inertial.mkdir(parents=True)
+    write_lines(inertial / "sensor.yaml", _imu_yaml(sequence.imu_calibration))
+    samples = (
+        ",".join([str(sample.stamp_ns), *(repr(float(value)) for value in (*sample.gyro, *sample.accel))])
+        for sample in sequence.imu()
+    )
+    write_lines(inertial / "data.csv", [IMU_HEADER, *samples])
+    write_lines(root / "body.yaml", [f"comment: {sequence.name}"])
+    notes = [f"cam{index} is {name}" for index, name in enumerate(sequence.cameras)]
+    if truth:
+        _write_state(sequence, root / "state_groundtruth_estimate0")
+        notes.append("the biases of the state are not known to the file: they are nan")
+    return notes
+
+
+def _camera_yaml(name: str, camera: CameraCalibration, T_imu_cam: Array) -> list[str]:
+    matrix, coefficients = camera.matrix, camera.distortion
+    if camera.distortion_model == "plumb_bob" and not np.any(coefficients[4:]):
+        coefficients = coefficients[:4]
+    return [
+        "sensor_type: camera",
+        f"comment: {name}",
+        *_pose_yaml(T_imu_cam),
+        f"rate_hz: {camera.rate_hz:g}",
+        f"resolution: [{camera.width}, {camera.height}]",
+        "camera_model: pinhole",
+        f"intrinsics: {numbers([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])}",
+        f"distortion_model: {DISTORTION_MODELS[camera.distortion_model]}",
+        f"distortion_coefficients: {numbers(coefficients)}",
+    ]
+
+
+def _imu_yaml(unit: ImuCalibration) -> list[str]:
+    return [
+        "sensor_type: imu",
+        "comment: imu",
+        *_pose_yaml(np.eye(4)),
+        f"rate_hz: {unit.rate_hz:g}",
+        f"gyroscope_noise_density: {unit.gyro_noise_density!r}",
+        f"gyroscope_random_walk: {unit.gyro_random_walk!r}",
+        f"accelerometer_noise_density: {unit.accel_noise_density!r}",
+        f"accelerometer_random_walk: {unit.accel_random_walk!r}",
+        f"gravity: {unit.gravity!r}",  # not of the layout, which has none
+    ]
+
+
+def _pose_yaml(T_body_sensor: Array) -> list[str]:
+    return ["T_BS:", "  cols: 4", "  rows: 4", f"  data: {numbers(T_body_sensor)}"]
+
+
+def _write_state(sequence: Sequence, folder: Path) -> None:
+    """Pose of the IMU in map, and its velocity there: that of base_link and what turning adds at the lever arm."""
+    folder.mkdir()
+    T_base_imu = sequence.imu_calibration.T_base_imu
+    truth = sequence.truth()
+    poses = sensor_poses(truth, T_base_imu)
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    velocities = _velocities(sequence, T_base_imu[:3, 3], truth.matrices[:, :3, :3])
+    rows = [
+        ",".join(
+            [
+                str(int(stamp)),
+                *(repr(float(value)) for value in (*position, q[3], *q[:3], *velocity)),
+                *["nan"] * 6,
+            ]
+        )
+        for stamp, position, q, velocity in zip(truth.stamps_ns, poses[:, :3, 3], quaternions, velocities, strict=True)
+    ]
+    write_lines(folder / "data.csv", [TRUTH_HEADER, *rows])
+    write_lines(folder / "sensor.yaml", ["sensor_type: visual-inertial", "comment: truth", *_pose_yaml(np.eye(4))])
+
+
+def _velocities(sequence: Sequence, arm: Array, rotations: Array) -> Array:
+    """(N, 3) m/s in map, of a point at `arm` (3,) m in base_link. NaN where the sequence knows no velocity."""
+    if TRUTH not in (topic for topic, _, _ in sequence.contents()):
+        return np.full((len(rotations), 3), np.nan)
+    table = sequence.frame(TRUTH)
+    velocity = table[["velocity_x", "velocity_y", "velocity_z"]].to_numpy()
+    rate = table[["rate_x", "rate_y", "rate_z"]].to_numpy()
+    return np.einsum("nij,nj->ni", rotations, velocity + np.cross(rate, arm))

@@ -1,0 +1,75 @@
+"""Kalibr's files: the chain of cameras and the inertial unit. T_cam_imu takes points of the IMU into the camera."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+
+from oysterbench.geometry import Array, invert
+from oysterbench.sequence.calibration import CameraCalibration
+from oysterbench.sequence.export.parts import numbers, write_lines
+from oysterbench.sequence.names import IMU
+from oysterbench.sequence.types import Sequence
+
+DISTORTION_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
+
+
+def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+    """camchain-imucam.yaml and imu.yaml; a calibration is not truth, so `truth` changes nothing."""
+    notes = []
+    shifts = _time_shifts(sequence)
+    lines: list[str] = []
+    previous: Array | None = None
+    for index, (name, camera) in enumerate(sequence.cameras.items()):
+        if camera.distortion_model == "plumb_bob" and np.any(camera.distortion[4:]):
+            notes.append(f"{name}: Kalibr's radtan has no k3: its {camera.distortion[4]:g} was left out")
+        lines += [f"cam{index}:", *(f"  {line}" for line in _camera(sequence, name, camera, previous))]
+        if name in shifts:
+            lines.append(f"  timeshift_cam_imu: {shifts[name]!r}")
+        previous = camera.T_base_cam
+    write_lines(folder / "camchain-imucam.yaml", lines)
+    unit = sequence.imu_calibration
+    write_lines(
+        folder / "imu.yaml",
+        [
+            f"accelerometer_noise_density: {unit.accel_noise_density!r}",
+            f"accelerometer_random_walk: {unit.accel_random_walk!r}",
+            f"gyroscope_noise_density: {unit.gyro_noise_density!r}",
+            f"gyroscope_random_walk: {unit.gyro_random_walk!r}",
+            f"rostopic: {IMU}",
+            f"update_rate: {unit.rate_hz!r}",
+        ],
+    )
+    return notes
+
+
+def _camera(sequence: Sequence, name: str, camera: CameraCalibration, previous: Array | None) -> list[str]:
+    T_cam_base, matrix = invert(camera.T_base_cam), camera.matrix
+    lines = ["T_cam_imu:", *_rows(T_cam_base @ sequence.imu_calibration.T_base_imu)]
+    if previous is not None:
+        lines += ["T_cn_cnm1:", *_rows(T_cam_base @ previous)]
+    return [
+        *lines,
+        "camera_model: pinhole",
+        f"distortion_coeffs: {numbers(camera.distortion[:4])}",
+        f"distortion_model: {DISTORTION_MODELS[camera.distortion_model]}",
+        f"intrinsics: {numbers([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])}",
+        f"resolution: [{camera.width}, {camera.height}]",
+        f"rostopic: /{name}/image",
+    ]
+
+
+def _rows(matrix: Array) -> list[str]:
+    return [f"- {numbers(row)}" for row in matrix]
+
+
+def _time_shifts(sequence: Sequence) -> dict[str, float]:
+    """Camera -> shift in s with t_imu = t_cam + shift, from the clocks of the rig's recipe, where the file has it."""
+    source = getattr(sequence, "attachments", {}).get("rig.toml")
+    if source is None:
+        return {}
+    rig = tomllib.loads(source.decode())
+    inertial = rig["imu"].get("clock_offset_ms", 0.0)
+    return {camera["name"]: (inertial - camera.get("clock_offset_ms", 0.0)) / 1e3 for camera in rig["camera"]}

@@ -1,0 +1,79 @@
+"""KITTI odometry folders: sequences/00/ with images, calib.txt and times.txt, and poses/00.txt.
+
+KITTI's pictures are rectified, so those of a lens are undistorted here; its poses take cam 0 into the first cam 0.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from oysterbench.errors import SequenceError
+from oysterbench.geometry import Array, invert
+from oysterbench.sequence.export.parts import (
+    any_camera,
+    sensor_poses,
+    stereo_partner,
+    undistorting_maps,
+    within,
+    write_lines,
+    write_png,
+)
+from oysterbench.sequence.types import Sequence
+
+
+def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+    """Of the first camera that is the left one of a stereo pair, or else of the first."""
+    names = list(sequence.cameras)
+    left = next((name for name in names if stereo_partner(sequence, name)), None) or any_camera(sequence, "kitti")
+    right = stereo_partner(sequence, left)
+    pair = [left] if right is None else [left, right]
+    matrix = sequence.cameras[left].matrix
+    place = folder / "sequences" / "00"
+    place.mkdir(parents=True)
+    stamps = [{image.stamp_ns for image in sequence.images(name)} for name in pair]
+    kept = sorted(set.intersection(*stamps))
+    notes = [f"image_{index} is {name}" for index, name in enumerate(pair)]
+    if truth:
+        path = sequence.truth()
+        known = within(path, kept)
+        if len(known) < len(kept):
+            notes.append(f"{len(kept) - len(known)} frames before or after the truth were left out: no pose is known")
+        kept = known
+    if not kept:
+        raise SequenceError(f"{sequence.name}: no frame that every camera and the truth have; nothing to export")
+    for index, name in enumerate(pair):
+        _write_images(sequence, name, matrix, set(kept), place / f"image_{index}")
+    write_lines(place / "calib.txt", _projections(sequence, pair, matrix))
+    write_lines(place / "times.txt", (f"{(stamp - kept[0]) * 1e-9:.9e}" for stamp in kept))
+    if truth:
+        poses = sensor_poses(path.at(np.array(kept, dtype=np.int64)), sequence.cameras[left].T_base_cam)
+        (folder / "poses").mkdir()
+        write_lines(folder / "poses" / "00.txt", (_row(pose[:3]) for pose in invert(poses[0]) @ poses))
+    return notes
+
+
+def _projections(sequence: Sequence, pair: list[str], matrix: Array) -> list[str]:
+    """Lines of calib.txt: projections (3, 4) from the frame of image_0. Of a pair four, as readers expect them: those
+    of the colour cameras are the same."""
+    T_base_left = sequence.cameras[pair[0]].T_base_cam
+    rows = []
+    for name in pair:
+        T_left_cam = invert(T_base_left) @ sequence.cameras[name].T_base_cam
+        rows.append(_row(matrix @ np.column_stack([np.eye(3), -T_left_cam[:3, 3]])))
+    return [f"P{index}: {row}" for index, row in enumerate(rows if len(rows) == 1 else rows * 2)]
+
+
+def _write_images(sequence: Sequence, name: str, matrix: Array, kept: set[int], folder: Path) -> None:
+    folder.mkdir()
+    maps = undistorting_maps(sequence.cameras[name], matrix)
+    frames = (image for image in sequence.images(name) if image.stamp_ns in kept)
+    for index, image in enumerate(frames):
+        pixels = image.pixels if maps is None else np.asarray(cv2.remap(image.pixels, *maps, cv2.INTER_LINEAR))
+        write_png(folder / f"{index:06d}.png", pixels)
+
+
+def _row(matrix: Array) -> str:
+    return " ".join(f"{value:.12e}" for value in np.ravel(matrix))

@@ -1,0 +1,87 @@
+"""What several formats need: images on disk, matrices as YAML, poses of sensors, and who is a stereo pair."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oysterbench.errors import SequenceError
+from oysterbench.geometry import Array, invert
+from oysterbench.sequence.calibration import CameraCalibration
+from oysterbench.sequence.types import Sequence
+from oysterbench.trajectory import Trajectory
+
+PNG_LEVEL = 1  # of 9, all of them lossless; the higher ones take four times the time for 5 %
+
+
+def write_png(path: Path, pixels: NDArray[Any]) -> None:
+    """(H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as PNG."""
+    ordered = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
+    done, data = cv2.imencode(".png", ordered, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
+    if not done:
+        raise SequenceError(f"{path.name}: could not be encoded as PNG")
+    path.write_bytes(data.tobytes())
+
+
+def numbers(values: ArrayLike) -> str:
+    """Numbers as a list of YAML, each with all its digits."""
+    return "[" + ", ".join(repr(float(value)) for value in np.ravel(values)) + "]"
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """A text file of lines."""
+    with open(path, "w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"{line}\n" for line in lines)
+
+
+def sensor_poses(truth: Trajectory, T_base_sensor: Array) -> Array:
+    """(N, 4, 4) T_map_sensor at the stamps of a trajectory of base_link."""
+    return np.asarray(truth.matrices @ T_base_sensor)
+
+
+def within(truth: Trajectory, stamps_ns: Iterable[int]) -> list[int]:
+    """Those stamps at which the truth is known."""
+    first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
+    return [stamp for stamp in stamps_ns if first <= stamp <= last]
+
+
+def stereo_partner(sequence: Sequence, camera: str) -> str | None:
+    """The camera that makes a rectified stereo pair with `camera` once both are undistorted: of the same size and
+    attitude, and to the right along its x axis; None if there is none."""
+    left = sequence.cameras[camera]
+    for name, right in sequence.cameras.items():
+        T_left_right = invert(left.T_base_cam) @ right.T_base_cam
+        offset = T_left_right[:3, 3]
+        if (
+            name != camera
+            and (left.width, left.height) == (right.width, right.height)
+            and np.allclose(T_left_right[:3, :3], np.eye(3), atol=1e-6)
+            and offset[0] > 1e-3
+            and np.allclose(offset[1:], 0.0, atol=1e-6)
+        ):
+            return name
+    return None
+
+
+def undistorting_maps(camera: CameraCalibration, matrix: Array) -> tuple[Any, Any] | None:
+    """Maps (H, W) float32 for cv2.remap that turn a camera's picture into that of a pinhole; None where it is one."""
+    if not np.any(camera.distortion) and np.allclose(camera.matrix, matrix) and camera.distortion_model == "plumb_bob":
+        return None
+    size = (camera.width, camera.height)
+    if camera.distortion_model == "equidistant":
+        return cv2.fisheye.initUndistortRectifyMap(
+            camera.matrix, camera.distortion[:4], np.eye(3), matrix, size, cv2.CV_32FC1
+        )
+    return cv2.initUndistortRectifyMap(camera.matrix, camera.distortion, np.eye(3), matrix, size, cv2.CV_32FC1)
+
+
+def any_camera(sequence: Sequence, form: str) -> str:
+    """The first camera. Raises SequenceError where there is none."""
+    for name in sequence.cameras:
+        return name
+    raise SequenceError(f"{sequence.name} has no camera; the format {form} needs one")

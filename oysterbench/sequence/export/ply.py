@@ -1,0 +1,159 @@
+"""Point clouds in `map` as binary PLY: what the cameras' depth shows, in colour, and what the sonars heard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.errors import SequenceError
+from oysterbench.geometry import Array
+from oysterbench.sequence.calibration import CameraCalibration
+from oysterbench.sequence.export.parts import sensor_poses
+from oysterbench.sequence.types import Sequence
+from oysterbench.trajectory import Trajectory
+
+VOXEL_M = 0.01
+"""Edge of the cubes of space of which each keeps its first point: a reef is seen in frame after frame."""
+
+POINT = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("red", "u1"),
+        ("green", "u1"),
+        ("blue", "u1"),
+        ("class", "u1"),
+        ("instance", "<u2"),
+    ]
+)
+ECHO = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("class", "u1"), ("instance", "<u2")])
+_PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
+
+
+def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+    """A file per camera with depth, and per sonar with a cloud."""
+    topics = {topic for topic, _, _ in sequence.contents()}
+    cameras = [name for name in sequence.cameras if f"/{name}/depth" in topics]
+    sonars = [name for name in sequence.sonars if f"/{name}/cloud" in topics]
+    if not truth or not (cameras or sonars):
+        raise SequenceError(
+            f"{sequence.name}: point clouds are made of the truth: expected a camera with depth or a sonar with clouds "
+            f"and no --no-truth, got {'--no-truth' if not truth else 'neither'}"
+        )
+    path = sequence.truth()
+    notes = []
+    for name in cameras:
+        cloud = camera_cloud(sequence, name, path, topics)
+        write_ply(folder / f"{name}.ply", cloud, f"{sequence.name}, {name}, in map, m")
+        notes.append(f"{name}.ply: {len(cloud)} points, one per {1000 * VOXEL_M:g} mm")
+    for name in sonars:
+        cloud = sonar_cloud(sequence, name, path)
+        write_ply(folder / f"{name}.ply", cloud, f"{sequence.name}, {name}, in map, m")
+        notes.append(f"{name}.ply: {len(cloud)} returns")
+    return notes
+
+
+def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[str]) -> NDArray[Any]:
+    """(N,) POINT: the pixels with depth of all frames that the truth spans, in map, thinned to one per voxel."""
+    rays = pixel_rays(sequence.cameras[camera])
+    images = sequence.images(camera)
+    labels = {name: sequence.layer(camera, name) for name in ("class", "instance") if f"/{camera}/{name}" in topics}
+    kept: list[NDArray[Any]] = []
+    known = np.zeros(0, dtype=np.int64)
+    for depth in sequence.layer(camera, "depth"):
+        found = {name: next(layer).pixels for name, layer in labels.items()}
+        image = next((image for image in images if image.stamp_ns >= depth.stamp_ns), None)
+        if image is None or image.stamp_ns != depth.stamp_ns or not _spans(path, depth.stamp_ns):
+            continue
+        seen = depth.pixels > 0
+        points = _in_map(
+            path, depth.stamp_ns, sequence.cameras[camera].T_base_cam, rays[seen] * depth.pixels[seen, None]
+        )
+        rows = _rows(points, POINT)
+        for k, colour in enumerate(("red", "green", "blue")):
+            rows[colour] = image.pixels[seen][:, k]
+        for name, layer in found.items():
+            rows[name] = layer[seen]
+        # A frame's new voxels, each with its first point.
+        keys, first = np.unique(voxels(points), return_index=True)
+        new = ~np.isin(keys, known, assume_unique=True)
+        known = np.union1d(known, keys[new])
+        kept.append(rows[np.sort(first[new])])
+    return np.concatenate(kept) if kept else np.zeros(0, dtype=POINT)
+
+
+def sonar_cloud(sequence: Sequence, sonar: str, path: Trajectory) -> NDArray[Any]:
+    """(N,) ECHO: the returns of all pings that the truth spans, in map."""
+    kept = [np.zeros(0, dtype=ECHO)]
+    for cloud in sequence.clouds(sonar):
+        if not _spans(path, cloud.stamp_ns):
+            continue
+        points = _in_map(path, cloud.stamp_ns, sequence.sonars[sonar].T_base_sensor, cloud.points.astype(float))
+        rows = _rows(points, ECHO)
+        rows["intensity"], rows["class"], rows["instance"] = cloud.intensity, cloud.classes, cloud.instances
+        kept.append(rows)
+    return np.concatenate(kept)
+
+
+def pixel_rays(camera: CameraCalibration) -> Array:
+    """(H, W, 3): the point at depth 1 along the optical axis that each pixel's centre shows."""
+    columns, rows = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+    if camera.distortion_model == "equidistant":
+        pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+        plane = np.asarray(cv2.fisheye.undistortPoints(pixels, camera.matrix, camera.distortion[:4]))
+        x, y = plane.reshape(camera.height, camera.width, 2).transpose(2, 0, 1)
+    else:
+        matrix = camera.matrix
+        x, y = _without_distortion(
+            (columns - matrix[0, 2]) / matrix[0, 0], (rows - matrix[1, 2]) / matrix[1, 1], camera.distortion
+        )
+    return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+def _without_distortion(distorted_x: Array, distorted_y: Array, coefficients: Array) -> tuple[Array, Array]:
+    """Brown-Conrady undone, by fixed-point iteration from the distorted point, on the plane at depth 1."""
+    k1, k2, p1, p2, k3 = np.pad(coefficients, (0, 5 - len(coefficients)))
+    x, y = distorted_x, distorted_y
+    for _ in range(60):
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        x, y = (
+            (distorted_x - 2.0 * p1 * x * y - p2 * (r2 + 2.0 * x * x)) / radial,
+            (distorted_y - p1 * (r2 + 2.0 * y * y) - 2.0 * p2 * x * y) / radial,
+        )
+    return x, y
+
+
+def voxels(points: Array) -> NDArray[np.int64]:
+    """(N,) number of the voxel that each point (N, 3) is in; within 10 km of the origin."""
+    cells = np.floor(points / VOXEL_M).astype(np.int64) + (1 << 20)
+    return (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
+
+
+def write_ply(path: Path, rows: NDArray[Any], comment: str) -> None:
+    """A structured array (N,) as the vertices of a binary PLY, a property per field."""
+    properties = [f"property {_PLY_TYPES[rows.dtype[name].str]} {name}" for name in rows.dtype.names or ()]
+    header = ["ply", "format binary_little_endian 1.0", f"comment {comment}", f"element vertex {len(rows)}"]
+    with open(path, "wb") as file:
+        file.write("\n".join([*header, *properties, "end_header\n"]).encode())
+        file.write(rows.tobytes())
+
+
+def _rows(points: Array, kind: np.dtype[Any]) -> NDArray[Any]:
+    rows = np.zeros(len(points), dtype=kind)
+    rows["x"], rows["y"], rows["z"] = points.T
+    return rows
+
+
+def _spans(path: Trajectory, stamp_ns: int) -> bool:
+    return int(path.stamps_ns[0]) <= stamp_ns <= int(path.stamps_ns[-1])
+
+
+def _in_map(path: Trajectory, stamp_ns: int, T_base_sensor: Array, points: Array) -> Array:
+    (pose,) = sensor_poses(path.at(np.array([stamp_ns], dtype=np.int64)), T_base_sensor)
+    return points @ pose[:3, :3].T + pose[:3, 3]

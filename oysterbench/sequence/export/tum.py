@@ -1,0 +1,72 @@
+"""TUM RGB-D folders: rgb/, depth/, their lists, the camera's path and the accelerometer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oysterbench.sequence.calibration import CameraCalibration
+from oysterbench.sequence.export.parts import any_camera, sensor_poses, write_lines, write_png
+from oysterbench.sequence.types import Sequence
+from oysterbench.trajectory import Trajectory, ns_to_seconds, write_tum
+
+DEPTH_STEPS = 5000.0
+"""Numbers of a depth image in a metre; 65535, the greatest, is 13.1 m."""
+
+
+def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+    """Of one camera: the first with depth, or else the first."""
+    depth_of = {topic.split("/")[1] for topic, _, _ in sequence.contents() if topic.endswith("/depth")}
+    name = next((camera for camera in sequence.cameras if camera in depth_of), None) or any_camera(sequence, "tum")
+    (folder / "rgb").mkdir()
+    rows = [f"# color images of {name}", "# timestamp filename"]
+    for image in sequence.images(name):
+        file = f"rgb/{ns_to_seconds(image.stamp_ns)}.png"
+        write_png(folder / file, image.pixels)
+        rows.append(f"{ns_to_seconds(image.stamp_ns)} {file}")
+    write_lines(folder / "rgb.txt", rows)
+    samples = (
+        " ".join([ns_to_seconds(sample.stamp_ns), *(repr(float(value)) for value in sample.accel)])
+        for sample in sequence.imu()
+    )
+    write_lines(
+        folder / "accelerometer.txt", ["# accelerometer, in the frame of the IMU", "# timestamp ax ay az", *samples]
+    )
+    write_lines(folder / "calibration.txt", _calibration(sequence.cameras[name]))
+    notes = [f"images of {name}"]
+    if not truth:
+        return [*notes, "depth is truth here: left out"] if name in depth_of else notes
+    far = _write_depth(sequence, name, folder) if name in depth_of else 0
+    if far:
+        notes.append(f"{far} pixels of depth beyond {65535 / DEPTH_STEPS:g} m do not fit the format: they are 0")
+    path = sequence.truth()
+    poses = sensor_poses(path, sequence.cameras[name].T_base_cam)
+    quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    write_tum(folder / "groundtruth.txt", Trajectory(path.stamps_ns, poses[:, :3, 3], quaternions))
+    return notes
+
+
+def _write_depth(sequence: Sequence, name: str, folder: Path) -> int:
+    """Depth images, 0 = none. Returns how many pixels are too far for the format."""
+    (folder / "depth").mkdir()
+    rows, far = [f"# depth maps of {name}, {DEPTH_STEPS:g} to the metre", "# timestamp filename"], 0
+    for image in sequence.layer(name, "depth"):
+        file = f"depth/{ns_to_seconds(image.stamp_ns)}.png"
+        steps = np.rint(image.pixels * DEPTH_STEPS)
+        far += int(np.count_nonzero(steps > 65535))
+        write_png(folder / file, np.where(steps > 65535, 0, steps).astype(np.uint16))
+        rows.append(f"{ns_to_seconds(image.stamp_ns)} {file}")
+    write_lines(folder / "depth.txt", rows)
+    return far
+
+
+def _calibration(camera: CameraCalibration) -> list[str]:
+    matrix = camera.matrix
+    values = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion]
+    return [
+        f"# {camera.width} x {camera.height}, {camera.distortion_model}",
+        "# fx fy cx cy and the coefficients of distortion",
+        " ".join(repr(float(value)) for value in values),
+    ]
