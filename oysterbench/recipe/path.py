@@ -48,7 +48,7 @@ class PathRecipe:
     tilt_deg: float = number(0, 30, 4.0)  # amplitude of roll, pitch and yaw about the nominal attitude
     clearance_m: float = number(0, 10, 0.3)  # no oyster and no stone comes closer to the body's origin
     lift: bool = False  # rise over what stands in the way, instead of refusing the path
-    excitation: float = number(0, 3, 0.0)  # opening manoeuvre that lets a filter initialise; 1: of 0.1 m and 6 degrees
+    excitation: float = number(0, 3, 0.0)  # opening manoeuvre that lets a filter initialise; 1: of 0.08 m and 6 degrees
     lean: float = number(0, 3, 0.0)  # pitch and roll by drag and acceleration; 1: as a BlueROV2 that is pushed low
     wave_following: float = number(0, 1, 1.0)  # share of the water's motion in waves that carries the vehicle
     hold_s: float = number(0, 20, 1.0)  # the current's variation carries it for so long before it is held

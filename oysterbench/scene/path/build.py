@@ -21,6 +21,7 @@ TERRAIN_SMOOTHING_S = 1.0
 """An ROV follows the bottom through its altimeter and its own inertia, not stone by stone."""
 
 SPOT_CELL_M, SPOT_CELLS = 0.1, 5  # of the map on which spots are found, and cells of a side that are a spot
+SPOT_ROOM = 0.8  # of the room that there is: looking past a spot, a camera still sees reef
 
 
 def build_path(recipe: SequenceRecipe, ground_height: Height, obstacle_height: Height, streams: Streams) -> Path:
@@ -114,7 +115,7 @@ def find_spots(
 ) -> routes.Places:
     """Places (x, y m) to inspect: drawn from where most stands on the bottom, with room to go round them."""
     plan = recipe.path
-    half = recipe.reef.size_m / 2 - 2 * plan.sway_m - plan.stand_off_m
+    half = SPOT_ROOM * (recipe.reef.size_m / 2 - 2 * plan.sway_m - plan.stand_off_m)
     lines = np.linspace(-half, half, 2 * int(np.ceil(half / SPOT_CELL_M)) + 1)
     x, y = np.meshgrid(lines, lines)
     relief = uniform_filter(obstacle_height(x, y) - ground_height(x, y), SPOT_CELLS, mode="nearest")

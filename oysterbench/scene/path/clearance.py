@@ -20,7 +20,7 @@ STEP_M = 0.0125
 
 RING_M = 0.1  # between the rings that the surroundings are sampled on
 MAX_RINGS = 8
-DIRECTIONS = 12
+DIRECTIONS = 16
 
 LIFT_SMOOTHING_S = 0.6
 REACH = 4.0  # standard deviations that the lift's Gaussian goes to

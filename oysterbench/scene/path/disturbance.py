@@ -17,9 +17,9 @@ from oysterbench.streams import Streams
 SWAY_PERIODS_S = (2.2, 3.4, 5.3)
 """Periods of a station-keeping ROV's motion; the shorter ones carry most of the acceleration."""
 
-EXCITATION_PERIODS_S = (1.7, 2.5, 3.6)
+EXCITATION_PERIODS_S = (2.0, 2.9, 4.1)
 EXCITATION_S, EXCITATION_EDGE_S = 8.0, 2.0  # length of the opening manoeuvre, and of its soft begin and end
-EXCITATION_M, EXCITATION_RAD = 0.10, np.radians(6.0)  # amplitudes
+EXCITATION_M, EXCITATION_RAD = 0.08, np.radians(6.0)  # amplitudes
 
 GUST_PERIODS_S = (13.0, 29.0, 61.0)
 GUST_SHARE = 0.2
