@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from oysterbench.scene.collisions import Crowd, probe_points, total_overlap
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.terrain import Terrain
 
@@ -16,14 +18,19 @@ Array = NDArray[np.float64]
 
 CLUMP_LIMITS = (3, 15)
 SIZE_SHAPE = 5.0  # of the gamma distribution of clump sizes
+PUSHES = 14  # rounds in which neighbouring clumps make room for one another
 PATCH_M = 5.0  # wavelength of bare and covered patches
 TRIES = 12  # places tried for each oyster
 CLUMPS_AT_ONCE = 256  # bounds the memory that growing needs
+TURNS = 5  # in which the clumps of a reef take their next oyster, at least
 SET = 0.045  # depth to which a hinge is set into its host, in heights
-ELLIPSOID = (np.array([0.50, 0.0, -0.05]), np.array([0.50, 0.33, 0.15]))  # a shell for collisions: centre, half axes
-SITES = (0.10, 0.75)  # growth of the host where hinges settle: near its base, away from its living margin
+SITES = (0.05, 0.45)  # growth of the host where hinges settle: near its base, away from its living margin
+OVERLAP = 4.0  # cost of a probe at the middle of another shell
 LOW = 1.5  # cost of settling a height higher
-RISE, STAND_OFF, SPREAD, WANDER = 1.0, 0.40, 0.30, 0.33  # weights of up, host's normal, outward and chance
+CANOPY_M, TALL = 0.060, 12.0  # oysters rarely stand higher than this over the bottom; cost of standing twice as high
+RISE, STAND_OFF, SPREAD, WANDER = 1.0, 0.40, 0.30, 0.36  # weights of up, host's normal, outward and chance
+ERECT_M = 0.045  # larger shells are too heavy to stand as steeply
+LIVING = slice(3, None)  # probes that the bottom must not cover: all but those next to the hinge
 
 
 @dataclass(frozen=True)
@@ -69,7 +76,7 @@ def clump_centres(count: int, side: float, spacing: float, patchiness: float, ge
     worth = patchiness * patches + (1 - patchiness) * generator.standard_normal(len(centres))
     keep = np.argsort(-np.round(worth, 6), kind="stable")[:count]
     centres = centres[np.sort(keep)]
-    for _ in range(6):
+    for _ in range(PUSHES):
         pairs = cKDTree(centres).query_pairs(spacing, output_type="ndarray") if count > 1 else np.zeros((0, 2), int)
         if not len(pairs):
             break
@@ -93,7 +100,7 @@ def grow_clumps(
     terrain: Terrain,
     generator: np.random.Generator,
 ) -> Growth:
-    """Grow clumps on founders that lie where they are.
+    """Grow clumps on founders that lie where they are, each oyster where it has room among all that are there.
 
     sizes (K,): the rows of a clump follow one another, its founder first; founders: poses (N, ...) of which only
     those rows count; shapes (N,), scales (N, 3): of all oysters.
@@ -101,98 +108,97 @@ def grow_clumps(
     n = len(shapes)
     positions, rotations = founders.positions.copy(), founders.rotations.copy()
     hosts = np.full(n, -1, dtype=np.int64)
+    grove = _Grove(positions, rotations, hosts, shapes, scales, meshes, terrain)
     first = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64) if n else np.zeros(0, np.int64)
-    low, high = SITES
-    growth = [mesh.marks[:, 0] for mesh in meshes]
-    outside = [mesh.marks[:, 1] < 0.5 for mesh in meshes]
-    sites = [np.flatnonzero((g > low) & (g < high) & o) for g, o in zip(growth, outside, strict=True)]
+    placed = first
     for step in range(1, int(sizes.max(initial=1))):
         growing = first[sizes > step]
         generator_of_step = np.random.Generator(np.random.Philox(key=generator.integers(0, 2**63, 2, dtype=np.uint64)))
-        for part in np.array_split(growing, len(growing) // CLUMPS_AT_ONCE + 1):
+        settled = grove.crowd(placed)
+        # Every so many clumps apart: those that grow at once cannot see one another's new oyster.
+        parts = max(TURNS, len(growing) // CLUMPS_AT_ONCE + 1)
+        fresh: list[NDArray[np.int64]] = []
+        for k in range(parts):
+            part = growing[k::parts]
             if len(part):
-                _add(step, part, positions, rotations, hosts, shapes, scales, meshes, sites, terrain, generator_of_step)
+                crowds = [settled, grove.crowd(np.concatenate(fresh))] if fresh else [settled]
+                grove.add(step, part, crowds, generator_of_step)
+                fresh.append(part + step)
+        placed = np.concatenate([placed, growing + step])
     return Growth(positions, rotations, hosts)
 
 
-def _add(
-    step: int,
-    first: NDArray[np.int64],
-    positions: Array,
-    rotations: Array,
-    hosts: NDArray[np.int64],
-    shapes: NDArray[np.integer],
-    scales: Array,
-    meshes: Sequence[Mesh],
-    sites: Sequence[NDArray[np.int64]],
-    terrain: Terrain,
-    generator: np.random.Generator,
-) -> None:
-    """Add oyster number `step` to the clumps that begin at rows `first` (A,), at the best of TRIES places."""
-    a = len(first)
-    height = scales[first + step, 0]
-    host = first[:, None] + generator.integers(0, step, (a, TRIES))
-    contact, normal = _contacts(host, positions, rotations, shapes, scales, meshes, sites, generator.random((a, TRIES)))
-    centre = positions[first][:, None]
-    outward = contact - centre
-    outward[..., 2] = 0.0
-    outward /= np.maximum(_length(outward), 1e-9)
-    axis = STAND_OFF * normal + SPREAD * outward + WANDER * generator.standard_normal((a, TRIES, 3))
-    axis[..., 2] += RISE
-    axis /= np.maximum(_length(axis), 1e-9)
-    # The flat valve faces out of the clump, more or less, as pages of a book that falls open.
-    facing = outward + 0.6 * generator.standard_normal((a, TRIES, 3))
-    across = np.cross(facing, axis)
-    across /= np.maximum(_length(across), 1e-9)
-    rotation = np.stack([axis, across, np.cross(axis, across)], axis=-1)
-    position = contact - SET * height[:, None, None] * axis
-    probes = _probes() * scales[first + step][:, None]
-    points = np.einsum("atij,apj->atpi", rotation, probes) + position[:, :, None]
-    depth = terrain.height(points[..., 0], points[..., 1]) - points[..., 2]
-    buried = np.maximum(depth / height[:, None, None] + 0.02, 0.0).sum(axis=2)
-    older = first[:, None] + np.arange(step)
-    local = points[:, :, :, None] - positions[older][:, None, None]
-    local = np.einsum("aoij,atpoi->atpoj", rotations[older], local) / scales[older][:, None, None]
-    inside = 1 - _length((local - ELLIPSOID[0]) / ELLIPSOID[1])[..., 0]
-    overlap = np.maximum(inside, 0.0).sum(axis=(2, 3))
-    downward = np.maximum(0.1 - normal[..., 2], 0.0) + np.maximum(0.2 - (axis * normal).sum(axis=-1), 0.0)
-    level = (contact[..., 2] - centre[..., 2]) / height[:, None]
-    cost = np.round(overlap + 2.0 * buried + 1.5 * downward + LOW * level, 6)
-    best = np.argmin(cost, axis=1)
-    row = np.arange(a)
-    positions[first + step] = position[row, best]
-    rotations[first + step] = rotation[row, best]
-    hosts[first + step] = host[row, best]
+@dataclass(frozen=True)
+class _Grove:
+    """All clumps while they grow: poses (N, ...) that are filled in row by row, and what the rows are."""
 
+    positions: Array
+    rotations: Array
+    hosts: NDArray[np.int64]
+    shapes: NDArray[np.integer]
+    scales: Array
+    meshes: Sequence[Mesh]
+    terrain: Terrain
 
-def _contacts(
-    host: NDArray[np.int64],
-    positions: Array,
-    rotations: Array,
-    shapes: NDArray[np.integer],
-    scales: Array,
-    meshes: Sequence[Mesh],
-    sites: Sequence[NDArray[np.int64]],
-    chance: Array,
-) -> tuple[Array, Array]:
-    """Points (A, T, 3) on the outsides of hosts (A, T), in `map`, and the normals there."""
-    points, normals = np.empty((*host.shape, 3)), np.empty((*host.shape, 3))
-    shape = shapes[host]
-    for k in np.unique(shape):
-        at = shape == k
-        vertex = sites[k][(chance[at] * len(sites[k])).astype(int)]
-        points[at] = meshes[k].vertices[vertex] * scales[host[at]]
-        normals[at] = meshes[k].normals[vertex] / scales[host[at]]
-    points = np.einsum("atij,atj->ati", rotations[host], points) + positions[host]
-    normals = np.einsum("atij,atj->ati", rotations[host], normals)
-    return points, normals / np.maximum(_length(normals), 1e-9)
+    def crowd(self, rows: NDArray[np.int64]) -> Crowd:
+        """The oysters of some rows, which have their places."""
+        return Crowd(self.positions[rows], self.rotations[rows], self.scales[rows])
 
+    @cached_property
+    def sites(self) -> list[NDArray[np.intp]]:
+        """For each shell, the vertices on which hinges settle."""
+        low, high = SITES
+        marks = [mesh.marks for mesh in self.meshes]
+        return [np.flatnonzero((m[:, 0] > low) & (m[:, 0] < high) & (m[:, 1] < 0.5)) for m in marks]
 
-def _probes() -> Array:
-    """Points (P, 3) in a shell of height 1 that should lie in no other."""
-    x, y = np.meshgrid([0.3, 0.55, 0.8, 0.98], [-0.25, 0.0, 0.25], indexing="ij")
-    flat = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
-    return np.concatenate([flat, [[0.45, 0.0, -0.15], [0.45, 0.0, 0.06]]])
+    def add(self, step: int, first: NDArray[np.int64], crowds: Sequence[Crowd], generator: np.random.Generator) -> None:
+        """Add oyster number `step` to the clumps that begin at rows `first` (A,), at the best of TRIES places."""
+        a = len(first)
+        scale = self.scales[first + step]
+        height = scale[:, 0]
+        host = first[:, None] + generator.integers(0, step, (a, TRIES))
+        contact, normal = self._contacts(host, generator.random((a, TRIES)))
+        centre = self.positions[first][:, None]
+        outward = contact - centre
+        outward[..., 2] = 0.0
+        outward /= np.maximum(_length(outward), 1e-9)
+        axis = STAND_OFF * normal + SPREAD * outward + WANDER * generator.standard_normal((a, TRIES, 3))
+        axis[..., 2] += RISE * np.minimum((ERECT_M / height[:, None]) ** 0.5, 1.0)
+        axis /= np.maximum(_length(axis), 1e-9)
+        # The flat valve faces out of the clump, more or less, as pages of a book that falls open.
+        facing = outward + 0.6 * generator.standard_normal((a, TRIES, 3))
+        across = np.cross(facing, axis)
+        across /= np.maximum(_length(across), 1e-9)
+        rotation = np.stack([axis, across, np.cross(axis, across)], axis=-1)
+        position = contact - SET * height[:, None, None] * axis
+
+        every = position.reshape(-1, 3), rotation.reshape(-1, 3, 3), np.repeat(scale, TRIES, axis=0)
+        overlap = total_overlap(crowds, *every).reshape(a, TRIES)
+        points = probe_points(*every).reshape(a, TRIES, -1, 3)
+        depth = self.terrain.height(points[..., 0], points[..., 1]) - points[..., 2]
+        buried = np.maximum(depth / height[:, None, None] + 0.02, 0.0)[..., LIVING].sum(axis=2)
+        tall = np.maximum(-depth.min(axis=2) / CANOPY_M - 1.0, 0.0)
+        downward = np.maximum(0.1 - normal[..., 2], 0.0) + np.maximum(0.2 - (axis * normal).sum(axis=-1), 0.0)
+        level = (contact[..., 2] - centre[..., 2]) / height[:, None]
+        cost = np.round(OVERLAP * overlap + 2.0 * buried + 1.5 * downward + LOW * level + TALL * tall, 6)
+        best = np.argmin(cost, axis=1)
+        row = np.arange(a)
+        self.positions[first + step] = position[row, best]
+        self.rotations[first + step] = rotation[row, best]
+        self.hosts[first + step] = host[row, best]
+
+    def _contacts(self, host: NDArray[np.int64], chance: Array) -> tuple[Array, Array]:
+        """Points (A, T, 3) on the outsides of hosts (A, T), in `map`, and the normals there."""
+        points, normals = np.empty((*host.shape, 3)), np.empty((*host.shape, 3))
+        shape = self.shapes[host]
+        for k in np.unique(shape):
+            at = shape == k
+            vertex = self.sites[k][(chance[at] * len(self.sites[k])).astype(int)]
+            points[at] = self.meshes[k].vertices[vertex] * self.scales[host[at]]
+            normals[at] = self.meshes[k].normals[vertex] / self.scales[host[at]]
+        points = np.einsum("atij,atj->ati", self.rotations[host], points) + self.positions[host]
+        normals = np.einsum("atij,atj->ati", self.rotations[host], normals)
+        return points, normals / np.maximum(_length(normals), 1e-9)
 
 
 def _length(vectors: Array) -> Array:

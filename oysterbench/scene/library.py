@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.oyster import Shell, build_oyster
-from oysterbench.scene.props import build_fragment, build_sponge, build_stone, build_tuft
+from oysterbench.scene.plants import build_tuft
+from oysterbench.scene.props import build_fragment, build_sponge, build_stone
 from oysterbench.streams import Streams
 
 SHELLS = {"live": 28, "box": 6, "left valve": 6, "right valve": 5}

@@ -1,4 +1,4 @@
-"""Shapes on the bottom that are not oysters: stones, pieces of shell, tufts of plants, sponges; all watertight."""
+"""Shapes on the bottom that are not oysters: stones, pieces of shell, sponges; all watertight."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from oysterbench.scene.mesh import Mesh, build_mesh, join_meshes
+from oysterbench.scene.mesh import Mesh, build_mesh
 
 Array = NDArray[np.float64]
 
 SUBDIVISIONS = 3  # 1280 faces
 LUMPS = 14
 FRAGMENT_CORNERS = 11
-BLADE_RINGS = 8
 
 
 def build_stone(generator: np.random.Generator, subdivisions: int = SUBDIVISIONS) -> Mesh:
@@ -68,59 +67,6 @@ def build_fragment(generator: np.random.Generator) -> Mesh:
     marks[:, 0] = 0.5 + 0.3 * vertices[:, 0]
     marks[len(places) :, 1] = 1.0
     return build_mesh(vertices, np.concatenate([top, below, edge]), marks)
-
-
-def build_tuft(generator: np.random.Generator, broad: bool) -> Mesh:
-    """Tuft of plants, its longest blade about 1, rooted at z = 0: ribbons of seagrass, or broad crumpled algae.
-
-    Marks: share of the blade's length, the blade's tone, place across.
-    """
-    blades = int(generator.integers(7, 13)) if broad else int(generator.integers(12, 25))
-    lean = generator.uniform(0, 2 * np.pi)  # the current bends all blades one way
-    return join_meshes([_blade(generator, broad, lean) for _ in range(blades)])
-
-
-def _blade(generator: np.random.Generator, broad: bool, lean: float) -> Mesh:
-    """A blade: a flat closed tube of four corners, standing on its root and bending over."""
-    length = generator.uniform(0.45, 1.0)
-    width = length * (generator.uniform(0.10, 0.22) if broad else generator.uniform(0.012, 0.022))
-    s = np.linspace(0, 1, BLADE_RINGS)
-    heading = lean + (1.6 if broad else 0.7) * generator.standard_normal()
-    bend = generator.uniform(0.2, 1.3)
-    rise = np.pi / 2 - generator.uniform(0.05, 0.5) - bend * s**1.5
-    wave = generator.uniform(0.05, 0.3) * np.sin(2 * np.pi * (generator.uniform(0.6, 1.6) * s + generator.uniform()))
-    step = length / (BLADE_RINGS - 1)
-    along = np.concatenate([[0.0], np.cumsum(step * np.cos(rise)[1:])])
-    up = np.concatenate([[0.0], np.cumsum(step * np.sin(rise)[1:])])
-    side = wave * s * length * 0.5
-    root = 0.08 * generator.standard_normal(2)
-    forward = np.array([np.cos(heading), np.sin(heading)])
-    left = np.array([-forward[1], forward[0]])
-    middle = np.column_stack([root + along[:, None] * forward + side[:, None] * left, up])
-    turn = generator.uniform(0, np.pi) + generator.uniform(-1.5, 1.5) * s
-    wide = np.column_stack([np.cos(turn)[:, None] * left + np.sin(turn)[:, None] * forward, 0.3 * np.sin(3 * turn)])
-    thick = np.cross(wide, np.gradient(middle, axis=0))
-    thick /= np.linalg.norm(thick, axis=1, keepdims=True)
-    profile = (0.25 + 1.2 * np.sqrt(s)) * np.sqrt(np.maximum(1.02 - s**3, 0.0)) if broad else np.sqrt(1.02 - s**4)
-    half = 0.5 * width * profile[:, None]
-    thin = 0.06 if broad else 0.12
-    corners = [middle - half * wide, middle + thin * half * thick, middle + half * wide, middle - thin * half * thick]
-    rings = np.stack(corners, axis=1)
-    vertices = np.concatenate([rings.reshape(-1, 3), middle[:1], middle[-1:]])
-    tone = generator.uniform()
-    marks = np.column_stack([np.repeat(s, 4), np.full(4 * len(s), tone), np.tile([0.0, 0.5, 1.0, 0.5], len(s))])
-    marks = np.concatenate([marks, [[0.0, tone, 0.5], [1.0, tone, 0.5]]])
-    here = np.arange(4)
-    there = (here + 1) % 4
-    start = 4 * np.arange(len(s) - 1)[:, None]
-    quads = np.stack([start + here, start + there, start + 4 + there, start + 4 + here], axis=-1).reshape(-1, 4)
-    last = 4 * (len(s) - 1)
-    caps = [np.column_stack([np.full(4, len(vertices) - 2), there, here])]
-    caps.append(np.column_stack([np.full(4, len(vertices) - 1), last + here, last + there]))
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]], *caps])
-    corners_of = vertices[faces]
-    turned = np.einsum("fi,fi->", corners_of[:, 0], np.cross(corners_of[:, 1], corners_of[:, 2])) < 0
-    return build_mesh(vertices, faces[:, ::-1] if turned else faces, marks)
 
 
 def _sphere(subdivisions: int) -> tuple[Array, NDArray[np.int64]]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, ndtri
 
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.clump import Growth, clump_centres, clump_sizes, grow_clumps
+from oysterbench.scene.collisions import Crowd, total_overlap
 from oysterbench.scene.instances import CLASS_NUMBERS, Instances, join_instances, lean_with, make_instances, rest
 from oysterbench.scene.library import Library
 from oysterbench.scene.oyster import STATES
@@ -22,12 +22,17 @@ Array = NDArray[np.float64]
 
 SIZE_SPREAD = 0.28  # standard deviation of ln(height)
 SIZE_LIMITS_M = (0.0249, 0.172)  # the range measured in 1122 Virginia oysters
-CLUMP_SPACING = 0.55  # of clumps' centres, in heights and roots of their size
-FOUNDER_SINK = (0.10, 0.30)  # of the shell's width
-STANDING_FOUNDERS = {"sand": 0.30, "mud": 0.65, "gravel": 0.20, "shell": 0.25}
+CLUMP_SPACING = 0.75  # of clumps' centres, in heights and roots of their size
+SINK_HEIGHTS_M = (0.04, 0.10)  # shell heights between which founders sink ever deeper,
+STANDING_SINK, LYING_SINK = (0.10, 0.60), (0.03, 0.15)  # by these, in heights: reefs gather sediment as they age
+MOST_SUNK = 0.65  # of the height at which a founder stands: enough of each one shows
+THICKNESS = np.array([1.0, 0.55, 0.22])  # of a shell along its axes at least, in heights
+STANDING_FOUNDERS = {"sand": 0.45, "mud": 0.70, "gravel": 0.35, "shell": 0.50}
 SOFT = {"sand": 0.10, "mud": 0.35, "gravel": 0.0, "shell": 0.0}  # more slender on soft bottom
 VALVE_SPREAD = 1.7  # standard deviation of loose valves about a clump, in heights
 STRAY_VALVES = 0.25  # share of loose valves that lie anywhere
+VALVE_TRIES, VALVE_TURNS = 12, 4  # places tried for each; turns in which valves are laid, the later seeing the earlier
+VALVE_RISE_M = 0.008  # of a lying valve's hinge over the bottom
 SLOPE_REACH_M = 0.03
 
 
@@ -89,8 +94,10 @@ def _clumped(
         "colours": _shell_colours(n, white, generator),
         "silt": generator.beta(2.2, 1.8, n),
     }
-    sunk = heights * np.where(standing, 0.5, 1.0) * 0.3 * generator.uniform(*FOUNDER_SINK, n)
-    sunk = np.where(order == 0, sunk, 0.0)
+    depths = [np.interp(heights, SINK_HEIGHTS_M, depth) for depth in (STANDING_SINK, LYING_SINK)]
+    sunk = heights * np.where(standing, *depths) * generator.uniform(0.8, 1.2, n)
+    stands = heights * np.abs(rotations[:, 2] * THICKNESS).max(axis=1)
+    sunk = np.where(order == 0, np.minimum(sunk, MOST_SUNK * stands), 0.0)
     founders = rest(make_instances(**parts, positions=places, rotations=rotations, sunk=sunk), terrain, library.meshes)
     start = Growth(founders.positions.astype(float), founders.rotations.astype(float), np.full(n, -1))
     growth = grow_clumps(
@@ -119,17 +126,14 @@ def _loose(
     """Single valves lying about the clumps, either side up, each at the freest of a few places."""
     half = reef.size_m / 2
     heights = draw_heights(reef.oyster_size_mm * 1e-3, n, generator)
-    tries = generator.uniform(-half, half, (n, 4, 2))
+    tries = generator.uniform(-half, half, (n, VALVE_TRIES, 2))
     if len(centres):
         about = centres[generator.integers(0, len(centres), n)][:, None]
-        spread = VALVE_SPREAD * reef.oyster_size_mm * 1e-3
-        near = about + spread * generator.standard_normal((n, 4, 2))
+        # The later tries look farther off.
+        spread = VALVE_SPREAD * reef.oyster_size_mm * 1e-3 * np.linspace(1.0, 2.5, VALVE_TRIES)[:, None]
+        near = about + spread * generator.standard_normal((n, VALVE_TRIES, 2))
         tries = np.where((generator.random(n) < STRAY_VALVES)[:, None, None], tries, near)
     tries = np.clip(tries, -half, half)
-    room = np.zeros((n, 4))
-    if len(clumped) and n:
-        room = np.round(cKDTree(clumped.positions[:, :2]).query(tries.reshape(-1, 2))[0].reshape(n, 4), 6)
-    places = tries[np.arange(n), np.argmax(room, axis=1)]
     left = generator.random(n) < 0.5
     share = generator.random(n)
     shapes = np.where(left, library.pick("left valve", share), library.pick("right valve", share))
@@ -140,13 +144,25 @@ def _loose(
         0.10 * generator.standard_normal(n),
         np.where(over, np.pi, 0.0) + 0.12 * generator.standard_normal(n),
     )
+    scales = heights[:, None] * np.column_stack([np.ones(n), np.exp(0.08 * generator.standard_normal((n, 2)))])
+    # At rest on level ground, nearly: what it would stand in is told by its place, not by its slope.
+    lying = np.concatenate([tries, terrain.height(tries[..., 0], tries[..., 1])[..., None] + VALVE_RISE_M], axis=2)
+    places = np.zeros((n, 2))
+    crowds = [Crowd.of(clumped)]
+    for turn in range(VALVE_TURNS):
+        rows = np.arange(turn, n, VALVE_TURNS)
+        every = lying[rows].reshape(-1, 3), *(np.repeat(v[rows], VALVE_TRIES, axis=0) for v in (rotations, scales))
+        overlap = np.round(total_overlap(crowds, *every).reshape(-1, VALVE_TRIES), 6)
+        chosen = lying[rows, np.argmin(overlap, axis=1)]
+        places[rows] = chosen[:, :2]
+        crowds.append(Crowd(chosen, rotations[rows], scales[rows]))
     return rest(
         make_instances(
             class_name="oyster",
             shapes=shapes,
             positions=np.column_stack([places, np.zeros(n)]),
             rotations=lean_with(terrain, places, rotations, SLOPE_REACH_M),
-            scales=heights[:, None] * np.column_stack([np.ones(n), np.exp(0.08 * generator.standard_normal((n, 2)))]),
+            scales=scales,
             colours=_shell_colours(n, np.full(n, 0.7), generator),
             silt=generator.beta(1.8, 1.8, n),
             sunk=heights * generator.uniform(0.02, 0.07, n),

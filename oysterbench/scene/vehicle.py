@@ -1,4 +1,4 @@
-"""The body of a vehicle, for cameras that see it: a BlueROV2-class frame from boxes and tubes."""
+"""The body of a vehicle, for cameras that see it: a BlueROV2-class frame with floats, tubes, thrusters and lamps."""
 
 from __future__ import annotations
 
@@ -6,13 +6,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.recipe import RigRecipe
-from oysterbench.scene.mesh import Mesh, build_mesh, join_meshes
+from oysterbench.scene.mesh import Mesh, join_meshes
+from oysterbench.scene.solids import bent_tube, dome, plate, ring, rounded_box, tube
 
 Array = NDArray[np.float64]
 
-BLUE, BLACK, GREY, CLEAR = (0.02, 0.10, 0.42), (0.025, 0.025, 0.03), (0.30, 0.31, 0.32), (0.16, 0.19, 0.21)
-FLOAT_BLUE = (0.05, 0.22, 0.55)
-TUBE_SIDES = 24
+BLUE, BLACK, GREY = (0.02, 0.10, 0.42), (0.025, 0.025, 0.03), (0.30, 0.31, 0.32)
+FLOAT_BLUE, GLASS, YELLOW = (0.04, 0.17, 0.45), (0.10, 0.12, 0.13), (0.55, 0.42, 0.03)
+
+# Outline (x, z) of a side panel, m: a tall bow and stern, cut in at the feet.
+SIDE_PANEL = (
+    (-0.22, -0.125),
+    (0.17, -0.125),
+    (0.22, -0.075),
+    (0.22, 0.015),
+    (0.19, 0.06),
+    (-0.19, 0.06),
+    (-0.22, 0.02),
+)
+SIDE_HOLES = ((-0.12, -0.045, 0.042), (0.0, -0.04, 0.042), (0.12, -0.045, 0.042))  # x, z, radius
+DUCT_RADIUS_M, DUCT_LENGTH_M = 0.048, 0.05
+LEVEL_THRUSTERS = ((0.13, 0.10, 45), (0.13, -0.10, -45), (-0.13, 0.10, -45), (-0.13, -0.10, 45))  # x, y, heading deg
+UPRIGHT_THRUSTERS = ((0.0, 0.115), (0.0, -0.115))
+LAMPS_Y_M = (-0.12, 0.12)
 
 
 def build_vehicle(rig: RigRecipe) -> Mesh | None:
@@ -22,58 +38,91 @@ def build_vehicle(rig: RigRecipe) -> Mesh | None:
     """
     if rig.vehicle == "none":
         return None
-    parts = [
-        *(_box((0.0, side * 0.163, -0.02), (0.44, 0.012, 0.20), BLACK) for side in (-1, 1)),
-        _box((0.0, 0.0, -0.122), (0.42, 0.30, 0.010), BLACK),
-        *(_box((x, side * 0.105, 0.088), (0.185, 0.10, 0.066), FLOAT_BLUE) for side in (-1, 1) for x in (-0.10, 0.10)),
-        _tube((-0.16, 0.0, 0.035), (0.15, 0.0, 0.035), 0.057, GREY),
-        _tube((0.15, 0.0, 0.035), (0.185, 0.0, 0.035), 0.052, CLEAR),
-        _tube((-0.12, 0.0, -0.072), (0.12, 0.0, -0.072), 0.044, GREY),
-        *(_box((x, 0.0, -0.02), (0.012, 0.32, 0.03), BLUE) for x in (-0.20, 0.20)),
+    return join_meshes([*_frame(), *_floats(), *_tubes(), *_thrusters(), *_lamps(), *_tether()])
+
+
+def _frame() -> list[Mesh]:
+    """Two side panels with round windows, a bottom plate, cross members and feet."""
+    parts = []
+    for y in (-0.163, 0.163):
+        parts.append(plate(np.array(SIDE_PANEL), y, 0.010, BLACK))
+        # The windows cannot be cut out of a closed sheet: a grey disc behind a rim reads as one.
+        for x, z, radius in SIDE_HOLES:
+            outer = np.copysign(abs(y) + 0.0055, y)
+            parts.append(ring((x, outer, z), (0.0, 1.0, 0.0), radius, radius - 0.006, 0.004, BLUE))
+    parts.append(rounded_box((0.0, 0.0, -0.120), (0.40, 0.316, 0.008), 0.003, BLACK))
+    parts += [rounded_box((x, 0.0, -0.02), (0.012, 0.316, 0.05), 0.004, BLACK) for x in (-0.205, 0.205)]
+    parts += [rounded_box((0.0, y, -0.132), (0.40, 0.018, 0.016), 0.006, GREY) for y in (-0.15, 0.15)]
+    return parts
+
+
+def _floats() -> list[Mesh]:
+    """Four fairings of foam above the frame, with rounded edges."""
+    places = [(x, y) for x in (-0.125, 0.125) for y in (-0.105, 0.105)]
+    return [rounded_box((x, y, 0.083), (0.175, 0.108, 0.070), 0.018, FLOAT_BLUE) for x, y in places]
+
+
+def _tubes() -> list[Mesh]:
+    """The watertight tube with its dome and end cap, and the battery's tube below it."""
+    return [
+        tube((-0.15, 0.0, 0.035), (0.14, 0.0, 0.035), 0.057, GREY),
+        *(tube((x, 0.0, 0.035), (x + 0.014, 0.0, 0.035), 0.062, BLACK) for x in (-0.158, 0.134)),
+        dome((0.148, 0.0, 0.035), 0.055, GLASS),
+        *(tube((-0.158, y, z), (-0.175, y, z), 0.007, BLACK) for y in (-0.02, 0.02) for z in (0.015, 0.055)),
+        tube((-0.12, 0.0, -0.072), (0.12, 0.0, -0.072), 0.044, GREY),
+        *(tube((x, 0.0, -0.072), (x + 0.012, 0.0, -0.072), 0.048, BLACK) for x in (-0.130, 0.118)),
     ]
-    for x, y, heading in ((0.14, 0.11, 45), (0.14, -0.11, -45), (-0.14, 0.11, -45), (-0.14, -0.11, 45)):
-        along = np.array([np.cos(np.deg2rad(heading)), np.sin(np.deg2rad(heading)), 0.0]) * 0.03
-        centre = np.array([x, y, -0.075])
-        parts.append(_tube(centre - along, centre + along, 0.036, BLACK))
-    parts += [_tube((0.0, y, 0.02), (0.0, y, 0.09), 0.036, BLACK) for y in (-0.13, 0.13)]
-    parts += [_tube((0.19, y, -0.10), (0.225, y, -0.105), 0.02, GREY) for y in (-0.12, 0.12)]  # lamps
-    return join_meshes(parts)
 
 
-def _box(centre: tuple[float, ...], size: tuple[float, ...], colour: tuple[float, ...]) -> Mesh:
-    """A box with faces of their own corners, so that its edges stay hard."""
-    corners: list[Array] = []
-    faces: list[list[int]] = []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            u, v = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-            middle = np.eye(3)[axis] * sign
-            square = np.array([middle + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-            start = len(corners) * 4
-            corners.append(square if sign > 0 else square[::-1])
-            faces += [[start, start + 1, start + 2], [start, start + 2, start + 3]]
-    vertices = np.concatenate(corners) * np.array(size) / 2 + np.array(centre)
-    return build_mesh(vertices, np.array(faces), np.tile(colour, (len(vertices), 1)))
+def _thrusters() -> list[Mesh]:
+    """Six thrusters: a duct, a hub and three blades each."""
+    parts = []
+    for x, y, heading in LEVEL_THRUSTERS:
+        turn = np.deg2rad(heading)
+        parts += _thruster((x, y, -0.062), (np.cos(turn), np.sin(turn), 0.0))
+    for x, y in UPRIGHT_THRUSTERS:
+        parts += _thruster((x, y, 0.075), (0.0, 0.0, 1.0))
+    return parts
 
 
-def _tube(start: Array | tuple[float, ...], end: Array | tuple[float, ...], radius: float, colour: tuple) -> Mesh:
-    """A closed tube between two points."""
-    start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
-    axis = (end - start) / np.linalg.norm(end - start)
-    across = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+def _thruster(centre: tuple[float, float, float], axis: tuple[float, float, float]) -> list[Mesh]:
+    along = np.array(axis)
+    middle = np.array(centre)
+    across = np.cross(along, [0.0, 0.0, 1.0] if abs(along[2]) < 0.9 else [1.0, 0.0, 0.0])
     across /= np.linalg.norm(across)
-    other = np.cross(axis, across)
-    turn = 2 * np.pi * np.arange(TUBE_SIDES) / TUBE_SIDES
-    ring = radius * (np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * other)
-    n = TUBE_SIDES
-    # Rings twice at each end: one for the wall's normals, one for the lid's.
-    vertices = np.concatenate([start + ring, end + ring, start + ring, end + ring, [start], [end]])
-    k, after = np.arange(n), (np.arange(n) + 1) % n
-    wall = np.concatenate([np.stack([k, after, after + n], 1), np.stack([k, after + n, k + n], 1)])
-    lids = np.concatenate(
-        [
-            np.stack([np.full(n, 4 * n), after + 2 * n, k + 2 * n], 1),
-            np.stack([np.full(n, 4 * n + 1), k + 3 * n, after + 3 * n], 1),
-        ]
-    )
-    return build_mesh(vertices, np.concatenate([wall, lids]), np.tile(colour, (len(vertices), 1)))
+    other = np.cross(along, across)
+    parts = [
+        ring(middle, axis, DUCT_RADIUS_M, DUCT_RADIUS_M - 0.007, DUCT_LENGTH_M, BLACK),
+        tube(middle - 0.024 * along, middle + 0.012 * along, 0.014, BLACK),
+        tube(middle + 0.012 * along, middle + 0.026 * along, 0.009, BLUE),
+    ]
+    for blade in range(3):
+        turn = 2 * np.pi * blade / 3 + 0.4
+        out = np.cos(turn) * across + np.sin(turn) * other
+        side = np.cross(along, out)
+        pitched = 0.75 * side + 0.66 * along
+        # An ellipse standing on the hub, pitched to the axis.
+        half_axes = (0.015 * out, 0.010 * pitched, 0.0015 * np.cross(out, pitched))
+        parts.append(dome(middle + 0.027 * out, 1.0, BLUE, half_axes, whole=True))
+    return parts
+
+
+def _lamps() -> list[Mesh]:
+    """Lamps under the bow, each with a bright window, behind the point from which the rig's light comes."""
+    parts = []
+    for y in LAMPS_Y_M:
+        parts.append(tube((0.175, y, -0.092), (0.222, y, -0.102), 0.021, BLACK))
+        parts.append(tube((0.222, y, -0.102), (0.226, y, -0.103), 0.017, (0.75, 0.74, 0.68)))
+        parts.append(tube((0.155, y, -0.088), (0.175, y, -0.092), 0.012, GREY))
+        parts.append(rounded_box((0.19, y, -0.113), (0.020, 0.012, 0.020), 0.003, BLACK))
+    return parts
+
+
+def _tether() -> list[Mesh]:
+    """A tether that leaves the stern in a slack bow and rises."""
+    t = np.linspace(0.0, 1.0, 36)
+    x = -0.17 - 0.10 * np.sin(0.5 * np.pi * t) - 0.12 * t**2
+    y = 0.02 - 0.30 * t**2 + 0.05 * np.sin(7 * t) * t
+    z = 0.05 - 0.05 * np.sin(np.pi * t) + 1.1 * t**2
+    path = np.column_stack([x, y, z])
+    return [bent_tube(path, 0.0038, YELLOW)]

@@ -9,7 +9,8 @@ import pytest
 import trimesh
 
 from oysterbench.scene.mesh import Mesh
-from oysterbench.scene.props import build_fragment, build_sponge, build_stone, build_tuft
+from oysterbench.scene.plants import build_tuft
+from oysterbench.scene.props import build_fragment, build_sponge, build_stone
 from oysterbench.streams import Streams
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
