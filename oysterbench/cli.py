@@ -68,6 +68,7 @@ def main() -> None:
       oysterbench render slam-mini --workers 2
       oysterbench info mini-01.mcap
       oysterbench export mini-01.mcap --format euroc --out mini-01
+      oysterbench view mini-01.mcap                 one page to look through it
       oysterbench gallery                           waters, lights, reefs and views on one sheet
       oysterbench oyster --seed 7 --out oyster.glb
     """
@@ -306,6 +307,29 @@ def export(sequence: Path, form: str, out: Path, truth: bool, as_json: bool) -> 
     for note in notes:
         _say(note)
     click.echo(folder)
+
+
+@main.command(short_help="One HTML page to look through a sequence.")
+@click.argument("sequence", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File.  [default: NAME.html]")
+def view(sequence: Path, out: Path | None) -> None:
+    """Make one HTML page of a sequence: all cameras, sonar fans, strips of the scalar sensors, the path from above.
+
+    \b
+    Examples:
+      oysterbench view mini-01.mcap
+      oysterbench view mini-01.mcap --out preview.html
+
+    The page needs no other file and no network, and stays small however long the sequence is.
+    """
+    from oysterbench.files import write_atomically
+    from oysterbench.sequence import open_sequence
+    from oysterbench.view import view_page
+
+    opened = open_sequence(sequence)
+    path = out or Path(f"{opened.name}.html")
+    write_atomically(path, view_page(opened).encode())
+    click.echo(path)
 
 
 @main.command(short_help="One sheet of pictures over waters, lights, reefs and views.")
