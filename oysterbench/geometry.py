@@ -79,6 +79,18 @@ def rotation_angle(quaternions_a: Array, quaternions_b: Array) -> Array:
     return np.asarray(2.0 * np.arctan2(sine, cosine))
 
 
+def quaternion_product(a: Array, b: Array) -> Array:
+    """a * b of quaternions (N, 4) x y z w: the rotation b followed by a."""
+    ax, ay, az, aw = a.T
+    bx, by, bz, bw = b.T
+    product = np.empty_like(b)
+    product[:, 0] = aw * bx + ax * bw + ay * bz - az * by
+    product[:, 1] = aw * by - ax * bz + ay * bw + az * bx
+    product[:, 2] = aw * bz + ax * by - ay * bx + az * bw
+    product[:, 3] = aw * bw - ax * bx - ay * by - az * bz
+    return product
+
+
 @dataclass(frozen=True)
 class Similarity:
     """x_ref = scale * rotation @ x_est + translation; rotation (3, 3), translation (3,) in m."""
@@ -101,10 +113,11 @@ IDENTITY = Similarity(np.eye(3), np.zeros(3))
 MIN_SPREAD_M = 1e-3
 """A reference whose points lie closer together than this (rms distance from their mean) does not move."""
 
-MIN_SPREAD_RATIO = 1e-2
-"""Spread across the main direction over spread along it, below which rotation about that direction is a guess.
+MIN_SPREAD_RATIO = 1e-6
+"""Spread across the main direction over spread along it, below which points are on one line but for rounding.
 
-A straight transect with a millimetre of noise has 1e-4: the best rotation about it is any, and evo's answer was 86 deg.
+A line has no rotation about itself. Points that are nearly on one have, as exactly as their errors are small against
+their distance from it: `evaluate.alignment` weighs that.
 """
 
 MIN_MOTION_RATIO = 1e-3
@@ -128,8 +141,8 @@ def align_origin(reference: Array, estimate: Array) -> Similarity:
 def align_umeyama(reference: Array, estimate: Array, with_scale: bool = False) -> Similarity:
     """Least-squares rigid or similarity alignment of matched points (N, 3) (Umeyama 1991, eqs. 40 to 43).
 
-    Raises ValueError when the points do not determine a rotation: fewer than three, all in one place, or so close
-    to one line that the rotation about it is a guess (`MIN_SPREAD_RATIO`).
+    Raises ValueError when the points do not determine a rotation: fewer than three, all in one place, or on one
+    line (`MIN_SPREAD_RATIO`).
     """
     _check_matched(reference, estimate)
     _check_motion(spread(reference), spread(estimate))
@@ -137,11 +150,8 @@ def align_umeyama(reference: Array, estimate: Array, with_scale: bool = False) -
     centred_reference, centred_estimate = reference - mean_reference, estimate - mean_estimate
     covariance = centred_reference.T @ centred_estimate / len(reference)
     u, d, vt = np.linalg.svd(covariance)
-    if d[1] < MIN_SPREAD_RATIO**2 * d[0]:
-        raise ValueError(
-            f"the points lie on one line: they spread {np.sqrt(d[1] / d[0]):.2%} as far across it as along it, "
-            f"at least {MIN_SPREAD_RATIO:.0%} is needed to determine the rotation about it"
-        )
+    if d[1] <= MIN_SPREAD_RATIO**2 * d[0]:
+        raise ValueError("the points lie on one line: nothing determines the rotation about it")
     signs = np.ones(3)
     if np.linalg.det(u) * np.linalg.det(vt) < 0:
         signs[2] = -1.0
@@ -167,12 +177,27 @@ def align_yaw(reference: Array, estimate: Array) -> Similarity:
             f"the reference moves straight up or down: it spreads {spread(p):.3g} m horizontally against "
             f"{spread(reference):.3g} m in all, so that yaw is not determined"
         )
-    cosine = float(np.sum(p * q))
+    cosine = float(np.vdot(p, q))
     sine = float(np.sum(p[:, 1] * q[:, 0] - p[:, 0] * q[:, 1]))
     if np.hypot(cosine, sine) <= np.finfo(float).eps * len(p) * spread(p) * spread(q):
         raise ValueError("the points have no horizontal direction in common: yaw is not determined")
     rotation = Rotation.from_euler("z", np.arctan2(sine, cosine)).as_matrix()
     return Similarity(rotation, mean_reference - rotation @ mean_estimate)
+
+
+def align_scale(reference: Array, estimate: Array) -> Similarity:
+    """The scale of the similarity alignment of matched points (N, 3), alone: nothing is turned or moved.
+
+    The least-squares scale between the centred points after their best rotation (Umeyama 1991, eq. 42); points on
+    one line have it too.
+    """
+    _check_matched(reference, estimate)
+    _check_motion(spread(reference), spread(estimate))
+    centred_estimate = estimate - estimate.mean(axis=0)
+    covariance = (reference - reference.mean(axis=0)).T @ centred_estimate / len(reference)
+    u, d, vt = np.linalg.svd(covariance)
+    d[2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    return Similarity(np.eye(3), np.zeros(3), float(np.sum(d) / np.mean(np.sum(centred_estimate**2, axis=1))))
 
 
 def _check_matched(reference: Array, estimate: Array) -> None:

@@ -176,7 +176,7 @@ def test_alignments_refuse_what_the_points_do_not_determine():
     with pytest.raises(ValueError, match="estimate does not move horizontally"):
         align_yaw(reference, estimate * [0, 0, 1])
     with pytest.raises(ValueError, match="straight up or down"):
-        align_yaw(reference * [0.01, 0.01, 10], estimate)
+        align_yaw(reference * [1e-3, 1e-3, 1e4], estimate)
 
 
 def test_yaw_without_a_common_direction_is_refused():

@@ -47,6 +47,7 @@ def run(method: str, sigma_m: float = 0.01, sequence: str = "mini-01", keep: sli
         "sequence": sequence,
         "method": method,
         "metrics": {**result.metrics, "realtime_factor": 2.0},
+        "reasons": result.reasons,
         "notes": result.notes,
         "settings": SlamSettings().as_dict(),
         "evaluator_version": EVALUATOR,

@@ -1,0 +1,91 @@
+"""Absolute and relative errors of matched poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array, quaternion_product
+from oysterbench.trajectory import Trajectory
+
+Index = NDArray[np.intp]
+CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Errors E in SE(3) of N poses or relative motions, in the parts that metrics are taken of.
+
+    translation_m: (N,) length of the translation of E, m
+    turn:          (N, 4) unit quaternion x y z w of a rotation that is conjugate to that of E, about the fixed axes
+                   of the truth's world: the turn that is left of the estimated attitude once the true one is undone
+    """
+
+    translation_m: Array
+    turn: Array
+
+    @cached_property
+    def rotation_rad(self) -> Array:
+        """(N,) angle of E, 0 to pi, exact near both."""
+        x, y, z, w = self.turn.T
+        return np.asarray(2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)))
+
+    @cached_property
+    def rotation_part(self) -> Array:
+        """(N,) Frobenius norm of R - I: 2 sqrt(2) |sin(angle / 2)|. evo's rotation part."""
+        x, y, z, _ = self.turn.T
+        return np.asarray(np.sqrt(8.0 * (x * x + y * y + z * z)))
+
+    @cached_property
+    def full(self) -> Array:
+        """(N,) Frobenius norm of E - I, of metres and radians together. evo's full transformation."""
+        return np.asarray(np.hypot(self.translation_m, self.rotation_part))
+
+    @cached_property
+    def yaw_rad(self) -> Array:
+        """(N,) angle 0 to pi of the turn about the vertical that follows a tilt to make `turn` (swing and twist)."""
+        _, _, z, w = self.turn.T
+        return np.asarray(2.0 * np.arctan2(np.abs(z), np.abs(w)))
+
+    @cached_property
+    def tilt_rad(self) -> Array:
+        """(N,) angle 0 to pi between the true vertical and the one that the estimate takes for it."""
+        x, y, z, w = self.turn.T
+        return np.asarray(2.0 * np.arctan2(np.hypot(x, y), np.hypot(z, w)))
+
+
+def absolute_errors(truth: Trajectory, estimate: Trajectory) -> PoseErrors:
+    """E = Q^-1 P of matched poses (N,), truth Q and aligned estimate P (Sturm et al. 2012, eq. 5)."""
+    difference = estimate.positions - truth.positions
+    return PoseErrors(
+        np.sqrt(np.einsum("ij,ij->i", difference, difference)),
+        quaternion_product(estimate.quaternions, truth.quaternions * CONJUGATE),
+    )
+
+
+def relative_errors(truth: Trajectory, estimate: Trajectory, pairs: Index, absolute: PoseErrors) -> PoseErrors:
+    """E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) of index pairs (M, 2) i, j into matched poses (Sturm et al. 2012, eq. 2).
+
+    With H = P Q^-1 the turns of the absolute errors, |trans E| = |H_i^-1 (p_j - p_i) - (q_j - q_i)|, and
+    H_j H_i^-1 is the rotation of E seen from the world: no pair needs a matrix.
+    """
+    i, j = pairs[:, 0], pairs[:, 1]
+    turn_i = absolute.turn[i] * CONJUGATE
+    moved = _rotate(turn_i, estimate.positions[j] - estimate.positions[i])
+    moved -= truth.positions[j] - truth.positions[i]
+    return PoseErrors(np.sqrt(np.einsum("ij,ij->i", moved, moved)), quaternion_product(absolute.turn[j], turn_i))
+
+
+def _rotate(quaternions: Array, vectors: Array) -> Array:
+    """Vectors (N, 3) turned by unit quaternions (N, 4): v + 2 (w a + u x a), a = u x v."""
+    ux, uy, uz, w = quaternions.T
+    vx, vy, vz = vectors.T
+    ax, ay, az = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    rotated = np.empty_like(vectors)
+    rotated[:, 0] = vx + 2.0 * (w * ax + uy * az - uz * ay)
+    rotated[:, 1] = vy + 2.0 * (w * ay + uz * ax - ux * az)
+    rotated[:, 2] = vz + 2.0 * (w * az + ux * ay - uy * ax)
+    return rotated
