@@ -86,8 +86,8 @@ def test_milli_and_microseconds_are_refused(tmp_path, stamp):
 
 def test_a_change_of_layout_within_a_file_is_refused(tmp_path):
     message = refusal(tmp_path, f"1 {POSE}\n1403636579763555584 {POSE}")
-    assert message.startswith("poses.txt:2: expected spaces and stamps in s as on the lines before")
-    assert ":2: expected spaces" in refusal(tmp_path, f"1 {POSE}\n1,1,2,3,1,0,0,0")
+    assert message.startswith("poses.txt:2: expected stamps in s as on the lines before, got nanoseconds")
+    assert ":2: expected spaces between the numbers as on the lines before, got commas" in refusal(tmp_path, f"1 {POSE}\n1,1,2,3,1,0,0,0")
 
 
 def test_seconds_with_commas_are_refused_with_the_way_out(tmp_path):

@@ -1,177 +1,242 @@
-"""The text formats that trajectories come in."""
+"""The text formats that trajectories come in: TUM, EuRoC, KITTI, and CSV with a header that names its columns."""
 
 from __future__ import annotations
 
-import math
-import os
-from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from oysterbench.errors import TrajectoryError
-from oysterbench.files import write_atomically
+from oysterbench.geometry import Array
+from oysterbench.trajectory.checks import checked_poses, others
+from oysterbench.trajectory.columns import EUROC, KITTI, KITTI_MATRIX, TUM, Columns, named_columns
+from oysterbench.trajectory.options import RIGID_TOLERANCE, ReadOptions
 from oysterbench.trajectory.poses import Trajectory
+from oysterbench.trajectory.stamps import SHIFTS, scaled_integer, scaled_integers
+from oysterbench.trajectory.table import NUMBER, Table, is_comment, read_table, split
 
-MAX_SECONDS = 1e11  # a stamp above this is not seconds: it would be 3000 years after the epoch
-MIN_NANOSECONDS = 1e17  # a stamp above this is nanoseconds: as microseconds it would be 3000 years after the epoch
-
-
-def seconds_to_ns(text: str) -> int:
-    """Nanoseconds from seconds as text, exact where a float64 would round ("1403636580.838555648").
-
-    Decimals past the ninth are rounded, not cut: numpy writes 0.15 as "1.499999999999999944e-01".
-    """
-    return _to_integer(text, 9)
+MAX_SECONDS = 1e11
+"""A stamp above this is not seconds: it would be 3000 years after the epoch."""
+MIN_NANOSECONDS = 1e17
+"""A stamp above this is nanoseconds: as microseconds it would be 3000 years after the epoch."""
 
 
-def _to_integer(text: str, shift: int) -> int:
-    """The decimal number `text` times 10**shift, rounded. Raises ValueError where it is not a finite number."""
-    try:
-        value = Decimal(text.strip())
-    except InvalidOperation:
-        raise ValueError(f"not a number: {text!r}") from None
-    if not value.is_finite() or value.adjusted() > 30:
-        raise ValueError(f"not a time: {text!r}")
-    return int(value.scaleb(shift).to_integral_value())
-
-
-def ns_to_seconds(stamp_ns: int) -> str:
-    """Seconds as `%d.%09d`, exact."""
-    sign = "-" if stamp_ns < 0 else ""
-    whole, nanoseconds = divmod(abs(int(stamp_ns)), 1_000_000_000)
-    return f"{sign}{whole}.{nanoseconds:09d}"
-
-
-def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """Read a trajectory file: TUM (`s x y z qx qy qz qw`) or EuRoC (`ns,x,y,z,qw,qx,qy,qz,...`).
-
-    Comments (#), blank lines, one line of column names, tabs and repeated spaces are fine. A line with commas is
-    EuRoC. A file with spaces whose stamps can only be nanoseconds is read as such, since ORB-SLAM3 writes that.
-    Raises TrajectoryError naming file and line.
-    """
-    path = Path(path)
-    stamps: list[int] = []
-    values: list[list[float]] = []
-    first: _Line | None = None
-    for number, text in enumerate(_read_text(path).split("\n"), start=1):
-        if not text.strip() or text.lstrip().startswith("#"):
-            continue
-        where = f"{path}:{number}"
-        line = _Line.parse(text, where)
-        if first is None:
-            if line.is_header():
-                continue
-            first = line
-        elif (line.commas, line.nanoseconds) != (first.commas, first.nanoseconds):
-            raise TrajectoryError(
-                f"{where}: expected {first.layout()} as on the lines before, got {line.layout()}: {text.strip()[:60]!r}"
-            )
-        stamp, pose = line.pose()
-        stamps.append(stamp)
-        values.append(pose)
-    if not stamps:
+def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
+    """The trajectory in a text file's bytes. Raises TrajectoryError naming file and line."""
+    text = decoded(path, data)
+    head = _Head.of(text)
+    if head is None:
         raise TrajectoryError(f"{path} holds no pose; expected lines of `t x y z qx qy qz qw`")
-    table = np.array(values)
-    return Trajectory(np.array(stamps, dtype=np.int64), table[:, :3].copy(), table[:, 3:].copy())
+    columns = _columns(head, path, options)
+    if options.quaternion is not None and columns.quaternion:
+        first = min(columns.quaternion)
+        order = (0, 1, 2, 3) if options.quaternion == "xyzw" else (1, 2, 3, 0)
+        if sorted(columns.quaternion) == list(range(first, first + 4)):
+            columns = replace(columns, quaternion=tuple(first + k for k in order))
+    table = read_table(text, head.begin, columns, str(path))
+    if columns.stamp is None:
+        return _kitti(table, path, options)
+    place = {column: k for k, column in enumerate(columns.numbers)}
+    notes: list[str] = []
+    trajectory = Trajectory(
+        _stamps(table, columns, path, options, notes),
+        table.values[:, [place[k] for k in columns.position]],
+        table.values[:, [place[k] for k in columns.quaternion]],
+        _covariances(table.values, columns, place),
+        tuple(notes),
+    )
+    return checked_poses(trajectory, str(path), table.where, options.sort)
 
 
-def _read_text(path: Path) -> str:
-    expected = "expected a trajectory in TUM or EuRoC format"
+def read_times(path: Path, unit: str | None = None) -> NDArray[np.int64]:
+    """Stamps (N,) int64 ns from a file with one number on each line, in seconds unless they can only be ns."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise TrajectoryError(f"{path}: no such file; {expected}") from None
-    except IsADirectoryError:
-        raise TrajectoryError(f"{path} is a folder; {expected}, a file") from None
-    except UnicodeDecodeError:
-        raise TrajectoryError(f"{path} is not text; {expected}") from None
+        data = path.read_bytes()
     except OSError as error:
-        raise TrajectoryError(f"{path}: cannot be read: {error.strerror or error}") from None
-    if "\0" in text:
-        raise TrajectoryError(f"{path} is not text; {expected}")
-    return text
+        raise TrajectoryError(f"{path}: cannot be read: {error.strerror or error}; expected one time a line") from None
+    times = []
+    for number, line in enumerate(decoded(path, data).split("\n"), 1):
+        if is_comment(line):
+            continue
+        fields = split(line)
+        if len(fields) != 1 or not NUMBER.fullmatch(fields[0]):
+            raise TrajectoryError(f"{path}:{number}: expected one time, got {line.strip()[:60]!r}")
+        shift = SHIFTS[unit or ("ns" if abs(float(fields[0])) >= MIN_NANOSECONDS else "s")]
+        try:
+            times.append(scaled_integer(fields[0], shift))
+        except ValueError as error:
+            raise TrajectoryError(f"{path}:{number}: {error}") from None
+    try:
+        return np.array(times, dtype=np.int64)
+    except OverflowError:
+        raise TrajectoryError(f"{path}: expected times of at most 2^63 ns") from None
+
+
+def decoded(path: Path, data: bytes) -> str:
+    """Text with lines that end in a line feed, without a byte order mark."""
+    if b"\0" not in data:
+        try:
+            return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+        except UnicodeDecodeError:
+            pass
+    raise TrajectoryError(f"{path} is not text; expected a trajectory: TUM, EuRoC, KITTI, CSV, .npz, MCAP or a bag")
 
 
 @dataclass(frozen=True)
-class _Line:
-    """One line of a trajectory file, split into fields."""
+class _Head:
+    """What stands before the first pose.
 
-    fields: list[str]
+    names: of the columns, from a header line or from a comment right before the poses; empty where there are none
+    begin: line of the first pose, counted from 0
+    first: its fields
+    commas: whether it has commas
+    """
+
+    names: list[str]
+    certain: bool
+    begin: int
+    first: list[str]
     commas: bool
-    nanoseconds: bool
-    where: str
 
     @classmethod
-    def parse(cls, text: str, where: str) -> _Line:
-        commas = "," in text
-        fields = [field.strip() for field in text.split(",")] if commas else text.split()
-        nanoseconds = commas or abs(_float_or_nan(fields[0])) >= MIN_NANOSECONDS
-        return cls(fields, commas, nanoseconds, where)
+    def of(cls, text: str) -> _Head | None:
+        names: list[str] = []
+        certain = False
+        start = number = 0
+        while start <= len(text):
+            end = text.find("\n", start)
+            line = text[start : end if end >= 0 else len(text)]
+            if line.strip():
+                fields = split(line.strip().lstrip("#%").strip())
+                if is_comment(line):
+                    if not certain and named_columns(fields):
+                        names = fields
+                elif not certain and _is_header(split(line)):
+                    names, certain = split(line), True
+                else:
+                    return cls(names, certain, number, split(line), "," in line or ";" in line)
+            if end < 0:
+                break
+            start, number = end + 1, number + 1
+        return None
 
-    def is_header(self) -> bool:
-        """Whether no field is a number: the names of the columns."""
-        return all(math.isnan(_float_or_nan(f)) and f.lower().lstrip("+-") != "nan" for f in self.fields)
 
-    def layout(self) -> str:
-        return f"{'commas' if self.commas else 'spaces'} and stamps in {'nanoseconds' if self.nanoseconds else 's'}"
+def _is_header(fields: list[str]) -> bool:
+    """Whether no field is a number, nor the lack of one: the names of the columns."""
+    return not any(NUMBER.fullmatch(field) or field.lower().lstrip("+-") in ("nan", "inf", "") for field in fields)
 
-    def pose(self) -> tuple[int, list[float]]:
-        """Stamp in ns and x y z qx qy qz qw."""
-        shown = repr((", " if self.commas else " ").join(self.fields)[:60])
-        # EuRoC's own ground truth goes on with velocity and biases; TUM lines end with the quaternion.
-        if len(self.fields) < 8 or (len(self.fields) > 8 and not self.commas):
-            hint = " (KITTI poses carry no stamps: write TUM lines)" if len(self.fields) == 12 else ""
+
+def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
+    """The layout: as asked for, as a header names it, or as the number of columns and their separator tell."""
+    named = named_columns(head.names) if len(head.names) <= len(head.first) else None
+    if options.format == "kitti":
+        return KITTI
+    if options.format == "tum":
+        return TUM
+    if options.format == "euroc":
+        return replace(EUROC, time_unit="ns")
+    if named:
+        return named
+    if options.format == "csv" or head.certain:
+        raise TrajectoryError(
+            f"{path}: expected a header that names a column for each of t, x, y, z, qx, qy, qz, qw, got "
+            f"{','.join(head.names)[:80] or 'none'!r} over {len(head.first)} columns; correct it, or say what the "
+            "columns are (--format tum or euroc)"
+        )
+    if head.commas:
+        return EUROC
+    if len(head.first) == 12:
+        return KITTI
+    return TUM
+
+
+def _stamps(table: Table, columns: Columns, path: Path, options: ReadOptions, notes: list[str]) -> NDArray[np.int64]:
+    """(N,) int64 ns. Their unit is as asked for, as the layout says, or as their size leaves no doubt of."""
+    sizes = np.abs(table.sizes)
+    unit = options.time_unit or columns.time_unit
+    if unit is None:
+        huge = sizes >= MIN_NANOSECONDS
+        if huge.all():
+            unit = "ns"
+            if not columns.euroc:
+                notes.append(f"{path}: the stamps can only be nanoseconds and are read as such")
+        elif huge.any():
+            i = int(np.argmax(huge != huge[0]))
+            kind = ("nanoseconds", "s") if huge[0] else ("s", "nanoseconds")
             raise TrajectoryError(
-                f"{self.where}: expected 8 numbers `t x y z qx qy qz qw`, got {len(self.fields)} fields: {shown}{hint}"
+                f"{table.where(i)}: expected stamps in {kind[0]} as on the lines before, got {kind[1]}: "
+                f"{table.stamps[i][:40]}"
             )
-        try:
-            x, y, z, a, b, c, d = (float(field) for field in self.fields[1:8])
-        except ValueError:
-            raise TrajectoryError(f"{self.where}: expected 8 numbers `t x y z qx qy qz qw`, got {shown}") from None
-        if not np.isfinite((x, y, z, a, b, c, d)).all():
+        elif columns.euroc and not any("." in text or "e" in text.lower() for text in table.stamps):
+            unit = "ns"
+        elif columns.euroc and not columns.named:
+            i = next(i for i, text in enumerate(table.stamps) if "." in text or "e" in text.lower())
             raise TrajectoryError(
-                f"{self.where}: expected finite numbers, got {shown}; leave out poses that are not known"
+                f"{table.where(i)}: expected a stamp in whole nanoseconds, as lines with commas are EuRoC, got "
+                f"{table.stamps[i][:40]}; write `t x y z qx qy qz qw` with spaces for stamps in seconds, name the "
+                "columns in a header, or say what it is (--format tum, --time-unit s)"
             )
-        # EuRoC files alone write the quaternion as w x y z.
-        return self._stamp(), [x, y, z, b, c, d, a] if self.commas else [x, y, z, a, b, c, d]
-
-    def _stamp(self) -> int:
-        text = self.fields[0]
-        try:
-            if not self.nanoseconds:
-                if abs(float(text)) > MAX_SECONDS:
-                    raise TrajectoryError(
-                        f"{self.where}: expected a stamp in seconds (or nanoseconds since 1970), got {text}, "
-                        "which looks like milli- or microseconds; write seconds"
-                    )
-                return seconds_to_ns(text)
-            stamp = _to_integer(text, 0)
-            if self.commas and Decimal(text) != stamp:
-                raise TrajectoryError(
-                    f"{self.where}: expected a stamp in whole nanoseconds, as lines with commas are EuRoC, got {text}; "
-                    "write `t x y z qx qy qz qw` with spaces for stamps in seconds"
-                )
-        except ValueError:
-            raise TrajectoryError(f"{self.where}: expected a stamp, got {text[:40]!r}") from None
-        if abs(stamp) >= 2**63:
-            raise TrajectoryError(f"{self.where}: expected a stamp of at most 2^63 ns, got {text[:40]}")
-        return stamp
-
-
-def _float_or_nan(text: str) -> float:
+        else:
+            unit = "s"
+    if unit == "s":
+        wrong = sizes > MAX_SECONDS
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise TrajectoryError(
+                f"{table.where(i)}: expected a stamp in seconds (or nanoseconds since 1970), got "
+                f"{table.stamps[i][:40]}{others(wrong)}, which looks like milli-, micro- or nanoseconds; say which "
+                "(--time-unit ms, us or ns)"
+            )
     try:
-        return float(text)
+        return scaled_integers(table.stamps, SHIFTS[unit])
+    except (ValueError, OverflowError):
+        i = next(i for i, text in enumerate(table.stamps) if not _fits(text, SHIFTS[unit]))
+        raise TrajectoryError(
+            f"{table.where(i)}: expected a stamp of at most 2^63 ns, got {table.stamps[i][:40]}"
+        ) from None
+
+
+def _fits(text: str, shift: int) -> bool:
+    try:
+        return -(2**63) < scaled_integer(text, shift) < 2**63
     except ValueError:
-        return math.nan
+        return False
 
 
-def write_tum(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
-    """Write `t x y z qx qy qz qw`, seconds with nine decimals, nothing half-written."""
-    rows = ["# timestamp_s x_m y_m z_m qx qy qz qw"]
-    for stamp, position, quaternion in zip(
-        trajectory.stamps_ns, trajectory.positions, trajectory.quaternions, strict=True
-    ):
-        rows.append(" ".join([ns_to_seconds(stamp), *(f"{value:.12g}" for value in (*position, *quaternion))]))
-    write_atomically(path, ("\n".join(rows) + "\n").encode())
+def _covariances(values: Array, columns: Columns, place: dict[int, int]) -> Array | None:
+    if not columns.covariance:
+        return None
+    covariances = np.empty((len(values), 6, 6))
+    for i in range(6):
+        for j in range(6):
+            column = columns.covariance.get((i, j), columns.covariance.get((j, i), 0))
+            covariances[:, i, j] = values[:, place[column]]
+    return covariances
+
+
+def _kitti(table: Table, path: Path, options: ReadOptions) -> Trajectory:
+    """Poses from the top three rows of their matrices; stamps from `options.times`."""
+    if options.times is None:
+        raise TrajectoryError(
+            f"{path}: KITTI poses carry no stamps; give a file with one time a line (--times FILE), or a truth with "
+            f"as many poses ({len(table)})"
+        )
+    if len(options.times) != len(table):
+        raise TrajectoryError(f"{path}: expected a time for each of {len(table)} poses, got {len(options.times)} times")
+    rotations = table.values[:, KITTI_MATRIX].reshape(-1, 3, 3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        products = np.einsum("nki,nkj->nij", rotations, rotations)
+        off = np.abs(products - np.eye(3)).max(axis=(1, 2))
+        wrong = np.asarray(~(off <= RIGID_TOLERANCE) | ~(np.linalg.det(rotations) > 0))
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise TrajectoryError(
+            f"{table.where(i)}: expected the columns 1-3, 5-7, 9-11 to be a rotation matrix, got one that is off by "
+            f"{off[i]:.2g}{others(wrong)}"
+        )
+    quaternions = Rotation.from_matrix(rotations).as_quat()
+    trajectory = Trajectory(np.asarray(options.times, dtype=np.int64), table.values[:, [3, 7, 11]].copy(), quaternions)
+    return checked_poses(trajectory, str(path), table.where, options.sort)

@@ -1,0 +1,134 @@
+"""Which column of a text file holds what: by its header, or by the layouts that files without one have."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+QUATERNION_WORDS = {"q", "quat", "quaternion", "orientation", "rotation", "rot", "attitude"}
+POSITION_WORDS = {"p", "pos", "position", "t", "trans", "translation", "location"}
+TIME_WORDS = {"t", "ts", "time", "times", "timestamp", "timestamps", "stamp", "stamps"}
+UNIT_WORDS = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
+    **dict.fromkeys(("ms", "msec", "millisec", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "usec", "microsec", "microseconds"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), "ns"),
+}
+COVARIANCE_WORDS = {"cov", "covariance", "covariances"}
+COVARIANCE_AXES = {name: k // 2 for k, name in enumerate(("x", "px", "y", "py", "z", "pz"))} | {
+    f"{prefix}{axis}": 3 + k for prefix in ("r", "rot") for k, axis in enumerate("xyz")
+}
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of a text file, counted from 0.
+
+    kind:       name of the layout, as an error shows it
+    stamp:      column of the stamp, or None (KITTI)
+    position:   columns of x, y, z
+    quaternion: columns of x, y, z, w; empty for KITTI, whose 12 numbers are the top of a matrix
+    covariance: (row, column) of the 6 x 6 matrix -> column of the file
+    time_unit:  unit of the stamps, where the layout says it
+    exact:      how many columns a line must have; None: as many as the first line
+    named:      whether a header named the columns
+    """
+
+    kind: str
+    stamp: int | None
+    position: tuple[int, ...]
+    quaternion: tuple[int, ...]
+    covariance: dict[tuple[int, int], int] = field(default_factory=dict)
+    time_unit: str | None = None
+    exact: int | None = None
+    named: bool = False
+
+    @property
+    def numbers(self) -> list[int]:
+        """Columns that must hold finite numbers, but for the stamp; each once, in the order of the file."""
+        return sorted({*self.position, *self.quaternion, *self.covariance.values()})
+
+    @property
+    def euroc(self) -> bool:
+        """Whether the columns stand as in EuRoC's ground truth: t x y z qw qx qy qz."""
+        return (self.stamp, self.position, self.quaternion) == (0, (1, 2, 3), (5, 6, 7, 4))
+
+
+TUM = Columns("t x y z qx qy qz qw", 0, (1, 2, 3), (4, 5, 6, 7), exact=8)
+EUROC = Columns("t,x,y,z,qw,qx,qy,qz", 0, (1, 2, 3), (5, 6, 7, 4))
+KITTI = Columns("12 numbers r11 r12 r13 tx ... r33 tz", None, (3, 7, 11), (), exact=12)
+KITTI_MATRIX = (0, 1, 2, 4, 5, 6, 8, 9, 10)
+
+
+def named_columns(names: list[str]) -> Columns | None:
+    """The columns that a header names, or None where it does not name a stamp, a position and a quaternion."""
+    found: dict[str, int] = {}
+    covariance: dict[tuple[int, int], int] = {}
+    stamp: tuple[int, str | None] | None = None
+    for k, name in enumerate(names):
+        words, unit = _words(name)
+        if cell := _covariance_cell(words):
+            covariance.setdefault(cell, k)
+        elif role := _role(words):
+            found.setdefault(role, k)
+        elif _is_time(words) and (stamp is None or "stamp" in words):
+            stamp = (k, unit or next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None))
+    if stamp is None or not {"px", "py", "pz", "qx", "qy", "qz", "qw"} <= found.keys():
+        return None
+    return Columns(
+        ",".join(names)[:80],
+        stamp[0],
+        tuple(found[f"p{axis}"] for axis in "xyz"),
+        tuple(found[f"q{axis}"] for axis in "xyzw"),
+        covariance if _whole(covariance) else {},
+        stamp[1],
+        named=True,
+    )
+
+
+def _words(name: str) -> tuple[list[str], str | None]:
+    """Lower-case words of a column's name, and the unit it gives in brackets."""
+    bracket = re.search(r"[\[(]\s*([a-zA-Z]*)\s*[\])]\s*$", name)
+    unit = UNIT_WORDS.get(bracket.group(1).lower()) if bracket else None
+    text = name[: bracket.start()] if bracket else name
+    return re.findall(r"[a-z]+|\d+", text.lower()), unit
+
+
+def _role(words: list[str]) -> str | None:
+    """`px` to `pz`, `qx` to `qw`, or None."""
+    if not words:
+        return None
+    *before, last = words
+    if re.fullmatch(r"q[xyzw]|[pt][xyz]", last):
+        before, last = [*before, last[0]], last[1]
+    if last not in set("xyzw"):
+        return None
+    if QUATERNION_WORDS & set(before):
+        return f"q{last}"
+    if last != "w" and (not before or POSITION_WORDS & set(before)):
+        return f"p{last}"
+    return "qw" if last == "w" and not before else None
+
+
+def _is_time(words: list[str]) -> bool:
+    """Whether a name is that of a stamp: `t`, `timestamp_ns`, `field.header.stamp`."""
+    core = [word for word in words if word not in UNIT_WORDS and word not in ("field", "header")]
+    return len(core) == 1 and core[0] in TIME_WORDS
+
+
+def _covariance_cell(words: list[str]) -> tuple[int, int] | None:
+    """Cell of the matrix that `cov_7`, `cov_x_ry` or `pose.covariance[7]` names."""
+    place = next((k for k, word in enumerate(words) if word in COVARIANCE_WORDS), None)
+    if place is None:
+        return None
+    rest = words[place + 1 :]
+    if len(rest) == 1 and rest[0].isdigit() and int(rest[0]) < 36:
+        return divmod(int(rest[0]), 6)
+    if len(rest) == 2 and all(word in COVARIANCE_AXES for word in rest):
+        return COVARIANCE_AXES[rest[0]], COVARIANCE_AXES[rest[1]]
+    return None
+
+
+def _whole(covariance: dict[tuple[int, int], int]) -> bool:
+    """Whether every cell is named, or its mirror image is."""
+    return all((i, j) in covariance or (j, i) in covariance for i in range(6) for j in range(i, 6))
