@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
+from pathlib import Path
 
 import pytest
 from conftest import TINY_RIG, TINY_SPLIT, make_split
 
 from oysterbench.errors import RecipeError
-from oysterbench.recipe import as_plain, load_split, parse_split, split_names, vary_split
+from oysterbench.recipe import PathRecipe, as_plain, load_split, parse_split, split_names, vary_split
+from oysterbench.recipe.path import PATH_KINDS
 
 
 def test_every_split_that_comes_with_oysterbench_is_valid():
@@ -137,3 +140,69 @@ def test_a_sensor_name_is_good_for_topics_and_given_once(name, message):
     rig = TINY_RIG + f'[[sonar]]\nname = "{name}"\nrate_hz = 2.0\n'
     with pytest.raises(RecipeError, match=rf"rig tiny: key 'sonar\.name': .*{message}"):
         parse_split(TINY_SPLIT, "tiny.toml", rig_source=rig)
+
+
+PATH = TINY_SPLIT[TINY_SPLIT.index("[sequence.path]") :]
+SHARED = "speed_m_s = 0.3\naltitude_m = 0.9\n"
+
+
+def with_path(text):
+    return make_split(TINY_SPLIT.replace(PATH, f"[sequence.path]\n{SHARED}{text}\n"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('kind = "spiral"', r"'sequence\.path\.kind': expected one of loop, lawnmower.*got 'spiral'"),
+        ('kind = "loop"', r"sequence tiny-01: missing key 'path\.radius_m', which kind = 'loop' needs"),
+        ('kind = "waypoints"', r"missing key 'path\.waypoints', which kind = 'waypoints' needs"),
+        (
+            'kind = "waypoints"\nwaypoints = [[0, 0], [2.4, 0]]',
+            r"'path\.waypoints': the path leaves the reef.*got 2\.4, 0",
+        ),
+        ('kind = "waypoints"\nwaypoints = [[0]]', r"expected \[x, y\], \[x, y, altitude\] or .*got \[0\.0\]"),
+        ('kind = "waypoints"\nwaypoints = [[0, 0, -1]]', r"expected altitudes above 0 and up to 20, got -1"),
+        ('kind = "waypoints"\nwaypoints = [0, 0]', r"'sequence\.path\.waypoints': expected a list, got 0"),
+        (
+            'kind = "lawnmower"\nlength_m = 3\nwidth_m = 3\nspacing_m = 0',
+            r"'sequence\.path\.spacing_m': expected 0\.05 to 100, got 0",
+        ),
+        (
+            'kind = "lawnmower"\nlength_m = 4\nwidth_m = 3\nspacing_m = 0.8',
+            r"'path\.length_m': the path leaves the reef; expected x and y within -2\.38 and 2\.38.*got 2\.4, 1\.5",
+        ),
+        (
+            'kind = "lawnmower"\nlength_m = 3\nwidth_m = 4\nspacing_m = 0.8\ncross = true',
+            r"'path\.length_m': the path leaves the reef; .*got 1\.5, 2\.4",
+        ),
+        (
+            'kind = "transect"\nlength_m = 4\nheading_deg = 45\ncentre_m = [1.0, 0.0]',
+            r"the path leaves the reef.*got 2\.41, 1\.41",
+        ),
+        ('kind = "transect"\nlength_m = 3\nlook = "inward"', r"'path\.look': kind = 'transect' does not read it"),
+        ('kind = "loop"\nradius_m = 1\nturn_rate_deg_s = 9', r"'path\.turn_rate_deg_s': kind = 'loop' does not read"),
+        ('kind = "orbit"\nradius_m = 2\ncentre_m = [0.5, 0]', r"'path\.radius_m': .*expected at most 1\.88 .*got 2"),
+        ('kind = "orbit"\nradius_m = 1\nrings = 2', r"missing key 'path\.spacing_m', which rings = 2 need"),
+        (
+            'kind = "orbit"\nradius_m = 1\nrings = 3\nspacing_m = 0.8',
+            r"'path\.radius_m': the path leaves the reef; expected at most 0\.78",
+        ),
+        ('kind = "orbit"\nradius_m = 1\nlook = "up"', r"'sequence\.path\.look': expected one of along, inward"),
+        ('kind = "inspection"\nstand_off_m = 3', r"'path\.stand_off_m': the path leaves the reef.*at most 2\.38"),
+        ('kind = "inspection"\nspots_m = [[2.0, 0.0]]', r"'path\.stand_off_m': .*expected at most 0\.38.*got 0\.8"),
+        ('kind = "inspection"\nspots_m = [[1.0]]', r"'path\.spots_m': expected pairs \[x, y\], got \[1\.0\]"),
+        ('kind = "free"\nextent_m = 5', r"'path\.extent_m': the path leaves the reef; expected at most 4\.76"),
+        ('kind = "free"\nextent_m = 4\nlift = 1', r"'sequence\.path\.lift': expected true or false, got 1"),
+    ],
+)
+def test_a_bad_key_of_a_path_is_named(text, message):
+    with pytest.raises(RecipeError) as caught:
+        with_path(text)
+    assert re.search(message, str(caught.value)), caught.value
+    assert "\n" not in str(caught.value)
+
+
+def test_every_kind_of_path_and_each_of_its_keys_is_in_the_readme():
+    text = (Path(__file__).parents[1] / "README.md").read_text()
+    keys = {field.name for field in dataclasses.fields(PathRecipe)}
+    assert [name for name in (*PATH_KINDS, *sorted(keys)) if f"`{name}`" not in text] == []

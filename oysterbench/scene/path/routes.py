@@ -144,9 +144,9 @@ def inspection(
     At each: come near slowly and down to `close`, look at it from `stand_off`, go round it to look from all sides, and
     rise again.
     """
-    inside = -np.array(spots[0])
-    inside = inside / np.hypot(*inside) if np.hypot(*inside) > 0.1 else np.array([1.0, 0.0])
-    start = np.array(spots[0]) + (2 * stand_off + 1.0) * inside
+    out = float(np.hypot(*spots[0]))
+    inside = -np.array(spots[0]) / out if out > 0.1 else np.array([1.0, 0.0])
+    start = np.array(spots[0]) + min(2 * stand_off + 1.0, out + stand_off) * inside  # never far past the middle
     itinerary = Itinerary(np.array([*start, altitude, np.arctan2(-inside[1], -inside[0]), 1.0]), speed, turn_rate)
     visit = 0
     while itinerary.elapsed <= seconds:
