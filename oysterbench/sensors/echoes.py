@@ -24,6 +24,7 @@ BOTTOM_FOOTPRINT_M = 2.0
 THING_FOOTPRINT_M = 0.1
 """Longest stretch of range that one ray stands for, on the bottom and on what lies on it."""
 
+SHORTEST_BINS = 1e-3  # over which a return is spread
 SIDELOBES = 3  # of the pulse's sinc^2 that are kept each side
 
 
@@ -64,12 +65,16 @@ class RangeAxis:
 
 @dataclass(frozen=True)
 class Rays:
-    """Rays of a sonar: azimuths (N,) to the left and elevations (N,) upwards, rad, in its frame; the sides of the
-    rectangle that each stands for, widths (N,) and heights (N,), rad; column (N,) in which its echo is added up;
-    weights (N,): the beam's two-way response along the ray."""
+    """Rays of a sonar, each anywhere in a cell of azimuth (to the left) and elevation (up), in its frame.
+
+    azimuths (N,), elevations (N,): of the rays; middles (N, 2): azimuths and elevations of the cells' middles; widths
+    (N,), heights (N,): of the cells; all rad. columns (N,): where echoes are added up. weights (N,): two-way response
+    of the beam.
+    """
 
     azimuths: Array
     elevations: Array
+    middles: Array
     widths: Array
     heights: Array
     columns: NDArray[np.int64]
@@ -78,12 +83,16 @@ class Rays:
 
 @dataclass(frozen=True)
 class Returns:
-    """What comes back along N rays: the surfaces; directions (N, 3) and the sides along the range axis of what each ray
-    stands for, footprints (N,) m; powers (N,), that of a perfect scatterer filling the beam at 1 m being 1."""
+    """What comes back along N rays: the surfaces that they meet, and their directions (N, 3) in `map`.
+
+    nearest, farthest (N,): ranges, m, between which lies what the ray's cell sees of the surface. powers (N,): that of
+    a perfect scatterer that fills the beam at 1 m is 1.
+    """
 
     echoes: Echoes
     directions: Array
-    footprints: Array
+    nearest: Array
+    farthest: Array
     powers: Array
 
 
@@ -115,30 +124,46 @@ def send(
     cos_e = np.cos(rays.elevations)
     solid_angles = rays.widths * rays.heights * cos_e
     powers = echo_strength(ranges, cosines, mu[echoes.classes], absorption_db_m) * rays.weights * solid_angles / fill
-    # Over a plane n.(x - p) = 0 the range changes by -r (n.e) / (n.d) per radian that the ray d turns towards e.
-    near = np.where(np.isfinite(ranges), ranges, 0.0)
-    slope = near / np.maximum(cosines, 1e-3)
-    footprints = slope * np.hypot(rays.heights * dot(normals, up), rays.widths * cos_e * dot(normals, left))
+    r = np.where(np.isfinite(ranges), ranges, 0.0)
+    facing = np.where(cosines > 0, dot(normals, ahead), 1.0)
     longest = np.where(echoes.instances > 0, THING_FOOTPRINT_M, BOTTOM_FOOTPRINT_M)
-    return Returns(echoes, ahead, np.minimum(footprints, longest), powers)
+    upwards = dot(normals, up) / facing
+    leftwards = dot(normals, left) / facing * cos_e
+    lowest, highest = _stretch_of(r, upwards, rays.middles[:, 1] - rays.elevations, rays.heights, longest)
+    right, farthest_left = _stretch_of(r, leftwards, rays.middles[:, 0] - rays.azimuths, rays.widths, longest)
+    middle = r + 0.5 * (lowest + highest + right + farthest_left)
+    half = 0.5 * np.hypot(highest - lowest, farthest_left - right)
+    return Returns(echoes, ahead, middle - half, middle + half, powers)
+
+
+def _stretch_of(ranges: Array, slope: Array, offset: Array, size: Array, longest: Array) -> tuple[Array, Array]:
+    """How much farther than at the ray the tangent plane is at the two ends of its cell, (N,) m each.
+
+    Along a ray that turns from d by a small angle a towards e, the plane of normal n is at r / (1 + a n.e / n.d); slope
+    is n.e / n.d, and the ends are at offset -+ size / 2, rad.
+    """
+    ends = []
+    for end in (offset - 0.5 * size, offset + 0.5 * size):
+        turned = np.maximum(1 + end * slope, ranges / (ranges + longest))
+        ends.append(np.maximum(ranges / turned - ranges, -longest))
+    return ends[0], ends[1]
 
 
 def add_up(
-    axis: RangeAxis, columns: NDArray[np.int64], count: int, ranges: Array, footprints: Array, powers: Array
+    axis: RangeAxis, columns: NDArray[np.int64], count: int, nearest: Array, farthest: Array, powers: Array
 ) -> Array:
-    """Power (count, bins) of returns, each spread evenly over its footprint about its range.
+    """Power (count, bins) of returns, each spread evenly between its nearest and farthest range, m.
 
     The integral of a box over bins is the difference of two ramps, of which each bin's step is added up once.
     """
     heard = powers > 0
     columns = columns[heard]
-    ranges, footprints, powers = ranges[heard], footprints[heard], powers[heard]
-    half = np.maximum(0.5 * footprints * axis.stretch / axis.step, 1e-3)
-    middle = axis.bin_of(ranges)
-    density = powers / (2 * half)
+    near, far = axis.bin_of(nearest[heard]), axis.bin_of(farthest[heard])
+    far = np.maximum(far, near + SHORTEST_BINS)
+    density = powers[heard] / (far - near)
     length = axis.bins + 2  # a bin before the first for what is too near, and the overflow of the last
     steps = np.zeros(count * length)
-    for edge, sign in ((middle - half, 1.0), (middle + half, -1.0)):
+    for edge, sign in ((near, 1.0), (far, -1.0)):
         place = np.clip(edge, -1.0, axis.bins) + 1.0
         whole = np.minimum(place.astype(np.int64), axis.bins)
         share = place - whole

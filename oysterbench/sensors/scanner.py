@@ -52,8 +52,7 @@ class ScanningSonar:
         axis = echoes.range_axis(self.recipe, medium.speed)
         rays = self._rays(angle, streams.generator("rays"))
         returns = echoes.send(self.caster, T_map_sonar, rays, self._mu, medium.loss, self._fill, axis.reach)
-        ranges = returns.echoes.ranges.astype(float)
-        power = echoes.add_up(axis, rays.columns, 1, ranges, returns.footprints, returns.powers)
+        power = echoes.add_up(axis, rays.columns, 1, returns.nearest, returns.farthest, returns.powers)
         return echoes.resolve(power, axis, medium.speed, self.recipe.bandwidth_khz)[0], medium.loss
 
     def _rays(self, angle: float, generator: np.random.Generator) -> Rays:
@@ -61,12 +60,15 @@ class ScanningSonar:
         widest, highest = acoustics.first_null(self._across), acoustics.first_null(self._vertical)
         width, height = 2 * widest / COLUMNS, 2 * highest / ROWS
         anywhere = generator.random((2, COLUMNS, ROWS))
-        off = width * (np.arange(COLUMNS)[:, None] + anywhere[0]) - widest
-        elevations = height * (np.arange(ROWS) + anywhere[1]) - highest
+        across, along = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS), indexing="ij")
+        off = width * (across + anywhere[0]) - widest
+        elevations = height * (along + anywhere[1]) - highest
+        middles = [angle + width * (across + 0.5) - widest, height * (along + 0.5) - highest]
         weights = acoustics.beam_pattern(off, self._across) * acoustics.beam_pattern(elevations, self._vertical)
         return Rays(
             azimuths=(angle + off).ravel(),
             elevations=elevations.ravel(),
+            middles=np.stack(middles, axis=-1).reshape(-1, 2),
             widths=np.full(off.size, width),
             heights=np.full(off.size, height),
             columns=np.zeros(off.size, dtype=np.int64),

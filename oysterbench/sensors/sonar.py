@@ -105,11 +105,11 @@ class ImagingSonar:
         rays = self._rays(T_map_sonar, axis, streams.generator("rays"))
         returns = echoes.send(self.caster, T_map_sonar, rays, self._mu, medium.loss, self._fill, axis.reach)
         count = len(self._columns.edges) - 1
-        ranges = returns.echoes.ranges.astype(float)
-        power = echoes.add_up(axis, rays.columns, count, ranges, returns.footprints, returns.powers)
+        power = echoes.add_up(axis, rays.columns, count, returns.nearest, returns.farthest, returns.powers)
         if self.recipe.multipath:
             for later, weaker in self._bounces(T_map_sonar, rays, returns, medium.loss):
-                power += echoes.add_up(axis, rays.columns, count, later, returns.footprints, weaker)
+                nearest, farthest = returns.nearest + later, returns.farthest + later
+                power += echoes.add_up(axis, rays.columns, count, nearest, farthest, weaker)
         power = gather(power, self._columns, self.recipe.beams)
         return Ping(
             rays, returns, axis, medium.loss, echoes.resolve(power, axis, medium.speed, self.recipe.bandwidth_khz)
@@ -124,9 +124,11 @@ class ImagingSonar:
         azimuths = columns.edges[:-1, None] - columns.width * anywhere[0]
         heights = np.diff(rows)
         elevations = rows[:-1] + heights * anywhere[1]
+        middles = np.meshgrid(columns.edges[:-1] - 0.5 * columns.width, rows[:-1] + 0.5 * heights, indexing="ij")
         return Rays(
             azimuths=azimuths.ravel(),
             elevations=elevations.ravel(),
+            middles=np.stack(middles, axis=-1).reshape(-1, 2),
             widths=np.full(azimuths.size, columns.width),
             heights=np.tile(heights, count),
             columns=np.repeat(np.arange(count), ROWS),
@@ -154,7 +156,8 @@ class ImagingSonar:
         return np.interp(np.linspace(0.0, reached[-1], ROWS + 1), reached, elevations)
 
     def _bounces(self, T_map_sonar: Array, rays: Rays, returns: Returns, loss: float) -> list[tuple[Array, Array]]:
-        """Ranges (N,) m and powers (N,) of echoes that take one more bounce, off the flat surface and off the bottom.
+        """How much later (N,) m, and how strong (N,), echoes come in that take one more bounce: off the flat surface,
+        and off the bottom.
 
         Out on the straight way and back over a mirror, or the other way round: two ways of the same length, that of
         the straight path r and that of the path L to the sonar's image in the plane z = 0 or in the level bottom below
@@ -183,7 +186,7 @@ class ImagingSonar:
             leaving = np.maximum(echoes.dot(normals, back) / length, 0.0)
             spread = (r / length) ** 2 * 10 ** (-0.1 * loss * (length - r))
             weaker = returns.powers * 2 * self.recipe.multipath**2 * response * spread * leaving / facing
-            found.append(((r + length) / 2, np.where(heard & below & ahead, weaker, 0.0)))
+            found.append(((length - r) / 2, np.where(heard & below & ahead, weaker, 0.0)))
         return found
 
     def _cloud(self, found: Ping, stamp_ns: int) -> Cloud:
