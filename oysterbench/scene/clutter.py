@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from oysterbench.recipe import ReefRecipe
-from oysterbench.scene.instances import Instances, lean_with, make_instances, rest
+from oysterbench.scene.instances import Instances, lean_with, make_instances, placed_vertices, rest
 from oysterbench.scene.library import BROAD_SHARE, Library
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.terrain import Terrain
@@ -24,6 +24,8 @@ FRAGMENT_M = (0.008, 0.035)
 GRASS_M = (0.12, 0.32)  # length of a tuft's longest blade
 ALGAE_M = (0.05, 0.13)
 TUFTS_PER_M2 = 45.0  # where plants cover the bottom
+FOOTPRINT_CELL_M = 0.02
+TAKEN = 20.0  # loss of a place that something hard covers, in units of a meadow's worth
 MEADOW_M = 3.0  # wavelength of plant patches
 SPONGE_M = (0.006, 0.022)
 SPONGE_COLOURS = ((0.32, 0.19, 0.08), (0.27, 0.24, 0.13), (0.26, 0.12, 0.08), (0.22, 0.23, 0.12))
@@ -73,15 +75,16 @@ def place_fragments(
     )
 
 
-def place_plants(reef: ReefRecipe, terrain: Terrain, library: Library, streams: Streams) -> Instances:
-    """Tufts of seagrass and algae, in meadows that leave bare ground between them."""
+def place_plants(reef: ReefRecipe, terrain: Terrain, library: Library, hard: Instances, streams: Streams) -> Instances:
+    """Tufts of seagrass and algae, in meadows that leave bare ground between them; few root in what is hard."""
     generator = streams.generator("plants")
     half = reef.size_m / 2
     n = round(TUFTS_PER_M2 * reef.plant_cover * reef.size_m**2)
     candidates = generator.uniform(-half, half, (3 * n, 2))
     waves = generator.standard_normal((10, 2)) * 2 * np.pi / MEADOW_M
     patch = np.sin(candidates @ waves.T + generator.uniform(0, 2 * np.pi, 10)).sum(axis=1)
-    best = np.argsort(-np.round(patch + 1.2 * generator.standard_normal(3 * n), 6), kind="stable")[:n]
+    worth = patch + 1.2 * generator.standard_normal(3 * n) - TAKEN * _covered(candidates, hard, library.meshes)
+    best = np.argsort(-np.round(worth, 6), kind="stable")[:n]
     places = candidates[np.sort(best)]
     kind = np.sin(places @ (waves[:3, ::-1].T * 0.4)).sum(axis=1) + 0.8 * generator.standard_normal(n)
     broad = kind < -0.6
@@ -158,6 +161,21 @@ def _stones(
         terrain,
         library.meshes,
     )
+
+
+def _covered(places: Array, things: Instances, meshes: Sequence[Mesh]) -> NDArray[np.bool_]:
+    """Which places (N, 2) lie under or on a thing, to a cell of FOOTPRINT_CELL_M."""
+    if not len(things) or not len(places):
+        return np.zeros(len(places), dtype=bool)
+    corner = np.floor(places.min(axis=0) / FOOTPRINT_CELL_M).astype(np.int64)
+    shape = np.floor(places.max(axis=0) / FOOTPRINT_CELL_M).astype(np.int64) - corner + 1
+    taken = np.zeros(shape, dtype=bool)
+    for _, vertices in placed_vertices(meshes, things):
+        cell = np.floor(vertices[..., :2].reshape(-1, 2) / FOOTPRINT_CELL_M).astype(np.int64) - corner
+        cell = cell[np.all((cell >= 0) & (cell < shape), axis=1)]
+        taken[cell[:, 0], cell[:, 1]] = True
+    cell = np.floor(places / FOOTPRINT_CELL_M).astype(np.int64) - corner
+    return taken[cell[:, 0], cell[:, 1]]
 
 
 def _upper_sides(

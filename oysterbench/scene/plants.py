@@ -11,7 +11,7 @@ from oysterbench.scene.mesh import Mesh, build_mesh, join_meshes
 
 Array = NDArray[np.float64]
 
-BLADE_RINGS, FROND_RINGS = 8, 15
+BLADE_RINGS, FROND_RINGS = 12, 15
 ACROSS = np.array([-1.0, -0.68, -0.36, -0.12, 0.0, 0.12, 0.36, 0.68, 1.0])  # columns of a lamina, dense at its midrib
 FROND_WIDTH = (0.20, 0.42)  # of its length
 BLADE_WIDTH = (0.012, 0.022)

@@ -131,7 +131,7 @@ def build_world(recipe: SequenceRecipe, streams: Streams) -> World:
     fragments = place_fragments(reef, terrain, library, oysters, scene)
     hard = join_instances([oysters, stones, rocks])
     sponges = place_sponges(reef, library, hard, scene)
-    plants = place_plants(reef, terrain, library, scene)
+    plants = place_plants(reef, terrain, library, hard, scene)
     instances = join_instances([hard, fragments, sponges, plants])
     if len(instances) > MAX_INSTANCES:
         raise RecipeError(_crowded(recipe.name, len(instances)))
