@@ -41,6 +41,9 @@ ENDLESS_M = wp.constant(1.0e6)  # of a view ray that meets nothing but water
 SHADOW_M = wp.constant(1.5)  # longest shadow ray: nothing on the bottom is taller than a few decimetres
 SHADED, LIT, SURELY_LIT = wp.constant(0), wp.constant(1), wp.constant(2)  # what is known of the sun in a pixel
 LEAST_SPREAD = wp.constant(0.02)  # of the sun's fan: narrower ones throw sharp shadows
+SKY_SPREAD = wp.constant(0.7)
+"""Of scattered light: a wall gets 0.32 and a ceiling 0.10 of what a floor gets, as the discrete ordinates find in types
+3C to 9C."""
 LAMP_SHADOW_M = wp.constant(0.5)  # from a surface: what throws a lamp's shadow on it stands close by
 LEAST_SHADOW = wp.constant(0.03)  # share of a surface's light: less is not missed, and no ray asks whether it arrives
 FAINT = wp.constant(2.0e-5)  # irradiance of a lamp that no picture shows
@@ -143,17 +146,20 @@ def dress(world: Geometry, looks: Looks, view: View, p: wp.vec3, smooth: wp.vec3
 
 
 @wp.func
+def softened(cosine: float, spread: float):
+    """A cosine as it counts for a source that is spread, with a soft terminator: never quite 0."""
+    return 0.5 * (cosine + wp.sqrt(cosine * cosine + spread * spread))
+
+
+@wp.func
 def day_light(optics: Optics, p: wp.vec3, n: wp.vec3, lit: float, opening: float):
     """Irradiance (3,) of the day on a surface with normal n that sees those shares of sun and sky."""
     towards = wp.dot(n, optics.sun_direction)
-    level = optics.sun_direction[2]
-    # A wide source has a soft terminator.
-    square = optics.spread * optics.spread
-    facing = (towards + wp.sqrt(towards * towards + square)) / (level + wp.sqrt(level * level + square))
+    facing = softened(towards, optics.spread) / softened(optics.sun_direction[2], optics.spread)
     beam = beam_at(optics, p) * optics.sun
     soft = wp.vec3(optics.sun + optics.sky, optics.sun + optics.sky, optics.sun + optics.sky) - beam
     below = optics.bounce * 0.5 * (1.0 - n[2])
-    light = (soft * (0.5 + 0.5 * n[2]) + wp.vec3(below, below, below)) * opening
+    light = (soft * (softened(n[2], SKY_SPREAD) / softened(1.0, SKY_SPREAD)) + wp.vec3(below, below, below)) * opening
     if lit > 0.0:
         light += beam * (caustic(optics, p) * facing * lit)
     return wp.cw_mul(look_up(optics.daylight, -p[2] / optics.depth_step), light)

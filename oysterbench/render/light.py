@@ -21,8 +21,10 @@ GREY_LEVEL = 0.20  # linear; 0.48 after gamma
 GREY_RANGE_M = 1.6
 LAMP_RANGE_M = 1.0  # at which lamps are metered
 GREY_SLOPE = 0.5  # of the ray to it, below the horizon
-WHITE_BALANCE = 0.55
-"""How far the fixed white balance goes from none (0) to neutral grey (1) in logarithm: cameras keep a cast."""
+AMBER_BALANCE, GREEN_BALANCE = 0.6, 0.35
+"""How far the fixed white balance goes, in logarithm, from none (0) to neutral grey (1) between amber and blue, and
+between green and magenta. Cameras know lamps and daylight, which differ along the first axis, and leave much of a cast
+along the second: hence the green of water. So the real clips' red is 0.9 to 1.0 of their green."""
 MIXED = [0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5]  # Bayer's matrix: neighbours differ most
 LOWEST_LIGHT = 0.3  # cosine with the zenith: little light comes flatter than that
 LEAST_SEEN = 1e-5  # of full daylight: no camera sees in less
@@ -126,6 +128,6 @@ def exposure(
         power = np.array(lamp.colour) * lamp.intensity_cd * factor / DAYLIGHT_LUX
         seen = seen + GREY_ALBEDO * power / LAMP_RANGE_M**2 * left
     seen = np.maximum(seen, LEAST_SEEN)
-    brightness = float(np.mean(seen))
-    balance = (brightness / seen) ** WHITE_BALANCE
-    return GREY_LEVEL / brightness * balance / np.mean(balance * seen / brightness)
+    amber, green = np.log(seen[0] / seen[2]) / 2, np.log(seen[1]) - np.log(seen[0] * seen[2]) / 2
+    balance = np.exp([-AMBER_BALANCE * amber, -GREEN_BALANCE * green, AMBER_BALANCE * amber])
+    return np.asarray(GREY_LEVEL * balance / np.mean(balance * seen))

@@ -7,12 +7,14 @@ import warp as wp
 from oysterbench.render.optics import Optics
 from oysterbench.render.texture import Ground
 
-CREVICE_M = wp.constant(0.07)  # depth below the blurred envelope at which little sky is left
+CREVICE_M = wp.constant(0.04)
+"""Depth below the envelope at which half of the sky is left: rays into dense beds see that much from 0 to 0.1 m."""
 
 
 @wp.struct
 class Looks:
-    """What surfaces look like. envelope: blurred upper surface of everything, for the darkness of crevices.
+    """What surfaces look like. envelope: blurred upper surface of everything, for the darkness of crevices; higher by
+    CREVICE_RISE_M (upload.py) where things stand close, for they hide each other's sky even at its height.
     reach, near: where on the same grid things may shade the seabed, and where they may hide sky from it.
     """
 
@@ -40,7 +42,7 @@ def openness(looks: Looks, p: wp.vec3):
         low = looks.envelope[i, j] * (1.0 - u) + looks.envelope[i, j + 1] * u
         high = looks.envelope[i + 1, j] * (1.0 - u) + looks.envelope[i + 1, j + 1] * u
         below = (low * (1.0 - v) + high * v - p[2]) / CREVICE_M
-        share = 1.0 / (1.0 + 2.2 * wp.max(below, 0.0))
+        share = 1.0 / (1.0 + wp.max(below, 0.0))
     return share
 
 

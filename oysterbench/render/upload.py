@@ -22,6 +22,7 @@ from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.world import World
 
 CREVICE_BLUR_CELLS = 2.0
+CREVICE_RISE_M = 0.02
 LEAF_TRIANGLES = 4  # of the meshes' trees: measured best
 LEAST_SUN = 1e-6
 CLEAR_BOUNCE = 0.16  # albedo of the bottom as seen by a surface that faces down
@@ -94,17 +95,19 @@ def upload_looks(world: World, recipe: SequenceRecipe, fan: NDArray[np.float32],
     looks = Looks()
     looks.seed = world.texture_seed
     looks.ground = build_ground(recipe.reef)
-    blurred = ndimage.gaussian_filter(world.envelope, CREVICE_BLUR_CELLS)
-    looks.envelope = wp.array(blurred, dtype=wp.float32, device=device)
     looks.envelope_start = float(world.envelope_lines[0])
     cell = float(world.envelope_lines[1] - world.envelope_lines[0])
     looks.envelope_step = cell
     ground = world.ground_height(*np.meshgrid(world.envelope_lines, world.envelope_lines))
+    things = world.envelope > ground + 1e-3
+    raised = world.envelope + CREVICE_RISE_M * things
+    blurred = ndimage.gaussian_filter(raised, CREVICE_BLUR_CELLS)
+    looks.envelope = wp.array(np.round(blurred, 6).astype(np.float32), dtype=wp.float32, device=device)
     reach = shadow_reach(world.envelope, ground, cell, fan, float(kernels.SHADOW_M))
     looks.reach = wp.array(reach.astype(np.uint8), dtype=wp.uint8, device=device)
     if recipe.light.occlusion_m > 0:
         cells = int(np.ceil(recipe.light.occlusion_m / cell)) + 1
-        near = ndimage.maximum_filter(world.envelope > ground + 1e-3, size=2 * cells + 1)
+        near = ndimage.maximum_filter(things, size=2 * cells + 1)
         looks.near = wp.array(near.astype(np.uint8), dtype=wp.uint8, device=device)
     return looks
 
