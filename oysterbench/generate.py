@@ -21,12 +21,14 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from oysterbench.errors import OysterbenchError, RecipeError, SequenceError
 from oysterbench.files import home, locked, write_atomically
-from oysterbench.recipe import CLASSES, SequenceRecipe, SplitRecipe, count
+from oysterbench.geometry import Array
+from oysterbench.recipe import CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, count
 from oysterbench.sequence import topics
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, McapSequence, read_attachments, read_messages
 from oysterbench.sequence.topics import EPOCH_NS, Message
@@ -45,17 +47,17 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Job:
-    """Frames [first, last) of a camera; or, without a camera, the sensors that need no rendering."""
+    """Frames or pings [first, last) of a camera or sonar, by its name; or, without one, all the small sensors."""
 
     sequence: str
-    camera: str = ""
+    source: str = ""
     first: int = 0
     last: int = 0
 
     @property
     def part(self) -> str:
         """Name of the file that the job leaves."""
-        return f"{self.camera}-{self.first:06d}-{self.last:06d}.part" if self.camera else "sensors.part"
+        return f"{self.source}-{self.first:06d}-{self.last:06d}.part" if self.source else "sensors.part"
 
 
 def digest(split: SplitRecipe, salt: bytes = b"") -> str:
@@ -117,10 +119,12 @@ def _parts(folder: Path, sequence: str, split: SplitRecipe, salt: bytes) -> Path
 def plan(split: SplitRecipe, sequence: SequenceRecipe) -> list[Job]:
     """All jobs of a sequence."""
     jobs = [Job(sequence.name)]
-    for camera in split.rig.camera:
-        frames = count(sequence.duration_s, camera.rate_hz)
+    rates = {camera.name: camera.rate_hz for camera in split.rig.camera}
+    rates |= {sonar.name: sonar.rate_hz for sonar in split.rig.sonar}
+    for source, rate_hz in rates.items():
+        frames = count(sequence.duration_s, rate_hz)
         for first in range(0, frames, FRAMES_PER_PART):
-            jobs.append(Job(sequence.name, camera.name, first, min(first + FRAMES_PER_PART, frames)))
+            jobs.append(Job(sequence.name, source, first, min(first + FRAMES_PER_PART, frames)))
     return jobs
 
 
@@ -223,39 +227,41 @@ def _warm_up() -> None:
 
 def run_job(split: SplitRecipe, job: Job, parts: Path, salt: bytes = b"") -> None:
     """Do a job and leave its part file."""
-    from oysterbench.stage import build_stage, measure_sensors, oyster_csv, render_frames
+    from oysterbench.recording import oyster_csv, recorders, sensor_messages
+    from oysterbench.stage import build_stage
 
     stage = build_stage(split, job.sequence, salt)
     tables = {}
-    if job.camera:
-        camera = next(camera for camera in split.rig.camera if camera.name == job.camera)
-        messages: Iterator[Message] = render_frames(stage, camera, job.first, job.last)
-        types = topics.camera_topics(job.camera, camera.sent_layers)
+    if job.source:
+        messages = recorders(stage)[job.source](job.first, job.last)
     else:
-        messages = measure_sensors(stage, split, split.find_sequence(job.sequence))
-        types = {topics.IMU: topics.TYPES[topics.IMU], topics.TRUTH: topics.TYPES[topics.TRUTH]}
+        messages = sensor_messages(stage)
         tables[OYSTERS] = oyster_csv(stage)
+    wanted = _topics(split.rig, job.source)
+    types = {name: kind for name, kind in topics.rig_topics(split.rig).items() if name in wanted}
     write_atomically(parts / job.part, pack(messages, types, tables))
+
+
+def _topics(rig: RigRecipe, source: str) -> list[str]:
+    """Topics that a job's part holds: those of its camera or sonar, or all the others."""
+    cameras = {camera.name: topics.camera_topics(camera.name, camera.sent_layers) for camera in rig.camera}
+    sonars = {sonar.name: topics.sonar_topics(sonar.name, sonar.cloud) for sonar in rig.sonar}
+    bulky = cameras | sonars
+    if source:
+        return list(bulky[source])
+    taken = {name for names in bulky.values() for name in names} | {topics.TF_STATIC}
+    return [name for name in topics.rig_topics(rig) if name not in taken]
 
 
 def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, salt: bytes = b"") -> None:
     """Put the parts of a sequence together, in time order; the file appears in one step."""
-    from scipy.spatial.transform import Rotation
+    from oysterbench.calibration import rig_calibration
 
-    from oysterbench.scene.rig import rig_calibration
-
-    calibration = rig_calibration(split.rig)
-    poses = {topics.IMU_FRAME: np.array(calibration["imu"]["T_base_imu"])}
-    types = dict(topics.TYPES)
-    for camera in split.rig.camera:
-        poses[topics.optical_frame(camera.name)] = np.array(calibration["cameras"][camera.name]["T_base_cam"])
-        types |= topics.camera_topics(camera.name, camera.sent_layers)
-    frames = {name: (T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)) for name, T in poses.items()}
+    calibration = rig_calibration(split.rig, recipe.site)
     jobs = plan(split, recipe)
-    cameras = [[parts / job.part for job in jobs if job.camera == camera.name] for camera in split.rig.camera]
     temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
     with open(temporary, "wb") as file:
-        writer = SequenceWriter(file, types)
+        writer = SequenceWriter(file, topics.rig_topics(split.rig))
         writer.metadata(
             METADATA,
             {
@@ -274,15 +280,17 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
         writer.attachment("rig.toml", "application/toml", split.rig_source.encode())
         for name, table in read_attachments(parts / Job(recipe.name).part).items():
             writer.attachment(name, "text/csv", table)
-        writer.write(topics.static_transforms(EPOCH_NS, frames))
+        writer.write(topics.static_transforms(EPOCH_NS, _frames(split.rig, calibration)))
         writer.section()
-        for topic in (topics.IMU, topics.TRUTH):
+        for topic in _topics(split.rig, ""):
             for message in read_messages(parts / Job(recipe.name).part, [topic]):
                 writer.write(message)
             writer.section()
-        for group in (["camera_info"], ["image"], list(topics.LAYERS)):
-            wanted = [f"/{camera.name}/{kind}" for camera in split.rig.camera for kind in group]
-            sources = [_read_parts(files, wanted) for files in cameras]
+        for group in _sections(split.rig):
+            sources = [
+                _read_parts([parts / job.part for job in jobs if job.source == source], names)
+                for source, names in group.items()
+            ]
             for message in heapq.merge(*sources, key=lambda message: message.stamp_ns):
                 writer.write(message)
             writer.section()
@@ -290,6 +298,30 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
         file.flush()
         os.fsync(file.fileno())
     os.replace(temporary, path)
+
+
+def _sections(rig: RigRecipe) -> Iterator[dict[str, list[str]]]:
+    """What lies together in the file, as topics by camera or sonar: calibrations, pictures, layers, fans, clouds."""
+    for kind in ("camera_info", "image"):
+        yield {camera.name: [f"/{camera.name}/{kind}"] for camera in rig.camera}
+    yield {camera.name: [f"/{camera.name}/{layer}" for layer in camera.sent_layers] for camera in rig.camera}
+    for sonar in rig.sonar:
+        for name in topics.sonar_topics(sonar.name, sonar.cloud):
+            yield {sonar.name: [name]}
+
+
+def _frames(rig: RigRecipe, calibration: dict[str, Any]) -> dict[str, tuple[Array, Array]]:
+    """Poses in base_link of the rig's frames: name -> (position (3,) m, quaternion (4,))."""
+    from scipy.spatial.transform import Rotation
+
+    frames = {}
+    for name, keys in topics.rig_frames(rig).items():
+        entry = calibration
+        for key in keys:
+            entry = entry[key]
+        T = np.array(next(value for key, value in entry.items() if key.startswith("T_base_")))
+        frames[name] = (T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
+    return frames
 
 
 def _read_parts(files: list[Path], names: list[str]) -> Iterator[Message]:

@@ -143,7 +143,7 @@ def test_the_salt_decides_the_bytes(tiny_split):
 
 def test_every_frame_is_in_one_job(tiny_split):
     recipe = tiny_split.sequence[0]
-    frames = [k for job in plan(tiny_split, recipe) if job.camera for k in range(job.first, job.last)]
+    frames = [k for job in plan(tiny_split, recipe) if job.source for k in range(job.first, job.last)]
     assert frames == list(range(25))
     assert all(job.last - job.first <= FRAMES_PER_PART for job in plan(tiny_split, recipe))
 

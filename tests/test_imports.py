@@ -25,8 +25,11 @@ MAY_IMPORT = {
     "render": GROUND | {"scene"},
     "sensors": GROUND | {"scene", "render"},
     "sequence": GROUND,
-    "stage": GROUND | {"scene", "render", "sensors", "sequence"},
-    "generate": GROUND | {"scene", "render", "sensors", "sequence", "stage"},
+    "calibration": GROUND | {"scene", "sensors"},
+    "view": GROUND | {"sequence", "page"},
+    "stage": GROUND | {"scene", "render", "sensors"},
+    "recording": GROUND | {"calibration", "sensors", "sequence", "stage"},
+    "generate": GROUND | {"calibration", "render", "sequence", "stage", "recording"},
     "gallery": GROUND | {"stage"},
     "methods": GROUND | {"sequence"},
     "evaluate": GROUND,
@@ -35,7 +38,7 @@ MAY_IMPORT = {
     "plots": GROUND,
     "report": GROUND | {"evaluate", "results", "page", "plots"},
     "tracks": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report"},
-    "cli": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report", "tracks", "gallery", "scene"},
+    "cli": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report", "tracks", "gallery", "scene", "view"},
     "": {"sequence", "version"},
 }
 """Room of oysterbench (module or folder; "" is `oysterbench/__init__.py`) -> rooms that it may import."""

@@ -1,15 +1,13 @@
-"""The calibration of a rig: where its sensors sit in base_link, and what they are."""
+"""Where a rig's cameras and inertial unit sit in base_link, and how a camera projects."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oysterbench.errors import RecipeError
 from oysterbench.geometry import Array, transform
-from oysterbench.recipe import CameraRecipe, ImuRecipe, RigRecipe
+from oysterbench.recipe import CameraRecipe, ImuRecipe, MagnetometerRecipe
 
 R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Turns an optical frame (z forward, x right, y down) into x forward, y left, z up (REP 103)."""
@@ -56,36 +54,6 @@ def camera_matrix(recipe: CameraRecipe) -> Array:
     return np.array([[focal, 0.0, (recipe.width - 1) / 2], [0.0, focal, (recipe.height - 1) / 2], [0.0, 0.0, 1.0]])
 
 
-def imu_pose(recipe: ImuRecipe) -> Array:
-    """T_base_imu (4, 4)."""
+def imu_pose(recipe: ImuRecipe | MagnetometerRecipe) -> Array:
+    """T_base_imu (4, 4), or that of a magnetometer."""
     return transform(Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix(), recipe.position_m)
-
-
-def rig_calibration(rig: RigRecipe) -> dict[str, Any]:
-    """What a perfect calibration of the rig would find, as it travels in a sequence file (JSON values)."""
-    cameras = {
-        camera.name: {
-            "width": camera.width,
-            "height": camera.height,
-            "rate_hz": camera.rate_hz,
-            "matrix": camera_matrix(camera).tolist(),
-            "distortion_model": "equidistant" if camera.lens == "fisheye" else "plumb_bob",
-            "distortion": [*camera.distortion, *([0.0] * (4 - len(camera.distortion)))],
-            "T_base_cam": camera_pose(camera).tolist(),
-            **({} if camera.port_mm is None else {"port": {"distance_m": camera.port_mm / 1e3, "index": PORT_INDEX}}),
-        }
-        for camera in rig.camera
-    }
-    unit = rig.imu
-    inertial = {
-        "rate_hz": unit.rate_hz,
-        "gyro_noise_density": unit.gyro_noise_density,
-        "gyro_random_walk": unit.gyro_random_walk,
-        "gyro_turn_on": unit.gyro_turn_on,
-        "accel_noise_density": unit.accel_noise_density,
-        "accel_random_walk": unit.accel_random_walk,
-        "accel_turn_on": unit.accel_turn_on,
-        "gravity": GRAVITY,
-        "T_base_imu": imu_pose(unit).tolist(),
-    }
-    return {"imu": inertial, "cameras": cameras}

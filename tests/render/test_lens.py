@@ -10,10 +10,11 @@ import pytest
 from reefs import CAMERA, FLAT, SPLIT, noise, pose, renderer_of, small_reef
 from scipy.ndimage import map_coordinates
 
+from oysterbench.calibration import rig_calibration
 from oysterbench.errors import RecipeError
 from oysterbench.recipe import parse_split, vary_split
 from oysterbench.render.lens import pixel_rays, project
-from oysterbench.scene.rig import PORT_INDEX, rig_calibration
+from oysterbench.scene.rig import PORT_INDEX
 from oysterbench.sequence import topics
 from oysterbench.sequence.read import camera_calibration
 
@@ -23,7 +24,9 @@ PORT = dataclasses.replace(CAMERA, port_mm=40.0)
 
 
 def calibration(camera):
-    return camera_calibration(rig_calibration(dataclasses.replace(SPLIT.rig, camera=(camera,)))["cameras"]["test"])
+    return camera_calibration(
+        rig_calibration(dataclasses.replace(SPLIT.rig, camera=(camera,)), SPLIT.sequence[0].site)["cameras"]["test"]
+    )
 
 
 def opencv_pixels(points, camera):
@@ -103,7 +106,9 @@ def test_a_lens_that_folds_its_picture_is_refused():
 
 def test_a_view_too_wide_for_a_port_is_refused():
     with pytest.raises(RecipeError, match=r"key 'camera.hfov_deg'.*flat port"):
-        rig_calibration(dataclasses.replace(SPLIT.rig, camera=(dataclasses.replace(PORT, hfov_deg=120.0),)))
+        rig_calibration(
+            dataclasses.replace(SPLIT.rig, camera=(dataclasses.replace(PORT, hfov_deg=120.0),)), SPLIT.sequence[0].site
+        )
 
 
 @pytest.mark.parametrize(("lens", "coefficients"), [("pinhole", [0.1]), ("fisheye", [0.1, 0.0, 0.0])])
@@ -118,7 +123,7 @@ def test_a_lens_with_the_wrong_number_of_coefficients_is_refused(lens, coefficie
 )
 def test_the_rigs_of_several_cameras_can_be_used_by_any_split(rig, cameras):
     split = parse_split(SPLIT.source.replace('rig = "bluerov2"', f'rig = "{rig}"'), "split.toml")
-    known = rig_calibration(split.rig)["cameras"]
+    known = rig_calibration(split.rig, split.sequence[0].site)["cameras"]
     assert set(known) == cameras
     for camera in split.rig.camera:
         assert np.isfinite(pixel_rays(camera)).all()
