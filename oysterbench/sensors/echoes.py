@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,6 @@ GAINED_STEP = 1e-4
 """Amplitude of one count, without and with time-varying gain, over that of a perfect scatterer at 1 m."""
 
 FULL_SCALE = 2**16 - 1
-POWER_STEP = 2.0**-60
-"""Powers are rounded to it (-180 dB), so that the last bits of a CPU's mathematics seldom show in an amplitude."""
-
 BOTTOM_FOOTPRINT_M = 2.0
 THING_FOOTPRINT_M = 0.1
 """Longest stretch of range that one ray stands for, on the bottom and on what lies on it."""
@@ -67,7 +65,7 @@ class RangeAxis:
 class Rays:
     """Rays of a sonar, each anywhere in a cell of azimuth (to the left) and elevation (up), in its frame.
 
-    azimuths (N,), elevations (N,): of the rays; middles (N, 2): azimuths and elevations of the cells' middles; widths
+    azimuths (N,), elevations (N,): of the rays; middles (2, N): azimuths and elevations of the cells' middles; widths
     (N,), heights (N,): of the cells; all rad. columns (N,): where echoes are added up. weights (N,): two-way response
     of the beam.
     """
@@ -117,23 +115,27 @@ def send(
     mu (8,): of the classes. fill: power of a perfect scatterer that fills the beam at 1 m. Each ray stands for its
     solid angle, so that a patch sends back the same however many rays meet it.
     """
-    ahead, left, up = axes_along(T_map_sonar[:3, :3], rays.azimuths, rays.elevations)
-    echoes = caster.cast(T_map_sonar[:3, 3], ahead, reach)
-    ranges, normals = echoes.ranges.astype(float), echoes.normals.astype(float)
-    cosines = np.abs(dot(normals, ahead))
-    cos_e = np.cos(rays.elevations)
+    rotation = T_map_sonar[:3, :3]
+    sin_a, cos_a = np.sin(rays.azimuths), np.cos(rays.azimuths)
+    sin_e, cos_e = np.sin(rays.elevations), np.cos(rays.elevations)
+    directions = turn(rotation, cos_e * cos_a, cos_e * sin_a, sin_e)
+    echoes = caster.cast(T_map_sonar[:3, 3], directions, reach)
+    ranges = echoes.ranges.astype(float)
+    # The normals in the sonar's frame, then along the ray and at right angles to it, to the left and up.
+    x, y, z = turn(rotation.T, *echoes.normals.T.astype(float)).T
+    level = cos_a * x + sin_a * y
+    along, left, up = cos_e * level + sin_e * z, cos_a * y - sin_a * x, cos_e * z - sin_e * level
+    cosines = np.abs(along)
     solid_angles = rays.widths * rays.heights * cos_e
     powers = echo_strength(ranges, cosines, mu[echoes.classes], absorption_db_m) * rays.weights * solid_angles / fill
     r = np.where(np.isfinite(ranges), ranges, 0.0)
-    facing = np.where(cosines > 0, dot(normals, ahead), 1.0)
+    facing = np.where(cosines > 0, along, 1.0)
     longest = np.where(echoes.instances > 0, THING_FOOTPRINT_M, BOTTOM_FOOTPRINT_M)
-    upwards = dot(normals, up) / facing
-    leftwards = dot(normals, left) / facing * cos_e
-    lowest, highest = _stretch_of(r, upwards, rays.middles[:, 1] - rays.elevations, rays.heights, longest)
-    right, farthest_left = _stretch_of(r, leftwards, rays.middles[:, 0] - rays.azimuths, rays.widths, longest)
-    middle = r + 0.5 * (lowest + highest + right + farthest_left)
-    half = 0.5 * np.hypot(highest - lowest, farthest_left - right)
-    return Returns(echoes, ahead, middle - half, middle + half, powers)
+    below, above = _stretch_of(r, up / facing, rays.middles[1] - rays.elevations, rays.heights, longest)
+    right, left = _stretch_of(r, left / facing * cos_e, rays.middles[0] - rays.azimuths, rays.widths, longest)
+    middle = r + 0.5 * (below + above + right + left)
+    half = 0.5 * np.hypot(above - below, left - right)
+    return Returns(echoes, directions, middle - half, middle + half, powers)
 
 
 def _stretch_of(ranges: Array, slope: Array, offset: Array, size: Array, longest: Array) -> tuple[Array, Array]:
@@ -162,25 +164,26 @@ def add_up(
     far = np.maximum(far, near + SHORTEST_BINS)
     density = powers[heard] / (far - near)
     length = axis.bins + 2  # a bin before the first for what is too near, and the overflow of the last
-    steps = np.zeros(count * length)
-    for edge, sign in ((near, 1.0), (far, -1.0)):
+    cells, changes = [], []
+    for edge, change in ((near, density), (far, -density)):
         place = np.clip(edge, -1.0, axis.bins) + 1.0
         whole = np.minimum(place.astype(np.int64), axis.bins)
-        share = place - whole
+        later = change * (place - whole)
         cell = columns * length + whole
-        steps += np.bincount(cell, sign * density * (1 - share), steps.size)
-        steps += np.bincount(cell + 1, sign * density * share, steps.size)
+        cells += [cell, cell + 1]
+        changes += [change - later, later]
+    steps = np.bincount(np.concatenate(cells), np.concatenate(changes), count * length).astype(float)
     return np.cumsum(steps.reshape(count, length), axis=1)[:, 1 : axis.bins + 1]
 
 
-def pulse_kernel(axis: RangeAxis, resolution: float) -> Array:
+@lru_cache(maxsize=64)
+def pulse_kernel(width: float) -> Array:
     """Shares (2 k + 1,) of an echo's power that fall into its own bin and the k bins on each side; their sum is 1.
 
-    A pulse of flat spectrum, compressed, has the envelope sinc^2(r / resolution) with a resolution of c / 2B in m. It
-    is averaged over the bin that the echo comes from and the one that it falls into.
+    A pulse of flat spectrum, compressed, has the envelope sinc^2(r / width), its width c / 2B, here in bins. It is
+    averaged over the bin that the echo comes from and the one that it falls into.
     """
     fine = 64
-    width = resolution * axis.stretch / axis.step
     side = max(1, int(np.ceil((SIDELOBES + 1) * width)))
     offsets = np.arange(-(side + 1) * fine, (side + 1) * fine + 1) / fine
     pulse = np.zeros_like(offsets)
@@ -192,17 +195,17 @@ def pulse_kernel(axis: RangeAxis, resolution: float) -> Array:
     return np.round(taps / taps.sum(), 12)
 
 
-def smear(power: Array, kernel: Array) -> Array:
-    """Power (columns, bins) through a kernel along the range axis; what leaves the axis is lost."""
-    side = len(kernel) // 2
-    padded = np.pad(power, ((0, 0), (side, side)))
-    bins = power.shape[1]
-    return np.asarray(sum(tap * padded[:, k : k + bins] for k, tap in enumerate(kernel) if tap > 0))
-
-
 def resolve(power: Array, axis: RangeAxis, true_speed: float, bandwidth_khz: float) -> Array:
-    """Power (columns, bins) as the pulse resolves it in range."""
-    return smear(np.maximum(power, 0.0), pulse_kernel(axis, range_resolution(true_speed, bandwidth_khz)))
+    """Power (beams, bins) as the pulse resolves it in range; what leaves the axis is lost."""
+    width = range_resolution(true_speed, bandwidth_khz) * axis.stretch / axis.step
+    taps = pulse_kernel(max(round(width, 3), 0.001))
+    side = len(taps) // 2
+    smeared, part = taps[side] * power, np.empty_like(power)
+    for k in range(1, side + 1):
+        np.multiply(power, taps[side + k], out=part)
+        smeared[:, k:] += part[:, :-k]
+        smeared[:, :-k] += part[:, k:]
+    return np.maximum(smeared, 0.0, out=smeared)
 
 
 def record(
@@ -217,15 +220,14 @@ def record(
     Rayleigh amplitude. The noise floor is complex Gaussian and adds to the complex echo, of which the amplitude is
     recorded, in counts of `amplitude_step`. Linear, not in dB; what is over full scale is cut there.
     """
-    power = np.rint(power / POWER_STEP) * POWER_STEP
-    if recipe.looks == 1:
-        speckled = power * generator.standard_exponential(power.shape)
+    noise = 10 ** (recipe.noise_db / 10)
+    if recipe.looks == 1:  # a complex Gaussian echo, to which the noise adds another
+        squared = (power + noise) * generator.standard_exponential(power.shape)
     else:
         speckled = power * generator.standard_gamma(recipe.looks, power.shape) / recipe.looks
-    sigma = np.sqrt(10 ** (recipe.noise_db / 10) / 2)  # of each of two quadratures
-    noise = sigma * generator.standard_normal((2, *power.shape))
-    amplitude = np.sqrt((np.sqrt(speckled) + noise[0]) ** 2 + noise[1] ** 2)
-    counts = amplitude * (time_varying_gain(recipe, absorption_db_m) / amplitude_step(recipe))
+        quadratures = np.sqrt(noise / 2) * generator.standard_normal((2, *power.shape))
+        squared = (np.sqrt(speckled) + quadratures[0]) ** 2 + quadratures[1] ** 2
+    counts = np.sqrt(squared) * (time_varying_gain(recipe, absorption_db_m) / amplitude_step(recipe))
     return np.minimum(np.rint(counts), FULL_SCALE).astype(np.uint16)
 
 
@@ -242,20 +244,11 @@ def amplitude_step(recipe: SonarRecipe | ScannerRecipe) -> float:
     return GAINED_STEP if recipe.tvg else PLAIN_STEP
 
 
-def axes_along(rotation: Array, azimuths: Array, elevations: Array) -> tuple[Array, Array, Array]:
-    """Unit vectors (N, 3) along rays, and at right angles to them to the left and up, turned by rotation (3, 3)."""
-    sin_a, cos_a = np.sin(azimuths), np.cos(azimuths)
-    sin_e, cos_e = np.sin(elevations), np.cos(elevations)
-    ahead = _turn(rotation, cos_e * cos_a, cos_e * sin_a, sin_e)
-    left = _turn(rotation, -sin_a, cos_a, np.zeros_like(sin_a))
-    return ahead, left, _turn(rotation, -sin_e * cos_a, -sin_e * sin_a, cos_e)
-
-
 def dot(a: Array, b: Array) -> Array:
     """(N,) scalar products of vectors (N, 3), or (1, 3), in the same order of sums on every processor."""
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
 
 
-def _turn(rotation: Array, x: Array, y: Array, z: Array) -> Array:
-    """Vectors (N, 3) from their parts, turned. Written out: a matrix product's order of sums depends on the CPU."""
+def turn(rotation: Array, x: Array, y: Array, z: Array) -> Array:
+    """Vectors (N, 3) from their parts, turned by rotation (3, 3); in the same order of sums on every processor."""
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rotation], axis=-1)

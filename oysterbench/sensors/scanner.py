@@ -68,7 +68,7 @@ class ScanningSonar:
         return Rays(
             azimuths=(angle + off).ravel(),
             elevations=elevations.ravel(),
-            middles=np.stack(middles, axis=-1).reshape(-1, 2),
+            middles=np.reshape(middles, (2, -1)),
             widths=np.full(off.size, width),
             heights=np.full(off.size, height),
             columns=np.zeros(off.size, dtype=np.int64),

@@ -14,7 +14,7 @@ from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import RangeAxis, Rays, Returns
 from oysterbench.streams import Streams
 
-ROWS = 240  # of rays over the elevations
+ROWS = 200  # of rays over the elevations
 PROBE_COLUMNS, PROBE_ROWS = 12, 48  # of the rays that tell where elevations have to be dense
 EVEN_SHARE = 0.35  # of the rows that are even in elevation; the rest are even in range
 COLUMNS_PER_WIDTH = 1.5  # at least so many columns of rays in a beam's half-power width
@@ -128,7 +128,7 @@ class ImagingSonar:
         return Rays(
             azimuths=azimuths.ravel(),
             elevations=elevations.ravel(),
-            middles=np.stack(middles, axis=-1).reshape(-1, 2),
+            middles=np.reshape(middles, (2, -1)),
             widths=np.full(azimuths.size, columns.width),
             heights=np.tile(heights, count),
             columns=np.repeat(np.arange(count), ROWS),
@@ -144,7 +144,7 @@ class ImagingSonar:
         azimuths = np.linspace(self._columns.edges[0], self._columns.edges[-1], PROBE_COLUMNS)
         elevations = np.linspace(-self._highest, self._highest, PROBE_ROWS + 1)
         a, e = (values.ravel() for values in np.meshgrid(azimuths, elevations, indexing="ij"))
-        probes, _, _ = echoes.axes_along(T_map_sonar[:3, :3], a, e)
+        probes = echoes.turn(T_map_sonar[:3, :3], np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e))
         ranges = self.caster.cast(T_map_sonar[:3, 3], probes, axis.reach).ranges.astype(float)
         seen = np.clip(ranges.reshape(len(azimuths), len(elevations)), axis.start / axis.stretch, axis.reach)
         change = np.abs(np.diff(seen, axis=1)).mean(axis=0)
@@ -193,7 +193,7 @@ class ImagingSonar:
         """The strongest return in each beam's each of CLOUD_ROWS parts of the elevations, where it is over the noise.
 
         A point lies on its ray, at the range that the sonar believes; its intensity is the power of all returns that
-        are in the same part.
+        are in the same part, in dB over that of a perfect scatterer that fills the beam at 1 m.
         """
         rays, returns, columns = found.rays, found.returns, self._columns
         beam = (rays.columns - columns.margin) // columns.per_beam
@@ -215,7 +215,7 @@ class ImagingSonar:
             stamp_ns=stamp_ns,
             sensor=self.recipe.name,
             points=np.round(points, 5).astype(np.float32),
-            intensity=power.astype(np.float32),
+            intensity=np.round(10 * np.log10(power), 2).astype(np.float32),
             classes=returns.echoes.classes[strongest],
             instances=returns.echoes.instances[strongest],
         )
@@ -246,7 +246,8 @@ def build_columns(recipe: SonarRecipe) -> Columns:
 def gather(power: Array, columns: Columns, beams: int) -> Array:
     """Power (beams, bins) that beams hear of the power (columns, bins) that comes from each column."""
     heard = np.zeros((beams, power.shape[1]))
+    part = np.empty_like(heard)
     last = (beams - 1) * columns.per_beam + 1
     for k, tap in enumerate(columns.taps):
-        heard += tap * power[k : k + last : columns.per_beam]
+        heard += np.multiply(power[k : k + last : columns.per_beam], tap, out=part)
     return heard

@@ -177,7 +177,7 @@ def test_a_pulse_of_less_bandwidth_resolves_less():
     axis = echoes.RangeAxis(0.0, 0.01, 100, 1.0)
     power = np.zeros((1, 100))
     power[0, 50] = 1.0
-    resolution = 0.1
+    resolution = 0.1  # ten bins
     spread = echoes.resolve(power, axis, 1500.0, 1500.0 / (2e3 * resolution))[0]
     r = 0.01 * np.arange(100) - 0.5
     law = np.sinc(r / resolution) ** 2
@@ -222,7 +222,7 @@ def test_the_cloud_says_what_each_return_is():
     np.testing.assert_allclose(np.linalg.norm(points[shell, :3] - [3.0, 0.5, -2.0], axis=1), 0.3, atol=2e-3)
     np.testing.assert_allclose(points[~shell, 2], -3.0, atol=2e-3)
     assert cloud.intensity.dtype == np.float32
-    assert np.all(cloud.intensity > 10**-10.5)
+    assert np.all((cloud.intensity > -105) & (cloud.intensity < 0))
 
 
 def test_nothing_is_heard_in_open_water():
