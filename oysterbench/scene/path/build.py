@@ -12,7 +12,7 @@ from oysterbench.geometry import Array
 from oysterbench.recipe import PathRecipe, SequenceRecipe
 from oysterbench.scene.path import disturbance, routes
 from oysterbench.scene.path.clearance import Height, check_clearance, lift
-from oysterbench.scene.path.itinerary import KNOT_S, Itinerary, Way, clock, ramp
+from oysterbench.scene.path.itinerary import KNOT_S, Itinerary, Pace, Way, clock, ramp
 from oysterbench.scene.path.motion import Path
 from oysterbench.scene.waves import build_waves
 from oysterbench.streams import Streams
@@ -86,27 +86,26 @@ def nominal_way(
 
 def itinerary(plan: PathRecipe, seconds: float, streams: Streams) -> Itinerary:
     """The itinerary of a path that is none of the closed curves, for at least so many seconds where it goes on."""
-    speed, turn_rate = plan.speed_m_s, np.radians(plan.turn_rate_deg_s)
     heading, rng = np.radians(plan.heading_deg), streams.generator("path", plan.kind)
-    pace = (plan.altitude_m, speed, turn_rate)
+    pace = Pace(plan.altitude_m, plan.speed_m_s, np.radians(plan.turn_rate_deg_s))
     match plan.kind:
         case "lawnmower":
             shape = (_given(plan.length_m), _given(plan.width_m), _given(plan.spacing_m))
             sets = routes.lanes(*shape, heading, plan.centre_m, plan.cross)
-            return routes.survey(sets, *pace, plan.repeat, seconds)
+            return routes.survey(sets, pace, plan.repeat, seconds)
         case "transect":
             line = routes.lanes(_given(plan.length_m), 0.0, 1.0, heading, plan.centre_m, False)
-            return routes.survey(line, *pace, plan.repeat, seconds)
+            return routes.survey(line, pace, plan.repeat, seconds)
         case "orbit":
             radii = [_given(plan.radius_m) + ring * (plan.spacing_m or 0.0) for ring in range(plan.rings)]
-            return routes.orbit(radii, plan.centre_m, plan.look == "inward", *pace, seconds, rng)
+            return routes.orbit(radii, plan.centre_m, plan.look == "inward", pace, seconds, rng)
         case "inspection":
             looks = (plan.stand_off_m, plan.close_m, plan.sides, plan.hover_s)
-            return routes.inspection([(x, y) for x, y in plan.spots_m], *looks, *pace, seconds, rng)
+            return routes.inspection([(x, y) for x, y in plan.spots_m], *looks, pace, seconds, rng)
         case "waypoints":
-            return routes.waypoints(plan.waypoints, *pace, plan.repeat, seconds)
+            return routes.waypoints(plan.waypoints, pace, plan.repeat, seconds)
         case "free":
-            return routes.wander(_given(plan.extent_m), plan.revisit, *pace, seconds, rng)
+            return routes.wander(_given(plan.extent_m), plan.revisit, pace, seconds, rng)
     raise ValueError(f"no itinerary for a path of kind {plan.kind!r}")
 
 

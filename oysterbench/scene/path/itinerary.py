@@ -19,9 +19,6 @@ over time it makes nothing faster, and shifts nothing farther than 0.8 of it tim
 
 REACH = 4.0  # standard deviations that the Gaussian goes to
 
-STATE = 5
-"""Columns of a state: x m, y m, altitude m, heading rad, and 1 where the bow points along the way, 0 where it looks."""
-
 
 @dataclass(frozen=True)
 class Way:
@@ -35,15 +32,25 @@ class Way:
     along: Array
 
 
+@dataclass(frozen=True)
+class Pace:
+    """How the vehicle travels: altitude m over the bottom, speed m/s through x, y and altitude, rate of turn rad/s."""
+
+    altitude: float
+    speed: float
+    turn_rate: float
+
+
 class Itinerary:
     """States in the order of their visit, each at the earliest time that speed and rate of turn allow.
 
-    speed m/s: of the way through x, y and altitude. turn_rate rad/s: of the heading.
+    A state (5,) is x m, y m, altitude m, heading rad, and 1 where the bow points along the way, 0 where it looks at
+    something.
     """
 
-    def __init__(self, start: Array, speed: float, turn_rate: float) -> None:
-        """Begin at a state (5,), see STATE."""
-        self.speed, self.turn_rate = speed, turn_rate
+    def __init__(self, start: Array, pace: Pace) -> None:
+        """Begin at a state (5,)."""
+        self.pace = pace
         self.elapsed = 0.0  # s
         self.state = np.array(start, dtype=float)
         self._states = [self.state[None]]
@@ -58,7 +65,7 @@ class Itinerary:
         turns = np.where(turns < 1e-6 - np.pi, turns + 2 * np.pi, turns)
         states[:, 3] = self.state[3] + np.cumsum(turns)
         away = np.linalg.norm(states[:, :3] - before[:, :3], axis=1)
-        self._append(states, np.maximum(away / (speed or self.speed), np.abs(turns) / self.turn_rate))
+        self._append(states, np.maximum(away / (speed or self.pace.speed), np.abs(turns) / self.pace.turn_rate))
 
     def line(self, place: Array, altitude: float) -> None:
         """Turn on the spot to the course of a straight line, and follow it to its end, x and y (2,) m."""

@@ -7,7 +7,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from oysterbench.geometry import Array
 from oysterbench.recipe import LOOP_RIPPLE
-from oysterbench.scene.path.itinerary import SMOOTHING_S, Itinerary
+from oysterbench.scene.path.itinerary import SMOOTHING_S, Itinerary, Pace
 
 ARC_STEP_RAD = np.radians(5.0)
 CURVE_STEP_M = 0.05
@@ -73,17 +73,15 @@ def _meander(length_m: float, width_m: float, spacing_m: float) -> Curve:
     return np.array(places), np.array(tangents)
 
 
-def survey(
-    sets: list[Curve], altitude: float, speed: float, turn_rate: float, repeat: bool, seconds: float
-) -> Itinerary:
+def survey(sets: list[Curve], pace: Pace, repeat: bool, seconds: float) -> Itinerary:
     """Along curves, one after the other; with `repeat` back and forth until `seconds` are over."""
     back = [(places[::-1], -tangents[::-1]) for places, tangents in reversed(sets)]
-    itinerary = _begin(sets[0], altitude, speed, turn_rate)
+    itinerary = _begin(sets[0], pace)
     rounds = 0
     while True:
         for places, tangents in back if rounds % 2 else sets:
-            itinerary.line(places[0], altitude)
-            _follow(itinerary, (places, tangents), altitude)
+            itinerary.line(places[0], pace.altitude)
+            _follow(itinerary, (places, tangents))
         rounds += 1
         if not repeat or itinerary.elapsed > seconds:
             return itinerary
@@ -93,24 +91,24 @@ def orbit(
     radii_m: list[float],
     centre: tuple[float, float],
     inward: bool,
-    altitude: float,
-    speed: float,
-    turn_rate: float,
+    pace: Pace,
     seconds: float,
     rng: np.random.Generator,
 ) -> Itinerary:
     """A lap on each circle, outwards and back in, from a seeded angle to a seeded side until `seconds` are over."""
     angle, side = float(rng.uniform(0.0, 2 * np.pi)), float(rng.choice([-1.0, 1.0]))
     facing = np.pi if inward else side * np.pi / 2
-    laps = [_unsmoothed(radius, speed, turn_rate) for radius in radii_m]
+    laps = [_unsmoothed(radius, pace) for radius in radii_m]
     laps = [*laps, *laps[-2:0:-1]]
     turns = side * np.linspace(0.0, 2 * np.pi, int(np.ceil(2 * np.pi / ARC_STEP_RAD)) + 1)
 
     def states(radius: float, angles: Array) -> Array:
         on = np.column_stack([centre[0] + radius * np.cos(angles), centre[1] + radius * np.sin(angles)])
-        return np.column_stack([on, np.full(len(on), altitude), angles + facing, np.full(len(on), float(not inward))])
+        return np.column_stack(
+            [on, np.full(len(on), pace.altitude), angles + facing, np.full(len(on), float(not inward))]
+        )
 
-    itinerary = Itinerary(states(laps[0], np.array([angle]))[0], speed, turn_rate)
+    itinerary = Itinerary(states(laps[0], np.array([angle]))[0], pace)
     lap = 0
     while itinerary.elapsed <= seconds:
         itinerary.through(states(laps[lap % len(laps)], angle + turns))
@@ -118,11 +116,11 @@ def orbit(
     return itinerary
 
 
-def _unsmoothed(radius: float, speed: float, turn_rate: float) -> float:
+def _unsmoothed(radius: float, pace: Pace) -> float:
     """Radius of a circle that the smoothing in time shrinks to `radius`: by exp(-(omega sigma)^2 / 2)."""
     wider = radius
     for _ in range(50):
-        omega = min(speed / wider, turn_rate)
+        omega = min(pace.speed / wider, pace.turn_rate)
         wider = radius * float(np.exp(0.5 * (omega * SMOOTHING_S) ** 2))
     return wider
 
@@ -133,9 +131,7 @@ def inspection(
     close: float,
     sides: int,
     hover_s: float,
-    altitude: float,
-    speed: float,
-    turn_rate: float,
+    pace: Pace,
     seconds: float,
     rng: np.random.Generator,
 ) -> Itinerary:
@@ -147,7 +143,7 @@ def inspection(
     out = float(np.hypot(*spots[0]))
     inside = -np.array(spots[0]) / out if out > 0.1 else np.array([1.0, 0.0])
     start = np.array(spots[0]) + min(2 * stand_off + 1.0, out + stand_off) * inside  # never far past the middle
-    itinerary = Itinerary(np.array([*start, altitude, np.arctan2(-inside[1], -inside[0]), 1.0]), speed, turn_rate)
+    itinerary = Itinerary(np.array([*start, pace.altitude, np.arctan2(-inside[1], -inside[0]), 1.0]), pace)
     visit = 0
     while itinerary.elapsed <= seconds:
         spot = np.array(spots[visit % len(spots)])
@@ -155,19 +151,19 @@ def inspection(
         away = float(np.hypot(*from_spot))
         outward = from_spot / away if away > 1e-6 else np.array([1.0, 0.0])
         if away > 2 * stand_off:
-            itinerary.line(spot + 2 * stand_off * outward, altitude)
+            itinerary.line(spot + 2 * stand_off * outward, pace.altitude)
         angle = float(np.arctan2(outward[1], outward[0]))
         itinerary.turn(angle + np.pi)
-        _look_at(itinerary, spot, np.array([angle]), stand_off, close, SLOW * speed)
+        _look_at(itinerary, spot, np.array([angle]), stand_off, close, SLOW * pace.speed)
         itinerary.wait(hover_s)
         side = float(rng.choice([-1.0, 1.0]))
         for _ in range(sides - 1):
             turn = 2 * np.pi / sides
             arc = angle + side * np.linspace(0.0, turn, int(np.ceil(turn / ARC_STEP_RAD)) + 1)[1:]
-            _look_at(itinerary, spot, arc, stand_off, close, SLOW * speed)
+            _look_at(itinerary, spot, arc, stand_off, close, SLOW * pace.speed)
             itinerary.wait(hover_s)
             angle += side * turn
-        _look_at(itinerary, spot, np.array([angle]), stand_off, altitude, SLOW * speed)
+        _look_at(itinerary, spot, np.array([angle]), stand_off, pace.altitude, SLOW * pace.speed)
         visit += 1
     return itinerary
 
@@ -205,9 +201,7 @@ def dense_spots(relief: Array, lines: Array, count: int, apart_m: float, rng: np
 
 def waypoints(
     places: tuple[tuple[float, ...], ...],
-    altitude: float,
-    speed: float,
-    turn_rate: float,
+    pace: Pace,
     repeat: bool,
     seconds: float,
 ) -> Itinerary:
@@ -220,13 +214,13 @@ def waypoints(
 
     def state(place: tuple[float, ...]) -> Array:
         yaw = np.radians(place[3]) if len(place) == 4 else 0.0
-        return np.array([*place[:2], place[2] if len(place) > 2 else altitude, yaw, 0.0])
+        return np.array([*place[:2], place[2] if len(place) > 2 else pace.altitude, yaw, 0.0])
 
     start = state(places[0])
     others = [place for place in places if np.hypot(place[0] - start[0], place[1] - start[1]) > 1e-6]
     if len(places[0]) < 4 and others:
         start[3:] = np.arctan2(others[0][1] - start[1], others[0][0] - start[0]), 1.0
-    itinerary = Itinerary(start, speed, turn_rate)
+    itinerary = Itinerary(start, pace)
     previous = places[0]
     following = places[1:]
     while True:
@@ -247,9 +241,7 @@ def waypoints(
 def wander(
     extent_m: float,
     revisit: float,
-    altitude: float,
-    speed: float,
-    turn_rate: float,
+    pace: Pace,
     seconds: float,
     rng: np.random.Generator,
 ) -> Itinerary:
@@ -258,15 +250,15 @@ def wander(
     The places are the control points of a uniform quadratic B-spline, so that the curve stays inside their hull (de
     Boor 2001, ch. IX) and touches the middle of each leg: wherever it takes the same leg it is at the same place.
     """
-    places = _ramble(extent_m, revisit, speed * seconds, rng)
+    places = _ramble(extent_m, revisit, pace.speed * seconds, rng)
     curve = BSpline(np.arange(len(places) + 3, dtype=float), places, 2)
     at = np.linspace(2.0, float(len(places)), 100 * (len(places) - 2) + 1)
     on = curve(at)
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(on, axis=0).T))])
     even = np.interp(np.arange(0.0, length[-1], CURVE_STEP_M), length, at)
     way = curve(even), curve.derivative(1)(even)
-    itinerary = _begin(way, altitude, speed, turn_rate)
-    _follow(itinerary, way, altitude)
+    itinerary = _begin(way, pace)
+    _follow(itinerary, way)
     return itinerary
 
 
@@ -298,17 +290,17 @@ def _bend(before: Array, after: Array) -> float:
     return float(abs(turn))
 
 
-def _begin(curve: Curve, altitude: float, speed: float, turn_rate: float) -> Itinerary:
+def _begin(curve: Curve, pace: Pace) -> Itinerary:
     """At the first place of a curve, the bow along it."""
     places, tangents = curve
-    return Itinerary(np.array([*places[0], altitude, _courses(tangents)[0], 1.0]), speed, turn_rate)
+    return Itinerary(np.array([*places[0], pace.altitude, _courses(tangents)[0], 1.0]), pace)
 
 
-def _follow(itinerary: Itinerary, curve: Curve, altitude: float) -> None:
+def _follow(itinerary: Itinerary, curve: Curve) -> None:
     """Along a curve, the bow along it."""
     places, tangents = curve
     n = len(places)
-    states = np.column_stack([places, np.full(n, altitude), _courses(tangents), np.ones(n)])
+    states = np.column_stack([places, np.full(n, itinerary.pace.altitude), _courses(tangents), np.ones(n)])
     itinerary.turn(states[0, 3], along=True)
     itinerary.through(states)
 
