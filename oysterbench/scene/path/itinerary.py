@@ -15,7 +15,7 @@ KNOT_S = 0.1
 
 SMOOTHING_S = 0.5
 """Standard deviation in time of the Gaussian that rounds corners off: a thruster's and a hull's delay. Being a mean
-over time it makes nothing faster, and shifts nothing farther than 0.8 of it times the change of velocity."""
+over time it makes nothing faster, and shifts nothing farther than 0.4 of it times the change of velocity."""
 
 REACH = 4.0  # standard deviations that the Gaussian goes to
 
