@@ -100,3 +100,11 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"shared data is absent: {folder} (set OYSTERBENCH_SHARED_DATA)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def dive_file(tmp_path_factory) -> Path:
+    """A hand-made dive with every kind of sensor."""
+    from hand_made_dive import write_dive
+
+    return write_dive(tmp_path_factory.mktemp("dive") / "hand-made.mcap")

@@ -31,7 +31,8 @@ class CameraCalibration:
 
 @dataclass(frozen=True)
 class ImuCalibration:
-    """Continuous noise densities, bias random walks, 1-sigma turn-on biases (units as in `recipe.ImuRecipe`), pose."""
+    """Continuous noise densities, bias random walks, 1-sigma turn-on biases, and biases that wander as Gauss-Markov
+    processes of a stationary 1 sigma and a correlation time (units as in `recipe.ImuRecipe`); pose."""
 
     rate_hz: float
     gyro_noise_density: float
@@ -42,6 +43,10 @@ class ImuCalibration:
     accel_turn_on: float
     gravity: float  # m/s^2
     T_base_imu: Array
+    gyro_bias_instability: float = 0.0
+    gyro_bias_tau_s: float = 100.0
+    accel_bias_instability: float = 0.0
+    accel_bias_tau_s: float = 100.0
 
 
 @dataclass(frozen=True)

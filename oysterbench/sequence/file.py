@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 import zlib
@@ -34,6 +35,7 @@ DAMAGE = (
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER = struct.Struct("<BQQQI")  # opcode, length of what follows, start of the summary, of its offsets, its CRC
+CHECKSUM = "crc32"
 RECORD = struct.Struct("<BQ")  # opcode, length of what follows
 
 
@@ -92,8 +94,27 @@ def check_summary(file: IO[bytes]) -> None:
         raise ValueError("its index is outside it")
     file.seek(start)
     # The CRC covers the footer as well, up to the CRC itself.
-    if zlib.crc32(file.read(size - tail - start) + end[: FOOTER.size - 4]) != crc:
+    # Zero says that there is none: a file of another program.
+    if crc and zlib.crc32(file.read(size - tail - start) + end[: FOOTER.size - 4]) != crc:
         raise ValueError("the CRC of its index is wrong")
+
+
+def checksum(values: Mapping[str, str]) -> str:
+    """CRC of the values of a metadata record, which MCAP leaves unprotected."""
+    return f"{zlib.crc32(json.dumps(dict(values), sort_keys=True).encode()):08x}"
+
+
+def read_metadata(reader: McapReader) -> dict[str, dict[str, str]]:
+    """Metadata records that `SequenceWriter` wrote, by name. Raises ValueError where a checksum is wrong."""
+    found = {}
+    for record in reader.iter_metadata():
+        if CHECKSUM not in record.metadata:
+            continue  # of another program
+        values = {key: value for key, value in record.metadata.items() if key != CHECKSUM}
+        if record.metadata[CHECKSUM] != checksum(values):
+            raise ValueError(f"the CRC of the metadata {record.name!r} is wrong")
+        found[record.name] = values
+    return found
 
 
 def read_attachment(file: IO[bytes], offset: int) -> tuple[str, bytes]:

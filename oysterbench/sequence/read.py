@@ -30,6 +30,7 @@ from oysterbench.sequence.file import (
     damaged,
     read_attachments,
     read_messages,
+    read_metadata,
     summary_of,
 )
 from oysterbench.sequence.types import Sequence
@@ -63,7 +64,7 @@ class McapSequence(Sequence):
             raise SequenceError(f"{self.path}: no such file; expected a sequence (.mcap) or an EuRoC folder")
         with Reading(self.path) as reader:
             summary = summary_of(self.path, reader)
-            records = {record.name: record.metadata for record in reader.iter_metadata()}
+            records = read_metadata(reader)
             self.attachments: Mapping[str, bytes] = Attachments(self.path, summary)
             if METADATA not in records or CALIBRATION not in self.attachments:
                 raise SequenceError(f"{self.path}: an MCAP file, but not a sequence written by oysterbench")

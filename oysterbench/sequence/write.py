@@ -8,7 +8,8 @@ from typing import IO
 
 from mcap.writer import CompressionType, Writer
 
-from oysterbench.sequence.topics import EPOCH_NS, Message, channel_metadata, schema
+from oysterbench.sequence.file import CHECKSUM, checksum
+from oysterbench.sequence.wire import EPOCH_NS, Message, channel_metadata, schema
 from oysterbench.version import VERSION
 
 CHUNK_BYTES = 4_000_000
@@ -24,7 +25,7 @@ class SequenceWriter:
     def __init__(self, output: IO[bytes], types: Mapping[str, str], compress: bool = True) -> None:
         """types: topic -> message type, in the order in which the channels are registered."""
         compression = CompressionType.ZSTD if compress else CompressionType.NONE
-        self._writer = Writer(output, chunk_size=CHUNK_BYTES, compression=compression)
+        self._writer = Writer(output, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True)
         # The name of the library in the header must not change the bytes with its patch releases.
         self._writer.start(profile="ros2", library="oysterbench")
         schemas: dict[str, int] = {}
@@ -53,8 +54,8 @@ class SequenceWriter:
         self._counts[message.topic] += 1
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record."""
-        self._writer.add_metadata(name, dict(values))
+        """Add a metadata record, with a checksum of its own among the values: MCAP has none for it."""
+        self._writer.add_metadata(name, {**values, CHECKSUM: checksum(values)})
 
     def attachment(self, name: str, media_type: str, data: bytes) -> None:
         """Add an attachment."""

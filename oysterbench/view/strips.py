@@ -106,7 +106,7 @@ def _curve(x: Array, y: Array, known_at: NDArray[np.bool_]) -> str:
 
 def _ticks(low: float, high: float) -> list[tuple[float, float]]:
     """Round values between two bounds, and their height on the plot."""
-    values = _round_values(low, high, 3)
+    values = _round_values(low, high, 4)
     return [(value, TOP + (high - value) / (high - low) * (HEIGHT - TOP - BOTTOM)) for value in values]
 
 
