@@ -13,8 +13,9 @@ from oysterbench.recipe import LampRecipe
 from oysterbench.render import blur, lamps
 from oysterbench.render.camera import CameraRenderer
 from oysterbench.render.caustics import Waves
-from oysterbench.render.radiance import Daylight
-from oysterbench.render.water import build_water
+from oysterbench.render.light import Light, sun_fan
+from oysterbench.render.radiance import Daylight, solve_daylight
+from oysterbench.render.water import IMAGE_CONE_RAD, build_water
 
 LAMP = LampRecipe(intensity_cd=1000.0, half_angle_deg=50.0, edge_deg=20.0, pitch_deg=90.0)
 NIGHT = {"daylight": 0.0}
@@ -150,3 +151,59 @@ def test_the_blur_of_an_even_picture_is_that_picture():
     result = wp.zeros((50, 70), dtype=wp.vec3)
     blur.Blur((50, 70), 200.0, 0.05, "cpu").spread(even, result)
     assert result.numpy() == pytest.approx(even.numpy(), rel=1e-5)
+
+
+@pytest.mark.parametrize(("jerlov", "depth_m"), [("IB", 4.0), ("3C", 2.0), ("5C", 2.0), ("7C", 1.0), ("9C", 1.0)])
+def test_the_suns_fan_is_as_wide_as_the_discrete_ordinates_find(jerlov, depth_m):
+    # A high sun, whose field is the same all around it, and no sky.
+    light = Light(np.array([0.0, 0.0, 1.0]), 1.0, 0.0)
+    water = build_water(small_reef(water={"jerlov": jerlov}).water, Daylight(0.9999, 0.0), 6.0)
+    field = solve_daylight(float(water.absorption[1]), float(water.scattering[1]), 0.92, Daylight(0.9999, 0.0))
+    turned = np.sort(np.arccos(sun_fan(light, water, depth_m)[:, 2].astype(float)))
+
+    def within(angle):
+        cosines = np.linspace(np.cos(angle), 1.0, 4001)
+        radiance = field.radiance(np.array([depth_m]), cosines)[0]
+        unscattered = field.beam * np.exp(-field.rates[-1] * depth_m)
+        return 2 * np.pi * np.trapezoid(radiance * cosines, cosines) + unscattered
+
+    for angle in (0.15, 0.3, 0.5):
+        expected = within(angle) / within(IMAGE_CONE_RAD)
+        assert np.mean(turned < angle) == pytest.approx(expected, abs=0.04 + 1 / 16)
+
+
+def test_shadows_are_sharp_in_clear_water_and_soft_where_sunlight_is_scattered():
+    moved = []
+    for jerlov in ("I", "3C", "9C"):
+        recipe = small_reef({"relief_rms_m": 0.0, "oysters": 400}, {"jerlov": jerlov}, {"sky_fraction": 0.2})
+        renderer = renderer_of(recipe)
+        shaded = []
+        for layer in ("radiance", "clean"):  # with the water's fan, and with the sun alone
+            renderer.layers(pose(0.0, 0.0, -2.0, 0, 90), [layer])
+            shaded.append(renderer._lit.numpy() == 0)
+        assert shaded[1].mean() > 0.01
+        moved.append(np.mean(shaded[0] != shaded[1]) / np.mean(shaded[1]))
+    assert moved[0] < 0.02
+    assert 0.2 < moved[1] < moved[2]
+
+
+def test_caustics_do_not_repeat_over_the_reef():
+    recipe = small_reef({**FLAT, "size_m": 20.0}, {"jerlov": "I"}, {"wind_m_s": 4.0})
+    still = dataclasses.replace(recipe, light=dataclasses.replace(recipe.light, wind_m_s=0.0))
+    period = 4.0
+    places = [(x, y) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)]
+    world = world_of(recipe)
+    waves, flat = (CameraRenderer(world, CAMERA, r) for r in (recipe, still))
+
+    def pattern(x, y):
+        top = pose(x, y, -1.5, 0, 90)
+        lit, even = (r.layers(top, ["clean"], time_s=2.0)["clean"][..., 1] for r in (waves, flat))
+        return (lit / even)[20:100, 20:140].ravel()
+
+    alike = []
+    for x, y in places:
+        here = pattern(x, y)
+        for dx, dy in ((period, 0.0), (0.0, period), (period, period)):
+            alike.append(np.corrcoef(here, pattern(x + dx, y + dy))[0, 1])
+    assert np.mean(alike) < 0.5, "a quarter of the light at most is the same a period away"
+    assert np.corrcoef(pattern(0.0, 0.0), pattern(0.0, 0.0))[0, 1] > 0.999
