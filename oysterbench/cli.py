@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli_reading import Reading, reading_options
 from oysterbench.errors import OysterbenchError
 from oysterbench.version import VERSION
 
@@ -78,8 +79,9 @@ def main() -> None:
 @click.option("--track", type=click.Choice(TRACKS), required=True, help="What is evaluated.")
 @click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.  [default: slam-mini]")
 @click.option("--method", "method_names", multiple=True, help="A method; repeatable.  [default: the track's baselines]")
-@click.option("--truth", type=click.Path(path_type=Path), help="Score files: the true trajectory (TUM or EuRoC).")
+@click.option("--truth", type=click.Path(path_type=Path), help="Score files: the true trajectory.")
 @click.option("--estimate", type=click.Path(path_type=Path), help="Score files: the estimated trajectory.")
+@reading_options
 @click.option("--align", type=click.Choice(ALIGNMENTS), default="posyaw", show_default=True, help="How it is aligned.")
 @click.option(
     "--associate", type=click.Choice(ASSOCIATIONS), default="interpolate", show_default=True, help="How stamps meet."
@@ -95,6 +97,7 @@ def eval_command(
     method_names: tuple[str, ...],
     truth: Path | None,
     estimate: Path | None,
+    reading: Reading,
     align: str,
     associate: str,
     out: Path | None,
@@ -113,6 +116,8 @@ def eval_command(
     """
     if (truth is None) != (estimate is None):
         raise click.UsageError("--truth and --estimate belong together: expected both or none")
+    if truth is None and reading.given:
+        raise click.UsageError(f"{', '.join(reading.given)}: says how to read files, but no --truth and --estimate are")
     if truth is not None and (split_name or method_names or workers):
         raise click.UsageError("--truth and --estimate score two files: --split, --method and --workers do not apply")
 
@@ -124,7 +129,7 @@ def eval_command(
     if truth is not None and estimate is not None:
         from oysterbench.tracks import score_files
 
-        runs = [score_files(truth, estimate, settings)]
+        runs = [score_files(truth, estimate, settings, *reading.options())]
     else:
         from oysterbench.generate import split_folder
         from oysterbench.methods import find_method

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 
 from oysterbench.errors import MethodError, OysterbenchError, TrajectoryError
+from oysterbench.evaluate.inputs import read_pair
 from oysterbench.evaluate.slam import EVALUATOR, SlamResult, SlamSettings, score
 from oysterbench.generate import digest
 from oysterbench.methods import Method, run_method
@@ -16,7 +17,7 @@ from oysterbench.recipe import SplitRecipe
 from oysterbench.report import SlamRun
 from oysterbench.results import ResultRecord
 from oysterbench.sequence import Sequence, open_sequence
-from oysterbench.trajectory import Trajectory, read_trajectory, write_tum
+from oysterbench.trajectory import ReadOptions, Trajectory, write_tum
 
 FRAMES_IN_REPORT = 6
 FRAME_WIDTH = 480  # px, in the report
@@ -89,9 +90,17 @@ def _run(
     )
 
 
-def score_files(truth: Path, estimate: Path, settings: SlamSettings) -> SlamRun:
-    """Score one trajectory file against another."""
-    result = score(read_trajectory(truth), read_trajectory(estimate), settings)
+def score_files(
+    truth: Path,
+    estimate: Path,
+    settings: SlamSettings,
+    truth_options: ReadOptions | None = None,
+    estimate_options: ReadOptions | None = None,
+) -> SlamRun:
+    """Score one trajectory file against another; the options say what the files leave open."""
+    any_scale = settings.align in ("sim3", "scale")
+    pair = read_pair(truth, estimate, truth_options, estimate_options, settings.time_offset_s, any_scale)
+    result = score(*pair, settings)
     record = ResultRecord(
         track="slam",
         split="",

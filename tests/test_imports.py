@@ -38,7 +38,21 @@ MAY_IMPORT = {
     "plots": GROUND,
     "report": GROUND | {"evaluate", "results", "page", "plots"},
     "tracks": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report"},
-    "cli": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report", "tracks", "gallery", "scene", "view"},
+    "cli_reading": {"trajectory", "geometry"},
+    "cli": GROUND
+    | {
+        "cli_reading",
+        "sequence",
+        "generate",
+        "methods",
+        "evaluate",
+        "results",
+        "report",
+        "tracks",
+        "gallery",
+        "scene",
+        "view",
+    },
     "": {"sequence", "version"},
 }
 """Room of oysterbench (module or folder; "" is `oysterbench/__init__.py`) -> rooms that it may import."""

@@ -75,7 +75,7 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
     settings = settings or SlamSettings()
     truth = check_trajectory(truth, "truth")
     estimate = check_trajectory(estimate, "estimate")
-    notes: list[str] = []
+    notes = [*truth.notes, *estimate.notes]
     measures = Measures()
 
     if settings.time_offset_s == "estimate":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,9 @@ from scipy.spatial.transform import Rotation
 from oysterbench.errors import TrajectoryError
 from oysterbench.geometry import Array, Similarity, align_umeyama, align_yaw, rotation_angle, spread
 from oysterbench.trajectory import Trajectory, ns_to_seconds
+from oysterbench.trajectory.checks import NORM_TOLERANCE
 
 MIN_POSES = 2
-NORM_TOLERANCE = 2e-3
-"""Of a quaternion's norm: three written decimals err by 1e-3 at most."""
-
 MAX_POSITION_M = 1e9
 """Farther from the origin an estimate has diverged; its square would soon leave what a float64 holds."""
 MAX_STAMP_NS = 2**62
@@ -50,8 +49,10 @@ def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
             f"{name}: expected unit quaternions x y z w, got norm {norms[i]:.4g} at {_pose(trajectory, i)}"
             f"{_others(wrong)}; check the order of the columns or normalise them"
         )
-    return Trajectory(
-        trajectory.stamps_ns.astype(np.int64), trajectory.positions, trajectory.quaternions / norms[:, None]
+    return replace(
+        trajectory,
+        stamps_ns=trajectory.stamps_ns.astype(np.int64, copy=False),
+        quaternions=trajectory.quaternions / norms[:, None],
     )
 
 

@@ -225,7 +225,10 @@ def _kitti(table: Table, path: Path, options: ReadOptions) -> Trajectory:
             f"as many poses ({len(table)})"
         )
     if len(options.times) != len(table):
-        raise TrajectoryError(f"{path}: expected a time for each of {len(table)} poses, got {len(options.times)} times")
+        raise TrajectoryError(
+            f"{path}: expected a time for each of {len(table)} poses, got {len(options.times)} times; give a file with "
+            "one time a line (--times FILE)"
+        )
     rotations = table.values[:, KITTI_MATRIX].reshape(-1, 3, 3)
     with np.errstate(over="ignore", invalid="ignore"):
         products = np.einsum("nki,nkj->nij", rotations, rotations)

@@ -105,7 +105,7 @@ def test_quaternions_in_another_order_are_suspected():
 
 
 def test_poses_of_a_camera_are_suspected():
-    optical = Rotation.from_euler("zyx", [-90, 0, -90], degrees=True)
+    optical = Rotation.from_euler("ZYX", [-90, 0, -90], degrees=True)
     camera = replace(walk(), quaternions=(Rotation.from_quat(walk().quaternions) * optical).as_quat())
     (note,) = score(walk(), camera, SlamSettings(align="none")).notes
     assert "one constant turn of 120.0 deg" in note
