@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -15,12 +13,13 @@ import warp as wp
 from numpy.typing import NDArray
 
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe
-from oysterbench.render import blur, caustics, edges, kernels, lamps, occlusion, sensor, snow, visibility
+from oysterbench.render import blur, caustics, edges, kernels, lamps, occlusion, rays, sensor, snow, visibility
 from oysterbench.render.casting import Hit
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.light import build_light, exposure, sky_fan, sun_fan
 from oysterbench.render.optics import Optics
 from oysterbench.render.radiance import Daylight
+from oysterbench.render.target import start_warp
 from oysterbench.render.upload import upload_geometry, upload_looks, upload_optics, upload_vehicle, without_water
 from oysterbench.render.view import View
 from oysterbench.render.water import build_water
@@ -31,7 +30,7 @@ from oysterbench.scene.world import World
 Pose = NDArray[np.float64]
 
 DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
-MODULES = (kernels, edges, occlusion, sensor, lamps, caustics, snow, blur, visibility)
+MODULES = (kernels, edges, occlusion, sensor, lamps, caustics, snow, blur, visibility, rays)
 LAYERS = (
     "radiance",
     "clean",
@@ -64,7 +63,7 @@ class Frame:
 
 def warm_up(device: str = "cpu") -> None:
     """Compile and load the kernels, into Warp's cache, so that processes started later find them there."""
-    _start_warp()
+    start_warp()
     for module in MODULES:
         wp.load_module(module, device=device)
 
@@ -84,7 +83,7 @@ class CameraRenderer:
         device: str = "cpu",
         rig: RigRecipe | None = None,
     ) -> None:
-        _start_warp()
+        start_warp()
         self.camera = camera
         self.device = device
         self.seconds: dict[str, float] = defaultdict(float)
@@ -327,17 +326,3 @@ class CameraRenderer:
         start = time.process_time()
         yield
         self.seconds[name] += time.process_time() - start
-
-
-def _start_warp() -> None:
-    """Start Warp without its greeting, and without its native warning where there is no CUDA driver."""
-    wp.config.log_level = wp.LOG_ERROR
-    sys.stderr.flush()
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        wp.init()
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)

@@ -9,9 +9,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from oysterbench.geometry import Array
-from oysterbench.render.camera import _start_warp
 from oysterbench.render.casting import NOTHING, Geometry, cast, surface_normal
-from oysterbench.render.target import KERNEL_OPTIONS
+from oysterbench.render.target import KERNEL_OPTIONS, start_warp
 from oysterbench.render.upload import upload_geometry
 from oysterbench.scene.world import World
 
@@ -40,7 +39,7 @@ class RayCaster:
     """Casts rays into a world, which goes to the device once. The vehicle is not in it: it carries the sensors."""
 
     def __init__(self, world: World, device: str = "cpu") -> None:
-        _start_warp()
+        start_warp()
         self.world = world
         self.device = device
         self._geometry, self._kept = upload_geometry(world, device)

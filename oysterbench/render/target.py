@@ -1,9 +1,13 @@
-"""What kernels are compiled for: one arithmetic on every processor."""
+"""Warp, and what its kernels are compiled for: one arithmetic on every processor."""
 
 from __future__ import annotations
 
+import os
 import platform
+import sys
 from typing import Any
+
+import warp as wp
 
 COMPILER_FLAGS = "-mllvm=-inline-threshold=100000 -mllvm=-inline-cold-callsite-threshold=100000"
 if platform.machine() in ("x86_64", "AMD64"):
@@ -18,3 +22,17 @@ KERNEL_OPTIONS: dict[str, Any] = {
     "enable_backward": False,
 }
 """Options of every module with kernels."""
+
+
+def start_warp() -> None:
+    """Start Warp without its greeting, and without its native warning where there is no CUDA driver."""
+    wp.config.log_level = wp.LOG_ERROR
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
