@@ -6,9 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+
+SMALL_ARC_RAD = 1e-7
+"""On a shorter arc the chord is the arc, to the last bit of a float64."""
+
+
+BLOCK = 1 << 14
+"""Poses that are worked on at once: what they need stays in the processor's cache."""
+
+CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+"""Times a unit quaternion: its inverse."""
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
@@ -54,12 +64,31 @@ def interpolate_poses(
         raise ValueError("interpolation outside the trajectory's time span")
     if len(stamps_ns) == 1:
         return np.repeat(positions, len(at_ns), axis=0), np.repeat(quaternions, len(at_ns), axis=0)
-    # Seconds from the first stamp: nanoseconds of an epoch do not fit a float64, differences do.
-    known = (stamps_ns - stamps_ns[0]) * 1e-9
-    wanted = (at_ns - stamps_ns[0]) * 1e-9
-    at_positions = np.column_stack([np.interp(wanted, known, positions[:, k]) for k in range(3)])
-    at_rotations = Slerp(known, Rotation.from_quat(quaternions))(np.minimum(wanted, known[-1]))
-    return at_positions, at_rotations.as_quat()
+    low = np.clip(np.searchsorted(stamps_ns, at_ns, side="right") - 1, 0, len(stamps_ns) - 2)
+    at_positions, at_quaternions = np.empty((len(at_ns), 3)), np.empty((len(at_ns), 4))
+    for begin in range(0, len(at_ns), BLOCK):
+        part = slice(begin, begin + BLOCK)
+        i, j = low[part], low[part] + 1
+        # Differences of stamps are exact, and fit a float64; nanoseconds of an epoch do not.
+        share = ((at_ns[part] - stamps_ns[i]) / (stamps_ns[j] - stamps_ns[i]))[:, None]
+        at_positions[part] = (1.0 - share) * np.take(positions, i, axis=0) + share * np.take(positions, j, axis=0)
+        at_quaternions[part] = _slerp(np.take(quaternions, i, axis=0), np.take(quaternions, j, axis=0), share)
+    return at_positions, at_quaternions
+
+
+def _slerp(begin: Array, end: Array, share: Array) -> Array:
+    """Unit quaternions (N, 4) on the shorter arc from `begin` to `end`, at shares (N, 1) of it (Shoemake 1985)."""
+    end = np.where(np.einsum("ij,ij->i", begin, end)[:, None] < 0, -end, end)
+    apart, together = begin - end, begin + end
+    # The angle between the quaternions, half of that between the attitudes: exact where an arc cosine is not.
+    angle = 2.0 * np.arctan2(
+        np.sqrt(np.einsum("ij,ij->i", apart, apart)), np.sqrt(np.einsum("ij,ij->i", together, together))
+    )
+    angle = angle[:, None]
+    with np.errstate(invalid="ignore"):
+        weight = np.where(angle > SMALL_ARC_RAD, np.sin(share * angle) / np.sin(angle), share)
+        rest = np.where(angle > SMALL_ARC_RAD, np.sin((1.0 - share) * angle) / np.sin(angle), 1.0 - share)
+    return rest * begin + weight * end
 
 
 def left_product(quaternion: ArrayLike) -> Array:
@@ -73,21 +102,21 @@ def rotation_angle(quaternions_a: Array, quaternions_b: Array) -> Array:
 
     From sine and cosine of the half angle, exact near 0 and near pi, where an arc cosine is not.
     """
-    va, wa, vb, wb = quaternions_a[:, :3], quaternions_a[:, 3:], quaternions_b[:, :3], quaternions_b[:, 3:]
-    sine = np.linalg.norm(wa * vb - wb * va - np.cross(va, vb), axis=1)
-    cosine = np.abs(np.einsum("ij,ij->i", quaternions_a, quaternions_b))
-    return np.asarray(2.0 * np.arctan2(sine, cosine))
+    x, y, z, w = quaternion_product(quaternions_a * CONJUGATE, quaternions_b).T
+    return np.asarray(2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)))
 
 
 def quaternion_product(a: Array, b: Array) -> Array:
     """a * b of quaternions (N, 4) x y z w: the rotation b followed by a."""
-    ax, ay, az, aw = a.T
-    bx, by, bz, bw = b.T
-    product = np.empty_like(b)
-    product[:, 0] = aw * bx + ax * bw + ay * bz - az * by
-    product[:, 1] = aw * by - ax * bz + ay * bw + az * bx
-    product[:, 2] = aw * bz + ax * by - ay * bx + az * bw
-    product[:, 3] = aw * bw - ax * bx - ay * by - az * bz
+    product = np.empty((4, len(b))).T
+    for begin in range(0, len(b), BLOCK):
+        part = slice(begin, begin + BLOCK)
+        ax, ay, az, aw = np.ascontiguousarray(a[part].T)
+        bx, by, bz, bw = np.ascontiguousarray(b[part].T)
+        product[part, 0] = aw * bx + ax * bw + ay * bz - az * by
+        product[part, 1] = aw * by - ax * bz + ay * bw + az * bx
+        product[part, 2] = aw * bz + ax * by - ay * bx + az * bw
+        product[part, 3] = aw * bw - ax * bx - ay * by - az * bz
     return product
 
 
@@ -101,11 +130,12 @@ class Similarity:
 
     def apply(self, points: Array) -> Array:
         """Transform (N, 3) points."""
-        return self.scale * points @ self.rotation.T + self.translation
+        # einsum, as the matrix product of BLAS takes ten times as long for so narrow a matrix.
+        return np.einsum("ij,kj->ik", points, self.scale * self.rotation) + self.translation
 
     def rotate(self, quaternions: Array) -> Array:
         """Attitudes (N, 4) turned from the left: body to the estimate's world becomes body to the reference's."""
-        return quaternions @ left_product(Rotation.from_matrix(self.rotation).as_quat()).T
+        return np.einsum("ij,kj->ik", quaternions, left_product(Rotation.from_matrix(self.rotation).as_quat()))
 
 
 IDENTITY = Similarity(np.eye(3), np.zeros(3))
@@ -129,7 +159,22 @@ Umeyama's scale of a stuck estimate is its noise blown up to the reference (1e8 
 
 def spread(points: Array) -> float:
     """Root mean square distance in m of points (N, K) from their mean."""
-    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+    centred = points - centroid(points)
+    return float(np.sqrt(np.einsum("ij,ij->", centred, centred) / len(points)))
+
+
+def centroid(points: Array) -> Array:
+    """Mean (K,) of points (N, K), column by column, as numpy sums those exactly to the last digits and quickly."""
+    return np.array([points[:, k].mean() for k in range(points.shape[1])])
+
+
+def covariance(points_a: Array, points_b: Array) -> Array:
+    """(K, K) mean of a b^T over points (N, K), each set less its own mean.
+
+    einsum's sums, unlike those of BLAS, are the same on any number of threads.
+    """
+    a, b = points_a - centroid(points_a), points_b - centroid(points_b)
+    return np.einsum("ni,nj->ij", a, b) / len(a)
 
 
 def align_origin(reference: Array, estimate: Array) -> Similarity:
@@ -146,10 +191,8 @@ def align_umeyama(reference: Array, estimate: Array, with_scale: bool = False) -
     """
     _check_matched(reference, estimate)
     _check_motion(spread(reference), spread(estimate))
-    mean_reference, mean_estimate = reference.mean(axis=0), estimate.mean(axis=0)
-    centred_reference, centred_estimate = reference - mean_reference, estimate - mean_estimate
-    covariance = centred_reference.T @ centred_estimate / len(reference)
-    u, d, vt = np.linalg.svd(covariance)
+    mean_reference, mean_estimate = centroid(reference), centroid(estimate)
+    u, d, vt = np.linalg.svd(covariance(reference, estimate))
     if d[1] <= MIN_SPREAD_RATIO**2 * d[0]:
         raise ValueError("the points lie on one line: nothing determines the rotation about it")
     signs = np.ones(3)
@@ -158,7 +201,7 @@ def align_umeyama(reference: Array, estimate: Array, with_scale: bool = False) -
     rotation = u @ np.diag(signs) @ vt
     scale = 1.0
     if with_scale:
-        scale = float(np.sum(d * signs) / np.mean(np.sum(centred_estimate**2, axis=1)))
+        scale = float(np.sum(d * signs)) / spread(estimate) ** 2
     return Similarity(rotation, mean_reference - scale * rotation @ mean_estimate, scale)
 
 
@@ -169,17 +212,18 @@ def align_yaw(reference: Array, estimate: Array) -> Similarity:
     the points do not differ horizontally, so that yaw is not determined.
     """
     _check_matched(reference, estimate)
-    mean_reference, mean_estimate = reference.mean(axis=0), estimate.mean(axis=0)
-    p, q = (reference - mean_reference)[:, :2], (estimate - mean_estimate)[:, :2]
-    _check_motion(spread(p), spread(q), "horizontally ")
-    if spread(p) < MIN_SPREAD_RATIO * spread(reference):
+    mean_reference, mean_estimate = centroid(reference), centroid(estimate)
+    level, flat = spread(reference[:, :2]), spread(estimate[:, :2])
+    _check_motion(level, flat, "horizontally ")
+    if level < MIN_SPREAD_RATIO * spread(reference):
         raise ValueError(
-            f"the reference moves straight up or down: it spreads {spread(p):.3g} m horizontally against "
+            f"the reference moves straight up or down: it spreads {level:.3g} m horizontally against "
             f"{spread(reference):.3g} m in all, so that yaw is not determined"
         )
-    cosine = float(np.vdot(p, q))
-    sine = float(np.sum(p[:, 1] * q[:, 0] - p[:, 0] * q[:, 1]))
-    if np.hypot(cosine, sine) <= np.finfo(float).eps * len(p) * spread(p) * spread(q):
+    products = covariance(reference[:, :2], estimate[:, :2])
+    cosine = float(products[0, 0] + products[1, 1])
+    sine = float(products[1, 0] - products[0, 1])
+    if np.hypot(cosine, sine) <= np.finfo(float).eps * level * flat:
         raise ValueError("the points have no horizontal direction in common: yaw is not determined")
     rotation = Rotation.from_euler("z", np.arctan2(sine, cosine)).as_matrix()
     return Similarity(rotation, mean_reference - rotation @ mean_estimate)
@@ -193,11 +237,9 @@ def align_scale(reference: Array, estimate: Array) -> Similarity:
     """
     _check_matched(reference, estimate)
     _check_motion(spread(reference), spread(estimate))
-    centred_estimate = estimate - estimate.mean(axis=0)
-    covariance = (reference - reference.mean(axis=0)).T @ centred_estimate / len(reference)
-    u, d, vt = np.linalg.svd(covariance)
+    u, d, vt = np.linalg.svd(covariance(reference, estimate))
     d[2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))
-    return Similarity(np.eye(3), np.zeros(3), float(np.sum(d) / np.mean(np.sum(centred_estimate**2, axis=1))))
+    return Similarity(np.eye(3), np.zeros(3), float(np.sum(d)) / spread(estimate) ** 2)
 
 
 def _check_matched(reference: Array, estimate: Array) -> None:

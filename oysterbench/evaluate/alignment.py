@@ -16,6 +16,7 @@ from oysterbench.geometry import (
     align_scale,
     align_umeyama,
     align_yaw,
+    covariance,
     spread,
 )
 from oysterbench.trajectory import Trajectory
@@ -85,17 +86,15 @@ def _weigh_rotation(truth: Array, estimate: Array, fit: Similarity, align: Align
     direction thus leaves the turn about it uncertain by r / sqrt(d_2 + d_3). Errors of trajectories go together over
     time, so their number does not divide that.
     """
-    centred_truth = truth - truth.mean(axis=0)
     fitted = fit.apply(estimate)
-    covariance = centred_truth.T @ (fitted - fitted.mean(axis=0)) / len(truth)
-    u, d, vt = np.linalg.svd(covariance)
+    u, d, vt = np.linalg.svd(covariance(truth, fitted))
     d[2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))
     stiffness = max(d[1] + d[2], 0.0)
-    across = (fitted - truth) @ u[:, 1:]
+    across = np.einsum("ni,ij->nj", fitted - truth, u[:, 1:])
     error_m = float(np.sqrt(np.mean(across**2)))
     sigma = _ratio(error_m, np.sqrt(stiffness))
     notes: tuple[str, ...] = ()
-    variances = np.linalg.eigvalsh(centred_truth.T @ centred_truth / len(truth))[::-1]
+    variances = np.linalg.eigvalsh(covariance(truth, truth))[::-1]
     width_m, length_m = np.sqrt(max(variances[1] + variances[2], 0.0)), np.sqrt(variances[0])
     if width_m < NARROW * length_m and sigma > SURE_RAD:
         line = (
@@ -119,12 +118,11 @@ def _weigh_yaw(truth: Array, estimate: Array, fit: Similarity) -> Alignment:
     A turn by a small angle about z costs N c / 2 angle^2, with c the mean product of the horizontal points.
     """
     fitted = fit.apply(estimate)
-    p = (truth - truth.mean(axis=0))[:, :2]
-    stiffness = max(float(np.vdot(p, fitted[:, :2] - fitted[:, :2].mean(axis=0))) / len(truth), 0.0)
+    stiffness = max(float(np.trace(covariance(truth[:, :2], fitted[:, :2]))), 0.0)
     error_m = float(np.sqrt(np.mean((fitted - truth)[:, :2] ** 2)))
     sigma = _ratio(error_m, np.sqrt(stiffness))
-    singular = np.linalg.eigvalsh(p.T @ p / len(p))[::-1]
-    total_m, level_m = spread(truth), spread(p)
+    singular = np.asarray(np.linalg.eigvalsh(covariance(truth[:, :2], truth[:, :2]))[::-1], dtype=float)
+    total_m, level_m = spread(truth), spread(truth[:, :2])
     notes: tuple[str, ...] = ()
     if level_m < NARROW * total_m and sigma > SURE_RAD:
         vertical = (

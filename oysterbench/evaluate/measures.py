@@ -169,8 +169,8 @@ def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures:
         all_pairs = (
             subpaths(path_m, length_m, settings.subpath_step) if total_m >= MIN_PATH_M else np.empty((0, 2), int)
         )
-        pairs = rank[all_pairs]
-        pairs = pairs[(pairs >= 0).all(axis=1)]
+        starts, ends = rank[all_pairs.T]
+        pairs = np.stack([starts, ends])[:, (starts >= 0) & (ends >= 0)].T
         possible += len(all_pairs)
         if not len(pairs):
             measures.missing(_no_subpath(length_m, total_m), key)
@@ -209,10 +209,10 @@ def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures:
 def _scale_ratios(truth: Trajectory, estimate: Trajectory, pairs: Index, least_m: float) -> Array:
     """Estimated over true distance between the ends of pairs (M, 2) that are truly least_m apart or more."""
     i, j = pairs[:, 0], pairs[:, 1]
-    true_m = np.linalg.norm(truth.positions[j] - truth.positions[i], axis=1)
+    true_m = _lengths(np.take(truth.positions, j, axis=0) - np.take(truth.positions, i, axis=0))
+    estimated_m = _lengths(np.take(estimate.positions, j, axis=0) - np.take(estimate.positions, i, axis=0))
     told = true_m >= least_m
-    estimated_m = np.linalg.norm(estimate.positions[j[told]] - estimate.positions[i[told]], axis=1)
-    return np.asarray(estimated_m / true_m[told])
+    return np.asarray(estimated_m[told] / true_m[told])
 
 
 def _no_subpath(length_m: float, total_m: float) -> str:
@@ -245,7 +245,8 @@ def _velocity(matched: Matched, settings: SlamSettings, measures: Measures) -> N
     i, j = pairs[:, 0], pairs[:, 1]
     off = matched.aligned.positions - matched.met.truth.positions
     seconds = (stamps[j] - stamps[i]) * 1e-9
-    measures["velocity_rmse_m_per_s"] = _rms(np.linalg.norm(off[j] - off[i], axis=1) / seconds)
+    off = np.take(off, j, axis=0) - np.take(off, i, axis=0)
+    measures["velocity_rmse_m_per_s"] = _rms(_lengths(off) / seconds)
 
 
 def _answers(matched: Matched, path_m: float, measures: Measures) -> None:
@@ -295,6 +296,11 @@ def _consistency(matched: Matched, covariances: Array, measures: Measures) -> No
         measures[f"within_3sigma_{part}"] = value.within_3sigma
 
 
+def _lengths(vectors: Array) -> Array:
+    """Lengths (N,) of vectors (N, 3)."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+
+
 def _spaced(name: str) -> str:
     """ "10deg" as "10 deg"."""
     return re.sub(r"(?<=[0-9.])(?=[a-z]+$)", " ", name)
@@ -302,4 +308,4 @@ def _spaced(name: str) -> str:
 
 def _rms(values: Array) -> float:
     """Root mean square; NaN for an empty sample."""
-    return float(np.sqrt(np.vdot(values, values) / len(values))) if len(values) else float("nan")
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

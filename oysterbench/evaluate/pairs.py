@@ -26,7 +26,7 @@ MAX_DIRECT = 20_000
 def pairs_over_frames(n: int, delta: int, consecutive: bool = False) -> Index:
     """Index pairs (M, 2) that are `delta` poses apart."""
     starts = np.arange(0, max(n - delta, 0), delta if consecutive else 1)
-    return np.column_stack([starts, starts + delta])
+    return _paired(starts, starts + delta)
 
 
 def pairs_over_time(stamps_ns: NDArray[np.int64], delta_s: float, consecutive: bool = False) -> Index:
@@ -46,7 +46,7 @@ def pairs_over_time(stamps_ns: NDArray[np.int64], delta_s: float, consecutive: b
     starts = np.arange(n)
     allowed_ns = min(TIME_TOLERANCE * delta_ns, 0.5 * float(np.median(np.diff(stamps_ns))))
     fits = (np.abs(stamps_ns[ends] - ends_ns) <= allowed_ns) & (ends > starts)
-    pairs = np.column_stack([starts[fits], ends[fits]])
+    pairs = _paired(starts[fits], ends[fits])
     return _chain(pairs) if consecutive else pairs
 
 
@@ -70,7 +70,7 @@ def pairs_along(axis: Array, delta: float, consecutive: bool = False) -> Index:
     # Of poses that stand in one place the first is meant.
     ends = np.maximum(np.searchsorted(axis, axis[low], side="left"), last + 1)
     fits = np.abs(axis[ends] - axis[:-1] - delta) <= TOLERANCE * delta
-    return np.column_stack([last[fits], ends[fits]])
+    return _paired(last[fits], ends[fits])
 
 
 def pairs_apart(quaternions: Array, delta_rad: float) -> Index:
@@ -108,7 +108,12 @@ def subpaths(distances_m: Array, length_m: float, step: int = 1, nearest: float 
         high = np.clip(ends, 1, n - 1)
         ends = high - (wanted - distances_m[high - 1] <= distances_m[high] - wanted)
         fits = (np.abs(distances_m[ends] - wanted) < nearest) & (ends > starts)
-    return np.column_stack([starts[fits], ends[fits]])
+    return _paired(starts[fits], ends[fits])
+
+
+def _paired(starts: NDArray[np.intp], ends: NDArray[np.intp]) -> Index:
+    """(M, 2) whose columns lie together in memory, as they are used one by one."""
+    return np.stack([starts, ends]).T
 
 
 def distances(positions: Array) -> Array:
@@ -130,7 +135,7 @@ def _follow(following: Index) -> Index:
         chain.append(here)
         here = onward[here]
     ids = np.array(chain, dtype=np.intp)
-    return np.column_stack([ids[:-1], ids[1:]])
+    return _paired(ids[:-1], ids[1:])
 
 
 def _chain(pairs: Index) -> Index:

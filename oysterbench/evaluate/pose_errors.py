@@ -8,11 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, quaternion_product
+from oysterbench.geometry import BLOCK, CONJUGATE, Array, quaternion_product
 from oysterbench.trajectory import Trajectory
 
 Index = NDArray[np.intp]
-CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -42,7 +41,7 @@ class PoseErrors:
     @cached_property
     def full(self) -> Array:
         """(N,) Frobenius norm of E - I, of metres and radians together. evo's full transformation."""
-        return np.asarray(np.hypot(self.translation_m, self.rotation_part))
+        return np.asarray(np.sqrt(self.translation_m**2 + self.rotation_part**2))
 
     @cached_property
     def yaw_rad(self) -> Array:
@@ -54,7 +53,7 @@ class PoseErrors:
     def tilt_rad(self) -> Array:
         """(N,) angle 0 to pi between the true vertical and the one that the estimate takes for it."""
         x, y, z, w = self.turn.T
-        return np.asarray(2.0 * np.arctan2(np.hypot(x, y), np.hypot(z, w)))
+        return np.asarray(2.0 * np.arctan2(np.sqrt(x * x + y * y), np.sqrt(z * z + w * w)))
 
 
 def absolute_errors(truth: Trajectory, estimate: Trajectory) -> PoseErrors:
@@ -72,11 +71,22 @@ def relative_errors(truth: Trajectory, estimate: Trajectory, pairs: Index, absol
     With H = P Q^-1 the turns of the absolute errors, |trans E| = |H_i^-1 (p_j - p_i) - (q_j - q_i)|, and
     H_j H_i^-1 is the rotation of E seen from the world: no pair needs a matrix.
     """
-    i, j = pairs[:, 0], pairs[:, 1]
-    turn_i = absolute.turn[i] * CONJUGATE
-    moved = _rotate(turn_i, estimate.positions[j] - estimate.positions[i])
-    moved -= truth.positions[j] - truth.positions[i]
-    return PoseErrors(np.sqrt(np.einsum("ij,ij->i", moved, moved)), quaternion_product(absolute.turn[j], turn_i))
+    translation_m = np.empty(len(pairs))
+    turn = np.empty((4, len(pairs))).T
+    for begin in range(0, len(pairs), BLOCK):
+        part = slice(begin, begin + BLOCK)
+        i, j = pairs[part, 0], pairs[part, 1]
+        turn_i = np.take(absolute.turn.T, i, axis=1).T * CONJUGATE
+        moved = _rotate(turn_i, _between(estimate.positions, i, j))
+        moved -= _between(truth.positions, i, j)
+        translation_m[part] = np.sqrt(np.einsum("ij,ij->i", moved, moved))
+        turn[part] = quaternion_product(np.take(absolute.turn.T, j, axis=1).T, turn_i)
+    return PoseErrors(translation_m, turn)
+
+
+def _between(points: Array, i: NDArray[np.intp], j: NDArray[np.intp]) -> Array:
+    """Vectors (M, 3) from points (N, 3) i to points j."""
+    return np.take(points, j, axis=0) - np.take(points, i, axis=0)
 
 
 def _rotate(quaternions: Array, vectors: Array) -> Array:
