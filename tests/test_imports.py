@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "calibration": GROUND | {"scene", "sensors"},
     "view": GROUND | {"sequence", "page"},
     "stage": GROUND | {"scene", "render", "sensors"},
-    "recording": GROUND | {"calibration", "sensors", "sequence", "stage"},
+    "recording": GROUND | {"scene", "calibration", "sensors", "sequence", "stage"},
     "generate": GROUND | {"calibration", "render", "sequence", "stage", "recording"},
     "gallery": GROUND | {"stage"},
     "methods": GROUND | {"sequence"},
