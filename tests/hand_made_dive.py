@@ -284,9 +284,7 @@ def write_dive(path: Path, seconds: float = 2.0, image_format: str = "png") -> P
         writer.metadata(METADATA, {"sequence": "hand-made", "split": "none", "split_version": "1.0"})
         writer.attachment(CALIBRATION, "application/json", json.dumps(calibration()).encode())
         writer.attachment(OYSTERS, "text/csv", b"id,state,x,y,z\n7,live,0.5,0.1,-3.0\n40000,box,0.8,-0.2,-3.0\n")
-        writer.attachment(
-            "rig.toml", "application/toml", b'[imu]\n[[camera]]\nname = "cam_left"\nclock_offset_ms = 4.0\n'
-        )
+        writer.attachment("rig.toml", "application/toml", RIG)
         for topic in types:
             for message in sent:
                 if message.topic == topic:

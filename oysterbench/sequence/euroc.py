@@ -17,7 +17,7 @@ from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
 from oysterbench.sequence.types import Sequence
 from oysterbench.trajectory import Trajectory, read_trajectory
 
-GRAVITY = 9.81  # m/s^2; the layout has no key for it
+GRAVITY = 9.81  # m/s^2; where the folder has no key for it, as the layout itself has none
 
 
 class EurocSequence(Sequence):
@@ -41,7 +41,7 @@ class EurocSequence(Sequence):
             accel_noise_density=_scalar(settings, "accelerometer_noise_density"),
             accel_random_walk=_scalar(settings, "accelerometer_random_walk"),
             accel_turn_on=0.1,
-            gravity=GRAVITY,
+            gravity=_scalar(settings, "gravity", GRAVITY),
             T_base_imu=np.eye(4),
         )
 
@@ -56,6 +56,7 @@ class EurocSequence(Sequence):
             matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]),
             distortion=_numbers(settings, "distortion_coefficients"),
             T_base_cam=_numbers(settings, "data").reshape(4, 4),
+            distortion_model="equidistant" if "equidistant" in settings.get("distortion_model", "") else "plumb_bob",
         )
 
     def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:

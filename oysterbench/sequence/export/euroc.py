@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.geometry import Array, invert
 from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
-from oysterbench.sequence.export.parts import numbers, sensor_poses, write_lines, write_png
+from oysterbench.sequence.export.parts import number, numbers, sensor_poses, write_lines, write_png
 from oysterbench.sequence.names import TRUTH
 from oysterbench.sequence.types import Sequence
 
@@ -77,11 +77,11 @@ def _imu_yaml(unit: ImuCalibration) -> list[str]:
         "comment: imu",
         *_pose_yaml(np.eye(4)),
         f"rate_hz: {unit.rate_hz:g}",
-        f"gyroscope_noise_density: {unit.gyro_noise_density!r}",
-        f"gyroscope_random_walk: {unit.gyro_random_walk!r}",
-        f"accelerometer_noise_density: {unit.accel_noise_density!r}",
-        f"accelerometer_random_walk: {unit.accel_random_walk!r}",
-        f"gravity: {unit.gravity!r}",  # not of the layout, which has none
+        f"gyroscope_noise_density: {number(unit.gyro_noise_density)}",
+        f"gyroscope_random_walk: {number(unit.gyro_random_walk)}",
+        f"accelerometer_noise_density: {number(unit.accel_noise_density)}",
+        f"accelerometer_random_walk: {number(unit.accel_random_walk)}",
+        f"gravity: {number(unit.gravity)}",  # not of the layout, which has none
     ]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from oysterbench.geometry import Array, invert
 from oysterbench.sequence.calibration import CameraCalibration
-from oysterbench.sequence.export.parts import numbers, write_lines
+from oysterbench.sequence.export.parts import number, numbers, write_lines
 from oysterbench.sequence.names import IMU
 from oysterbench.sequence.types import Sequence
 
@@ -27,19 +27,19 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
             notes.append(f"{name}: Kalibr's radtan has no k3: its {camera.distortion[4]:g} was left out")
         lines += [f"cam{index}:", *(f"  {line}" for line in _camera(sequence, name, camera, previous))]
         if name in shifts:
-            lines.append(f"  timeshift_cam_imu: {shifts[name]!r}")
+            lines.append(f"  timeshift_cam_imu: {number(shifts[name])}")
         previous = camera.T_base_cam
     write_lines(folder / "camchain-imucam.yaml", lines)
     unit = sequence.imu_calibration
     write_lines(
         folder / "imu.yaml",
         [
-            f"accelerometer_noise_density: {unit.accel_noise_density!r}",
-            f"accelerometer_random_walk: {unit.accel_random_walk!r}",
-            f"gyroscope_noise_density: {unit.gyro_noise_density!r}",
-            f"gyroscope_random_walk: {unit.gyro_random_walk!r}",
+            f"accelerometer_noise_density: {number(unit.accel_noise_density)}",
+            f"accelerometer_random_walk: {number(unit.accel_random_walk)}",
+            f"gyroscope_noise_density: {number(unit.gyro_noise_density)}",
+            f"gyroscope_random_walk: {number(unit.gyro_random_walk)}",
             f"rostopic: {IMU}",
-            f"update_rate: {unit.rate_hz!r}",
+            f"update_rate: {number(unit.rate_hz)}",
         ],
     )
     return notes

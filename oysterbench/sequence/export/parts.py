@@ -28,9 +28,15 @@ def write_png(path: Path, pixels: NDArray[Any]) -> None:
     path.write_bytes(data.tobytes())
 
 
+def number(value: float) -> str:
+    """A number of YAML 1.1 with all its digits: there `1e-05` is a text, and `1.0e-05` a number."""
+    text = repr(float(value))
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
 def numbers(values: ArrayLike) -> str:
-    """Numbers as a list of YAML, each with all its digits."""
-    return "[" + ", ".join(repr(float(value)) for value in np.ravel(values)) + "]"
+    """Numbers as a list of YAML."""
+    return "[" + ", ".join(number(value) for value in np.ravel(values)) + "]"
 
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:

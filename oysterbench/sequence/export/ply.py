@@ -61,6 +61,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
 def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[str]) -> NDArray[Any]:
     """(N,) POINT: the pixels with depth of all frames that the truth spans, in map, thinned to one per voxel."""
     rays = pixel_rays(sequence.cameras[camera])
+    known_rays = np.isfinite(rays[..., 0])
     images = sequence.images(camera)
     labels = {name: sequence.layer(camera, name) for name in ("class", "instance") if f"/{camera}/{name}" in topics}
     kept: list[NDArray[Any]] = []
@@ -70,7 +71,7 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
         image = next((image for image in images if image.stamp_ns >= depth.stamp_ns), None)
         if image is None or image.stamp_ns != depth.stamp_ns or not _spans(path, depth.stamp_ns):
             continue
-        seen = depth.pixels > 0
+        seen = (depth.pixels > 0) & known_rays
         points = _in_map(
             path, depth.stamp_ns, sequence.cameras[camera].T_base_cam, rays[seen] * depth.pixels[seen, None]
         )
@@ -101,7 +102,8 @@ def sonar_cloud(sequence: Sequence, sonar: str, path: Trajectory) -> NDArray[Any
 
 
 def pixel_rays(camera: CameraCalibration) -> Array:
-    """(H, W, 3): the point at depth 1 along the optical axis that each pixel's centre shows."""
+    """(H, W, 3): the point at depth 1 along the optical axis that each pixel's centre shows; NaN where the lens shows
+    nothing there."""
     columns, rows = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
     if camera.distortion_model == "equidistant":
         pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
@@ -118,14 +120,21 @@ def pixel_rays(camera: CameraCalibration) -> Array:
 def _without_distortion(distorted_x: Array, distorted_y: Array, coefficients: Array) -> tuple[Array, Array]:
     """Brown-Conrady undone, by fixed-point iteration from the distorted point, on the plane at depth 1."""
     k1, k2, p1, p2, k3 = np.pad(coefficients, (0, 5 - len(coefficients)))
-    x, y = distorted_x, distorted_y
-    for _ in range(60):
+
+    def bent(x: Array, y: Array) -> tuple[Array, Array, Array]:
+        """What the lens multiplies by, and what it adds."""
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        x, y = (
-            (distorted_x - 2.0 * p1 * x * y - p2 * (r2 + 2.0 * x * x)) / radial,
-            (distorted_y - p1 * (r2 + 2.0 * y * y) - 2.0 * p2 * x * y) / radial,
-        )
+        return radial, 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+
+    x, y = distorted_x, distorted_y
+    with np.errstate(all="ignore"):  # where the lens shows nothing, the iteration runs away
+        for _ in range(100):
+            radial, side, up = bent(x, y)
+            x, y = (distorted_x - side) / radial, (distorted_y - up) / radial
+        radial, side, up = bent(x, y)
+        found = np.hypot(x * radial + side - distorted_x, y * radial + up - distorted_y) < 1e-7
+    x, y = np.where(found, x, np.nan), np.where(found, y, np.nan)
     return x, y
 
 
