@@ -23,9 +23,6 @@ COVARIANCES = ("covariances", "covariance", "cov")
 MAX_BYTES = 2**33
 """Of the arrays together: an archive that claims more is damaged."""
 
-MAX_EXACT_NS = 2**53
-"""Nanoseconds up to which a float64 holds each of them."""
-
 
 def read_npz(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
     """`stamps_ns` (N,) int or `t` (N,) s, `positions` (N, 3), `quaternions` (N, 4), `covariances` (N, 6, 6) or none."""
@@ -102,8 +99,9 @@ def _stamps(
         )
     if stamps.dtype.kind in "iu":
         return np.asarray(stamps.astype(np.int64) * factor)
-    stamps_ns = np.rint(stamps.astype(np.float64) * factor).astype(np.int64)
-    if len(stamps_ns) and np.abs(stamps_ns).max() > MAX_EXACT_NS:
-        step = np.spacing(np.abs(stamps_ns).max().astype(float))
-        notes.append(f"{path}: {key!r} is float64, which holds these stamps to {step:.0f} ns only")
+    whole = np.floor(stamps.astype(np.float64))
+    stamps_ns = whole.astype(np.int64) * factor + np.rint((stamps - whole) * factor).astype(np.int64)
+    step_ns = float(np.spacing(np.abs(stamps).max(initial=0.0))) * factor
+    if step_ns > 1.0:
+        notes.append(f"{path}: {key!r} is {stamps.dtype}, which holds these stamps to {step_ns:.0f} ns only")
     return stamps_ns

@@ -46,6 +46,8 @@ class Columns:
     @property
     def numbers(self) -> list[int]:
         """Columns that must hold finite numbers, but for the stamp; each once, in the order of the file."""
+        if self.stamp is None:
+            return list(range(self.exact or 0))
         return sorted({*self.position, *self.quaternion, *self.covariance.values()})
 
     @property

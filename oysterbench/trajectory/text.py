@@ -241,5 +241,7 @@ def _kitti(table: Table, path: Path, options: ReadOptions) -> Trajectory:
             f"{off[i]:.2g}{others(wrong)}"
         )
     quaternions = Rotation.from_matrix(rotations).as_quat()
-    trajectory = Trajectory(np.asarray(options.times, dtype=np.int64), table.values[:, [3, 7, 11]].copy(), quaternions)
+    notes = (f"{path}: its {len(table)} poses carry no stamps and take the given times one to one",)
+    stamps_ns = np.asarray(options.times, dtype=np.int64)
+    trajectory = Trajectory(stamps_ns, table.values[:, [3, 7, 11]].copy(), quaternions, notes=notes)
     return checked_poses(trajectory, str(path), table.where, options.sort)
