@@ -142,6 +142,14 @@ def test_a_sensor_name_is_good_for_topics_and_given_once(name, message):
         parse_split(TINY_SPLIT, "tiny.toml", rig_source=rig)
 
 
+@pytest.mark.parametrize("key", ["sonar", "scanner", "altimeter", "dvl"])
+def test_a_reach_that_ends_before_it_begins_is_refused(key):
+    head = f"[{key}]\n" if key == "dvl" else f'[[{key}]]\nname = "ears"\nrate_hz = 2.0\n'
+    rig = TINY_RIG + head + "min_range_m = 4.0\nmax_range_m = 3.0\n"
+    with pytest.raises(RecipeError, match=rf"key '{key}\.max_range_m': expected more than min_range_m = 4, got 3"):
+        parse_split(TINY_SPLIT, "tiny.toml", rig_source=rig)
+
+
 PATH = TINY_SPLIT[TINY_SPLIT.index("[sequence.path]") :]
 SHARED = "speed_m_s = 0.3\naltitude_m = 0.9\n"
 

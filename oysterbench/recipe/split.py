@@ -151,6 +151,7 @@ def _check_split(split: SplitRecipe, where: str) -> None:
             )
     _check_names(split.rig, f"{where}: rig {split.rig.name}")
     _check_losses(split.rig, f"{where}: rig {split.rig.name}")
+    _check_reach(split.rig, f"{where}: rig {split.rig.name}")
     _check_vibration(split.rig.imu, f"{where}: rig {split.rig.name}")
     for sequence in split.sequence:
         if sequence.water.type is None and sequence.water.jerlov is None:
@@ -201,6 +202,17 @@ def _check_losses(rig: RigRecipe, where: str) -> None:
                     f"{where}: key '{key}.dropout_burst': expected at least {shortest:.3g} for dropout = "
                     f"{sensor.dropout:g}, got {sensor.dropout_burst:g}"
                 )
+
+
+def _check_reach(rig: RigRecipe, where: str) -> None:
+    """What hears echoes hears them from somewhere."""
+    listeners = [(key, sensor) for key in ("sonar", "scanner", "altimeter") for sensor in getattr(rig, key)]
+    for key, sensor in (*listeners, *([("dvl", rig.dvl)] if rig.dvl else [])):
+        if sensor.min_range_m >= sensor.max_range_m:
+            raise RecipeError(
+                f"{where}: key '{key}.max_range_m': expected more than min_range_m = {sensor.min_range_m:g}, "
+                f"got {sensor.max_range_m:g}"
+            )
 
 
 def _check_vibration(unit: ImuRecipe, where: str) -> None:

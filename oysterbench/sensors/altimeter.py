@@ -14,6 +14,7 @@ from oysterbench.streams import Streams
 RAYS = 401  # over the main lobe
 PULSE_M = 0.05  # of range that the echo's envelope adds up: some 70 us
 STRONG = 0.5  # of the strongest echo: what the detector takes for the bottom
+WEAKEST_BOTTOM = "mud"  # that it hears from its greatest range
 PINGS_AT_ONCE = 128  # bounds the memory
 
 
@@ -29,7 +30,8 @@ def measure(
     """Ranges (N,) m at times (N,) s; +inf where nothing answers from between min_range_m and max_range_m.
 
     The first echo that has half the strength of the strongest, once spreading and absorption are made up for; then the
-    error of the assumed speed of sound, noise, and the step of the digital reading. bottom: of recipe.BOTTOMS.
+    error of the assumed speed of sound, noise, and the step of the digital reading. Nothing is heard where all that
+    comes back is weaker than it is from level mud at max_range_m. bottom: of recipe.BOTTOMS.
     """
     T_base_sounder = acoustics.mount_pose(recipe)
     cone, weights = beam_rays(np.radians(recipe.beam_deg))
@@ -48,7 +50,12 @@ def measure(
         cosines = np.abs(np.einsum("ni,ni->n", echoes.normals.astype(float), directions.reshape(-1, 3)))
         strengths = (mu[echoes.classes] * cosines).reshape(-1, RAYS) * weights
         seen = echoes.ranges.astype(float).reshape(-1, RAYS)
-        ranges[chunk] = [first_strong(r, s) for r, s in zip(seen, strengths, strict=True)] * stretch
+        first_echoes = np.array([first_strong(r, s) for r, s in zip(seen, strengths, strict=True)])
+        loss = acoustics.absorption(site, -float(origins[:, 2].mean()), recipe.frequency_khz)
+        arriving = acoustics.echo_strength(seen, np.ones_like(seen), strengths, loss).sum(axis=1)
+        level = np.array(recipe.max_range_m) / cone[:, 0]
+        weakest = acoustics.echo_strength(level, cone[:, 0], weights * acoustics.backscatter(WEAKEST_BOTTOM)[1], loss)
+        ranges[chunk] = np.where(arriving >= weakest.sum(), first_echoes * stretch, np.inf)
     noise = streams.generator("altimeter", recipe.name, "noise").standard_normal(len(times_s))
     answered = (ranges >= recipe.min_range_m) & (ranges <= recipe.max_range_m)
     certain = np.where(answered, ranges, 0.0)

@@ -60,6 +60,15 @@ def test_nothing_answers_outside_its_reach(altitude, answers):
     assert np.all(np.isinf(ranges)) != answers
 
 
+def test_a_bottom_that_sends_too_little_back_is_not_heard():
+    """Mud from near its greatest range at 30 degrees; a bottom of shell answers."""
+    recipe, slanted = sounder(max_range_m=8.0, beam_deg=4.0), Steady(at(0, 0, -12.25, pitch_deg=30.0))
+    caster = caster_over(19.0)
+    mud, shell = (altimeter.measure(slanted, caster, recipe, SITE, TIMES, STREAMS, kind) for kind in ("mud", "shell"))
+    assert np.all(np.isinf(mud))
+    assert np.all((shell > 7.4) & (shell < 7.9))
+
+
 def test_another_speed_of_sound_than_the_true_one_scales_the_range():
     warm = SiteRecipe(temperature_c=30.0, salinity_ppt=36.0)
     ranges = sound(caster_over(19.0), at(0, 0, -15.0), sounder(assumed_sound_speed_m_s=1450.0), site=warm)
