@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli_reading import Reading, reading_options
+from oysterbench.cli_scoring import scoring_options
 from oysterbench.errors import OysterbenchError
 from oysterbench.version import VERSION
 
 if TYPE_CHECKING:
+    from oysterbench.evaluate.slam import SlamSettings
     from oysterbench.generate import Progress
     from oysterbench.recipe import SplitRecipe
 
@@ -82,10 +84,7 @@ def main() -> None:
 @click.option("--truth", type=click.Path(path_type=Path), help="Score files: the true trajectory.")
 @click.option("--estimate", type=click.Path(path_type=Path), help="Score files: the estimated trajectory.")
 @reading_options
-@click.option("--align", type=click.Choice(ALIGNMENTS), default="posyaw", show_default=True, help="How it is aligned.")
-@click.option(
-    "--associate", type=click.Choice(ASSOCIATIONS), default="interpolate", show_default=True, help="How stamps meet."
-)
+@scoring_options
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of the results.  [default: under the home]"
 )
@@ -98,8 +97,7 @@ def eval_command(
     truth: Path | None,
     estimate: Path | None,
     reading: Reading,
-    align: str,
-    associate: str,
+    settings: Callable[[], SlamSettings],
     out: Path | None,
     workers: int | None,
     as_json: bool,
@@ -121,15 +119,14 @@ def eval_command(
     if truth is not None and (split_name or method_names or workers):
         raise click.UsageError("--truth and --estimate score two files: --split, --method and --workers do not apply")
 
-    from oysterbench.evaluate.slam import SlamSettings
     from oysterbench.report import write_html_report
     from oysterbench.results import document, dump, write_results
 
-    settings = SlamSettings(align=align, associate=associate)  # type: ignore[arg-type]
+    chosen = settings()
     if truth is not None and estimate is not None:
         from oysterbench.tracks import score_files
 
-        runs = [score_files(truth, estimate, settings, *reading.options())]
+        runs = [score_files(truth, estimate, chosen, *reading.options())]
     else:
         from oysterbench.generate import split_folder
         from oysterbench.methods import find_method
@@ -142,7 +139,7 @@ def eval_command(
         out = out or split_folder(split) / "results"
         out.mkdir(parents=True, exist_ok=True)
         files = _render(split, split_folder(split), workers)
-        runs = evaluate_slam(split, files, methods, settings, _say, out)
+        runs = evaluate_slam(split, files, methods, chosen, _say, out)
 
     records = [run.record for run in runs]
     if out is not None:

@@ -39,9 +39,11 @@ MAY_IMPORT = {
     "report": GROUND | {"evaluate", "results", "page", "plots"},
     "tracks": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report"},
     "cli_reading": {"trajectory", "geometry"},
+    "cli_scoring": {"evaluate"},
     "cli": GROUND
     | {
         "cli_reading",
+        "cli_scoring",
         "sequence",
         "generate",
         "methods",
