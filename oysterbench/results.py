@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.errors import ResultError
+from oysterbench.evaluate.metrics import SLAM_FAILED
 from oysterbench.files import write_atomically
 from oysterbench.version import VERSION
 
@@ -54,7 +55,7 @@ class ResultRecord:
     metrics:                 by keys that carry their unit (`evaluate.metrics`); NaN where there is no value
     reasons:                 why, for every metric that is NaN
     failure:                 why there is no estimate, or it cannot be scored; None for a run that was scored.
-                             A failed run answers nothing: its coverage is 0 and its errors do not exist.
+                             A failed run answers nothing: its score and coverage are 0 and its errors do not exist.
     settings:                of the evaluator
     notes:                   what a reader of the numbers should know, in sentences
     info:                    what the method wants to keep with the result
@@ -83,7 +84,9 @@ class ResultRecord:
             object.__setattr__(self, key, dict(getattr(self, key)))
         object.__setattr__(self, "notes", tuple(self.notes))
         if self.failure is not None:
-            object.__setattr__(self, "metrics", {**self.metrics, "coverage": 0.0})
+            object.__setattr__(
+                self, "metrics", {**self.metrics, **(SLAM_FAILED if self.track == "slam" else {"coverage": 0.0})}
+            )
         for key, value in self.metrics.items():
             if math.isinf(value):
                 raise ResultError(f"metric {key!r} of {self.method} on {self.sequence}: expected a number, got {value}")
@@ -182,7 +185,7 @@ def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
     """For each track, split and method the mean of each metric over sequences.
 
     Several runs on one sequence are averaged first, so that every sequence has one vote. A failed run counts with
-    coverage 0 and has no errors; a metric without any value is None, with the reason. Records of another recipe,
+    score and coverage 0 and has no errors; a metric without any value is None, with the reason. Records of another recipe,
     evaluator or setting are never averaged together: they make rows of their own.
     """
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}

@@ -153,11 +153,12 @@ def test_several_runs_on_one_sequence_have_one_vote():
     assert (row["sequences"], row["runs"], row["counts"]["ate_rmse_m"]) == (2, 3, 2)
 
 
-def test_a_failed_run_counts_as_coverage_zero_and_has_no_error():
-    (row,) = aggregate([record(), failed(sequence="mini-02")])
+def test_a_failed_run_counts_with_score_and_coverage_zero_and_has_no_error():
+    scored = record(metrics={"ate_rmse_m": 0.5, "score": 0.8, "coverage": 1.0})
+    (row,) = aggregate([scored, failed(sequence="mini-02")])
     assert row["failures"] == 1
-    assert row["metrics"] == {"ate_rmse_m": 0.5, "coverage": 0.5}
-    assert row["counts"] == {"ate_rmse_m": 1, "coverage": 2}
+    assert row["metrics"] == {"ate_rmse_m": 0.5, "score": 0.4, "coverage": 0.5}
+    assert row["counts"] == {"ate_rmse_m": 1, "score": 2, "coverage": 2}
 
 
 def test_an_empty_sample_is_none_with_the_reason():
@@ -165,7 +166,7 @@ def test_an_empty_sample_is_none_with_the_reason():
     assert row["metrics"]["scale"] is None
     assert row["reasons"]["scale"] == "not asked for"
     (row,) = aggregate([failed()])
-    assert row["metrics"] == {"coverage": 0.0}
+    assert row["metrics"] == {"score": 0.0, "coverage": 0.0}
     assert "no run of dead_reckoning on slam-mini could be scored" in row["reasons"]["*"]
     assert aggregate([]) == []
 

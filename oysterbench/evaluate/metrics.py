@@ -289,5 +289,5 @@ def find_metric(key: str) -> Metric | None:
     return None
 
 
-FAILED = {"score": 0.0, "coverage": 0.0}
+SLAM_FAILED = {"score": 0.0, "coverage": 0.0}
 """What a run without a scored estimate is worth: it answers nothing, and its errors do not exist."""
