@@ -16,7 +16,7 @@ import pytest
 from conftest import TINY_RIG, TINY_SPLIT
 
 import oysterbench
-from oysterbench.cli import main
+from oysterbench.cli import FORMATS, main
 from oysterbench.trajectory import Trajectory, write_tum
 
 COMMAND = Path(sys.executable).with_name("oysterbench")
@@ -83,7 +83,7 @@ def test_version():
 
 
 def test_help_loads_no_numpy():
-    code = "import sys; sys.argv = ['oysterbench', '--help']; from oysterbench.cli import main\n"
+    code = "import sys; sys.argv = ['oysterbench', '--help']; from oysterbench.cli import FORMATS, main\n"
     code += "try: main()\nexcept SystemExit: pass\nassert 'numpy' not in sys.modules and 'rich' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
@@ -216,6 +216,56 @@ def test_render_says_where_the_files_are_and_info_what_is_in_them(recipe, kept_h
     assert facts["sequence"] == "tiny-01"
     assert {row["topic"]: row["messages"] for row in facts["topics"]}["/imu"] == 250
     assert "/cam_front/image" in run("info", path).stdout
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_export_writes_a_folder_and_prints_it(dive_file, tmp_path, form):
+    result = run("export", dive_file, "--format", form, "--out", tmp_path / "out")
+    assert result.returncode == 0, result.stderr
+    assert result.stdout == f"{tmp_path / 'out'}\n"
+    assert any((tmp_path / "out").iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["out"], "nothing is left beside it"
+    again = run("export", dive_file, "--format", form, "--out", tmp_path / "out")
+    assert_one_line(again, "is there already; it was left as it is")
+
+
+def test_export_says_what_is_worth_knowing_as_json_too(dive_file, tmp_path):
+    result = run("export", dive_file, "--format", "euroc", "--out", tmp_path / "out", "--no-truth", "--json")
+    assert json.loads(result.stdout) == {
+        "folder": str(tmp_path / "out"),
+        "format": "euroc",
+        "notes": ["cam0 is cam_left", "cam1 is cam_right"],
+    }
+    assert result.stderr == ""
+    assert not (tmp_path / "out" / "mav0" / "state_groundtruth_estimate0").exists()
+
+
+def test_export_offers_every_format_that_there_is():
+    from oysterbench.sequence.export import FORMATS as WRITTEN
+
+    assert set(FORMATS) == set(WRITTEN)
+    text = run("export", "--help").stdout
+    assert all(re.search(rf"^ +{form} +\w", text, re.M) for form in FORMATS)
+
+
+def test_an_export_of_nothing_is_one_line(dive_file, tmp_path):
+    assert_one_line(
+        run("export", tmp_path / "absent.mcap", "--format", "tum", "--out", tmp_path / "out"), "no such file"
+    )
+    assert_one_line(
+        run("export", dive_file, "--format", "coco", "--out", tmp_path / "out", "--no-truth"), "which are truth"
+    )
+    assert run("export", dive_file, "--format", "rosbag", "--out", tmp_path / "out").returncode == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_view_writes_one_page(dive_file, tmp_path):
+    result = run("view", dive_file, cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (0, "hand-made.html\n"), result.stderr
+    assert "cam_right" in (tmp_path / "hand-made.html").read_text()
+    assert run("view", dive_file, "--out", tmp_path / "pages" / "mine.html").returncode == 0
+    assert (tmp_path / "pages" / "mine.html").is_file()
+    assert_one_line(run("view", tmp_path / "absent.mcap"), "no such file")
 
 
 def test_splits_lists_what_is_here(home):

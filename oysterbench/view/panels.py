@@ -42,7 +42,7 @@ def pictures(sequence: Sequence) -> list[Panel]:
         fan = Fan.of(sonar.azimuths_rad, sonar.ranges_m)
         panels.append(
             Panel(
-                f"{name}, to {sonar.ranges_m[-1]:g} m",
+                f"{name}, to {sonar.ranges_m[-1]:.1f} m",
                 WIDTH,
                 fan.height,
                 partial(_sonar_frames, sequence, name, fan),
@@ -50,7 +50,7 @@ def pictures(sequence: Sequence) -> list[Panel]:
             )
         )
     for name, scanner in sequence.scanners.items():
-        title = f"{name}, to {scanner.ranges_m[-1]:g} m"
+        title = f"{name}, to {scanner.ranges_m[-1]:.1f} m"
         panels.append(Panel(title, WIDTH, WIDTH, partial(_scanner_frames, sequence, name), WIDTH * WIDTH // 6))
     return panels
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
-from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from oysterbench.errors import SequenceError
 from oysterbench.geometry import Array
 from oysterbench.sequence import topics
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import Sequence, imu_arrays
 
 WIDTH, HEIGHT = 1080, 120
 LEFT, RIGHT, TOP, BOTTOM = 64, 8, 8, 20
@@ -43,17 +43,26 @@ def _wanted(sequence: Sequence) -> list[Strip]:
     ]
     wanted += [Strip(f"/{name}/range", f"{name} range, m", ("range",)) for name in sequence.altimeters]
     counts = {topic: count for topic, _, count in sequence.contents()}
-    return [strip for strip in wanted if counts.get(strip.topic)]
+    return [strip for strip in wanted if strip.topic == topics.IMU or counts.get(strip.topic)]
 
 
 def strips(sequence: Sequence, start_ns: int, end_ns: int) -> list[str]:
     """A figure for each, over the same span of time."""
-    if not any(topic == topics.IMU for topic, _, _ in sequence.contents()):
-        return []  # a folder of another layout, which makes no tables
-    return [_plot(strip, sequence.frame(strip.topic), start_ns, end_ns) for strip in _wanted(sequence)]
+    inertial = _inertial_table(sequence)
+    tables = (
+        (strip, inertial if strip.topic == topics.IMU else sequence.frame(strip.topic)) for strip in _wanted(sequence)
+    )
+    return [_plot(strip, table, start_ns, end_ns) for strip, table in tables]
 
 
-def _plot(strip: Strip, table: Any, start_ns: int, end_ns: int) -> str:
+def _inertial_table(sequence: Sequence) -> pd.DataFrame:
+    """As `Sequence.frame` gives it, of layouts that make no tables as well."""
+    stamps, gyro, accel = imu_arrays(sequence.imu())
+    columns = [f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in XYZ]
+    return pd.DataFrame(np.hstack([gyro, accel]), index=stamps, columns=columns)
+
+
+def _plot(strip: Strip, table: pd.DataFrame, start_ns: int, end_ns: int) -> str:
     seconds = (table.index.to_numpy() - start_ns) * 1e-9
     span = (end_ns - start_ns) * 1e-9
     values = table[list(strip.columns)].to_numpy(dtype=float) * strip.factor
