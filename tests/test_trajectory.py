@@ -9,6 +9,9 @@ from hypothesis import strategies as st
 
 from oysterbench.errors import TrajectoryError
 from oysterbench.trajectory import Trajectory, ns_to_seconds, read_trajectory, seconds_to_ns, write_tum
+from oysterbench.trajectory.columns import EUROC, TUM
+from oysterbench.trajectory.stamps import scaled_integer, scaled_integers
+from oysterbench.trajectory.table import read_table
 
 POSE = "1 2 3 0 0 0.6 0.8"
 
@@ -87,7 +90,9 @@ def test_milli_and_microseconds_are_refused(tmp_path, stamp):
 def test_a_change_of_layout_within_a_file_is_refused(tmp_path):
     message = refusal(tmp_path, f"1 {POSE}\n1403636579763555584 {POSE}")
     assert message.startswith("poses.txt:2: expected stamps in s as on the lines before, got nanoseconds")
-    assert ":2: expected spaces between the numbers as on the lines before, got commas" in refusal(tmp_path, f"1 {POSE}\n1,1,2,3,1,0,0,0")
+    assert ":2: expected spaces between the numbers as on the lines before, got commas" in refusal(
+        tmp_path, f"1 {POSE}\n1,1,2,3,1,0,0,0"
+    )
 
 
 def test_seconds_with_commas_are_refused_with_the_way_out(tmp_path):
@@ -177,3 +182,122 @@ def test_path_length_and_selection():
     assert trajectory.path_length == 7
     assert trajectory.select(slice(0, 2)).path_length == 5
     np.testing.assert_allclose(trajectory.matrices[1, :3, 3], [3, 4, 0])
+
+
+def test_a_pose_written_twice_is_taken_once_and_said(tmp_path):
+    trajectory = read(tmp_path, f"1 {POSE}\n1 {POSE}\n2 {POSE}\n2 {POSE}\n2 {POSE}")
+    assert trajectory.stamps_ns.tolist() == [10**9, 2 * 10**9]
+    assert trajectory.notes == (f"{tmp_path / 'poses.txt'}: 3 poses were written twice and are taken once",)
+
+
+def test_two_poses_at_one_stamp_are_refused_with_their_lines(tmp_path):
+    message = refusal(tmp_path, f"# t x\n1 {POSE}\n2 {POSE}\n2 9 2 3 0 0 0.6 0.8\n")
+    assert message == (
+        "poses.txt:4: expected one pose for each stamp, got another one at 2.000000000 s than on poses.txt:3; keep one "
+        "of them"
+    )
+
+
+def test_stamps_that_go_back_are_refused_with_line_and_option(tmp_path):
+    message = refusal(tmp_path, f"1 {POSE}\n3 {POSE}\n\n2.5 {POSE}\n")
+    assert message == (
+        "poses.txt:4: expected increasing stamps, got 2.500000000 s after 3.000000000 s; sort the poses by time "
+        "(--sort)"
+    )
+    trajectory = read_trajectory(tmp_path / "poses.txt", sort=True)
+    assert trajectory.stamps_ns.tolist() == [10**9, 2_500_000_000, 3 * 10**9]
+    assert trajectory.notes == (f"{tmp_path / 'poses.txt'}: the poses were put in the order of their stamps",)
+
+
+def test_a_quaternion_that_is_no_rotation_is_refused_with_its_line(tmp_path):
+    message = refusal(tmp_path, f"1 {POSE}\n2 1 2 3 0 0 0.6 0.9\n")
+    assert message.startswith("poses.txt:2: expected a unit quaternion, got norm 1.082;")
+    assert "got norm above 1e+200" in refusal(tmp_path, "1 1 2 3 0 0 1e200 0")
+
+
+def test_quaternions_with_few_decimals_are_normalised_and_said(tmp_path):
+    trajectory = read(tmp_path, f"1 {POSE}\n2 1 2 3 0 0 0.707 0.707\n")
+    np.testing.assert_allclose(np.linalg.norm(trajectory.quaternions, axis=1), 1, rtol=0, atol=1e-15)
+    assert trajectory.notes == (
+        f"{tmp_path / 'poses.txt'}: 1 of 2 quaternions were normalised; their norms were off by up to 0.00015",
+    )
+
+
+def test_nan_is_named_with_line_and_column(tmp_path):
+    message = refusal(tmp_path, f"1 {POSE}\n2 1 2 nan 0 0 0 1\n")
+    assert message == "poses.txt:2: expected finite numbers, got z = nan; leave out poses not known"
+
+
+def test_nanoseconds_in_a_seconds_file_are_exact_and_said(tmp_path):
+    # A float64 near 1.4e18 has a spacing of 256.
+    trajectory = read(tmp_path, f"1403636579763555585 {POSE}\n1403636579763555586 {POSE}\n")
+    assert trajectory.stamps_ns.tolist() == [1403636579763555585, 1403636579763555586]
+    assert trajectory.notes == (f"{tmp_path / 'poses.txt'}: the stamps can only be nanoseconds and are read as such",)
+
+
+def test_a_header_in_a_comment_tells_the_order_of_the_quaternion(tmp_path):
+    trajectory = read(tmp_path, "# t x y z qw qx qy qz\n1 1 2 3 0.8 0 0 0.6\n")
+    np.testing.assert_array_equal(trajectory.quaternions, [[0, 0, 0.6, 0.8]])
+
+
+def test_numbers_that_only_python_reads_are_refused(tmp_path):
+    assert "expected a number for x, got '1_0'" in refusal(tmp_path, "1 1_0 2 3 0 0 0 1")
+    assert "expected a stamp, got '١'" in refusal(tmp_path, "١ 1 2 3 0 0 0 1")
+
+
+def test_a_line_that_breaks_off_is_refused(tmp_path):
+    message = refusal(tmp_path, f"1 {POSE}\n2 1 2 3 0 0")
+    assert message.startswith("poses.txt:2: expected 8 numbers `t x y z qx qy qz qw`, got 6 fields")
+
+
+numbers = st.floats(-1e3, 1e3).map(repr) | st.sampled_from(
+    ["1", "-0", "1.", ".5", "+2", "1e-3", "1E+2", "00.10", "2e400"]
+)
+spaces = st.sampled_from([" ", "  ", "\t", " \t"])
+stamps = st.integers(0, 2**62).map(ns_to_seconds) | st.sampled_from(["1", "1.5e9", "1.0000000001", "9" * 25])
+
+
+@st.composite
+def plain_files(draw):
+    comma = draw(st.booleans())
+    lines = []
+    for _ in range(draw(st.integers(1, 6))):
+        if draw(st.integers(0, 5)) == 0:
+            lines.append(draw(st.sampled_from(["", "# note", "  ", "% note", "1 2"])))
+        fields = [draw(stamps), *(draw(numbers) for _ in range(draw(st.sampled_from([7, 7, 7, 7, 7, 6, 8]))))]
+        sign = draw(st.sampled_from([",", ", "])) if comma else draw(spaces)
+        lines.append(sign.join(fields))
+    return "\n".join(lines)
+
+
+@settings(max_examples=300, deadline=None)
+@given(plain_files(), st.sampled_from([TUM, EUROC]))
+def test_the_compiled_reader_and_the_one_by_lines_agree(text, columns):
+    def outcome(compiled: bool):
+        try:
+            table = read_table(text, 0, columns, "poses.txt", compiled)
+        except TrajectoryError as error:
+            return str(error)
+        return table.stamps, table.sizes.tolist(), table.values.tolist(), [table.where(i) for i in range(len(table))]
+
+    assert outcome(True) == outcome(False)
+
+
+@given(st.lists(stamps | st.integers(0, 2**63 - 1).map(str), min_size=1, max_size=8), st.sampled_from([0, 3, 6, 9]))
+def test_stamps_are_converted_together_as_they_are_one_by_one(texts, shift):
+    expected = [scaled_integer(text, shift) for text in texts]
+    if all(abs(value) < 2**63 for value in expected):
+        assert scaled_integers(texts, shift).tolist() == expected
+    else:
+        with pytest.raises(OverflowError):
+            scaled_integers(texts, shift)
+
+
+def test_covariances_go_with_their_poses():
+    covariances = np.arange(4)[:, None, None] * np.eye(6)
+    stamps_ns = np.arange(4, dtype=np.int64) * 10
+    trajectory = Trajectory(stamps_ns, np.zeros((4, 3)), np.tile([0.0, 0, 0, 1], (4, 1)), covariances)
+    assert trajectory.select(slice(2, 4)).covariances[:, 0, 0].tolist() == [2, 3]
+    assert trajectory.at(np.array([0, 4, 16, 30])).covariances[:, 0, 0].tolist() == [0, 0, 2, 3]
+    with pytest.raises(TrajectoryError, match="expected 4 covariances"):
+        Trajectory(stamps_ns, trajectory.positions, trajectory.quaternions, covariances[:3])

@@ -78,9 +78,11 @@ def diagnose(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
 
     Raises TrajectoryError for poses that `check_trajectory` refuses.
     """
+    # First of all: stamps in a wrong unit may be such that no check of stamps passes them.
+    if findings := _time_unit(truth, estimate):
+        return findings
     truth, estimate = check_trajectory(truth, "truth"), check_trajectory(estimate, "estimate")
-    findings = _time(truth, estimate)
-    if findings:
+    if findings := _overlap(truth, estimate):
         return findings
     inside = (estimate.stamps_ns >= truth.stamps_ns[0]) & (estimate.stamps_ns <= truth.stamps_ns[-1])
     index = np.flatnonzero(inside)
@@ -95,24 +97,33 @@ def diagnose(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
     return findings
 
 
-def _time(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
-    """Whether the two spans of time meet, and if not, what would make them."""
+def _time_unit(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
+    """Whether the two spans of time meet in another unit only."""
+    if not len(truth) or not len(estimate):
+        return []
     first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
     begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
     shares = {factor: _share(begin * factor, end * factor, first, last) for factor in (1.0, *TIME_UNITS)}
     best = max(TIME_UNITS, key=lambda factor: shares[factor])
-    if shares[best] > 0.5 and shares[1.0] < 0.01:
-        unit = TIME_UNITS[best]
-        return [
-            Finding(
-                "time-unit",
-                f"the stamps, {ns_to_seconds(begin)} to {ns_to_seconds(end)} s as they were read, meet the truth's "
-                f"{ns_to_seconds(first)} to {ns_to_seconds(last)} s when taken as {unit}",
-                f"--time-unit {unit}",
-                {"time_unit": unit},
-                "refuse",
-            )
-        ]
+    if shares[best] < 0.5 or shares[1.0] > 0.01:
+        return []
+    unit = TIME_UNITS[best]
+    return [
+        Finding(
+            "time-unit",
+            f"the stamps, {ns_to_seconds(begin)} to {ns_to_seconds(end)} s as they were read, meet the truth's "
+            f"{ns_to_seconds(first)} to {ns_to_seconds(last)} s when taken as {unit}",
+            f"--time-unit {unit}",
+            {"time_unit": unit},
+            "refuse",
+        )
+    ]
+
+
+def _overlap(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
+    """Whether the two spans of time meet, and if not, which constant offset would make them."""
+    first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
+    begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
     if begin <= last and end >= first:
         return []
     try:
@@ -273,27 +284,31 @@ def _level(truth: Array, estimate: Array) -> list[Finding]:
         ("as w x y z", estimate[:, [1, 2, 3, 0]], np.eye(3)),
         ("as those of an optical frame", estimate, ROTATION_BODY_OPTICAL),
     ):
-        seen = Rotation.from_quat(quaternions).inv().apply([0.0, 0.0, 1.0]) @ fixed.T
-        tilts[name] = float(np.median(np.arccos(np.clip(np.einsum("ij,ij->i", up, seen), -1.0, 1.0))))
+        its_up = Rotation.from_quat(quaternions).inv().apply([0.0, 0.0, 1.0]) @ fixed.T
+        tilts[name] = float(np.median(np.arccos(np.clip(np.einsum("ij,ij->i", up, its_up), -1.0, 1.0))))
     (_, as_is), *others = tilts.items()
     if as_is < TILTED_RAD:
         return []
-    changes: tuple[tuple[Cause, str, dict[str, Any]], ...] = (
+    decisions: tuple[tuple[Cause, str, dict[str, Any]], ...] = (
         ("quaternion-order", "--quaternion wxyz or xyzw", {"quaternion": "wxyz"}),
         ("frame", "--frame optical or body", {"frame": "optical"}),
     )
+    likely = sorted(
+        (tilt, name, *decision) for (name, tilt), decision in zip(others, decisions, strict=True) if tilt < LEVEL_RAD
+    )
+    if not likely:
+        return []
+    seen = " and ".join(f"by {np.rad2deg(tilt):.0f} deg {name}" for tilt, name, *_ in likely)
     return [
         Finding(
-            cause,
-            f"its attitudes tilt by {np.rad2deg(as_is):.0f} deg against the true ones as they are and by "
-            f"{np.rad2deg(tilt):.0f} deg {name}, and turn too little to tell why",
-            decide,
-            change,
+            likely[0][2],
+            f"its attitudes tilt by {np.rad2deg(as_is):.0f} deg against the true ones as they are, {seen}, and turn "
+            "too little to tell why",
+            ", ".join(decide for *_, decide, _ in likely),
+            likely[0][4],
             "refuse",
         )
-        for (name, tilt), (cause, decide, change) in zip(others, changes, strict=True)
-        if tilt < LEVEL_RAD
-    ][:1]
+    ]
 
 
 def _rms(vectors: Array) -> float:

@@ -18,8 +18,8 @@ from oysterbench.trajectory.poses import Trajectory
 from oysterbench.trajectory.stamps import SHIFTS, scaled_integer, scaled_integers
 from oysterbench.trajectory.table import NUMBER, Table, is_comment, read_table, split
 
-MAX_SECONDS = 1e11
-"""A stamp above this is not seconds: it would be 3000 years after the epoch."""
+MAX_SECONDS = 9e9
+"""A stamp above this is not seconds: it would be 285 years after the epoch, and its nanoseconds leave an int64."""
 MIN_NANOSECONDS = 1e17
 """A stamp above this is nanoseconds: as microseconds it would be 3000 years after the epoch."""
 
