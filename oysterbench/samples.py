@@ -107,8 +107,11 @@ class ScanPing:
 
 @dataclass(frozen=True)
 class Cloud:
-    """Returns of a sonar with their meaning: points (N, 3) float32 m in the sensor's frame, intensity (N,) float32,
-    classes (N,) uint8 (`recipe.CLASSES`), instances (N,) uint16, 0 = none."""
+    """Returns of a sonar with their meaning.
+
+    points (N, 3) float32 m in the sensor's frame; intensity (N,) float32 dB over a perfect scatterer that fills the
+    beam at 1 m; classes (N,) uint8 (`recipe.CLASSES`); instances (N,) uint16, 0 = none.
+    """
 
     stamp_ns: int
     sensor: str

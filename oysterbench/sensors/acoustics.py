@@ -18,6 +18,8 @@ CLASS_DB = {"oyster": -13.0, "stone": -14.0, "plant": -26.0, "sponge": -22.0, "v
 """The same of what lies on it: engineering values; shell and stone are rough and as hard as gravel or harder, plants
 and sponges nearly water."""
 
+NEAREST_M = 0.01  # closer to a transducer than this, its far field is not what is heard
+
 HALF_POWER = 0.442946
 """Where sinc(x)^2 = 1/2, sinc(x) = sin(pi x) / (pi x)."""
 
@@ -94,9 +96,10 @@ def mount_pose(recipe: AcousticRecipe) -> Array:
 def echo_strength(ranges: Array, cosines: Array, mu: Array, absorption_db_m: float) -> Array:
     """Power that comes back from the patch in a unit of solid angle, over what goes out: shapes as given.
 
-    ranges: m, inf for no patch. A solid angle dW holds dA = r^2 dW / cos(theta), and each way costs r^-2 and the
-    absorption: mu cos^2(theta) dA r^-4 10^(-2 a r / 10) = mu cos(theta) dW r^-2 10^(-2 a r / 10).
+    ranges: m, inf for no patch; none counts as nearer than NEAREST_M. A solid angle dW holds a patch of
+    dA = r^2 dW / cos(theta), and each way costs r^-2 and the absorption:
+    mu cos^2(theta) dA r^-4 10^(-2 a r / 10) = mu cos(theta) dW r^-2 10^(-2 a r / 10).
     """
     heard = np.isfinite(ranges)
-    near = np.where(heard, ranges, 1.0)
+    near = np.where(heard, np.maximum(ranges, NEAREST_M), 1.0)
     return np.where(heard, mu * cosines * near**-2.0 * 10 ** (-0.2 * absorption_db_m * near), 0.0)

@@ -192,8 +192,8 @@ class ImagingSonar:
     def _cloud(self, found: Ping, stamp_ns: int) -> Cloud:
         """The strongest return in each beam's each of CLOUD_ROWS parts of the elevations, where it is over the noise.
 
-        A point lies on its ray, at the range that the sonar believes; its intensity is the power of all returns that
-        are in the same part, in dB over that of a perfect scatterer that fills the beam at 1 m.
+        A point lies on its ray, at the range of the image's row that it falls into; its intensity is the power of all
+        returns in the same part, in dB over that of a perfect scatterer that fills the beam at 1 m.
         """
         rays, returns, columns = found.rays, found.returns, self._columns
         beam = (rays.columns - columns.margin) // columns.per_beam
@@ -209,7 +209,7 @@ class ImagingSonar:
         strong = power > 10 ** (self.recipe.noise_db / 10)
         strongest, power = strongest[strong], power[strong]
         a, e = rays.azimuths[strongest], rays.elevations[strongest]
-        believed = returns.echoes.ranges[strongest].astype(float) * found.axis.stretch
+        believed = self.ranges[place[strongest].astype(np.int64)]
         points = believed[:, None] * np.column_stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         return Cloud(
             stamp_ns=stamp_ns,
