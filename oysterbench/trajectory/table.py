@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -94,7 +95,8 @@ def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Table 
         data = data.replace(b", ", b",")
         if b" " in data or b"\t" in data:
             return None
-    kinds: dict[int, type] = dict.fromkeys(columns.numbers, float)
+    # Every column is read as numbers, so that a line that breaks off leaves an empty cell, which is none.
+    kinds: defaultdict[int, type] = defaultdict(lambda: float)
     if columns.stamp is not None:
         kinds[columns.stamp] = object
     # Before version 3 only this setting rounds decimals to the nearest float64; since then every one does.
