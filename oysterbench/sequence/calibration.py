@@ -17,7 +17,8 @@ class CameraCalibration:
     """A camera: matrix (3, 3) in px, distortion, pose of its optical frame.
 
     distortion_model and distortion as in sensor_msgs/CameraInfo: plumb_bob (Brown-Conrady k1, k2, p1, p2[, k3]) or
-    equidistant (Kannala-Brandt k1 to k4).
+    equidistant (Kannala-Brandt k1 to k4). Behind a flat port both are those in air: port_m is the distance from the
+    pupil to the port, port_index the water's refractive index against air; None without one.
     """
 
     width: int
@@ -27,6 +28,8 @@ class CameraCalibration:
     distortion: Array
     T_base_cam: Array
     distortion_model: str = "plumb_bob"
+    port_m: float | None = None
+    port_index: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,9 @@ def inertial_calibration(entry: Mapping[str, Any]) -> ImuCalibration:
 
 def camera_calibration(entry: Mapping[str, Any]) -> CameraCalibration:
     """From an entry of calibration.json."""
-    return _calibration(CameraCalibration, entry)
+    port = entry.get("port")
+    values = dict(entry) if port is None else {**entry, "port_m": port["distance_m"], "port_index": port["index"]}
+    return _calibration(CameraCalibration, values)
 
 
 def _calibration(kind: Any, entry: Mapping[str, Any]) -> Any:
@@ -163,5 +168,6 @@ _CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "Array": lambda value: np.array(value, dtype=float),
     "int": int,
     "float": float,
+    "float | None": float,
     "str": str,
 }

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.geometry import Array, invert
 from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
-from oysterbench.sequence.export.parts import number, numbers, sensor_poses, write_lines, write_png
+from oysterbench.sequence.export.parts import number, numbers, port_notes, sensor_poses, write_lines, write_png
 from oysterbench.sequence.names import TRUTH
 from oysterbench.sequence.types import Sequence
 
@@ -48,6 +48,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     write_lines(inertial / "data.csv", [IMU_HEADER, *samples])
     write_lines(root / "body.yaml", [f"comment: {sequence.name}"])
     notes = [f"cam{index} is {name}" for index, name in enumerate(sequence.cameras)]
+    notes += port_notes(sequence, sequence.cameras)
     if truth:
         _write_state(sequence, root / "state_groundtruth_estimate0")
         notes.append("the biases of the state are not known to the file: they are nan")

@@ -9,7 +9,7 @@ import numpy as np
 
 from oysterbench.geometry import Array, invert
 from oysterbench.sequence.calibration import CameraCalibration
-from oysterbench.sequence.export.parts import number, numbers, write_lines
+from oysterbench.sequence.export.parts import number, numbers, port_notes, write_lines
 from oysterbench.sequence.names import IMU
 from oysterbench.sequence.types import Sequence
 
@@ -18,7 +18,7 @@ DISTORTION_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
 
 def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     """camchain-imucam.yaml and imu.yaml; a calibration is not truth, so `truth` changes nothing."""
-    notes = []
+    notes = port_notes(sequence, sequence.cameras)
     shifts = _time_shifts(sequence)
     lines: list[str] = []
     previous: Array | None = None

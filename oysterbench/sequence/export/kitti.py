@@ -14,6 +14,7 @@ from oysterbench.errors import SequenceError
 from oysterbench.geometry import Array, invert
 from oysterbench.sequence.export.parts import (
     any_camera,
+    port_notes,
     sensor_poses,
     stereo_partner,
     undistorting_maps,
@@ -36,6 +37,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     stamps = [{image.stamp_ns for image in sequence.images(name)} for name in pair]
     kept = sorted(set.intersection(*stamps))
     notes = [f"image_{index} is {name}" for index, name in enumerate(pair)]
+    notes += port_notes(sequence, pair)
     if truth:
         path = sequence.truth()
         known = within(path, kept)

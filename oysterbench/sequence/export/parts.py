@@ -91,3 +91,12 @@ def any_camera(sequence: Sequence, form: str) -> str:
     for name in sequence.cameras:
         return name
     raise SequenceError(f"{sequence.name} has no camera; the format {form} needs one")
+
+
+def port_notes(sequence: Sequence, cameras: Iterable[str]) -> list[str]:
+    """What to say of cameras behind a flat port, for formats that know pinholes and lenses only."""
+    return [
+        f"{name} looks through a flat port: its calibration is that in air; how water bends it has no place in the format"
+        for name in cameras
+        if sequence.cameras[name].port_m is not None
+    ]

@@ -73,7 +73,10 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
             continue
         seen = (depth.pixels > 0) & known_rays
         points = _in_map(
-            path, depth.stamp_ns, sequence.cameras[camera].T_base_cam, rays[seen] * depth.pixels[seen, None]
+            path,
+            depth.stamp_ns,
+            sequence.cameras[camera].T_base_cam,
+            points_at(rays[seen], depth.pixels[seen].astype(float)),
         )
         rows = _rows(points, POINT)
         for k, colour in enumerate(("red", "green", "blue")):
@@ -102,8 +105,11 @@ def sonar_cloud(sequence: Sequence, sonar: str, path: Trajectory) -> NDArray[Any
 
 
 def pixel_rays(camera: CameraCalibration) -> Array:
-    """(H, W, 3): the point at depth 1 along the optical axis that each pixel's centre shows; NaN where the lens shows
-    nothing there."""
+    """(H, W, 3): the ray in water of each pixel's centre, as its slopes x and y over z in the optical frame, and the z
+    at which it meets the optical axis, m; NaN where the lens shows nothing.
+
+    That z is 0, but behind a flat port, which bends every ray by Snell's law: none of them goes through the pupil.
+    """
     columns, rows = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
     if camera.distortion_model == "equidistant":
         pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
@@ -114,7 +120,18 @@ def pixel_rays(camera: CameraCalibration) -> Array:
         x, y = _without_distortion(
             (columns - matrix[0, 2]) / matrix[0, 0], (rows - matrix[1, 2]) / matrix[1, 1], camera.distortion
         )
-    return np.stack([x, y, np.ones_like(x)], axis=-1)
+    if camera.port_m is None:
+        return np.stack([x, y, np.zeros_like(x)], axis=-1)
+    air = np.hypot(x, y)
+    sine = air / np.sqrt(1.0 + air**2) / camera.port_index
+    water = sine / np.sqrt(1.0 - sine**2)
+    shrink = np.divide(water, air, out=np.full_like(air, 1.0 / camera.port_index), where=air > 1e-9)
+    return np.stack([x * shrink, y * shrink, camera.port_m * (1.0 - 1.0 / shrink)], axis=-1)
+
+
+def points_at(rays: Array, depth: Array) -> Array:
+    """Points (N, 3) m in the optical frame, of rays (N, 3) at depths (N,) m along the optical axis."""
+    return np.column_stack([rays[:, :2] * (depth - rays[:, 2])[:, None], depth])
 
 
 def _without_distortion(distorted_x: Array, distorted_y: Array, coefficients: Array) -> tuple[Array, Array]:

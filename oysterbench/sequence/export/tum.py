@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oysterbench.sequence.calibration import CameraCalibration
-from oysterbench.sequence.export.parts import any_camera, sensor_poses, write_lines, write_png
+from oysterbench.sequence.export.parts import any_camera, port_notes, sensor_poses, write_lines, write_png
 from oysterbench.sequence.types import Sequence
 from oysterbench.trajectory import Trajectory, ns_to_seconds, write_tum
 
@@ -36,6 +36,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     )
     write_lines(folder / "calibration.txt", _calibration(sequence.cameras[name]))
     notes = [f"images of {name}"]
+    notes += port_notes(sequence, [name])
     if not truth:
         return [*notes, "depth is truth here: left out"] if name in depth_of else notes
     far = _write_depth(sequence, name, folder) if name in depth_of else 0

@@ -6,9 +6,13 @@ import cv2
 import numpy as np
 import pytest
 
-from oysterbench.sequence.calibration import CameraCalibration
+from oysterbench.recipe import CameraRecipe
+from oysterbench.render.lens import pixel_rays as render_rays
+from oysterbench.render.lens import project as render_project
+from oysterbench.scene.rig import camera_matrix
+from oysterbench.sequence.calibration import CameraCalibration, camera_calibration
 from oysterbench.sequence.export.parts import undistorting_maps
-from oysterbench.sequence.export.ply import pixel_rays
+from oysterbench.sequence.export.ply import pixel_rays, points_at
 
 MATRIX = np.array([[90.0, 0, 79.5], [0, 92.0, 59.5], [0, 0, 1.0]])
 
@@ -37,7 +41,8 @@ def project(lens: CameraCalibration, points: np.ndarray) -> np.ndarray:
 def test_a_pixels_ray_projects_onto_its_centre(lens):
     rays = pixel_rays(lens)
     columns, rows = np.meshgrid(np.arange(160), np.arange(120))
-    pixels = project(lens, rays.reshape(-1, 3))
+    assert not rays[..., 2].any()
+    pixels = project(lens, points_at(rays.reshape(-1, 3), np.full(rays[..., 0].size, 1.7)))
     np.testing.assert_allclose(pixels, np.column_stack([columns.ravel(), rows.ravel()]), atol=1e-5)
 
 
@@ -46,7 +51,7 @@ def test_an_undistorted_picture_is_that_of_a_pinhole(lens):
     """A smooth pattern on a plane, drawn through the lens and undistorted, is the one drawn through a pinhole."""
 
     def pattern(rays):
-        x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
+        x, y = rays[..., 0], rays[..., 1]
         return np.rint(127 + 100 * np.sin(6 * x) * np.cos(7 * y)).astype(np.uint8)
 
     drawn = pattern(pixel_rays(lens))
@@ -55,6 +60,26 @@ def test_an_undistorted_picture_is_that_of_a_pinhole(lens):
     inner = np.s_[15:105, 20:140]
     assert np.abs(got[inner].astype(int) - expected[inner]).max() <= 3
     assert np.abs(drawn[inner].astype(int) - expected[inner]).max() > 6
+
+
+def test_rays_behind_a_flat_port_are_those_that_the_picture_was_drawn_with():
+    """Of the renderer, which is written independently; and Snell's law sends the outer ones through no common point."""
+    recipe = CameraRecipe(name="c", width=160, height=120, hfov_deg=60.0, rate_hz=1.0, port_mm=80.0)
+    entry = {
+        "width": 160,
+        "height": 120,
+        "rate_hz": 1.0,
+        "matrix": camera_matrix(recipe),
+        "distortion": [0.0, 0, 0, 0],
+        "T_base_cam": np.eye(4),
+        "port": {"distance_m": 0.08, "index": 1.33},
+    }
+    rays = pixel_rays(camera_calibration(entry))
+    np.testing.assert_allclose(rays, render_rays(recipe)[1:-1, 1:-1], atol=2e-7)
+    assert rays[0, 0, 2] < rays[60, 80, 2] < -0.02
+    pixels = render_project(points_at(rays.reshape(-1, 3), np.full(rays[..., 0].size, 1.3)), recipe)
+    columns, rows = np.meshgrid(np.arange(160), np.arange(120))
+    np.testing.assert_allclose(pixels, np.column_stack([columns.ravel(), rows.ravel()]), atol=1e-4)
 
 
 def test_a_pinhole_needs_no_undistorting():
