@@ -96,7 +96,7 @@ def any_camera(sequence: Sequence, form: str) -> str:
 def port_notes(sequence: Sequence, cameras: Iterable[str]) -> list[str]:
     """What to say of cameras behind a flat port, for formats that know pinholes and lenses only."""
     return [
-        f"{name} looks through a flat port: its calibration is that in air; how water bends it has no place in the format"
+        f"{name} looks through a flat port: its calibration is that in air, as the format cannot say how water bends it"
         for name in cameras
         if sequence.cameras[name].port_m is not None
     ]
