@@ -1,4 +1,4 @@
-"""ResultRecord: the immutable JSON that tables, reports and the leaderboard read; and means over sequences."""
+"""ResultRecord: the immutable JSON that tables, reports and the leaderboard read; and statistics over sequences."""
 
 from __future__ import annotations
 
@@ -6,18 +6,22 @@ import json
 import math
 import os
 import platform
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from oysterbench.errors import ResultError
 from oysterbench.evaluate.metrics import SLAM_FAILED
+from oysterbench.evaluate.statistics import summarise
 from oysterbench.files import write_atomically
 from oysterbench.version import VERSION
 
-FORMAT = "oysterbench-result/1"
+FORMAT = "oysterbench-result/2"
+
+MAPPINGS = ("metrics", "reasons", "conditions", "method_settings", "settings", "info", "hardware")
+"""Keys of a record that hold keys and values."""
 
 
 def hardware() -> dict[str, Any]:
@@ -48,9 +52,12 @@ def now() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ResultRecord:
-    """One method on one sequence, scored.
+    """One run of a method on one sequence, scored.
 
     track, split, sequence:  what was run on; split_digest says exactly which recipe made it
+    truth_digest:            SHA-256 of what it was scored against, where that is known
+    conditions:              what the sequence is like (`evaluate.conditions.CONDITIONS`)
+    run, seed:               number of the run, from 0, and the seed that the method was given; None if it takes none
     method, method_settings: what was run
     metrics:                 by keys that carry their unit (`evaluate.metrics`); NaN where there is no value
     reasons:                 why, for every metric that is NaN
@@ -69,6 +76,10 @@ class ResultRecord:
     reasons: Mapping[str, str] = field(default_factory=dict)
     failure: str | None = None
     split_digest: str = ""
+    truth_digest: str = ""
+    conditions: Mapping[str, float | str] = field(default_factory=dict)
+    run: int = 0
+    seed: int | None = None
     method_settings: Mapping[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -80,7 +91,7 @@ class ResultRecord:
 
     def __post_init__(self) -> None:
         """Copies of the mappings are kept, so that the caller's later changes do not reach the record."""
-        for key in ("metrics", "reasons", "method_settings", "settings", "info", "hardware"):
+        for key in MAPPINGS:
             object.__setattr__(self, key, dict(getattr(self, key)))
         object.__setattr__(self, "notes", tuple(self.notes))
         if self.failure is not None:
@@ -98,8 +109,8 @@ class ResultRecord:
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON; a metric that is NaN becomes None."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        values["metrics"] = {k: None if math.isnan(v) else _plain(v) for k, v in self.metrics.items()}
-        return {"format": FORMAT, **{key: _plain(value) for key, value in values.items()}}
+        values["metrics"] = {k: None if math.isnan(v) else plain(v) for k, v in self.metrics.items()}
+        return {"format": FORMAT, **{key: plain(value) for key, value in values.items()}}
 
     def to_json(self) -> str:
         """The record as JSON text."""
@@ -140,32 +151,41 @@ def _check_kind(key: str, value: Any, where: str) -> None:
     """Refuse a value of another kind than the key's."""
     expected = "text"
     fits = isinstance(value, str)
-    if key in ("metrics", "reasons", "method_settings", "settings", "info", "hardware"):
+    if key in MAPPINGS:
         expected, fits = "an object", isinstance(value, Mapping)
+    elif key == "run":
+        expected, fits = "a whole number from 0", isinstance(value, int) and not isinstance(value, bool) and value >= 0
+    elif key == "seed":
+        expected = "a whole number or null"
+        fits = value is None or (isinstance(value, int) and not isinstance(value, bool))
     elif key == "notes":
         expected, fits = "a list of texts", isinstance(value, list) and all(isinstance(note, str) for note in value)
     elif key == "failure":
         expected, fits = "text or null", value is None or isinstance(value, str)
     if not fits:
         raise ResultError(f"{where}: key {key!r}: expected {expected}, got {value!r:.60}")
+    if key == "conditions":
+        for condition, item in value.items():
+            if isinstance(item, bool) or not isinstance(item, str | int | float):
+                raise ResultError(f"{where}: key 'conditions.{condition}': expected a number or text, got {item!r:.60}")
     if key == "metrics":
         for metric, number in value.items():
             if number is not None and (isinstance(number, bool) or not isinstance(number, int | float)):
                 raise ResultError(f"{where}: key 'metrics.{metric}': expected a number or null, got {number!r:.60}")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Values that JSON knows: numpy scalars and arrays, tuples and paths converted, NaN as None."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     return str(value)
 
 
@@ -181,42 +201,46 @@ def _load(text: str, where: str) -> Any:
         raise ResultError(f"{where}:{error.lineno}: not valid JSON: {error.msg}") from None
 
 
+def comparable_key(record: ResultRecord) -> tuple[str, ...]:
+    """Equal for records whose numbers may be set against each other: one recipe, one evaluator with one setting."""
+    settings = json.dumps(plain(record.settings), sort_keys=True)
+    return (record.track, record.split, record.split_digest, record.evaluator_version, settings)
+
+
+def method_key(record: ResultRecord) -> tuple[str, str]:
+    """Equal for runs of one method with one setting."""
+    return record.method, json.dumps(plain(record.method_settings), sort_keys=True)
+
+
+def samples(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]]:
+    """Values of a metric by sequence, one per run; NaN where a run has none."""
+    values: dict[str, list[float]] = {}
+    for record in records:
+        values.setdefault(record.sequence, []).append(float(record.metrics.get(key, math.nan)))
+    return values
+
+
 def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
-    """For each track, split and method the mean of each metric over sequences.
+    """For each track, split and method the mean of each metric over sequences, with its statistics.
 
     Several runs on one sequence are averaged first, so that every sequence has one vote. A failed run counts with
-    score and coverage 0 and has no errors; a metric without any value is None, with the reason. Records of another recipe,
-    evaluator or setting are never averaged together: they make rows of their own.
+    score and coverage 0 and has no errors; a metric without any value is None, with the reason. Records of another
+    recipe, evaluator or setting are never averaged together: they make rows of their own.
     """
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
     for record in records:
-        key = (
-            record.track,
-            record.split,
-            record.method,
-            record.split_digest,
-            record.evaluator_version,
-            json.dumps([_plain(record.settings), _plain(record.method_settings)], sort_keys=True),
-        )
-        groups.setdefault(key, []).append(record)
+        groups.setdefault((*comparable_key(record), *method_key(record)), []).append(record)
     return [_aggregate_group(group) for group in groups.values()]
 
 
 def _aggregate_group(group: list[ResultRecord]) -> dict[str, Any]:
     first = group[0]
-    metrics: dict[str, float | None] = {}
-    counts: dict[str, int] = {}
+    summaries = {
+        key: summarise(samples(group, key)) for key in dict.fromkeys(key for record in group for key in record.metrics)
+    }
     reasons: dict[str, str] = {}
-    for key in dict.fromkeys(key for record in group for key in record.metrics):
-        runs: dict[str, list[float]] = {}
-        for record in group:
-            value = record.metrics.get(key, math.nan)
-            if not math.isnan(value):
-                runs.setdefault(record.sequence, []).append(value)
-        means = [math.fsum(values) / len(values) for values in runs.values()]
-        counts[key] = len(means)
-        metrics[key] = math.fsum(means) / len(means) if means else None
-        if not means:
+    for key, summary in summaries.items():
+        if summary.reason:
             reasons[key] = "; ".join(dict.fromkeys(r.reasons[key] for r in group if key in r.reasons))
     failures = [record for record in group if record.failure is not None]
     if len(failures) == len(group):
@@ -226,14 +250,16 @@ def _aggregate_group(group: list[ResultRecord]) -> dict[str, Any]:
         "split": first.split,
         "split_digest": first.split_digest,
         "method": first.method,
-        "metrics": metrics,
-        "counts": counts,
+        "method_settings": plain(first.method_settings),
+        "metrics": {key: plain(summary.mean) for key, summary in summaries.items()},
+        "counts": {key: summary.sequences for key, summary in summaries.items()},
+        "statistics": {key: plain(asdict(summary)) for key, summary in summaries.items()},
         "reasons": reasons,
         "sequences": len({record.sequence for record in group}),
         "runs": len(group),
         "failures": len(failures),
         "evaluator_version": first.evaluator_version,
-        "settings": _plain(first.settings),
+        "settings": plain(first.settings),
     }
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dives import EPOCH_NS, dive, moved, noisy, survey
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -18,29 +19,6 @@ from oysterbench.evaluate.pairs import pairs_over_time
 from oysterbench.evaluate.slam import SlamSettings, score
 from oysterbench.streams import stream
 from oysterbench.trajectory import Trajectory
-
-EPOCH_NS = 1_700_000_000 * 10**9
-
-
-def survey(duration_s: float = 20.0, rate_hz: float = 50.0, start_ns: int = EPOCH_NS) -> Trajectory:
-    """A smooth loop at 3 m depth."""
-    t = np.arange(round(duration_s * rate_hz) + 1) / rate_hz
-    positions = np.column_stack([4 * np.cos(t / 3), 3 * np.sin(t / 3), -3 + 0.2 * np.sin(t)])
-    attitude = Rotation.from_euler("zyx", np.column_stack([t / 3, 0.1 * np.sin(t), 0.1 * np.cos(t)]))
-    return Trajectory(start_ns + np.round(t * 1e9).astype(np.int64), positions, attitude.as_quat())
-
-
-def noisy(trajectory: Trajectory, sigma_m: float = 0.01, case: int = 0) -> Trajectory:
-    rng = stream(3, b"", "noise", case)
-    return replace(trajectory, positions=trajectory.positions + rng.normal(0, sigma_m, trajectory.positions.shape))
-
-
-def moved(trajectory: Trajectory, turn: Rotation, by: tuple[float, float, float]) -> Trajectory:
-    return Trajectory(
-        trajectory.stamps_ns,
-        turn.apply(trajectory.positions) + by,
-        (turn * Rotation.from_quat(trajectory.quaternions)).as_quat(),
-    )
 
 
 def refusal(truth: Trajectory, estimate: Trajectory, **options) -> str:
@@ -113,16 +91,40 @@ def test_scale_is_found_by_sim3_alone():
     assert score(truth, half, SlamSettings(align="se3")).metrics["ate_rmse_m"] > 1
 
 
-@pytest.mark.parametrize("delta", [1.0, 0.5])
-def test_every_metric_is_defined(delta):
-    metrics = score(survey(), noisy(survey()), SlamSettings(rpe_delta_s=delta)).metrics
-    for key in metrics:
+EVERYTHING = (
+    {},
+    {"rpe_delta_s": 0.5, "rpe_frames": 7, "rpe_delta_m": 2.5, "rpe_delta_deg": 30.0, "rpe_pairs": "consecutive"},
+    {"subpath_m": (1.0, 2.5, 1000.0), "subpath_step": 10, "align": "sim3", "associate": "nearest"},
+    {"time_offset_s": "estimate", "align": "none"},
+    {"align": "scale", "align_first": 100, "velocity_step_s": 1.0},
+)
+
+
+@pytest.mark.parametrize("changes", EVERYTHING)
+def test_every_metric_is_defined_and_has_a_value_or_a_reason(changes):
+    truth = dive(1)
+    covariances = np.tile(np.diag([1e-4] * 3 + [1e-6] * 3), (len(truth), 1, 1))
+    result = score(truth, replace(noisy(truth), covariances=covariances), SlamSettings(**changes))
+    assert "nees_pose" in result.metrics
+    for key, value in result.metrics.items():
         metric = find_metric(key)
         assert metric is not None, f"{key} is missing from evaluate/metrics.py"
         if metric.unit not in ("", "%"):
             assert key.endswith(f"_{metric.unit.replace('/', '_per_')}"), f"{key} does not carry its unit {metric.unit}"
+        if metric.unit == "%":
+            assert key.endswith("_percent"), key
+        assert np.isfinite(value) != bool(result.reasons.get(key)), key
+    assert set(result.reasons) <= set(result.metrics)
+
+
+def test_a_metric_over_another_size_is_defined_with_that_size():
     assert find_metric("rpe_0.5s_rotation_rmse_deg").definition.count("0.5 s") == 1
-    assert find_metric("nonsense") is None
+    assert find_metric("rpe_1frames_pairs").definition.endswith("over 1 pose are taken over.")
+    assert "10 deg apart" in find_metric("rpe_10deg_translation_rmse_m").definition
+    assert find_metric("recall_3percent").short == "Recall 3 %"
+    assert find_metric("subpath_100m_translation_percent").short == "100 m"
+    for key in ("nonsense", "rpe_1s_nonsense", "rpe_1furlong_pairs", "subpath_10m_nonsense"):
+        assert find_metric(key) is None
 
 
 def test_every_definition_is_a_sentence():

@@ -1,0 +1,188 @@
+"""Alignments: what the geometry does not determine is refused, what it hardly does is said, with the figure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dives import moved, noisy, survey, transect
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from oysterbench.errors import TrajectoryError
+from oysterbench.evaluate.alignment import fit_alignment
+from oysterbench.evaluate.slam import SlamSettings, score
+from oysterbench.streams import stream
+from oysterbench.trajectory import Trajectory
+
+
+def refusal(truth: Trajectory, estimate: Trajectory, **options) -> str:
+    with pytest.raises(TrajectoryError) as caught:
+        score(truth, estimate, SlamSettings(**options))
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def turned_about_x(trajectory: Trajectory, degrees: float) -> Trajectory:
+    return moved(trajectory, Rotation.from_euler("x", degrees, degrees=True), (0, 0, 0))
+
+
+# --- straight lines ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("align", ["se3", "sim3"])
+def test_an_exact_line_is_refused_and_told_what_to_choose(align):
+    message = refusal(transect(), noisy(transect(), 0.001), align=align)
+    assert "the points lie on one line: nothing determines the rotation about it" in message
+    assert message.endswith("choose another alignment (posyaw, origin or none)")
+
+
+@pytest.mark.parametrize("align", ["se3", "sim3"])
+def test_a_line_with_a_millimetre_of_noise_is_refused_where_noise_is_all_there_is_across_it(align):
+    """evo turns such an estimate by 86 deg about the line and reports it as its rotation error."""
+    truth, estimate = noisy(transect(), 0.001, case=1), noisy(transect(), 0.001, case=2)
+    message = refusal(truth, estimate, align=align)
+    assert "nearly on one line" in message
+    assert "the rotation about the line is a guess" in message
+
+
+def test_a_line_that_winds_more_than_the_estimate_errs_is_flagged_with_the_uncertainty():
+    """2 mm to either side, errors of 1 mm: sigma = 1 mm / sqrt(2 mm^2 + ...), here 1 / 2 rad."""
+    truth = transect(width_m=0.002)
+    result = score(truth, noisy(truth, 0.001), SlamSettings(align="se3"))
+    sigma = result.metrics["alignment_sigma_deg"]
+    assert sigma == pytest.approx(np.rad2deg(0.5), rel=0.1)
+    (note,) = (note for note in result.notes if "nearly on one line" in note)
+    assert f"uncertain by {sigma:.0f} deg" in note
+    assert result.metrics["alignment_condition"] > 1000
+
+
+def test_a_line_that_winds_far_more_than_the_estimate_errs_is_aligned_without_a_word():
+    truth = transect(width_m=0.5)
+    result = score(truth, turned_about_x(noisy(truth, 0.001), 50), SlamSettings(align="se3"))
+    assert result.notes == ()
+    assert result.metrics["ate_rotation_rmse_deg"] < 0.1
+    assert result.metrics["alignment_sigma_deg"] < 0.2
+    assert result.metrics["alignment_condition"] == pytest.approx(np.sqrt(75 / 0.25), rel=0.2)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.001])
+@pytest.mark.parametrize("align", ["posyaw", "origin", "none", "scale"])
+def test_a_straight_transect_is_scored_by_what_it_does_determine(align, noise_m):
+    metrics = score(transect(), noisy(transect(), noise_m), SlamSettings(align=align)).metrics
+    assert metrics["ate_rmse_m"] <= 5 * noise_m + 1e-12
+    assert metrics["ate_rotation_rmse_deg"] < 0.1
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.01, 0.5))
+@settings(max_examples=40, deadline=None)
+def test_the_uncertainty_of_the_turn_is_no_less_than_its_error(seed, width_m):
+    """The turn about the line that noise of 1 mm leaves, against sigma: of 301 independent errors, far inside it."""
+    truth = transect(width_m=width_m)
+    fit = fit_alignment(truth, noisy(truth, 0.001, case=seed), "se3")
+    about_line = Rotation.from_matrix(fit.similarity.rotation).as_rotvec()[0]
+    assert abs(about_line) < fit.sigma_rad
+    assert fit.sigma_rad == pytest.approx(0.001 / width_m, rel=0.15)
+
+
+# --- verticals -----------------------------------------------------------------------------------------------------
+
+
+def descent(width_m: float) -> Trajectory:
+    line = transect(width_m=width_m)
+    return replace(line, positions=line.positions[:, [1, 2, 0]] * [1, 1, -0.3])
+
+
+def test_an_exact_descent_does_not_determine_yaw():
+    message = refusal(descent(0.0), noisy(descent(0.0), 0.001))
+    assert "'posyaw'" in message
+    assert "does not move horizontally" in message
+    assert message.endswith("choose another alignment (origin or none)")
+
+
+def test_a_descent_on_a_narrow_helix_is_flagged_with_the_uncertainty_of_its_yaw():
+    truth = descent(0.002)
+    result = score(truth, noisy(truth, 0.001))
+    sigma = result.metrics["alignment_sigma_deg"]
+    assert sigma == pytest.approx(np.rad2deg(0.5), rel=0.1)
+    assert any(f"yaw is uncertain by {sigma:.0f} deg" in note for note in result.notes)
+
+
+# --- scale ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("align", ["sim3", "scale"])
+@pytest.mark.parametrize("noise_m", [0.0, 1e-8, 1e-4])
+def test_a_stuck_estimate_is_refused_and_not_scaled_a_hundred_million_times(align, noise_m):
+    truth = survey()
+    stuck = noisy(replace(truth, positions=np.zeros_like(truth.positions)), noise_m)
+    message = refusal(truth, stuck, align=align)
+    assert "the estimate does not move" in message
+
+
+@pytest.mark.parametrize("align", ["sim3", "scale"])
+def test_an_estimate_that_jitters_in_one_place_is_scaled_with_a_flag(align):
+    truth = survey()
+    stuck = noisy(replace(truth, positions=np.zeros_like(truth.positions)), 0.05)
+    notes = score(truth, stuck, SlamSettings(align=align)).notes
+    assert any("of the truth's motion: it has hardly any in common with it" in note for note in notes)
+
+
+def test_a_scale_of_a_thousand_is_found_and_said():
+    truth = survey()
+    small = replace(truth, positions=truth.positions / 500)
+    result = score(truth, small, SlamSettings(align="sim3"))
+    assert result.metrics["scale"] == pytest.approx(500)
+    assert any("scales the estimate by 500: is it in another unit than m, or stuck?" in note for note in result.notes)
+
+
+def test_scale_alone_turns_and_moves_nothing():
+    truth = survey()
+    turned = turned_about_x(replace(truth, positions=truth.positions / 2), 90)
+    result = score(truth, turned, SlamSettings(align="scale"))
+    assert result.alignment.scale == pytest.approx(2)
+    np.testing.assert_array_equal(result.alignment.rotation, np.eye(3))
+    np.testing.assert_array_equal(result.alignment.translation, np.zeros(3))
+
+
+# --- all and first poses -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("align", ["posyaw", "se3"])
+def test_the_first_poses_alone_can_carry_the_alignment(align):
+    truth = survey()
+    t = np.linspace(0, 1, len(truth))[:, None]
+    bending = moved(replace(truth, positions=truth.positions + 3 * t**2), Rotation.from_euler("z", 1.0), (1, 2, 3))
+    whole = score(truth, bending, SlamSettings(align=align))
+    first = score(truth, bending, SlamSettings(align=align, align_first=200))
+    assert first.error_m[:200].max() < 0.2 < whole.error_m[:200].max()
+    assert first.metrics["ate_rmse_m"] > whole.metrics["ate_rmse_m"]
+
+
+def test_first_poses_on_a_line_are_refused_though_the_whole_path_is_none():
+    truth = survey()
+    positions = truth.positions.copy()
+    positions[:100] = np.linspace([-10, 3, -3], positions[100], 100, endpoint=False)
+    truth = replace(truth, positions=positions)
+    assert "one line" in refusal(truth, truth, align="se3", align_first=100)
+    assert score(truth, truth, SlamSettings(align="se3")).metrics["ate_rmse_m"] < 1e-9
+
+
+@pytest.mark.parametrize("align", ["none", "origin", "scale"])
+def test_what_fits_no_rotation_has_no_condition_and_says_why(align):
+    result = score(survey(), survey(), SlamSettings(align=align))
+    for key in ("alignment_condition", "alignment_sigma_deg"):
+        assert np.isnan(result.metrics[key])
+        assert result.reasons[key] == f"alignment '{align}' fits no rotation to the path"
+
+
+def test_singular_values_are_those_of_the_path():
+    rng = stream(8, b"", "cloud")
+    truth = survey()
+    truth = replace(truth, positions=rng.normal(0, 1, truth.positions.shape) * [4, 2, 1])
+    fit = score(truth, truth, SlamSettings(align="se3")).fit
+    np.testing.assert_allclose(fit.singular_values, [16, 4, 1], rtol=0.1)
+    assert fit.condition == pytest.approx(np.sqrt(20 / 5), rel=0.1)
+    assert fit.sigma_rad == pytest.approx(0, abs=1e-9)
