@@ -72,12 +72,8 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
         if image is None or image.stamp_ns != depth.stamp_ns or not _spans(path, depth.stamp_ns):
             continue
         seen = (depth.pixels > 0) & known_rays
-        points = _in_map(
-            path,
-            depth.stamp_ns,
-            sequence.cameras[camera].T_base_cam,
-            points_at(rays[seen], depth.pixels[seen].astype(float)),
-        )
+        shown = points_at(rays[seen], depth.pixels[seen].astype(float))
+        points = _in_map(path, depth.stamp_ns, sequence.cameras[camera].T_base_cam, shown)
         rows = _rows(points, POINT)
         for k, colour in enumerate(("red", "green", "blue")):
             rows[colour] = image.pixels[seen][:, k]
