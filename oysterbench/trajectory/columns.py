@@ -32,6 +32,7 @@ class Columns:
     time_unit:  unit of the stamps, where the layout says it
     exact:      how many columns a line must have; None: as many as the first line
     named:      whether a header named the columns
+    euroc:      whether it is EuRoC's own layout, in which whole stamps are ns
     """
 
     kind: str
@@ -42,6 +43,7 @@ class Columns:
     time_unit: str | None = None
     exact: int | None = None
     named: bool = False
+    euroc: bool = False
 
     @property
     def numbers(self) -> list[int]:
@@ -51,13 +53,13 @@ class Columns:
         return sorted({*self.position, *self.quaternion, *self.covariance.values()})
 
     @property
-    def euroc(self) -> bool:
+    def stands_as_euroc(self) -> bool:
         """Whether the columns stand as in EuRoC's ground truth: t x y z qw qx qy qz."""
         return (self.stamp, self.position, self.quaternion) == (0, (1, 2, 3), (5, 6, 7, 4))
 
 
 TUM = Columns("t x y z qx qy qz qw", 0, (1, 2, 3), (4, 5, 6, 7), exact=8)
-EUROC = Columns("t,x,y,z,qw,qx,qy,qz", 0, (1, 2, 3), (5, 6, 7, 4))
+EUROC = Columns("t,x,y,z,qw,qx,qy,qz", 0, (1, 2, 3), (5, 6, 7, 4), euroc=True)
 KITTI = Columns("12 numbers r11 r12 r13 tx ... r33 tz", None, (3, 7, 11), (), exact=12)
 KITTI_MATRIX = (0, 1, 2, 4, 5, 6, 8, 9, 10)
 

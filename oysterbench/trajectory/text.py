@@ -139,7 +139,7 @@ def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
     if options.format == "euroc":
         return replace(EUROC, time_unit="ns")
     if named:
-        return named
+        return replace(named, euroc=head.commas and named.stands_as_euroc)
     if options.format == "csv" or head.certain:
         raise TrajectoryError(
             f"{path}: expected a header that names a column for each of t, x, y, z, qx, qy, qz, qw, got "

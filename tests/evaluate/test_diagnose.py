@@ -99,6 +99,16 @@ def test_quaternions_as_w_x_y_z_are_recognised_read_so_and_said(tmp_path, truth)
     assert kept.notes == ()
 
 
+def test_quaternions_as_w_x_y_z_are_recognised_in_a_text_file(tmp_path):
+    write_tum(tmp_path / "truth.tum", TRUTH)
+    (tmp_path / "estimate.tum").write_bytes(
+        files.tum(replace(ESTIMATE, quaternions=ESTIMATE.quaternions[:, [3, 0, 1, 2]]))
+    )
+    _, read = read_pair(tmp_path / "truth.tum", tmp_path / "estimate.tum")
+    np.testing.assert_array_equal(read.stamps_ns, ESTIMATE.stamps_ns)
+    np.testing.assert_array_equal(read.quaternions, ESTIMATE.quaternions)
+
+
 def test_quaternions_as_w_x_y_z_that_never_turn_are_refused(tmp_path):
     truth = transect()
     upright = noisy(truth)
