@@ -94,7 +94,7 @@ def test_results_are_written_and_read(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": "other/9"}, "key 'format': expected 'oysterbench-result/1', got 'other/9'"),
+        ({"format": "other/9"}, "key 'format': expected 'oysterbench-result/2', got 'other/9'"),
         ({"extra": 1}, "unknown key 'extra'"),
         ({"method": 3}, "key 'method': expected text, got 3"),
         ({"metrics": [1]}, "key 'metrics': expected an object"),
@@ -102,6 +102,9 @@ def test_results_are_written_and_read(tmp_path):
         ({"metrics": {"ate_rmse_m": True}}, "key 'metrics.ate_rmse_m'"),
         ({"metrics": {"ate_rmse_m": None}}, "expected the reason"),
         ({"notes": "one"}, "key 'notes': expected a list of texts"),
+        ({"run": -1}, "key 'run': expected a whole number from 0, got -1"),
+        ({"seed": "7"}, "key 'seed': expected a whole number or null"),
+        ({"conditions": {"water": ["3C"]}}, "key 'conditions.water': expected a number or text"),
         ({"failure": 1}, "key 'failure': expected text or null"),
     ],
 )
@@ -169,6 +172,27 @@ def test_an_empty_sample_is_none_with_the_reason():
     assert row["metrics"] == {"score": 0.0, "coverage": 0.0}
     assert "no run of dead_reckoning on slam-mini could be scored" in row["reasons"]["*"]
     assert aggregate([]) == []
+
+
+def test_the_aggregate_holds_spread_and_says_why_there_is_no_interval():
+    runs = [record(metrics={"ate_rmse_m": value}, run=i, seed=i) for i, value in enumerate((1.0, 3.0))]
+    (row,) = aggregate(runs)
+    found = row["statistics"]["ate_rmse_m"]
+    assert (found["runs"], found["sequences"], found["low"], found["high"]) == (2, 1, 2.0, 2.0)
+    assert found["run_deviation"] == pytest.approx(math.sqrt(2))
+    assert found["interval"]["low"] is None
+    assert found["interval"]["reason"].startswith("1 sequence")
+
+
+def test_many_sequences_have_an_interval():
+    (row,) = aggregate([record(sequence=f"s{i}", metrics={"ate_rmse_m": float(i)}) for i in range(9)])
+    interval = row["statistics"]["ate_rmse_m"]["interval"]
+    assert interval["low"] < row["metrics"]["ate_rmse_m"] == 4.0 < interval["high"]
+
+
+def test_conditions_run_and_seed_survive_json():
+    first = record(conditions={"water": "clear", "secchi_m": 6.1}, run=3, seed=17, truth_digest="cd")
+    assert ResultRecord.from_json(first.to_json()) == first
 
 
 @pytest.mark.parametrize(

@@ -30,6 +30,9 @@ LEVEL = 0.95
 
 RESAMPLES = 10_000
 
+TIE = 1e-9
+"""Of a value: what differs by less is equal, by the last digits of its computation."""
+
 LEAST_SEQUENCES = 6
 """The mean of a symmetric population lies in the whole range of n values with probability 1 - 2^(1 - n): 6 is the first
 n for which this passes 95 %. With fewer, no resampling of the values can carry that level."""
@@ -186,7 +189,7 @@ def compare(a: Sample, b: Sample, better: Literal["lower", "higher"]) -> Compari
     """
     means_a, means_b = sequence_means(a), sequence_means(b)
     shared = [name for name in means_a if name in means_b]
-    differences = np.array([means_a[name] - means_b[name] for name in shared])
+    differences = np.array([_difference(means_a[name], means_b[name]) for name in shared])
     gains = differences if better == "higher" else -differences
     if not len(shared):
         return Comparison(0, math.nan, Interval(math.nan, math.nan, "no sequence in common"), 0, 0, 0, "not told apart")
@@ -220,6 +223,11 @@ def rank(samples: Mapping[str, Sample], better: Literal["lower", "higher"]) -> d
         worse, above = ([c.verdict for c in others].count(verdict) for verdict in ("better", "worse"))
         standings[name] = Standing(place, 1 + above, len(ranked) - worse)
     return standings
+
+
+def _difference(a: float, b: float) -> float:
+    """a - b, zero where only the last digits differ: one estimate, written in two ways, is a tie with itself."""
+    return 0.0 if math.isclose(a, b, rel_tol=TIE) else a - b
 
 
 def _mean(values: Array) -> float:

@@ -122,6 +122,12 @@ def test_a_verdict_turns_with_direction_and_order():
     assert compare(a, a, "higher").verdict == "not told apart"
 
 
+def test_rounding_is_no_victory():
+    a = sample(np.arange(8) + 1.0)
+    against = compare(a, {name: [values[0] * (1 + 1e-12)] for name, values in a.items()}, "higher")
+    assert (against.wins, against.ties, against.losses, against.verdict) == (0, 8, 0, "not told apart")
+
+
 def test_only_shared_sequences_are_compared():
     a, b = {**sample(range(6)), "only a": [100.0]}, {**sample(range(6)), "only b": [-100.0]}
     assert compare(a, b, "higher").sequences == 6

@@ -1,0 +1,65 @@
+"""What a sequence is like, read from the recipe of its split, to be kept with every result."""
+
+from __future__ import annotations
+
+from oysterbench.recipe import SequenceRecipe, SplitRecipe
+from oysterbench.render.spectra import secchi_depth, water_constituents
+
+SECCHI_CLASSES_M = ((1.0, "turbid"), (4.0, "murky"), (float("inf"), "clear"))
+"""Depth at which a disc vanishes, up to which water is of a class: survey altitudes are about 1 m, and from some four
+times that on the water hardly matters to a picture."""
+
+DENSITY_CLASSES_PER_M2 = ((1.0, "bare"), (15.0, "sparse"), (float("inf"), "dense"))
+"""Oysters on a square metre, up to which a reef is of a class; restoration counts a reef as one from 15 per m^2 on
+(Oyster Metrics Workgroup 2011, the least density of a success)."""
+
+DARK = 0.05  # share of full daylight below which lamps are the light
+OVERCAST = 0.8  # share of the light from the sky from which on the sun throws no shadow to speak of
+CALM_WIND_M_S = 1.0  # below it no caustics are to be seen
+CALM_WAVE_M, CALM_CURRENT_M_S = 0.1, 0.1  # below both the vehicle goes its way undisturbed
+
+
+def conditions(split: SplitRecipe, sequence: str) -> dict[str, float | str]:
+    """The conditions of a sequence of a split, by keys of `evaluate.conditions.CONDITIONS`."""
+    recipe = split.find_sequence(sequence)
+    density = recipe.reef.oyster_count / recipe.reef.size_m**2
+    secchi_m = secchi_depth(water_constituents(recipe.water))
+    return {
+        "water": _class_of(secchi_m, SECCHI_CLASSES_M),
+        "light": _light(recipe, any(lamp.intensity_cd > 0 for lamp in split.rig.lamp)),
+        "density": _class_of(density, DENSITY_CLASSES_PER_M2),
+        "motion": f"{recipe.path.kind}, {'calm' if _is_calm(recipe) else 'disturbed'}",
+        "water_type": recipe.water.type or recipe.water.jerlov or "",
+        "path": recipe.path.kind,
+        "secchi_m": round(secchi_m, 3),
+        "altitude_m": recipe.path.altitude_m,
+        "oysters_per_m2": round(density, 3),
+        "speed_m_s": recipe.path.speed_m_s,
+        "depth_m": recipe.reef.depth_m,
+        "snow_per_m3": recipe.water.snow_per_m3,
+        "daylight": recipe.light.daylight,
+        "wind_m_s": recipe.light.wind_m_s,
+        "wave_height_m": recipe.site.wave_height_m,
+        "current_m_s": recipe.site.current_m_s,
+        "plant_cover": recipe.reef.plant_cover,
+        "duration_s": recipe.duration_s,
+    }
+
+
+def _class_of(value: float, classes: tuple[tuple[float, str], ...]) -> str:
+    return next(name for limit, name in classes if value < limit)
+
+
+def _light(recipe: SequenceRecipe, has_lamps: bool) -> str:
+    light = recipe.light
+    lamps = has_lamps and light.lamps > 0
+    if light.daylight < DARK:
+        return "lamps" if lamps else "dark"
+    day = "overcast" if light.sky_fraction >= OVERCAST else "sun"
+    if day == "sun" and light.wind_m_s >= CALM_WIND_M_S:
+        day = "sun with caustics"
+    return f"{day} and lamps" if lamps else day
+
+
+def _is_calm(recipe: SequenceRecipe) -> bool:
+    return recipe.site.wave_height_m < CALM_WAVE_M and recipe.site.current_m_s < CALM_CURRENT_M_S
