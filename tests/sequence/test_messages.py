@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+from pathlib import Path
 
 import hand_made_dive as dive
 import numpy as np
@@ -208,3 +210,11 @@ def test_a_rig_has_the_topics_and_frames_of_its_sensors():
     }
     bare = topics.rig_topics(parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG).rig)
     assert not {"/dvl/velocity", "/pressure", "/magnetometer"} & set(bare)
+
+
+def test_the_readme_names_every_topic():
+    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    rig = parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + EVERY_SENSOR).rig
+    for topic in set(topics.rig_topics(rig)) - {"/tf_static"}:
+        name = re.sub("^/(cam_front|fls|plain|msis|alt)/", "/NAME/", topic)
+        assert f"`{name}`" in readme or name.rsplit("/")[-1] in topics.LAYERS, topic

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from oysterbench.errors import SequenceError
 from oysterbench.recipe import CLASSES
-from oysterbench.sequence.export.parts import write_png
+from oysterbench.sequence.export.parts import frames_with_layers, write_png
 from oysterbench.sequence.export.polygons import mask_polygons
 from oysterbench.sequence.types import Sequence
 
@@ -32,12 +32,11 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for camera in cameras:
-        for stamp, pixels, classes, instances, visibility in _frames(
-            sequence, camera, f"/{camera}/visibility" in topics
-        ):
-            file = f"{camera}_{stamp}.png"
-            write_png(folder / "images" / file, pixels)
-            height, width = classes.shape
+        layers = [name for name in ("class", "instance", "visibility") if f"/{camera}/{name}" in topics]
+        for image, found in frames_with_layers(sequence, camera, layers):
+            file = f"{camera}_{image.stamp_ns}.png"
+            write_png(folder / "images" / file, image.pixels)
+            height, width = found["class"].shape
             image_id = len(images) + 1
             images.append(
                 {
@@ -47,10 +46,10 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
                     "height": height,
                     "license": LICENCE["id"],
                     "camera": camera,
-                    "stamp_ns": stamp,
+                    "stamp_ns": image.stamp_ns,
                 }
             )
-            for annotation in annotate(classes, instances, visibility):
+            for annotation in annotate(found["class"], found["instance"], found.get("visibility")):
                 annotations.append({"id": len(annotations) + 1, "image_id": image_id, **annotation})
     document = {
         "info": {"description": f"oysterbench {sequence.name}", "version": sequence.metadata.get("split_version", "")},
@@ -86,19 +85,3 @@ def annotate(
             "instance": int(number),
             **({} if visibility is None else {"visibility": round(float(np.nanmax(visibility[mask])), 6)}),
         }
-
-
-def _frames(sequence: Sequence, camera: str, with_visibility: bool) -> Iterator[tuple[int, Any, Any, Any, Any]]:
-    """Stamp, colour, classes, instances and visibility (or None) of the frames that have layers."""
-    layers = [sequence.layer(camera, layer) for layer in ("class", "instance")]
-    if with_visibility:
-        layers.append(sequence.layer(camera, "visibility"))
-    images = sequence.images(camera)
-    for found in zip(*layers, strict=True):
-        stamp = found[0].stamp_ns
-        if any(layer.stamp_ns != stamp for layer in found):
-            raise SequenceError(f"{sequence.name}: the layers of {camera} at {stamp} are not of one stamp")
-        image = next((image for image in images if image.stamp_ns >= stamp), None)
-        if image is None or image.stamp_ns != stamp:
-            raise SequenceError(f"{sequence.name}: {camera} has layers at {stamp} and no frame")
-        yield stamp, image.pixels, found[0].pixels, found[1].pixels, found[2].pixels if with_visibility else None

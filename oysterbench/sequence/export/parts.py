@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from oysterbench.errors import SequenceError
 from oysterbench.geometry import Array, invert
+from oysterbench.samples import Image
 from oysterbench.sequence.calibration import CameraCalibration
 from oysterbench.sequence.types import Sequence
 from oysterbench.trajectory import Trajectory
@@ -43,6 +45,23 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
     """A text file of lines."""
     with open(path, "w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"{line}\n" for line in lines)
+
+
+def frames_with_layers(
+    sequence: Sequence, camera: str, layers: Iterable[str]
+) -> Iterator[tuple[Image, dict[str, NDArray[Any]]]]:
+    """The colour frames of a camera that have layers, with the pixels of each layer by its name.
+
+    Raises SequenceError where layers and frames are not of one stamp.
+    """
+    names = list(layers)
+    images = sequence.images(camera)
+    for found in zip_longest(*(sequence.layer(camera, name) for name in names)):
+        stamps = {None if layer is None else layer.stamp_ns for layer in found}
+        image = next((image for image in images if image.stamp_ns in stamps), None)
+        if image is None or len(stamps) > 1:
+            raise SequenceError(f"{sequence.name}: layers of {camera} without their frame, or one without the others")
+        yield image, {name: layer.pixels for name, layer in zip(names, found, strict=True)}
 
 
 def sensor_poses(truth: Trajectory, T_base_sensor: Array) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from oysterbench.errors import SequenceError
 from oysterbench.geometry import Array
 from oysterbench.sequence.calibration import CameraCalibration
-from oysterbench.sequence.export.parts import sensor_poses
+from oysterbench.sequence.export.parts import frames_with_layers, sensor_poses
 from oysterbench.sequence.types import Sequence
 from oysterbench.trajectory import Trajectory
 
@@ -62,18 +62,16 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
     """(N,) POINT: the pixels with depth of all frames that the truth spans, in map, thinned to one per voxel."""
     rays = pixel_rays(sequence.cameras[camera])
     known_rays = np.isfinite(rays[..., 0])
-    images = sequence.images(camera)
-    labels = {name: sequence.layer(camera, name) for name in ("class", "instance") if f"/{camera}/{name}" in topics}
-    kept: list[NDArray[Any]] = []
+    layers = ["depth", *(name for name in ("class", "instance") if f"/{camera}/{name}" in topics)]
+    kept = [np.zeros(0, dtype=POINT)]
     known = np.zeros(0, dtype=np.int64)
-    for depth in sequence.layer(camera, "depth"):
-        found = {name: next(layer).pixels for name, layer in labels.items()}
-        image = next((image for image in images if image.stamp_ns >= depth.stamp_ns), None)
-        if image is None or image.stamp_ns != depth.stamp_ns or not _spans(path, depth.stamp_ns):
+    for image, found in frames_with_layers(sequence, camera, layers):
+        if not _spans(path, image.stamp_ns):
             continue
-        seen = (depth.pixels > 0) & known_rays
-        shown = points_at(rays[seen], depth.pixels[seen].astype(float))
-        points = _in_map(path, depth.stamp_ns, sequence.cameras[camera].T_base_cam, shown)
+        depth = found.pop("depth")
+        seen = (depth > 0) & known_rays
+        shown = points_at(rays[seen], depth[seen].astype(float))
+        points = _in_map(path, image.stamp_ns, sequence.cameras[camera].T_base_cam, shown)
         rows = _rows(points, POINT)
         for k, colour in enumerate(("red", "green", "blue")):
             rows[colour] = image.pixels[seen][:, k]
@@ -84,7 +82,7 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
         new = ~np.isin(keys, known, assume_unique=True)
         known = np.union1d(known, keys[new])
         kept.append(rows[np.sort(first[new])])
-    return np.concatenate(kept) if kept else np.zeros(0, dtype=POINT)
+    return np.concatenate(kept)
 
 
 def sonar_cloud(sequence: Sequence, sonar: str, path: Trajectory) -> NDArray[Any]:
