@@ -35,7 +35,7 @@ from oysterbench.sequence.topics import EPOCH_NS, Message
 from oysterbench.sequence.write import SequenceWriter, pack
 from oysterbench.version import VERSION
 
-GENERATION = 2
+GENERATION = 3
 """Raised whenever the same recipe begins to give other bytes, so that no cached file is taken for a new one."""
 
 FRAMES_PER_PART = 10

@@ -22,6 +22,7 @@ SPONGE = wp.constant(wp.uint8(CLASS_NUMBERS["sponge"]))
 SHELL_HASH = wp.constant(wp.vec3(0.520, 0.490, 0.420))
 PEBBLE = wp.constant(wp.vec3(0.050, 0.048, 0.042))
 INSIDE = wp.constant(wp.vec3(0.560, 0.535, 0.480))
+FILLED = wp.constant(0.85)  # share of a shell's ridges that sediment levels where it covers all
 SCAR = wp.constant(wp.vec3(0.190, 0.130, 0.180))
 FILM = wp.constant(wp.vec3(0.105, 0.110, 0.050))  # of algae on what sees light
 BARNACLE = wp.constant(wp.vec3(0.480, 0.460, 0.410))
@@ -213,7 +214,13 @@ def shell(
     close = kept(0.0031, footprint) * outside
     strong = wp.clamp(0.6 + 0.9 * coarse[3], 0.0, 1.3)
     brink = step_smoothly(0.62, 0.80, band) * (1.0 - step_smoothly(0.90, 1.0, band))
-    gradient = gradient + radial * (wide * strong * (0.9 - 6.0 * brink) + close * (1.3 * (0.5 - ridge)))
+    # Sediment stays where the surface is flat and rough, and fills what the shell has grown.
+    settled = normal[2] + 0.45 * value + 0.40 * fine + silt + 1.7 * ground.cover - 1.6
+    cover = step_smoothly(0.15, 0.95, settled)
+    dust = ground.cover * (0.25 + 0.35 * silt) * (0.75 + 0.25 * normal[2])
+    cover = cover + (1.0 - cover) * dust
+    bare = 1.0 - FILLED * cover
+    gradient = gradient + radial * (bare * (wide * strong * (0.9 - 6.0 * brink) + close * (1.3 * (0.5 - ridge))))
     band = band * kept(0.0105, footprint)
     ridge = ridge * close
     outer = colour * wp.max(0.3, 0.80 + 0.26 * band + 0.22 * ridge + 0.36 * value + 0.28 * fine)
@@ -231,18 +238,13 @@ def shell(
     albedo = outer * outside + inner * (1.0 - outside)
     relief = 0.08 + 0.16 * outside
     bumped = wp.normalize(normal - (rotation * gradient) * relief)
-    # Sediment stays where the surface is flat and rough.
-    settled = normal[2] + 0.45 * value + 0.40 * fine + silt + 1.7 * ground.cover - 1.6
-    cover = step_smoothly(0.15, 0.95, settled)
-    dust = ground.cover * (0.25 + 0.35 * silt) * (0.75 + 0.25 * normal[2])
-    cover = cover + (1.0 - cover) * dust
     material = Material()
     # Settled sediment is a fuzz of grains and turf.
     tone = 1.0 + 0.22 * fine + 0.2 * value
     grains = kept(0.0019, footprint) * cover
     if grains > 0.0:
         fuzz = noise3(q / 0.0019, seed + wp.uint32(41))
-        bumped = wp.normalize(bumped - (rotation * wp.vec3(fuzz[1], fuzz[2], fuzz[3])) * (0.14 * grains))
+        bumped = wp.normalize(bumped - (rotation * wp.vec3(fuzz[1], fuzz[2], fuzz[3])) * (0.22 * grains))
         tone += 0.28 * fuzz[0] * grains
     silted = ground.silt * wp.max(0.35, tone)
     material.albedo = albedo + (silted - albedo) * (0.90 * cover)
