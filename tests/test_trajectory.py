@@ -278,7 +278,12 @@ def test_the_compiled_reader_and_the_one_by_lines_agree(text, columns):
             table = read_table(text, 0, columns, "poses.txt", compiled)
         except TrajectoryError as error:
             return str(error)
-        return table.stamps, table.sizes.tolist(), table.values.tolist(), [table.where(i) for i in range(len(table))]
+        return (
+            table.stamps.tolist(),
+            table.sizes.tolist(),
+            table.values.tolist(),
+            [table.where(i) for i in range(len(table))],
+        )
 
     assert outcome(True) == outcome(False)
 

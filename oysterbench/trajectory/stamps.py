@@ -41,7 +41,7 @@ def scaled_integer(text: str, shift: int) -> int:
     return int(value.scaleb(shift).to_integral_value())
 
 
-def scaled_integers(texts: Sequence[str], shift: int) -> NDArray[np.int64]:
+def scaled_integers(texts: Sequence[str] | NDArray[np.bytes_], shift: int) -> NDArray[np.int64]:
     """The decimal numbers `texts` (N,), ASCII, times 10**shift, rounded: (N,) int64.
 
     Texts of one shape (length, place of the point) are converted together. What is not plain digits, or has more
@@ -69,5 +69,5 @@ def scaled_integers(texts: Sequence[str], shift: int) -> NDArray[np.int64]:
         fits = digits[:, 0] <= 8 if point + shift == INT64_DIGITS else True
         plain[rows] = (digits <= 9).all(axis=1) & fits
     for i in np.flatnonzero(~plain).tolist():
-        values[i] = scaled_integer(texts[i], shift)
+        values[i] = scaled_integer(padded[i].decode(), shift)
     return values

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import re
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from oysterbench.errors import TrajectoryError
 from oysterbench.geometry import Array
@@ -21,6 +23,9 @@ PLAIN = b"0123456789+-.eE \t\n,"
 WORTH_COMPILED = 100_000
 """Bytes below which reading line by line is as fast as the import of the compiled reader."""
 
+STAMP_WIDTH = 32
+"""Characters that a stamp has at most where it is read at once: numpy writes 24."""
+
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 NO_NUMBER = re.compile(r"[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 
@@ -29,16 +34,20 @@ NO_NUMBER = re.compile(r"[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 class Table:
     """The numbers of a file.
 
-    stamps: (N,) texts of the stamps; empty where the layout has none
+    stamps: (N,) texts of the stamps, ASCII; empty where the layout has none
     sizes:  (N,) float64, the same as rounded numbers
     values: (N, K) float64, finite: the columns `Columns.numbers`
     where:  row, counted from 0 -> "path:line"
     """
 
-    stamps: list[str]
+    stamps: NDArray[np.bytes_]
     sizes: Array
     values: Array
     where: Callable[[int], str]
+
+    def stamp(self, row: int) -> str:
+        """The text of a row's stamp, shortened for a message."""
+        return self.stamps[row].decode()[:40]
 
     def __len__(self) -> int:
         return len(self.values)
@@ -95,25 +104,27 @@ def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Table 
         data = data.replace(b", ", b",")
         if b" " in data or b"\t" in data:
             return None
-    # Every column is read as numbers, so that a line that breaks off leaves an empty cell, which is none.
-    kinds: defaultdict[int, type] = defaultdict(lambda: float)
-    if columns.stamp is not None:
-        kinds[columns.stamp] = object
     # Before version 3 only this setting rounds decimals to the nearest float64; since then every one does.
     exact = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
+    read = partial(
+        pd.read_csv,
+        sep="," if commas else " " if _single_spaces(data) else r"\s+",
+        header=None,
+        na_filter=False,
+        low_memory=False,
+    )
     try:
-        frame = pd.read_csv(
-            io.BytesIO(data),
-            sep="," if commas else r"\s+",
-            header=None,
-            dtype=kinds,
-            na_filter=False,
-            low_memory=False,
-            **exact,
-        )
-        values = frame[columns.numbers].to_numpy(dtype=float)
-        stamps = [] if columns.stamp is None else frame[columns.stamp].tolist()
-        sizes = np.array(stamps, dtype=np.bytes_).astype(float)
+        # Every column is read as numbers, so that a line that breaks off leaves an empty cell, which is none.
+        frame = read(io.BytesIO(data), dtype=float, **exact)
+        values = frame[columns.numbers].to_numpy()
+        stamps, sizes = np.empty(0, dtype="S1"), np.empty(0)
+        if columns.stamp is not None:
+            sizes = frame[columns.stamp].to_numpy()
+            first = _first_fields(data) if columns.stamp == 0 else None
+            if first is None or len(first) != len(frame):
+                texts = read(io.BytesIO(data), usecols=[columns.stamp], dtype=object)
+                first = np.array(texts[columns.stamp].tolist(), dtype=np.bytes_)
+            stamps = first
     except (ValueError, LookupError, OverflowError):
         return None
     count = frame.shape[1]
@@ -125,6 +136,27 @@ def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Table 
         return f"{path}:{next(n for i, n in enumerate(numbers) if i == row)}"
 
     return Table(stamps, sizes, values, where)
+
+
+def _single_spaces(data: bytes) -> bool:
+    """Whether one space stands between two numbers everywhere, and none elsewhere."""
+    return not (data.startswith(b" ") or any(sign in data for sign in (b"\t", b"  ", b"\n ", b" \n")))
+
+
+def _first_fields(data: bytes) -> NDArray[np.bytes_] | None:
+    """The first field of every line, or None where one has none that is short, or a line is empty."""
+    characters = np.frombuffer(data, dtype=np.uint8)
+    breaks = np.flatnonzero(characters == ord("\n"))
+    starts = np.concatenate([[0], breaks + 1])
+    starts = starts[starts < len(characters)]
+    padded = np.concatenate([characters, np.zeros(STAMP_WIDTH, dtype=np.uint8)])
+    fields = sliding_window_view(padded, STAMP_WIDTH)[starts]
+    ends = (fields == ord(" ")) | (fields == ord("\t")) | (fields == ord(",")) | (fields == ord("\n"))
+    lengths = ends.argmax(axis=1)
+    if not ends.any(axis=1).all() or not lengths.all():
+        return None
+    fields[np.arange(STAMP_WIDTH) >= lengths[:, None]] = 0
+    return fields.view(f"S{STAMP_WIDTH}").ravel()
 
 
 def _read_lines(text: str, begin: int, columns: Columns, path: str) -> Table:
@@ -160,7 +192,9 @@ def _read_lines(text: str, begin: int, columns: Columns, path: str) -> Table:
             raise TrajectoryError(f"{where}: expected numbers that a float64 holds, got {_shown(line)}")
         numbers.append(number)
     table = np.array(values, dtype=float).reshape(-1, len(wanted))
-    return Table(stamps, np.array(stamps, dtype=float), table, lambda row: f"{path}:{numbers[row]}")
+    return Table(
+        np.array(stamps, dtype=np.bytes_), np.array(stamps, dtype=float), table, lambda row: f"{path}:{numbers[row]}"
+    )
 
 
 def columns_needed(columns: Columns) -> int:

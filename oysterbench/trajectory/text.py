@@ -168,15 +168,15 @@ def _stamps(table: Table, columns: Columns, path: Path, options: ReadOptions, no
             kind = ("nanoseconds", "s") if huge[0] else ("s", "nanoseconds")
             raise TrajectoryError(
                 f"{table.where(i)}: expected stamps in {kind[0]} as on the lines before, got {kind[1]}: "
-                f"{table.stamps[i][:40]}"
+                f"{table.stamp(i)}"
             )
-        elif columns.euroc and not any("." in text or "e" in text.lower() for text in table.stamps):
+        elif columns.euroc and not (broken := _broken(table.stamps)).any():
             unit = "ns"
         elif columns.euroc and not columns.named:
-            i = next(i for i, text in enumerate(table.stamps) if "." in text or "e" in text.lower())
+            i = int(np.argmax(broken))
             raise TrajectoryError(
                 f"{table.where(i)}: expected a stamp in whole nanoseconds, as lines with commas are EuRoC, got "
-                f"{table.stamps[i][:40]}; write `t x y z qx qy qz qw` with spaces for stamps in seconds, name the "
+                f"{table.stamp(i)}; write `t x y z qx qy qz qw` with spaces for stamps in seconds, name the "
                 "columns in a header, or say what it is (--format tum, --time-unit s)"
             )
         else:
@@ -187,16 +187,20 @@ def _stamps(table: Table, columns: Columns, path: Path, options: ReadOptions, no
             i = int(np.argmax(wrong))
             raise TrajectoryError(
                 f"{table.where(i)}: expected a stamp in seconds (or nanoseconds since 1970), got "
-                f"{table.stamps[i][:40]}{others(wrong)}, which looks like milli-, micro- or nanoseconds; say which "
+                f"{table.stamp(i)}{others(wrong)}, which looks like milli-, micro- or nanoseconds; say which "
                 "(--time-unit ms, us or ns)"
             )
     try:
         return scaled_integers(table.stamps, SHIFTS[unit])
     except (ValueError, OverflowError):
-        i = next(i for i, text in enumerate(table.stamps) if not _fits(text, SHIFTS[unit]))
-        raise TrajectoryError(
-            f"{table.where(i)}: expected a stamp of at most 2^63 ns, got {table.stamps[i][:40]}"
-        ) from None
+        i = next(i for i, text in enumerate(table.stamps.tolist()) if not _fits(text.decode(), SHIFTS[unit]))
+        raise TrajectoryError(f"{table.where(i)}: expected a stamp of at most 2^63 ns, got {table.stamp(i)}") from None
+
+
+def _broken(stamps: NDArray[np.bytes_]) -> NDArray[np.bool_]:
+    """Which stamps (N,) are not written as whole numbers."""
+    characters = stamps.view(np.uint8).reshape(len(stamps), -1)
+    return np.asarray(np.isin(characters, [ord(sign) for sign in ".eE"]).any(axis=1))
 
 
 def _fits(text: str, shift: int) -> bool:
