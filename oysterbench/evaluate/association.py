@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.errors import TrajectoryError
+from oysterbench.evaluate.pairs import Index, run_of
 from oysterbench.evaluate.settings import MIN_MATCHED, SlamSettings
 from oysterbench.geometry import Array
 from oysterbench.trajectory import Trajectory, ns_to_seconds
 
-Index = NDArray[np.intp]
 Stamps = NDArray[np.int64]
 
 
@@ -43,7 +43,8 @@ def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -
         _check_matched(len(answered), truth, estimate, settings)
         same = len(answered) == len(estimate) and np.array_equal(truth.stamps_ns[answered], estimate.stamps_ns)
         matched = estimate if same else estimate.at(truth.stamps_ns[answered])
-        return Association(covered, answered, truth.select(answered), matched, matched.positions)
+        every = truth if len(answered) == len(truth) else truth.select(run_of(answered))
+        return Association(covered, answered, every, matched, matched.positions)
     answered, taken = nearest_pairs(truth.stamps_ns, estimate.stamps_ns, settings.max_difference_s)
     _check_matched(len(answered), truth, estimate, settings)
     covered[answered] = True

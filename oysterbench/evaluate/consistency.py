@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from oysterbench.geometry import Array, Similarity
+from oysterbench.geometry import BLOCK, Array, Similarity
 
 THREE_SIGMA = 0.9973002039367398
 """Probability of three standard deviations of a normal distribution, and of the ellipsoid that is meant by them."""
@@ -65,14 +65,17 @@ def nees(difference_m: Array, turn: Array, covariances: Array, alignment: Simila
 
 def _squared(covariances: Array, errors: Array) -> Array:
     """e^T C^-1 e of (N, K, K) and (N, K), as the squared length of L^-1 e with C = L L^T."""
-    try:
-        lower = np.linalg.cholesky(covariances)
-    except np.linalg.LinAlgError:
-        wrong = int(np.argmin(np.linalg.eigvalsh(covariances)[:, 0] > 0))
-        raise ValueError(f"the covariance of matched pose {wrong + 1} is not positive definite") from None
-    k = errors.shape[1]
-    white = np.empty_like(errors)
-    for row in range(k):
-        rest = np.einsum("nk,nk->n", lower[:, row, :row], white[:, :row])
-        white[:, row] = (errors[:, row] - rest) / lower[:, row, row]
-    return np.asarray(np.einsum("nk,nk->n", white, white))
+    squared = np.empty(len(errors))
+    for begin in range(0, len(errors), BLOCK):
+        part = slice(begin, begin + BLOCK)
+        try:
+            lower = np.linalg.cholesky(covariances[part])
+        except np.linalg.LinAlgError:
+            wrong = begin + int(np.argmin(np.linalg.eigvalsh(covariances[part])[:, 0] > 0))
+            raise ValueError(f"the covariance of matched pose {wrong + 1} is not positive definite") from None
+        white = np.empty_like(errors[part])
+        for row in range(errors.shape[1]):
+            rest = np.einsum("nk,nk->n", lower[:, row, :row], white[:, :row])
+            white[:, row] = (errors[part, row] - rest) / lower[:, row, row]
+        squared[part] = np.einsum("nk,nk->n", white, white)
+    return squared

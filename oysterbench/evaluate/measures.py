@@ -12,10 +12,12 @@ from oysterbench.evaluate.association import Association, find_gaps
 from oysterbench.evaluate.consistency import nees
 from oysterbench.evaluate.pairs import (
     Index,
+    between,
     distances,
     pairs_along,
     pairs_over_frames,
     pairs_over_time,
+    run_of,
     subpaths,
     turned,
 )
@@ -169,7 +171,7 @@ def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures:
         all_pairs = (
             subpaths(path_m, length_m, settings.subpath_step) if total_m >= MIN_PATH_M else np.empty((0, 2), int)
         )
-        starts, ends = rank[all_pairs.T]
+        starts, ends = np.take(rank, all_pairs.T)
         pairs = np.stack([starts, ends])[:, (starts >= 0) & (ends >= 0)].T
         possible += len(all_pairs)
         if not len(pairs):
@@ -208,9 +210,8 @@ def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures:
 
 def _scale_ratios(truth: Trajectory, estimate: Trajectory, pairs: Index, least_m: float) -> Array:
     """Estimated over true distance between the ends of pairs (M, 2) that are truly least_m apart or more."""
-    i, j = pairs[:, 0], pairs[:, 1]
-    true_m = _lengths(np.take(truth.positions, j, axis=0) - np.take(truth.positions, i, axis=0))
-    estimated_m = _lengths(np.take(estimate.positions, j, axis=0) - np.take(estimate.positions, i, axis=0))
+    i, j = run_of(pairs[:, 0]), run_of(pairs[:, 1])
+    true_m, estimated_m = _lengths(between(truth.positions, i, j)), _lengths(between(estimate.positions, i, j))
     told = true_m >= least_m
     return np.asarray(estimated_m[told] / true_m[told])
 
@@ -245,7 +246,7 @@ def _velocity(matched: Matched, settings: SlamSettings, measures: Measures) -> N
     i, j = pairs[:, 0], pairs[:, 1]
     off = matched.aligned.positions - matched.met.truth.positions
     seconds = (stamps[j] - stamps[i]) * 1e-9
-    off = np.take(off, j, axis=0) - np.take(off, i, axis=0)
+    off = between(off, run_of(i), run_of(j))
     measures["velocity_rmse_m_per_s"] = _rms(_lengths(off) / seconds)
 
 

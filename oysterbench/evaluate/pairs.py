@@ -127,6 +127,26 @@ def turned(quaternions: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(rotation_angle(quaternions[:-1], quaternions[1:]))])
 
 
+def run_of(index: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Indices (M,), at least one, as a slice where they count up one by one: nothing needs to be gathered then."""
+    first, last = int(index[0]), int(index[-1])
+    if last - first == len(index) - 1 and bool((index[1:] - index[:-1] == 1).all()):
+        return slice(first, last + 1)
+    return index
+
+
+def pick(values: Array, index: NDArray[np.intp] | slice, axis: int = 0) -> Array:
+    """values[index] along an axis of two; for indices `take` is several times as fast."""
+    if isinstance(index, slice):
+        return values[index] if axis == 0 else values[:, index]
+    return np.take(values, index, axis=axis)
+
+
+def between(points: Array, i: NDArray[np.intp] | slice, j: NDArray[np.intp] | slice) -> Array:
+    """Vectors (M, 3) from points (N, 3) i to points j."""
+    return pick(points, j) - pick(points, i)
+
+
 def _follow(following: Index) -> Index:
     """Pairs (M, 2) of a chain from index 0, given for each index the one that follows it (N: none)."""
     onward = following.tolist()

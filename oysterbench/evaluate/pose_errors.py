@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from oysterbench.evaluate.pairs import Index, between, pick, run_of
 from oysterbench.geometry import BLOCK, CONJUGATE, Array, quaternion_product
 from oysterbench.trajectory import Trajectory
-
-Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -75,18 +73,13 @@ def relative_errors(truth: Trajectory, estimate: Trajectory, pairs: Index, absol
     turn = np.empty((4, len(pairs))).T
     for begin in range(0, len(pairs), BLOCK):
         part = slice(begin, begin + BLOCK)
-        i, j = pairs[part, 0], pairs[part, 1]
-        turn_i = np.take(absolute.turn.T, i, axis=1).T * CONJUGATE
-        moved = _rotate(turn_i, _between(estimate.positions, i, j))
-        moved -= _between(truth.positions, i, j)
+        i, j = run_of(pairs[part, 0]), run_of(pairs[part, 1])
+        turn_i = pick(absolute.turn.T, i, axis=1).T * CONJUGATE
+        moved = _rotate(turn_i, between(estimate.positions, i, j))
+        moved -= between(truth.positions, i, j)
         translation_m[part] = np.sqrt(np.einsum("ij,ij->i", moved, moved))
-        turn[part] = quaternion_product(np.take(absolute.turn.T, j, axis=1).T, turn_i)
+        turn[part] = quaternion_product(pick(absolute.turn.T, j, axis=1).T, turn_i)
     return PoseErrors(translation_m, turn)
-
-
-def _between(points: Array, i: NDArray[np.intp], j: NDArray[np.intp]) -> Array:
-    """Vectors (M, 3) from points (N, 3) i to points j."""
-    return np.take(points, j, axis=0) - np.take(points, i, axis=0)
 
 
 def _rotate(quaternions: Array, vectors: Array) -> Array:

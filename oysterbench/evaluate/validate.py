@@ -57,9 +57,9 @@ def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
 
 
 def _check_finite(trajectory: Trajectory, name: str) -> None:
-    values = np.column_stack([trajectory.positions, trajectory.quaternions])
-    wrong = np.asarray(~np.isfinite(values).all(axis=1))
-    if wrong.any():
+    if not (np.isfinite(trajectory.positions).all() and np.isfinite(trajectory.quaternions).all()):
+        values = np.column_stack([trajectory.positions, trajectory.quaternions])
+        wrong = np.asarray(~np.isfinite(values).all(axis=1))
         i = int(np.argmax(wrong))
         column = ("x", "y", "z", "qx", "qy", "qz", "qw")[int(np.argmin(np.isfinite(values[i])))]
         raise TrajectoryError(
