@@ -17,7 +17,8 @@ from oysterbench.streams import Streams
 ROWS = 200  # of rays over the elevations
 PROBE_COLUMNS, PROBE_ROWS = 12, 48  # of the rays that tell where elevations have to be dense
 EVEN_SHARE = 0.35  # of the rows that are even in elevation; the rest are even in range
-COLUMNS_PER_WIDTH = 1.5  # at least so many columns of rays in a beam's half-power width
+COLUMNS_PER_WIDTH = 1.5  # at least so many columns of rays in a beam's half-power width,
+MOST_PER_WIDTH = 6.0  # and no more than so many where beams lie closer than that
 PATTERN_REACH = 4.0  # half-power widths, each side, within which a beam hears
 RAISED_M = 0.05  # what is lower over the bottom has its bounce off the bottom together with its echo
 CLOUD_ROWS = 32  # of the cloud, over the elevations
@@ -27,13 +28,14 @@ CLOUD_ROWS = 32  # of the cloud, over the elevations
 class Columns:
     """Columns of rays, even in azimuth, and what each adds to the beams.
 
-    edges (C + 1,): azimuths, from left to right, rad. Beam b adds up taps (K,) times the columns from b * per_beam on;
-    its own are the per_beam in their middle, after `margin` others.
+    edges (C + 1,): azimuths, from left to right, rad. Either a beam has per_beam columns or a column has per_column
+    beams; the other number is 1. Beam b adds up taps[b % per_column], (per_column, K), times the K columns from
+    per_beam * (b // per_column) on.
     """
 
     edges: Array
     per_beam: int
-    margin: int
+    per_column: int
     taps: Array
 
     @property
@@ -74,7 +76,7 @@ class ImagingSonar:
         self._vertical = float(np.radians(recipe.vfov_deg))
         self._highest = acoustics.first_null(self._vertical)
         self._columns = build_columns(recipe)
-        across = self._columns.taps.sum() * self._columns.width
+        across = self._columns.taps.sum(axis=1).mean() * self._columns.width
         self._fill = across * acoustics.aperture(self._vertical)
 
     @property
@@ -195,8 +197,9 @@ class ImagingSonar:
         A point lies on its ray, at the range of the image's row that it falls into; its intensity is the power of all
         returns in the same part, in dB over that of a perfect scatterer that fills the beam at 1 m.
         """
-        rays, returns, columns = found.rays, found.returns, self._columns
-        beam = (rays.columns - columns.margin) // columns.per_beam
+        rays, returns = found.rays, found.returns
+        left = np.radians(self.recipe.hfov_deg) / 2
+        beam = np.floor((left - rays.azimuths) / (2 * left) * self.recipe.beams).astype(np.int64)
         row = ((rays.elevations + self._highest) / (2 * self._highest) * CLOUD_ROWS).astype(np.int64)
         place = found.axis.bin_of(returns.echoes.ranges.astype(float))
         heard = (returns.powers > 0) & (beam >= 0) & (beam < self.recipe.beams)
@@ -228,26 +231,28 @@ def beam_azimuths(recipe: SonarRecipe) -> Array:
 
 
 def build_columns(recipe: SonarRecipe) -> Columns:
-    """Columns of rays that are narrow against a beam, past the aperture's edges as far as the outer beams hear."""
-    spacing = np.radians(recipe.hfov_deg) / recipe.beams
-    width = np.radians(recipe.beam_deg)
+    """Columns of rays that are narrow against a beam's width, past the aperture's edges as far as outer beams hear."""
+    spacing, width = np.radians(recipe.hfov_deg) / recipe.beams, np.radians(recipe.beam_deg)
     per_beam = int(np.ceil(COLUMNS_PER_WIDTH * spacing / width))
-    column = spacing / per_beam
+    per_column = max(1, int(width / (MOST_PER_WIDTH * spacing)))
+    column = spacing * per_column / per_beam
     margin = int(np.ceil(PATTERN_REACH * width / column))
-    count = recipe.beams * per_beam + 2 * margin
-    edges = column * (count / 2 - np.arange(count + 1))
-    across = per_beam + 2 * margin
+    count = int(np.ceil(recipe.beams / per_column)) * per_beam + 2 * margin
+    edges = np.radians(recipe.hfov_deg) / 2 + column * (margin - np.arange(count + 1))
     fine = 32  # samples of the pattern over a column
-    offsets = (np.arange(across * fine) + 0.5) / fine - across / 2
-    pattern = acoustics.beam_pattern(offsets * column, width)
-    return Columns(edges, per_beam, margin, np.round(pattern.reshape(across, fine).mean(axis=1), 12))
+    across = (np.arange((per_beam + 2 * margin) * fine) + 0.5) / fine - margin  # columns from its own first one's edge
+    middles = (np.arange(per_column) + 0.5) * per_beam / per_column
+    pattern = acoustics.beam_pattern((across - middles[:, None]) * column, width)
+    return Columns(edges, per_beam, per_column, np.round(pattern.reshape(per_column, -1, fine).mean(axis=2), 12))
 
 
 def gather(power: Array, columns: Columns, beams: int) -> Array:
     """Power (beams, bins) that beams hear of the power (columns, bins) that comes from each column."""
     heard = np.zeros((beams, power.shape[1]))
-    part = np.empty_like(heard)
-    last = (beams - 1) * columns.per_beam + 1
-    for k, tap in enumerate(columns.taps):
-        heard += np.multiply(power[k : k + last : columns.per_beam], tap, out=part)
+    for phase, taps in enumerate(columns.taps):
+        those = heard[phase :: columns.per_column]
+        part = np.empty_like(those)
+        last = (len(those) - 1) * columns.per_beam + 1
+        for k, tap in enumerate(taps):
+            those += np.multiply(power[k : k + last : columns.per_beam], tap, out=part)
     return heard

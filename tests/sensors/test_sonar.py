@@ -154,6 +154,19 @@ def test_a_level_bottom_at_grazing_incidence_has_no_gaps_and_the_power_of_its_ar
     assert middle.mean() == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize(("beams", "per_beam", "per_column"), [(16, 6, 1), (60, 2, 1), (200, 1, 1), (1000, 1, 2)])
+def test_beams_near_or_far_apart_hear_the_same_wall(beams, per_beam, per_column):
+    recipe = fan(beams=beams, vfov_deg=4.0)
+    columns = sonar.build_columns(recipe)
+    assert (columns.per_beam, columns.per_column) == (per_beam, per_column)
+    heard = ImagingSonar(caster_over(DEEP, wall(4.0)), recipe, SITE)
+    power = heard.listen(at(0, 0, -9.0), STREAMS).power.sum(axis=1)
+    r = 4.0 / np.cos(heard.azimuths)
+    loss, mu = acoustics.absorption(SITE, 9.0, 750.0), acoustics.backscatter("sand")[3]
+    law = mu * np.cos(heard.azimuths) * r**-2 * 10 ** (-0.2 * loss * r)
+    np.testing.assert_allclose(power, law, rtol=0.03)
+
+
 def test_the_number_of_rays_does_not_change_the_power(monkeypatch):
     caster = caster_over(2.0, ball(4.0, 0.3, -1.7, 0.3))
     sparse, _ = expected(caster, at(0, 0, -1.0), pitch_deg=15.0)
