@@ -15,6 +15,9 @@ from oysterbench.trajectory import Trajectory, ns_to_seconds
 
 Stamps = NDArray[np.int64]
 
+SPARSE_S, SPARSE = 0.2, 5.0
+"""A truth whose stamps are farther apart than this, and by this factor farther than the estimate's, is sparse."""
+
 
 @dataclass(frozen=True)
 class Association:
@@ -122,6 +125,17 @@ def find_gaps(stamps_ns: Stamps, covered: NDArray[np.bool_]) -> Gaps:
         len(holes),
         float(lengths_ns.max(initial=0)) * 1e-9,
     )
+
+
+def rate_notes(truth: Trajectory, estimate: Trajectory) -> list[str]:
+    """Whether the truth is asked so rarely that most of the estimate goes unscored, in a sentence."""
+    asked_s, given_s = (float(np.median(np.diff(t.stamps_ns))) * 1e-9 for t in (truth, estimate))
+    if asked_s < SPARSE_S or asked_s < SPARSE * given_s:
+        return []
+    return [
+        f"the truth has {len(truth)} stamps, {asked_s:.3g} s apart, for the estimate's {len(estimate)} poses, "
+        f"{given_s:.3g} s apart: what it does between the truth's stamps is not scored"
+    ]
 
 
 def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> None:

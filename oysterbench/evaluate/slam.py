@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.evaluate.alignment import Alignment, fit_alignment
-from oysterbench.evaluate.association import associate
+from oysterbench.evaluate.association import associate, rate_notes
 from oysterbench.evaluate.clock import estimate_offset, shift
 from oysterbench.evaluate.measures import Matched, Measures, measure
 from oysterbench.evaluate.metrics import SLAM as METRICS
@@ -109,6 +109,7 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
 
     notes += attitude_notes(met.truth.quaternions, met.estimate.quaternions, fit.similarity)
     notes += alignment_notes(met.truth.positions, met.estimate.positions, settings.align, measures["ate_rmse_m"])
+    notes += rate_notes(truth, estimate)
     notes += fit.notes
     notes += measures.notes
     return SlamResult(

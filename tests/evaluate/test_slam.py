@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.errors import TrajectoryError
 from oysterbench.evaluate.association import covered_stamps, nearest_pairs
 from oysterbench.evaluate.metrics import SLAM, find_metric
-from oysterbench.evaluate.pairs import pairs_over_time
+from oysterbench.evaluate.pairs import distances, pairs_along, pairs_over_time
 from oysterbench.evaluate.slam import SlamSettings, score
 from oysterbench.streams import stream
 from oysterbench.trajectory import Trajectory
@@ -199,6 +199,80 @@ def test_nearest_association_uses_no_pose_twice_and_prefers_the_closest():
     mine, theirs = nearest_pairs(stamps, estimate, 0.01)
     np.testing.assert_array_equal(mine, [0, 1, 3])
     np.testing.assert_array_equal(theirs, [0, 1, 2])
+
+
+def test_a_truth_at_a_low_rate_is_answered_at_all_its_stamps_and_said_to_be_sparse():
+    """2 Hz with stamps between the estimate's: nearest matching within 10 ms drops them; interpolation drops none."""
+    truth, estimate = survey(rate_hz=2), survey(rate_hz=20, start_ns=EPOCH_NS - 13_000_000)
+    estimate = replace(estimate, positions=survey(rate_hz=20).positions)
+    result = score(truth, noisy(estimate, 0.001), SlamSettings(max_difference_s=0.02))
+    assert result.metrics["matched"] == len(truth) - 1
+    assert result.metrics["rpe_1s_pairs"] == len(truth) - 3
+    (note,) = result.notes
+    assert note.startswith("the truth has 41 stamps, 0.5 s apart, for the estimate's 401 poses, 0.05 s apart")
+    assert result.reasons["velocity_rmse_m_per_s"] == "no two matched poses are 0.2 s apart"
+    assert "answers 0 of 41 truth stamps" in refusal(truth, estimate, associate="nearest")
+
+
+def test_keyframes_alone_answer_as_many_stamps_as_they_are():
+    """1 Hz on stamps of a 50 Hz truth: 21 of 1001, however good; they must not outrank what answers all."""
+    truth = survey()
+    keyframes = truth.select(slice(None, None, 50))
+    metrics = score(truth, keyframes).metrics
+    assert metrics["ate_rmse_m"] < 1e-12
+    assert metrics["matched"] == 21
+    assert metrics["coverage"] == pytest.approx(21 / 1001)
+    assert metrics["score"] == pytest.approx(21 / 1001)
+    assert (metrics["gaps"], metrics["longest_gap_s"]) == (20, pytest.approx(1.0))
+    bad = replace(truth, positions=truth.positions + np.linspace(0, 3, len(truth))[:, None])
+    assert score(truth, bad).metrics["score"] > 5 * metrics["score"]
+    assert score(truth, keyframes, SlamSettings(max_gap_s=1.0)).metrics["coverage"] == 1
+
+
+def test_gaps_and_the_first_fix_are_told_in_seconds():
+    truth = survey(rate_hz=10)
+    seconds = (truth.stamps_ns - EPOCH_NS) * 1e-9
+    answered = (
+        (seconds >= 2) & ~((seconds > 5) & (seconds < 9)) & ~((seconds > 12) & (seconds < 13)) & (seconds < 18.05)
+    )
+    metrics = score(truth, noisy(truth.select(answered))).metrics
+    assert metrics["first_fix_s"] == pytest.approx(2.0)
+    assert metrics["gaps"] == 3
+    assert metrics["longest_gap_s"] == pytest.approx(4.0)
+    whole = score(truth, noisy(truth)).metrics
+    assert (whole["first_fix_s"], whole["gaps"], whole["longest_gap_s"]) == (0, 0, 0)
+
+
+def test_yaw_and_gravity_errors_are_parts_of_the_rotation_error():
+    truth = survey()
+    turned = Rotation.from_euler("z", 20, degrees=True) * Rotation.from_euler("x", 7, degrees=True)
+    estimate = replace(truth, quaternions=(turned * Rotation.from_quat(truth.quaternions)).as_quat())
+    metrics = score(truth, estimate, SlamSettings(align="none")).metrics
+    assert metrics["ate_yaw_rmse_deg"] == pytest.approx(20)
+    assert metrics["ate_tilt_rmse_deg"] == pytest.approx(7)
+    half = np.cos(np.deg2rad(20) / 2) * np.cos(np.deg2rad(7) / 2)
+    assert metrics["ate_rotation_rmse_deg"] == pytest.approx(np.rad2deg(2 * np.arccos(half)))
+
+
+def test_a_velocity_error_is_that_of_a_steady_drift():
+    truth = survey()
+    seconds = (truth.stamps_ns - truth.stamps_ns[0])[:, None] * 1e-9
+    drifting = replace(truth, positions=truth.positions + seconds * [0.03, 0.04, 0])
+    for step_s in (0.1, 0.2, 1.0):
+        metrics = score(truth, drifting, SlamSettings(align="none", velocity_step_s=step_s)).metrics
+        assert metrics["velocity_rmse_m_per_s"] == pytest.approx(0.05)
+
+
+def test_relative_pairs_over_metres_go_along_the_whole_true_path_across_a_gap():
+    """The estimate is silent on a bend: the way round it counts, not the chord that its answers leave."""
+    truth = survey(duration_s=18.85, rate_hz=10)
+    seconds = (truth.stamps_ns - EPOCH_NS) * 1e-9
+    result = score(truth, truth.select((seconds < 4) | (seconds > 12)), SlamSettings(rpe_delta_m=9.0))
+    along = distances(truth.positions)
+    pairs = pairs_along(along[result.covered], 9.0)
+    assert result.metrics["rpe_9m_pairs"] == len(pairs)
+    chords = distances(result.truth.positions)
+    assert len(pairs_along(chords, 9.0)) > len(pairs)
 
 
 def test_relative_pairs_are_the_asked_time_apart_or_left_out():
