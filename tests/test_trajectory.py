@@ -11,7 +11,7 @@ from oysterbench.errors import TrajectoryError
 from oysterbench.trajectory import Trajectory, ns_to_seconds, read_trajectory, seconds_to_ns, write_tum
 from oysterbench.trajectory.columns import EUROC, TUM
 from oysterbench.trajectory.stamps import scaled_integer, scaled_integers
-from oysterbench.trajectory.table import read_table
+from oysterbench.trajectory.table import WORTH_COMPILED, read_table
 
 POSE = "1 2 3 0 0 0.6 0.8"
 
@@ -306,3 +306,20 @@ def test_covariances_go_with_their_poses():
     assert trajectory.at(np.array([0, 4, 16, 30])).covariances[:, 0, 0].tolist() == [0, 0, 2, 3]
     with pytest.raises(TrajectoryError, match="expected 4 covariances"):
         Trajectory(stamps_ns, trajectory.positions, trajectory.quaternions, covariances[:3])
+
+
+def test_a_large_file_is_read_at_once_and_its_errors_still_name_the_line(tmp_path):
+    lines = [
+        f"{ns_to_seconds(1_700_000_000_123_456_789 + i * 50_000_000)} {i} 0.25 -1e-3 0 0 0.6 0.8" for i in range(4000)
+    ]
+    text = "# poses\n\n" + "\n".join(lines) + "\n"
+    assert len(text) > WORTH_COMPILED
+    trajectory = read(tmp_path, text)
+    assert trajectory.stamps_ns[[0, -1]].tolist() == [1_700_000_000_123_456_789, 1_700_000_200_073_456_789]
+    np.testing.assert_array_equal(trajectory.positions[:, 0], np.arange(4000))
+    assert refusal(tmp_path, text.replace(" 3000 ", " nan ")).startswith(
+        "poses.txt:3003: expected finite numbers, got x"
+    )
+    assert refusal(tmp_path, text.replace(" 3000 0.25 -1e-3 0 ", " 3000 0.25 -1e-3 1 ")).startswith(
+        "poses.txt:3003: expected a unit quaternion, got norm 1.4"
+    )

@@ -91,7 +91,9 @@ def diagnose(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
     findings = _swapped(truth, estimate)
     if len(index) >= 3:
         taken = estimate.select(index)
-        there = truth.at(taken.stamps_ns)
+        # Only the poses around the samples are needed, and few of a long truth.
+        after = np.searchsorted(truth.stamps_ns, taken.stamps_ns)
+        there = truth.select(np.unique([np.maximum(after - 1, 0), after])).at(taken.stamps_ns)
         findings += _unit(there.positions, taken.positions)
         findings += _attitude(there.quaternions, taken.quaternions)
     return findings
