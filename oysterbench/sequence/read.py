@@ -152,10 +152,10 @@ class McapSequence(Sequence):
 
     def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
         """Messages of a scalar sensor as a table: indexed by stamp_ns, a column per number (`sequence.tables`)."""
-        from oysterbench.sequence.tables import ROWS, table
+        from oysterbench.sequence.tables import has_table, table
 
-        if topic not in self.types or self.types[topic] not in ROWS:
-            scalar = [name for name, kind in self.types.items() if kind in ROWS]
+        if topic not in self.types or not has_table(topic, self.types[topic]):
+            scalar = [name for name, kind in self.types.items() if has_table(name, kind)]
             raise SequenceError(
                 f"{self.path}: no topic {topic!r} that makes a table; those that do: {', '.join(scalar)}"
             )

@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from oysterbench.sequence.messages.points import read_points
+from oysterbench.sequence.names import CLOUD, DVL_BEAMS
 from oysterbench.sequence.wire import decode, stamp_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
+BEAM_COLUMNS = ("range", "velocity", "valid")
 XYZ = ("x", "y", "z")
 XYZW = ("x", "y", "z", "w")
 
@@ -53,12 +56,22 @@ ROWS: dict[str, Callable[[Any], dict[str, float]]] = {
 """Message type -> the numbers of a message by their columns, in SI units: rad/s, m/s^2, m/s, Pa, T, m, rad."""
 
 
+def has_table(topic: str, type_name: str) -> bool:
+    """Whether a topic's messages make rows: those of scalar sensors, the DVL's beams included."""
+    return type_name in ROWS or topic == DVL_BEAMS
+
+
 def table(messages: Iterable[bytes], type_name: str) -> pd.DataFrame:
     """Messages of one type as a table, indexed by stamp_ns (int64)."""
     import pandas as pd
 
     stamps, rows = [], []
     for data in messages:
+        if type_name == CLOUD:
+            stamp, beams = read_points(data)
+            stamps.append(stamp)
+            rows.append({f"{key}_{k}": beam[key].item() for k, beam in enumerate(beams) for key in BEAM_COLUMNS})
+            continue
         message = decode(data, type_name)
         stamps.append(stamp_of(message.header))
         rows.append(ROWS[type_name](message))

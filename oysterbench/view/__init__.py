@@ -93,11 +93,12 @@ def _facts(sequence: Sequence, duration_s: float) -> str:
         "altimeter": len(sequence.altimeters),
     }
     words = [f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in kinds.items() if n]
-    words += [
-        name
-        for name, known in (("DVL", sequence.dvl_calibration), ("pressure", sequence.pressure_calibration))
-        if known
-    ]
+    single = {
+        "DVL": sequence.dvl_calibration,
+        "pressure sensor": sequence.pressure_calibration,
+        "magnetometer": sequence.magnetometer_calibration,
+    }
+    words += [name for name, known in single.items() if known is not None]
     split = sequence.metadata.get("split")
     return ", ".join([f"{duration_s:.1f} s", *([f"split {split}"] if split else []), *words])
 

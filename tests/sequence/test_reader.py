@@ -117,6 +117,10 @@ def test_scalar_sensors_are_tables(sequence):
     speed = sequence.frame("/dvl/velocity")
     assert list(speed.columns[:3]) == ["velocity_x", "velocity_y", "velocity_z"]
     assert np.array_equal(speed.velocity_x.to_numpy(), [s.velocity[0] for s in made.dvl], equal_nan=True)
+    beams = sequence.frame("/dvl/beams")
+    assert list(beams.columns) == [f"{key}_{k}" for k in range(4) for key in ("range", "velocity", "valid")]
+    assert np.array_equal(beams.range_3, [s.beam_ranges[3] for s in made.dvl], equal_nan=True)
+    assert list(beams.valid_3) == [s.beam_valid[3] for s in made.dvl]
     assert np.array_equal(sequence.frame("/pressure").pressure, [s.pressure for s in made.pressure])
     assert np.array_equal(sequence.frame("/alt/range")["range"], [s.range for s in made.ranges])
     assert np.array_equal(sequence.frame("/msis/head").angle, [s.angle for s in made.scans])
