@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import cv2
 
+from oysterbench.conditions import conditions
 from oysterbench.errors import MethodError, OysterbenchError, TrajectoryError
 from oysterbench.evaluate.inputs import read_pair
 from oysterbench.evaluate.slam import EVALUATOR, SlamResult, SlamSettings, score
@@ -33,11 +35,14 @@ def evaluate_slam(
     settings: SlamSettings,
     announce: Announce = lambda text: None,
     folder: Path | None = None,
+    times: int = 1,
 ) -> list[SlamRun]:
-    """Run each method on each sequence and score what it gives; estimates are kept in `folder` as TUM files.
+    """Run each method so many times on each sequence and score what it gives; estimates are kept in `folder` as TUM.
 
-    A method that fails, or whose estimate cannot be scored, leaves a record with `failure`; the others go on.
+    A method that draws random numbers has the attribute `seed`, a whole number: run k is given its seed + k. A method
+    that fails, or whose estimate cannot be scored, leaves a record with `failure`; the others go on.
     """
+    first_seeds = {id(method): getattr(method, "seed", None) for method in methods}
     runs = []
     for name, path in files.items():
         sequence = open_sequence(path)
@@ -46,23 +51,47 @@ def evaluate_slam(
         if folder is not None:
             write_tum(folder / f"{name}-truth.tum", truth)
         for method in methods:
-            announce(f"running {method.name} on {name}")
-            record, result, estimate = _run(split, sequence, truth, method, settings)
-            if folder is not None and estimate is not None:
-                write_tum(folder / f"{name}-{method.name}.tum", estimate)
-            runs.append(SlamRun(record, result, frames))
+            for k in range(times):
+                counted = f", run {k + 1} of {times}" if times > 1 else ""
+                announce(f"running {method.name} on {name}{counted}")
+                seed = _give_seed(method, first_seeds[id(method)], k)
+                record, result, estimate = _run(split, sequence, truth, method, settings, k, seed)
+                if folder is not None and estimate is not None:
+                    number = f"-{k + 1}" if times > 1 else ""
+                    write_tum(folder / f"{name}-{method.name}{number}.tum", estimate)
+                runs.append(SlamRun(record, result, frames))
+    for method in methods:
+        _give_seed(method, first_seeds[id(method)], 0)
     return runs
 
 
+def _give_seed(method: Method, first: Any, k: int) -> int | None:
+    """Seed run k of a method that takes one."""
+    if not isinstance(first, int) or isinstance(first, bool):
+        return None
+    method.seed = first + k  # type: ignore[attr-defined]
+    return first + k
+
+
 def _run(
-    split: SplitRecipe, sequence: Sequence, truth: Trajectory, method: Method, settings: SlamSettings
+    split: SplitRecipe,
+    sequence: Sequence,
+    truth: Trajectory,
+    method: Method,
+    settings: SlamSettings,
+    number: int,
+    seed: int | None,
 ) -> tuple[ResultRecord, SlamResult | None, Trajectory | None]:
     record: dict[str, Any] = {
         "track": "slam",
         "split": split.name,
         "split_digest": digest(split),
         "sequence": sequence.name,
+        "truth_digest": truth_digest(truth),
+        "conditions": conditions(split, sequence.name),
         "method": method.name,
+        "run": number,
+        "seed": seed,
         "settings": settings.as_dict(),
         "evaluator_version": EVALUATOR,
     }
@@ -106,6 +135,7 @@ def score_files(
         split="",
         sequence=truth.name,
         method=estimate.name,
+        truth_digest=truth_digest(pair[0]),
         metrics=result.metrics,
         reasons=result.reasons,
         notes=result.notes,
@@ -113,6 +143,14 @@ def score_files(
         evaluator_version=EVALUATOR,
     )
     return SlamRun(record, result, [])
+
+
+def truth_digest(truth: Trajectory) -> str:
+    """SHA-256 of stamps and poses: whether two results speak of one truth."""
+    text = hashlib.sha256()
+    for array in (truth.stamps_ns, truth.positions, truth.quaternions):
+        text.update(array.tobytes())
+    return text.hexdigest()
 
 
 def sample_frames(sequence: Sequence) -> list[tuple[int, bytes]]:

@@ -9,7 +9,8 @@ import pytest
 import oysterbench
 from oysterbench.evaluate.slam import SlamSettings
 from oysterbench.methods import Estimate
-from oysterbench.tracks import FRAMES_IN_REPORT, evaluate_slam, sample_frames, score_files
+from oysterbench.streams import stream
+from oysterbench.tracks import FRAMES_IN_REPORT, evaluate_slam, sample_frames, score_files, truth_digest
 from oysterbench.trajectory import Trajectory, read_trajectory, write_tum
 
 
@@ -49,6 +50,43 @@ def test_a_perfect_estimate_has_no_error_and_a_failing_method_a_record_that_says
     assert "time" in too_late.failure
     assert np.allclose(read_trajectory(tmp_path / "tiny-01-perfect.tum").positions, truth.positions, atol=1e-9)
     assert (tmp_path / "tiny-01-truth.tum").exists()
+
+
+class Noisy(Given):
+    """Answers with the trajectory, shaken by a stream of its seed."""
+
+    seed = 40
+
+    def run(self, sequence):
+        noise = stream(self.seed, b"", "noisy").normal(0, 0.02, self.trajectory.positions.shape)
+        given = self.trajectory
+        return Estimate(Trajectory(given.stamps_ns, given.positions + noise, given.quaternions))
+
+
+def test_several_runs_are_recorded_each_with_its_seed(tiny_split, tiny_file, truth, tmp_path):
+    methods = [Noisy("noisy", truth), Given("fixed", truth)]
+    runs = evaluate_slam(tiny_split, {"tiny-01": tiny_file}, methods, SlamSettings(), folder=tmp_path, times=3)
+    records = [run.record for run in runs]
+    assert [(record.method, record.run, record.seed) for record in records] == [
+        ("noisy", 0, 40),
+        ("noisy", 1, 41),
+        ("noisy", 2, 42),
+        ("fixed", 0, None),
+        ("fixed", 1, None),
+        ("fixed", 2, None),
+    ]
+    assert len({record.metrics["ate_rmse_m"] for record in records[:3]}) == 3
+    assert methods[0].seed == 40
+    assert (tmp_path / "tiny-01-noisy-3.tum").exists()
+    again = evaluate_slam(tiny_split, {"tiny-01": tiny_file}, methods[:1], SlamSettings(), times=3)
+    assert [run.record.metrics["ate_rmse_m"] for run in again] == [r.metrics["ate_rmse_m"] for r in records[:3]]
+
+
+def test_conditions_and_the_digest_of_the_truth_are_kept(tiny_split, tiny_file, truth):
+    methods = [Given("perfect", truth), Given("raises", None)]
+    for run in evaluate_slam(tiny_split, {"tiny-01": tiny_file}, methods, SlamSettings()):
+        assert run.record.conditions["water_type"] == "1C"
+        assert run.record.truth_digest == truth_digest(truth)
 
 
 def test_frames_of_the_report_are_spread_over_the_sequence(tiny_file):
