@@ -187,7 +187,7 @@ def test_path_length_and_selection():
 def test_a_pose_written_twice_is_taken_once_and_said(tmp_path):
     trajectory = read(tmp_path, f"1 {POSE}\n1 {POSE}\n2 {POSE}\n2 {POSE}\n2 {POSE}")
     assert trajectory.stamps_ns.tolist() == [10**9, 2 * 10**9]
-    assert trajectory.notes == (f"{tmp_path / 'poses.txt'}: 3 poses were written twice and are taken once",)
+    assert trajectory.notes == ("poses.txt: 3 poses were written twice and are taken once",)
 
 
 def test_two_poses_at_one_stamp_are_refused_with_their_lines(tmp_path):
@@ -206,7 +206,7 @@ def test_stamps_that_go_back_are_refused_with_line_and_option(tmp_path):
     )
     trajectory = read_trajectory(tmp_path / "poses.txt", sort=True)
     assert trajectory.stamps_ns.tolist() == [10**9, 2_500_000_000, 3 * 10**9]
-    assert trajectory.notes == (f"{tmp_path / 'poses.txt'}: the poses were put in the order of their stamps",)
+    assert trajectory.notes == ("poses.txt: the poses were put in the order of their stamps",)
 
 
 def test_a_quaternion_that_is_no_rotation_is_refused_with_its_line(tmp_path):
@@ -218,9 +218,7 @@ def test_a_quaternion_that_is_no_rotation_is_refused_with_its_line(tmp_path):
 def test_quaternions_with_few_decimals_are_normalised_and_said(tmp_path):
     trajectory = read(tmp_path, f"1 {POSE}\n2 1 2 3 0 0 0.707 0.707\n")
     np.testing.assert_allclose(np.linalg.norm(trajectory.quaternions, axis=1), 1, rtol=0, atol=1e-15)
-    assert trajectory.notes == (
-        f"{tmp_path / 'poses.txt'}: 1 of 2 quaternions were normalised; their norms were off by up to 0.00015",
-    )
+    assert trajectory.notes == ("poses.txt: 1 of 2 quaternions were normalised; their norms were off by up to 0.00015",)
 
 
 def test_nan_is_named_with_line_and_column(tmp_path):
@@ -232,7 +230,7 @@ def test_nanoseconds_in_a_seconds_file_are_exact_and_said(tmp_path):
     # A float64 near 1.4e18 has a spacing of 256.
     trajectory = read(tmp_path, f"1403636579763555585 {POSE}\n1403636579763555586 {POSE}\n")
     assert trajectory.stamps_ns.tolist() == [1403636579763555585, 1403636579763555586]
-    assert trajectory.notes == (f"{tmp_path / 'poses.txt'}: the stamps can only be nanoseconds and are read as such",)
+    assert trajectory.notes == ("poses.txt: the stamps can only be nanoseconds and are read as such",)
 
 
 def test_a_header_in_a_comment_tells_the_order_of_the_quaternion(tmp_path):

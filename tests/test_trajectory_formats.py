@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import threading
+
 import numpy as np
 import pytest
 import trajectory_files as files
@@ -61,7 +64,7 @@ def test_every_kind_of_message_with_a_pose_is_read(tmp_path, kind):
     path = written(tmp_path, files.mcap(dive(), topics))
     trajectory = read_trajectory(path)
     assert_same(trajectory, dive())
-    assert trajectory.notes == (f"{path}: the poses are those of its only topic with poses, /where",)
+    assert trajectory.notes == ("poses.dat: the poses are those of its only topic with poses, /where",)
 
 
 def test_the_last_of_several_paths_is_read(tmp_path):
@@ -69,7 +72,7 @@ def test_the_last_of_several_paths_is_read(tmp_path):
     path = written(tmp_path, files.mcap(dive(), {"/path": [messages.path(n) for n in range(1, 13)]}))
     trajectory = read_trajectory(path, topic="/path")
     assert_same(trajectory, dive())
-    assert trajectory.notes == (f"{path}: /path holds 12 paths, of which the last is read",)
+    assert trajectory.notes == ("poses.dat: /path holds 12 paths, of which the last is read",)
 
 
 def test_a_topic_among_several_must_be_chosen(tmp_path):
@@ -120,7 +123,7 @@ def test_kitti_poses_take_the_given_times_one_to_one(tmp_path):
     times = read_times(written(tmp_path, lines.encode(), "times.txt"))
     trajectory = read_trajectory(path, times=times)
     assert_same(trajectory, dive(), atol=1e-12)
-    assert trajectory.notes == (f"{path}: its 12 poses carry no stamps and take the given times one to one",)
+    assert trajectory.notes == ("poses.dat: its 12 poses carry no stamps and take the given times one to one",)
 
 
 def test_kitti_poses_without_times_are_refused_with_the_option(tmp_path):
@@ -163,6 +166,44 @@ def test_velocities_and_biases_are_not_taken_for_positions(tmp_path):
     header = "t,v_x,v_y,v_z,b_w_x,b_w_y,b_w_z,w_x,x,y,z,qx,qy,qz,qw"
     trajectory = read_trajectory(written(tmp_path, f"{header}\n1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1\n".encode()))
     np.testing.assert_array_equal(trajectory.positions, [[1, 2, 3]])
+
+
+def test_a_header_gives_the_unit_of_the_positions(tmp_path):
+    rows = "\n1.5,1000,2000,3000,0,0,0,1\n"
+    for header in ("t,x_mm,y_mm,z_mm,qx,qy,qz,qw", "t [s],x [mm],y [mm],z [mm],qx [],qy [],qz [],qw []"):
+        path = written(tmp_path, (header + rows).encode())
+        np.testing.assert_array_equal(read_trajectory(path).positions, [[1, 2, 3]])
+        np.testing.assert_array_equal(read_trajectory(path, unit="m").positions, [[1000, 2000, 3000]])
+    path = written(tmp_path, ("t,x_m,y_m,z_m,qx,qy,qz,qw" + rows).encode())
+    np.testing.assert_array_equal(read_trajectory(path).positions, [[1000, 2000, 3000]])
+    with pytest.raises(TrajectoryError, match="expected a header that names"):
+        read_trajectory(written(tmp_path, ("t,x [ft],y [ft],z [ft],qx,qy,qz,qw" + rows).encode()))
+
+
+def test_a_part_of_a_covariance_is_left_out_and_said(tmp_path):
+    path = written(tmp_path, b"t,x,y,z,qx,qy,qz,qw,cov_x_x,cov_y_y\n1.5,1,2,3,0,0,0,1,4,5\n")
+    trajectory = read_trajectory(path)
+    assert trajectory.covariances is None
+    assert trajectory.notes == ("poses.dat: its covariances are left out: 2 columns are not all of one",)
+
+
+def test_the_upper_half_of_a_covariance_is_enough(tmp_path):
+    axes = ("x", "y", "z", "rx", "ry", "rz")
+    names = [f"cov_{a}_{b}" for i, a in enumerate(axes) for b in axes[i:]]
+    values = ",".join(str(10 if a.split("_")[1] == a.split("_")[2] else 1) for a in names)
+    text = f"t,x,y,z,qx,qy,qz,qw,{','.join(names)}\n1.5,1,2,3,0,0,0,1,{values}\n"
+    covariances = read_trajectory(written(tmp_path, text.encode())).covariances
+    np.testing.assert_array_equal(covariances, [9 * np.eye(6) + 1])
+
+
+def test_a_pipe_is_read_whole(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    data = files.tum(dive(300))
+    writer = threading.Thread(target=pipe.write_bytes, args=(data,))
+    writer.start()
+    assert_same(read_trajectory(pipe), dive(300))
+    writer.join()
 
 
 def test_a_header_that_names_no_pose_is_refused(tmp_path):
@@ -208,7 +249,7 @@ def test_float_stamps_of_an_npz_are_said_to_be_rounded(tmp_path):
     )
     trajectory = read_trajectory(tmp_path / "a.npz")
     assert np.abs(trajectory.stamps_ns - t.stamps_ns).max() <= 120
-    assert trajectory.notes == (f"{tmp_path / 'a.npz'}: 't' is float64, which holds these stamps to 238 ns only",)
+    assert trajectory.notes == ("a.npz: 't' is float64, which holds these stamps to 238 ns only",)
 
 
 def test_what_is_written_reads_back(tmp_path):

@@ -53,7 +53,7 @@ def read_pair(
             notes = estimate.notes
             estimate = read_trajectory(estimate_path, options)
             estimate = replace(estimate, notes=tuple(dict.fromkeys((*notes, *estimate.notes))))
-            said = f"{Path(estimate_path)}: {finding.sentence}; they are read so ({finding.decide})"
+            said = f"{Path(estimate_path).name}: {finding.sentence}; they are read so ({finding.decide})"
         else:
             said = str(finding)
         estimate = replace(estimate, notes=(*estimate.notes, said))

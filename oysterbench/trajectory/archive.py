@@ -40,7 +40,7 @@ def read_npz(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
     if not len(stamps_ns):
         raise TrajectoryError(f"{path} holds no pose")
     trajectory = Trajectory(stamps_ns, positions, quaternions, covariances, tuple(notes))
-    return checked_poses(trajectory, str(path), lambda i: f"{path}: pose {i + 1}", options.sort)
+    return checked_poses(trajectory, path.name, lambda i: f"{path}: pose {i + 1}", options.sort)
 
 
 def _arrays(path: Path, data: bytes) -> dict[str, NDArray[np.generic]]:
@@ -103,5 +103,5 @@ def _stamps(
     stamps_ns = whole.astype(np.int64) * factor + np.rint((stamps - whole) * factor).astype(np.int64)
     step_ns = float(np.spacing(np.abs(stamps).max(initial=0.0))) * factor
     if step_ns > 1.0:
-        notes.append(f"{path}: {key!r} is {stamps.dtype}, which holds these stamps to {step_ns:.0f} ns only")
+        notes.append(f"{path.name}: {key!r} is {stamps.dtype}, which holds these stamps to {step_ns:.0f} ns only")
     return stamps_ns

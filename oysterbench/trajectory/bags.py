@@ -56,7 +56,7 @@ def read_bag(path: Path, options: ReadOptions) -> Trajectory:
     except Exception as error:
         reason = (" ".join(str(error).split()) or type(error).__name__)[:120]
         raise TrajectoryError(f"{path}: damaged, or not a recording that can be read: {reason}") from None
-    return checked_poses(trajectory, str(path), lambda i: f"{path}: message {i + 1}", options.sort)
+    return checked_poses(trajectory, path.name, lambda i: f"{path}: message {i + 1}", options.sort)
 
 
 def _read(path: Path, options: ReadOptions) -> Trajectory:
@@ -66,7 +66,7 @@ def _read(path: Path, options: ReadOptions) -> Trajectory:
     if bag.types.get(topic) not in POSE_TYPES:
         got = f"one of {bag.types[topic]}" if topic in bag.types else "none of that name"
         raise TrajectoryError(f"{path}: expected {topic!r} to be a topic with poses, got {got}; {_offer(bag)}")
-    notes = [] if options.topic else [f"{path}: the poses are those of its only topic with poses, {topic}"]
+    notes = [] if options.topic else [f"{path.name}: the poses are those of its only topic with poses, {topic}"]
     kind = bag.types[topic].rsplit("/", 1)[-1]
     if kind == "TFMessage":
         rows = _transforms(bag.messages(topic), frames, path, topic)
@@ -77,7 +77,7 @@ def _read(path: Path, options: ReadOptions) -> Trajectory:
             count += 1
         rows = [_pose_row(pose) for pose in last.poses] if last is not None else []
         if count > 1:
-            notes.append(f"{path}: {topic} holds {count} paths, of which the last is read")
+            notes.append(f"{path.name}: {topic} holds {count} paths, of which the last is read")
     else:
         rows = [_pose_row(message) for message in bag.messages(topic)]
     if not rows:

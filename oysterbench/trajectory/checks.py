@@ -19,7 +19,7 @@ NORM_STATED = 1e-6
 """Deviation of a norm from which its correction is stated: less is the rounding of six decimals."""
 
 
-def checked_poses(trajectory: Trajectory, path: str, where: Callable[[int], str], sort: bool = False) -> Trajectory:
+def checked_poses(trajectory: Trajectory, name: str, where: Callable[[int], str], sort: bool = False) -> Trajectory:
     """The poses of a file in the order of their stamps, each stamp once, with quaternions of norm one.
 
     where: pose, counted from 0 -> its place in the file. What is changed is said in the trajectory's notes: the same
@@ -35,20 +35,20 @@ def checked_poses(trajectory: Trajectory, path: str, where: Callable[[int], str]
         raise TrajectoryError(f"{where(i)}: expected finite numbers, got {column} = {value}; leave out poses not known")
     if trajectory.covariances is not None:
         _check_covariances(trajectory.covariances, where)
-    quaternions = _unit(trajectory.quaternions, path, where, notes)
+    quaternions = _unit(trajectory.quaternions, name, where, notes)
     trajectory = replace(trajectory, quaternions=quaternions)
     rows = np.arange(len(trajectory))
     if sort and (np.diff(trajectory.stamps_ns) < 0).any():
         rows = np.argsort(trajectory.stamps_ns, kind="stable")
         trajectory = trajectory.select(rows)
-        notes.append(f"{path}: the poses were put in the order of their stamps")
-    keep = _once(trajectory, path, lambda i: where(int(rows[i])), notes)
+        notes.append(f"{name}: the poses were put in the order of their stamps")
+    keep = _once(trajectory, name, lambda i: where(int(rows[i])), notes)
     if not keep.all():
         trajectory = trajectory.select(keep)
     return replace(trajectory, notes=tuple(notes))
 
 
-def _unit(quaternions: Array, path: str, where: Callable[[int], str], notes: list[str]) -> Array:
+def _unit(quaternions: Array, name: str, where: Callable[[int], str], notes: list[str]) -> Array:
     # Scaled first: the square of a number that has diverged leaves a float64.
     largest = np.abs(quaternions).max(axis=1, initial=0.0)
     norms = np.where(largest > 1e3, np.inf, np.linalg.norm(np.where(largest[:, None] > 1e3, 0, quaternions), axis=1))
@@ -65,13 +65,13 @@ def _unit(quaternions: Array, path: str, where: Callable[[int], str], notes: lis
     if not stated.any():
         return quaternions
     notes.append(
-        f"{path}: {np.count_nonzero(stated)} of {len(norms)} quaternions were normalised; their norms were off by up "
+        f"{name}: {np.count_nonzero(stated)} of {len(norms)} quaternions were normalised; their norms were off by up "
         f"to {deviation.max():.2g}"
     )
     return quaternions / norms[:, None]
 
 
-def _once(trajectory: Trajectory, path: str, where: Callable[[int], str], notes: list[str]) -> NDArray[np.bool_]:
+def _once(trajectory: Trajectory, name: str, where: Callable[[int], str], notes: list[str]) -> NDArray[np.bool_]:
     """Which poses to keep, so that every stamp is there once."""
     stamps = trajectory.stamps_ns
     back = np.asarray(stamps[1:] < stamps[:-1])
@@ -94,7 +94,7 @@ def _once(trajectory: Trajectory, path: str, where: Callable[[int], str], notes:
             f"{where(i)}: expected one pose for each stamp, got another one at {ns_to_seconds(stamps[i])} s than on "
             f"{where(i - 1).rsplit('/', 1)[-1]}{others(differ)}; keep one of them"
         )
-    notes.append(f"{path}: {np.count_nonzero(again)} poses were written twice and are taken once")
+    notes.append(f"{name}: {np.count_nonzero(again)} poses were written twice and are taken once")
     return np.r_[True, ~again]
 
 

@@ -14,6 +14,10 @@ UNIT_WORDS = {
     **dict.fromkeys(("us", "usec", "microsec", "microseconds"), "us"),
     **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), "ns"),
 }
+LENGTH_WORDS = {
+    **dict.fromkeys(("", "m", "meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+}
 COVARIANCE_WORDS = {"cov", "covariance", "covariances"}
 COVARIANCE_AXES = {name: k // 2 for k, name in enumerate(("x", "px", "y", "py", "z", "pz"))} | {
     f"{prefix}{axis}": 3 + k for prefix in ("r", "rot") for k, axis in enumerate("xyz")
@@ -30,6 +34,7 @@ class Columns:
     quaternion: columns of x, y, z, w; empty for KITTI, whose 12 numbers are the top of a matrix
     covariance: (row, column) of the 6 x 6 matrix -> column of the file
     time_unit:  unit of the stamps, where the layout says it
+    unit:       of the positions: m or mm
     exact:      how many columns a line must have; None: as many as the first line
     named:      whether a header named the columns
     euroc:      whether it is EuRoC's own layout, in which whole stamps are ns
@@ -41,6 +46,7 @@ class Columns:
     quaternion: tuple[int, ...]
     covariance: dict[tuple[int, int], int] = field(default_factory=dict)
     time_unit: str | None = None
+    unit: str = "m"
     exact: int | None = None
     named: bool = False
     euroc: bool = False
@@ -51,6 +57,12 @@ class Columns:
         if self.stamp is None:
             return list(range(self.exact or 0))
         return sorted({*self.position, *self.quaternion, *self.covariance.values()})
+
+    @property
+    def whole_covariance(self) -> bool:
+        """Whether every cell of the matrix is named, or its mirror image is."""
+        cells = self.covariance
+        return all((i, j) in cells or (j, i) in cells for i in range(6) for j in range(i, 6))
 
     @property
     def stands_as_euroc(self) -> bool:
@@ -69,33 +81,38 @@ def named_columns(names: list[str]) -> Columns | None:
     found: dict[str, int] = {}
     covariance: dict[tuple[int, int], int] = {}
     stamp: tuple[int, str | None] | None = None
+    units: set[str | None] = set()
     for k, name in enumerate(names):
         words, unit = _words(name)
         if cell := _covariance_cell(words):
             covariance.setdefault(cell, k)
         elif role := _role(words):
             found.setdefault(role, k)
+            units |= {LENGTH_WORDS.get(unit)} if role.startswith("p") else set()
         elif _is_time(words) and (stamp is None or "stamp" in words):
-            stamp = (k, unit or next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None))
-    if stamp is None or not {"px", "py", "pz", "qx", "qy", "qz", "qw"} <= found.keys():
+            spelled = next((UNIT_WORDS[word] for word in words if word in UNIT_WORDS), None)
+            stamp = (k, UNIT_WORDS.get(unit, spelled))
+    if stamp is None or not {"px", "py", "pz", "qx", "qy", "qz", "qw"} <= found.keys() or units not in ({"m"}, {"mm"}):
         return None
     return Columns(
         ",".join(names)[:80],
         stamp[0],
         tuple(found[f"p{axis}"] for axis in "xyz"),
         tuple(found[f"q{axis}"] for axis in "xyzw"),
-        covariance if _whole(covariance) else {},
+        covariance,
         stamp[1],
+        "mm" if "mm" in units else "m",
         named=True,
     )
 
 
-def _words(name: str) -> tuple[list[str], str | None]:
-    """Lower-case words of a column's name, and the unit it gives in brackets."""
+def _words(name: str) -> tuple[list[str], str]:
+    """Lower-case words of a column's name, and the unit that it gives, in brackets or as a last word."""
     bracket = re.search(r"[\[(]\s*([a-zA-Z]*)\s*[\])]\s*$", name)
-    unit = UNIT_WORDS.get(bracket.group(1).lower()) if bracket else None
-    text = name[: bracket.start()] if bracket else name
-    return re.findall(r"[a-z]+|\d+", text.lower()), unit
+    words = re.findall(r"[a-z]+|\d+", (name[: bracket.start()] if bracket else name).lower())
+    if bracket:
+        return words, bracket.group(1).lower()
+    return (words[:-1], words[-1]) if len(words) > 1 and words[-1] in LENGTH_WORDS else (words, "")
 
 
 def _role(words: list[str]) -> str | None:
@@ -131,8 +148,3 @@ def _covariance_cell(words: list[str]) -> tuple[int, int] | None:
     if len(rest) == 2 and all(word in COVARIANCE_AXES for word in rest):
         return COVARIANCE_AXES[rest[0]], COVARIANCE_AXES[rest[1]]
     return None
-
-
-def _whole(covariance: dict[tuple[int, int], int]) -> bool:
-    """Whether every cell is named, or its mirror image is."""
-    return all((i, j) in covariance or (j, i) in covariance for i in range(6) for j in range(i, 6))

@@ -13,6 +13,9 @@ from oysterbench.trajectory.poses import Trajectory
 ROTATION_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Body x forward, y left, z up; optical x right, y down, z forward (REP 103)."""
 
+METRES = {"m": 1.0, "mm": 1e-3}
+"""Length unit -> how long it is."""
+
 T_BODY_OPTICAL = transform(ROTATION_BODY_OPTICAL, np.zeros(3))
 
 

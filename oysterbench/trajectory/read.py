@@ -9,13 +9,15 @@ from typing import Any
 
 from oysterbench.errors import TrajectoryError
 from oysterbench.trajectory.bags import BAG_MAGIC, MCAP_MAGIC, SQLITE_MAGIC, read_bag
-from oysterbench.trajectory.frames import T_BODY_OPTICAL, poses_of_body, scaled
+from oysterbench.trajectory.frames import METRES, T_BODY_OPTICAL, poses_of_body, scaled
 from oysterbench.trajectory.options import Format, ReadOptions
 from oysterbench.trajectory.poses import Trajectory
 from oysterbench.trajectory.text import read_text
 
 ZIP_MAGIC = b"PK\x03\x04"
-METRES = {"m": 1.0, "mm": 1e-3}
+MAGIC = 16
+"""Bytes that tell one format from another."""
+
 EXPECTED = "expected a trajectory: TUM, EuRoC, KITTI, CSV, .npz, MCAP or a ROS bag"
 
 
@@ -40,14 +42,12 @@ def read_trajectory(path: str | os.PathLike[str], options: ReadOptions | None = 
     return poses_of_body(trajectory, T_BODY_OPTICAL) if options.frame == "optical" else trajectory
 
 
-def file_format(path: Path) -> Format | None:
+def file_format(path: Path, magic: bytes) -> Format | None:
     """`bag`, `mcap` or `npz` by the first bytes of a file or by what is in a folder; None for what should be text."""
     if path.is_dir():
         if any(path.glob("*.mcap")):
             return "mcap"
         return "bag" if (path / "metadata.yaml").is_file() or any(path.glob("*.db3")) else None
-    with open(path, "rb") as file:
-        magic = file.read(16)
     if magic.startswith(MCAP_MAGIC):
         return "mcap"
     if magic.startswith((BAG_MAGIC, SQLITE_MAGIC)):
@@ -57,15 +57,21 @@ def file_format(path: Path) -> Format | None:
 
 def _read(path: Path, options: ReadOptions) -> Trajectory:
     try:
-        found = file_format(path)
+        folder = path.is_dir()
+        # A pipe gives its bytes once; a recording may be larger than the memory.
+        once = path.exists() and not folder and not path.is_file()
+        data = path.read_bytes() if once else b""
+        found = file_format(path, data[:MAGIC] if once or folder else _begin(path))
         chosen = options.format or found
         if chosen in ("mcap", "bag"):
+            if once:
+                raise TrajectoryError(f"{path}: expected a file or folder, as recordings are not read from a pipe")
             return read_bag(path, options)
         if options.topic is not None:
             raise TrajectoryError(f"{path}: --topic chooses among those of an MCAP file or a bag, got neither")
-        if path.is_dir():
+        if folder:
             raise TrajectoryError(f"{path} is a folder; {EXPECTED}")
-        data = path.read_bytes()
+        data = data if once else path.read_bytes()
     except FileNotFoundError:
         raise TrajectoryError(f"{path}: no such file; {EXPECTED}") from None
     except OSError as error:
@@ -75,3 +81,8 @@ def _read(path: Path, options: ReadOptions) -> Trajectory:
 
         return read_npz(path, data, options)
     return read_text(path, data, options)
+
+
+def _begin(path: Path) -> bytes:
+    with open(path, "rb") as file:
+        return file.read(MAGIC)

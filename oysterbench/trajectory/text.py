@@ -13,6 +13,7 @@ from oysterbench.errors import TrajectoryError
 from oysterbench.geometry import Array
 from oysterbench.trajectory.checks import checked_poses, others
 from oysterbench.trajectory.columns import EUROC, KITTI, KITTI_MATRIX, TUM, Columns, named_columns
+from oysterbench.trajectory.frames import METRES, scaled
 from oysterbench.trajectory.options import RIGID_TOLERANCE, ReadOptions
 from oysterbench.trajectory.poses import Trajectory
 from oysterbench.trajectory.stamps import SHIFTS, scaled_integer, scaled_integers
@@ -45,10 +46,13 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
         _stamps(table, columns, path, options, notes),
         table.values[:, [place[k] for k in columns.position]],
         table.values[:, [place[k] for k in columns.quaternion]],
-        _covariances(table.values, columns, place),
+        _covariances(table.values, columns, place, path, notes),
         tuple(notes),
     )
-    return checked_poses(trajectory, str(path), table.where, options.sort)
+    trajectory = checked_poses(trajectory, path.name, table.where, options.sort)
+    if columns.unit == "mm" and options.unit is None:
+        return scaled(trajectory, METRES["mm"])
+    return trajectory
 
 
 def read_times(path: Path, unit: str | None = None) -> NDArray[np.int64]:
@@ -162,7 +166,7 @@ def _stamps(table: Table, columns: Columns, path: Path, options: ReadOptions, no
         if huge.all():
             unit = "ns"
             if not columns.euroc:
-                notes.append(f"{path}: the stamps can only be nanoseconds and are read as such")
+                notes.append(f"{path.name}: the stamps can only be nanoseconds and are read as such")
         elif huge.any():
             i = int(np.argmax(huge != huge[0]))
             kind = ("nanoseconds", "s") if huge[0] else ("s", "nanoseconds")
@@ -210,8 +214,11 @@ def _fits(text: str, shift: int) -> bool:
         return False
 
 
-def _covariances(values: Array, columns: Columns, place: dict[int, int]) -> Array | None:
+def _covariances(values: Array, columns: Columns, place: dict[int, int], path: Path, notes: list[str]) -> Array | None:
     if not columns.covariance:
+        return None
+    if not columns.whole_covariance:
+        notes.append(f"{path.name}: its covariances are left out: {len(columns.covariance)} columns are not all of one")
         return None
     covariances = np.empty((len(values), 6, 6))
     for i in range(6):
@@ -245,7 +252,7 @@ def _kitti(table: Table, path: Path, options: ReadOptions) -> Trajectory:
             f"{off[i]:.2g}{others(wrong)}"
         )
     quaternions = Rotation.from_matrix(rotations).as_quat()
-    notes = (f"{path}: its {len(table)} poses carry no stamps and take the given times one to one",)
+    notes = (f"{path.name}: its {len(table)} poses carry no stamps and take the given times one to one",)
     stamps_ns = np.asarray(options.times, dtype=np.int64)
     trajectory = Trajectory(stamps_ns, table.values[:, [3, 7, 11]].copy(), quaternions, notes=notes)
-    return checked_poses(trajectory, str(path), table.where, options.sort)
+    return checked_poses(trajectory, path.name, table.where, options.sort)
