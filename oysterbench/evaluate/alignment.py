@@ -107,6 +107,8 @@ def _weigh_rotation(truth: Array, estimate: Array, fit: Similarity, align: Align
             f"{line}: the rotation about the line, and the rotation errors with it, are uncertain by "
             f"{np.rad2deg(sigma):.0f} deg; posyaw and origin do not depend on it",
         )
+    elif sigma > GUESS_RAD:
+        notes = (_guess(error_m, float(np.sqrt(stiffness)), sigma, "rotation"),)
     if align == "sim3":
         notes += _scale_notes(truth, estimate, fit.scale)
     return Alignment(fit, d, float(np.sqrt(_ratio(d[0] + d[1], stiffness))), sigma, notes)
@@ -132,7 +134,18 @@ def _weigh_yaw(truth: Array, estimate: Array, fit: Similarity) -> Alignment:
         if sigma > GUESS_RAD:
             raise ValueError(f"{vertical}: yaw is a guess")
         notes = (f"{vertical}: yaw is uncertain by {np.rad2deg(sigma):.0f} deg; origin does not depend on it",)
+    elif sigma > GUESS_RAD:
+        notes = (_guess(error_m, float(np.sqrt(stiffness)), sigma, "yaw"),)
     return Alignment(fit, singular, total_m / level_m, sigma, notes)
+
+
+def _guess(error_m: float, common_m: float, sigma_rad: float, turn: str) -> str:
+    """What is said of a turn that errors as large as the motion leave open, whatever the shape of the path."""
+    uncertain = f"{np.rad2deg(sigma_rad):.0f} deg" if sigma_rad < np.pi else "any angle"
+    return (
+        f"over the poses that the alignment is fitted to, the estimate errs by {error_m:.3g} m and has "
+        f"{common_m:.3g} m of motion in common with the truth: its {turn} is a guess, uncertain by {uncertain}"
+    )
 
 
 def _scale_notes(truth: Array, estimate: Array, scale: float) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from oysterbench.evaluate.pairs import (
     between,
     distances,
     pairs_along,
+    pairs_apart,
     pairs_over_frames,
     pairs_over_time,
     run_of,
@@ -128,14 +129,13 @@ def _absolute(errors: PoseErrors, path_m: float, measures: Measures) -> None:
 def _relative(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
     """Relative errors over frames, seconds, metres and degrees."""
     met, consecutive = matched.met, settings.rpe_pairs == "consecutive"
-    angle = turned(matched.truth.quaternions)
     frames, seconds = settings.rpe_frames, settings.rpe_delta_s
     metres, degrees = settings.rpe_delta_m, settings.rpe_delta_deg
     choices = {
         f"{frames}frames": lambda: pairs_over_frames(len(met.answered), frames, consecutive),
         f"{seconds:g}s": lambda: pairs_over_time(met.truth.stamps_ns, seconds, consecutive),
         f"{metres:g}m": lambda: pairs_along(path_m[met.answered], metres, consecutive),
-        f"{degrees:g}deg": lambda: pairs_along(angle[met.answered], float(np.deg2rad(degrees)), consecutive),
+        f"{degrees:g}deg": lambda: _pairs_over_angle(matched, settings),
     }
     for name, choose in choices.items():
         pairs = choose()
@@ -147,6 +147,14 @@ def _relative(matched: Matched, settings: SlamSettings, path_m: Array, measures:
         errors = relative_errors(met.truth, matched.aligned, pairs, matched.absolute)
         measures[keys[0]] = _rms(errors.translation_m)
         measures[keys[1]] = _rms(np.rad2deg(errors.rotation_rad))
+
+
+def _pairs_over_angle(matched: Matched, settings: SlamSettings) -> Index:
+    delta_rad = float(np.deg2rad(settings.rpe_delta_deg))
+    if settings.rpe_angle == "direct":
+        return pairs_apart(matched.met.truth.quaternions, delta_rad)
+    angle = turned(matched.truth.quaternions)[matched.met.answered]
+    return pairs_along(angle, delta_rad, settings.rpe_pairs == "consecutive")
 
 
 def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:

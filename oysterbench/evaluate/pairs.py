@@ -81,13 +81,14 @@ def pairs_apart(quaternions: Array, delta_rad: float) -> Index:
     n = len(quaternions)
     if n > MAX_DIRECT:
         raise TrajectoryError(
-            f"the angles between all pairs of {n} poses are {n**2:.1e} numbers; expected at most {MAX_DIRECT} poses"
+            f"the angles between all pairs of {n} poses are {n**2:.1e} numbers; expected at most {MAX_DIRECT} poses "
+            "for rpe_angle 'direct'; choose 'turned'"
         )
     found = []
     for i in range(n - 1):
         angles = rotation_angle(np.broadcast_to(quaternions[i], (n - i - 1, 4)), quaternions[i + 1 :])
         ends = i + 1 + np.flatnonzero(np.abs(angles - delta_rad) <= TOLERANCE * delta_rad)
-        found.append(np.column_stack([np.full(len(ends), i), ends]))
+        found.append(_paired(np.full(len(ends), i), ends))
     return np.concatenate(found) if found else NO_PAIRS
 
 

@@ -10,6 +10,7 @@ from oysterbench.errors import TrajectoryError
 Align = Literal["none", "origin", "se3", "posyaw", "sim3", "scale"]
 Associate = Literal["interpolate", "nearest"]
 Pairs = Literal["all", "consecutive"]
+Angle = Literal["turned", "direct"]
 
 MIN_MATCHED = 5
 """Fewer poses are fitted by the alignment rather than scored: three are 9 numbers, of which sim3 fits 7."""
@@ -18,6 +19,7 @@ _CHOICES: dict[str, tuple[str, ...]] = {
     "align": get_args(Align),
     "associate": get_args(Associate),
     "rpe_pairs": get_args(Pairs),
+    "rpe_angle": get_args(Angle),
 }
 _POSITIVE = {
     "max_gap_s": "s",
@@ -47,6 +49,8 @@ class SlamSettings:
     rpe_frames, rpe_delta_s, rpe_delta_m, rpe_delta_deg: over how many matched poses, over which time, true path and
                           truly turned angle relative errors are taken
     rpe_pairs:            from every start (all), or each pair beginning where the last one ended (consecutive)
+    rpe_angle:            over which rpe_delta_deg is counted: what the truth turned on the way (turned), or the angle
+                          between the two attitudes (direct: evo's all pairs, of at most 20 000 poses)
     subpath_m:            lengths in m of the sub-paths; none given: 10, 20, 30, 40 and 50 % of the true path
     subpath_step:         a sub-path starts at every so many truth stamps
     velocity_step_s:      over which time velocities are differenced
@@ -64,6 +68,7 @@ class SlamSettings:
     rpe_delta_m: float = 1.0
     rpe_delta_deg: float = 10.0
     rpe_pairs: Pairs = "all"
+    rpe_angle: Angle = "turned"
     subpath_m: tuple[float, ...] = ()
     subpath_step: int = 1
     velocity_step_s: float = 0.2
@@ -84,6 +89,11 @@ class SlamSettings:
                 raise TrajectoryError(f"evaluator setting {key!r}: expected a whole number from {least}, got {value!r}")
         for length in self.subpath_m:
             self._check("subpath_m", length, "lengths of more than 0 m", _is_positive)
+        if self.rpe_angle == "direct" and self.rpe_pairs != "all":
+            raise TrajectoryError(
+                f"evaluator setting 'rpe_angle': expected 'turned' with {self.rpe_pairs} pairs, got 'direct', which "
+                "tries all pairs"
+            )
         if self.time_offset_s != "estimate":
             self._check("time_offset_s", self.time_offset_s, "seconds or 'estimate'", _is_offset)
 

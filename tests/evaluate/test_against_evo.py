@@ -181,13 +181,21 @@ def test_relative_errors_of_all_relations_and_pair_modes_equal_evo(seed, align, 
 def test_relative_errors_of_a_result_equal_evos(seed, align, pairs):
     truth, estimate = random_pair(seed)
     metres = 0.2 * truth.path_length
-    asked = SlamSettings(align=align, rpe_pairs=pairs, rpe_frames=3, rpe_delta_m=metres, rpe_delta_s=1.0)
+    asked = SlamSettings(
+        align=align,
+        rpe_pairs=pairs,
+        rpe_angle="direct" if pairs == "all" else "turned",
+        rpe_frames=3,
+        rpe_delta_m=metres,
+        rpe_delta_deg=25.0,
+    )
     values = score(truth, estimate, asked).metrics
     pair = evo_aligned(truth, estimate, align)
     per_second = round(1e9 / int(truth.stamps_ns[1] - truth.stamps_ns[0]))
     for name, delta, unit in (
         ("3frames", 3, metrics.Unit.frames),
         (f"{metres:g}m", metres, metrics.Unit.meters),
+        ("25deg", 25.0, metrics.Unit.degrees),
         ("1s", per_second, metrics.Unit.frames),
     ):
         for relation, key in (

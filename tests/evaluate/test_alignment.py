@@ -170,6 +170,19 @@ def test_first_poses_on_a_line_are_refused_though_the_whole_path_is_none():
     assert score(truth, truth, SlamSettings(align="se3")).metrics["ate_rmse_m"] < 1e-9
 
 
+@pytest.mark.parametrize("align", ["posyaw", "se3"])
+def test_first_poses_at_rest_are_flagged_as_a_guess(align):
+    """The estimate wavers by 1 cm while the vehicle moves by some: any yaw fits its first poses."""
+    truth = survey()
+    resting = truth.positions.copy()
+    resting[:200] = resting[200] + 0.003 * (resting[:200] - resting[200])
+    truth = replace(truth, positions=resting)
+    result = score(truth, noisy(truth), SlamSettings(align=align, align_first=200))
+    assert result.metrics["alignment_sigma_deg"] > 60
+    assert any("is a guess, uncertain by" in note for note in result.notes)
+    assert score(truth, noisy(truth), SlamSettings(align=align)).notes == ()
+
+
 @pytest.mark.parametrize("align", ["none", "origin", "scale"])
 def test_what_fits_no_rotation_has_no_condition_and_says_why(align):
     result = score(survey(), survey(), SlamSettings(align=align))
