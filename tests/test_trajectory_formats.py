@@ -12,6 +12,7 @@ from rosbags.rosbag2.enums import StoragePlugin
 from trajectory_files import Messages, dive
 
 from oysterbench.errors import TrajectoryError
+from oysterbench.evaluate.diagnose import diagnose
 from oysterbench.geometry import invert, transform
 from oysterbench.trajectory import Trajectory, read_times, read_trajectory, write_npz, write_tum
 from oysterbench.trajectory.frames import ROTATION_BODY_OPTICAL, poses_of_body
@@ -47,6 +48,22 @@ def test_covariances_are_read(tmp_path, form):
 def test_a_ros_1_bag_is_read(tmp_path):
     expected = dive(covariances=True)
     assert_same(read_trajectory(files.write_bag1(tmp_path / "poses.bag", expected)), expected)
+
+
+def test_an_mcap_file_of_ros_1_messages_is_read(tmp_path):
+    assert_same(read_trajectory(written(tmp_path, files.mcap_of_ros1(dive()))), dive())
+
+
+def test_a_real_sequence_has_one_truth_in_two_formats(shared_data):
+    folder = shared_data / "floor-euroc"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    one = read_trajectory(folder / "truth_body.tum")
+    other = read_trajectory(folder / "mav0" / "state_groundtruth_estimate0" / "data.csv")
+    assert len(one) == 640
+    assert one.stamps_ns[:2].tolist() == [1_000_000_000_000, 1_000_050_000_000]
+    assert_same(other, one)
+    assert diagnose(one, other) == []
 
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))

@@ -152,6 +152,21 @@ def mcap(t: Trajectory, topics=None, compression=None) -> bytes:
     return buffer.getvalue()
 
 
+def mcap_of_ros1(t: Trajectory) -> bytes:
+    """An MCAP file as it is converted from a ROS 1 bag."""
+    messages = Messages(t, ROS1)
+    kind = "geometry_msgs/msg/PoseStamped"
+    buffer = io.BytesIO()
+    writer = McapWriter(buffer)
+    writer.start(profile="ros1")
+    schema = writer.register_schema("geometry_msgs/PoseStamped", "ros1msg", ROS1.generate_msgdef(kind)[0].encode())
+    channel = writer.register_channel("/pose", "ros1", schema)
+    for i, stamp in enumerate(t.stamps_ns.tolist()):
+        writer.add_message(channel, stamp, bytes(ROS1.serialize_ros1(messages.pose_stamped(i), kind)), stamp)
+    writer.finish()
+    return buffer.getvalue()
+
+
 def write_bag1(path: Path, t: Trajectory) -> Path:
     messages = Messages(t, ROS1)
     with BagWriter(path) as writer:

@@ -141,6 +141,7 @@ def assert_few_differ(trajectory: Trajectory, original: Trajectory, changes: int
     """Poses of a bag are those of the original, but for as many as bytes were changed."""
     own = Counter(map(tuple, np.column_stack([original.positions, original.quaternions]).tolist()))
     there = Counter(map(tuple, np.column_stack([trajectory.positions, trajectory.quaternions]).tolist()))
+    assert len(trajectory) == len(original) or trajectory.notes != original.notes
     assert (there - own).total() <= changes
     assert (own - there).total() <= changes
 
