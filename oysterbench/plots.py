@@ -1,4 +1,7 @@
-"""Plots as inline SVG: trajectories with equal axes, errors over time. Colours come from the page (`page.STYLE`)."""
+"""Plots as inline SVG: paths with equal axes, errors, recall, scatter. Colours come from the page (`page.STYLE`).
+
+A plot that may be zoomed says what its axes show in `data-` attributes; the report's script moves curves and ticks.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ INNER = WIDTH - LEFT - RIGHT
 MAX_POINTS = 600  # of one curve: more is finer than a pixel
 ROOM = 0.8  # how far, in lengths of the truth, an estimate may leave it and still be shown whole
 CROP = 0.25  # how much room, in lengths of the truth, is left around it where an estimate is not shown whole
+RECALL_TICKS = (0.1, 0.25, 0.5, 1, 2, 4, 10)  # multiples of the error that counts half
 LOG_RATIO = 25.0  # between the largest errors of two methods, above which a linear axis would hide one
 
 
@@ -41,6 +45,7 @@ class Axis:
     end: float
     spacing: float = 75.0
     logarithmic: bool = False
+    named: tuple[tuple[float, str], ...] = ()  # ticks, in place of those that spacing gives
 
     def place(self, values: Array | float) -> Array:
         """Pixels of values."""
@@ -52,6 +57,8 @@ class Axis:
     def ticks(self) -> list[tuple[float, str]]:
         """Values and labels, as many as fit."""
         room = abs(self.end - self.begin)
+        if self.named:
+            return list(self.named)
         if self.logarithmic:
             powers = range(math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9) + 1)
             return [(10.0**power, _number(10.0**power, max(0, -power))) for power in powers]
@@ -101,7 +108,7 @@ def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, le
     note = _note([c.label for c in curves if _leaves(c.x, x_low, x_high) or _leaves(c.y, y_low, y_high)])
     truth = curves[0]
     marks = _mark(truth, 0, "start", x_axis, y_axis) + _mark(truth, -1, "end", x_axis, y_axis)
-    return _drawing(curves, x_axis, y_axis, title, x_label, y_label, note, marks)
+    return _drawing(curves, x_axis, y_axis, title, x_label, y_label, note, marks, zoom="equal")
 
 
 def height_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
@@ -115,11 +122,12 @@ def height_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str,
     x_axis = _time_axis(span)
     y_axis = Axis(low - margin, high + margin, TOP + 150.0, TOP, 40.0)
     note = _note([c.label for c in curves if _leaves(c.y, y_axis.low, y_axis.high)])
-    return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, note, "")
+    thinned = [thin(curve) for curve in curves]
+    return _drawing(thinned, x_axis, y_axis, title, x_label, y_label, note, "", zoom="free")
 
 
 def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
-    """Curves over time in s within `span`, from zero up; logarithmic where the curves differ by orders of magnitude."""
+    """Curves over time in s, or way in m, within `span`, from zero up; logarithmic where they differ greatly."""
     tops = [float(np.max(_known(curve.y))) for curve in curves]
     top, smallest = max([*tops, 1e-9]), min([top for top in tops if top > 0], default=1.0)
     x_axis = _time_axis(span)
@@ -132,7 +140,43 @@ def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, s
         y_label += ", logarithmic"
     else:
         y_axis = Axis(0.0, top * 1.08, TOP + height, TOP, 44.0)
-    return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, "", "")
+    thinned = [thin(curve) for curve in curves]
+    return _drawing(thinned, x_axis, y_axis, title, x_label, y_label, "", "", zoom="free")
+
+
+def recall_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
+    """Recall over error: x in multiples of the error that counts half, drawn at x / (1 + x), y from 0 to 1.
+
+    On this axis, which has an end but no cut-off, the area under a curve is the score.
+    """
+    bent = []
+    for curve in curves:
+        x, y = curve.x / (1 + curve.x), curve.y
+        steps_x, steps_y = np.r_[0.0, np.repeat(x, 2), 1.0], np.r_[0.0, 0.0, np.repeat(y, 2)]
+        bent.append(Curve(curve.label, steps_x, steps_y[: len(steps_x)], curve.style))
+    named = tuple((u / (1 + u), f"{u:g}") for u in RECALL_TICKS)
+    x_axis = Axis(0.0, 1.0, LEFT, LEFT + INNER, named=((0.0, "0"), *named, (1.0, "\N{INFINITY}")))
+    y_axis = Axis(0.0, 1.0, TOP + 190.0, TOP, 40.0)
+    return _drawing(bent, x_axis, y_axis, title, x_label, y_label, "", "")
+
+
+def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, top: float | None = None) -> str:
+    """Points, not lines: one for each sequence and method; from zero up to `top`."""
+    x_low, x_high = _limits([curve.x for curve in curves])
+    margin = 0.06 * max(x_high - x_low, 1e-9)
+    x_axis = Axis(x_low - margin, x_high + margin, LEFT, LEFT + INNER)
+    highest = top or 1.08 * max(_limits([curve.y for curve in curves])[1], 1e-9)
+    y_axis = Axis(0.0, highest, TOP + 170.0, TOP, 40.0)
+    points = []
+    for k, curve in enumerate(curves):
+        shift = 3.0 * (k - (len(curves) - 1) / 2)  # px, so that equal values of two methods are both seen
+        for x, y in zip(curve.x, curve.y, strict=True):
+            if math.isfinite(x) and math.isfinite(y):
+                place = f'cx="{float(x_axis.place(x)) + shift:.1f}" cy="{float(y_axis.place(y)):.1f}"'
+                about = f"<title>{escape(curve.label)}: {x:g}, {y:.3g}</title>"
+                points.append(f'<circle class="p{curve.style}" {_label(curve)} {place} r="4">{about}</circle>')
+    empty = [Curve(curve.label, curve.x[:0], curve.y[:0], curve.style) for curve in curves]
+    return _drawing(empty, x_axis, y_axis, title, x_label, y_label, "", "".join(points))
 
 
 def thin(curve: Curve) -> Curve:
@@ -216,9 +260,13 @@ def _path(curve: Curve, x_axis: Axis, y_axis: Axis) -> str:
         if not (math.isfinite(px) and math.isfinite(py)):
             lifted = True
             continue
-        words.append(f"{'M' if lifted else 'L'}{px:.1f} {py:.1f}")
+        words.append(f"{'M' if lifted else 'L'}{px:.2f} {py:.2f}")
         lifted = False
     return "".join(words)
+
+
+def _label(curve: Curve) -> str:
+    return f'data-label="{escape(curve.label)}"'
 
 
 def _drawing(
@@ -230,14 +278,22 @@ def _drawing(
     y_label: str,
     note: str,
     marks: str,
+    zoom: str = "",
 ) -> str:
-    """Frame, grid, ticks, labels and curves."""
+    """Frame, grid, ticks, labels and curves. Zoom "equal" keeps the axes' scales equal, "free" does not."""
     top, bottom = y_axis.end, y_axis.begin
     height = bottom + BOTTOM
     label = f"{title}: {', '.join(curve.label for curve in curves)}. {x_label}, {y_label}." + (
         f" {note}." if note else ""
     )
-    parts = [f'<svg class="plot" viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">']
+    axes = ""
+    if zoom:
+        x_range, y_range = (f"{axis.low:.9g} {axis.high:.9g}" for axis in (x_axis, y_axis))
+        box = f"{LEFT:g} {top:g} {INNER:g} {bottom - top:.1f}"
+        logarithmic = " data-log" if y_axis.logarithmic else ""
+        axes = f' data-zoom="{zoom}" data-x="{x_range}" data-y="{y_range}" data-box="{box}"{logarithmic}'
+    parts = [f'<svg class="plot" viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" aria-label="{escape(label)}"{axes}>']
+    parts.append('<g class="ticks">')
     for value, text in x_axis.ticks():
         x = float(x_axis.place(value))
         parts.append(f'<path class="grid" d="M{x:.1f} {top}V{bottom:.1f}"/>')
@@ -246,6 +302,7 @@ def _drawing(
         y = float(y_axis.place(value))
         parts.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{LEFT + INNER}"/>')
         parts.append(f'<text class="tick" x="{LEFT - 7}" y="{y + 4.5:.1f}" text-anchor="end">{text}</text>')
+    parts.append("</g>")
     parts.append(f'<rect class="frame" x="{LEFT}" y="{top}" width="{INNER}" height="{bottom - top:.1f}"/>')
     parts.append(f'<text class="axis" x="{LEFT}" y="{top - 11}">{escape(y_label)}</text>')
     right = LEFT + INNER
@@ -254,9 +311,10 @@ def _drawing(
         parts.append(f'<text class="note" x="{right}" y="{top - 11}" text-anchor="end">{escape(note)}</text>')
     left_top, size = (LEFT, top), (INNER, round(bottom - top, 1))
     place = 'x="{}" y="{}" width="{}" height="{}" viewBox="{} {} {} {}"'.format(*left_top, *size, *left_top, *size)
-    parts.append(f"<svg {place}>")  # an inner svg cuts what leaves it
+    parts.append(f'<svg {place}><g class="curves">')  # an inner svg cuts what leaves it
     for curve in curves:
         data = _path(curve, x_axis, y_axis)
-        parts.append(f'<path class="c{curve.style}" d="{data}"><title>{escape(curve.label)}</title></path>')
-    parts.append(f"{marks}</svg></svg>")
+        name = f"<title>{escape(curve.label)}</title>"
+        parts.append(f'<path class="c{curve.style}" {_label(curve)} d="{data}">{name}</path>')
+    parts.append(f'</g><g class="marks">{marks}</g></svg></svg>')
     return "".join(parts)

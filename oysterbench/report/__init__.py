@@ -1,0 +1,24 @@
+"""Results to read: tables for the terminal, Markdown, LaTeX and CSV, and a self-contained HTML page."""
+
+from oysterbench.report.columns import COLUMNS, Column
+from oysterbench.report.formats import csv_text, latex_text, markdown_text, slam_table, tables, terminal_table
+from oysterbench.report.html import html_report, write_html_report
+from oysterbench.report.sequences import SlamRun
+from oysterbench.report.tables import comparison_tables, results_table, rows
+
+__all__ = [
+    "COLUMNS",
+    "Column",
+    "SlamRun",
+    "comparison_tables",
+    "csv_text",
+    "html_report",
+    "latex_text",
+    "markdown_text",
+    "results_table",
+    "rows",
+    "slam_table",
+    "tables",
+    "terminal_table",
+    "write_html_report",
+]

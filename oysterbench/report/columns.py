@@ -1,0 +1,65 @@
+"""The metrics that tables show: their headings, units and decimals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+ABSENT = "\N{EN DASH}"
+"""Stands where there is no value."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A metric in a table: key, heading and unit below it, factor to the shown unit.
+
+    decimals: of ordinary values; one more is shown where a value lies below `small`
+    """
+
+    key: str
+    heading: str
+    unit: str
+    factor: float = 1.0
+    decimals: int = 2
+    small: float = 0.1
+
+    def texts(self, values: Sequence[float | None]) -> list[str]:
+        """The values as shown, all with the same decimals, so that the eye can compare them.
+
+        Coverage is cut, not rounded: 100 is said of nothing less.
+        """
+        known = [abs(value * self.factor) for value in values if value is not None and math.isfinite(value)]
+        decimals = self.decimals + any(0 < value < self.small for value in known)
+        return [ABSENT if value is None or math.isnan(value) else self._text(value, decimals) for value in values]
+
+    def _text(self, value: float, decimals: int) -> str:
+        if self.key == "coverage":
+            return f"{math.floor(value * self.factor * 10 + 1e-9) / 10:.1f}"
+        return f"{value * self.factor:.{decimals}f}"
+
+
+COLUMNS = (
+    Column("score", "score", "", decimals=3, small=0.0),
+    Column("ate_rmse_m", "ATE", "m", decimals=3, small=0.01),
+    Column("ate_percent", "ATE", "%"),
+    Column("ate_rotation_rmse_deg", "rot", "deg"),
+    Column("rpe_1s_translation_rmse_m", "RPE1s", "m", decimals=3, small=0.01),
+    Column("rpe_1s_rotation_rmse_deg", "RPE1s", "deg"),
+    Column("coverage", "cover", "%", factor=100.0),
+    Column("realtime_factor", "speed", "x", decimals=1),
+)
+"""Of one line per method and sequence."""
+
+STANDING = (
+    Column("coverage", "cover", "%", factor=100.0),
+    Column("ate_percent", "ATE", "%"),
+    Column("ate_rotation_rmse_deg", "rot", "deg"),
+    Column("realtime_factor", "speed", "x", decimals=1),
+)
+"""Of the standings, beside rank, score and interval."""
+
+
+def find_column(key: str) -> Column:
+    """The column of a metric."""
+    return next(column for column in COLUMNS if column.key == key)

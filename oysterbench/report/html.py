@@ -1,0 +1,250 @@
+"""The report: one HTML page that needs no other file and no network, and reads without JavaScript as well."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from oysterbench.comparison import Board, boards, remarks
+from oysterbench.evaluate.conditions import CONDITIONS
+from oysterbench.evaluate.metrics import Metric, find_metric
+from oysterbench.files import write_atomically
+from oysterbench.page import STYLES, page
+from oysterbench.plots import Curve, scatter_plot, swatch
+from oysterbench.report.columns import COLUMNS
+from oysterbench.report.sequences import SlamRun, card, sequence_section
+from oysterbench.report.tables import (
+    COMPLETE,
+    Heading,
+    Table,
+    failures_and_notes,
+    pairs_table,
+    results_table,
+    standings_table,
+    strata_table,
+)
+from oysterbench.results import ResultRecord
+
+ARROWS = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", "": ""}
+SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
+
+
+def write_html_report(
+    path: str | os.PathLike[str], runs: Sequence[SlamRun], command: str, title: str | None = None
+) -> None:
+    """Write `html_report` to a file, nothing half-written."""
+    write_atomically(path, html_report(runs, command, title).encode())
+
+
+def html_report(runs: Sequence[SlamRun], command: str, title: str | None = None) -> str:
+    """Table, standings, trajectories, errors and recall, frames, definitions, and how it was all made."""
+    records = [run.record for run in runs]
+    splits = list(dict.fromkeys(record.split for record in records if record.split))
+    sequences = list(dict.fromkeys(record.sequence for record in records))
+    methods = list(dict.fromkeys(record.method for record in records))
+    title = title or f"SLAM on {', '.join(splits or sequences)}"
+    styles = {method: 1 + i % STYLES for i, method in enumerate(methods)}
+    found = boards(records)
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="lead">{escape(", ".join(methods))} on {_count(len(sequences), "sequence")}, scored by oysterbench '
+        f"{escape(records[0].oysterbench_version)} on {escape(records[0].created[:10])}.</p>"
+        if records
+        else '<p class="lead">No runs.</p>',
+        _results(records),
+        *(f'<p class="small warn">{escape(remark)}</p>' for remark in failures_and_notes(records)),
+        *(f'<p class="small">{escape(remark[0].upper() + remark[1:])}.</p>' for remark in remarks(found)),
+        *(_board(board, styles) for board in found),
+    ]
+    for sequence in sequences:
+        of_sequence = [run for run in runs if run.record.sequence == sequence]
+        if any(run.result is not None or run.frames or run.record.failure is not None for run in of_sequence):
+            parts.append(sequence_section(of_sequence, sequence, styles))
+    if records and all(run.result is None for run in runs):
+        parts.append('<p class="small">Paths are drawn in the report of each evaluation.</p>')
+    parts += [_making(records, command), _definitions(records), f"<script>{_asset('report.js')}</script>"]
+    return page(title, f"<style>{_asset('report.css')}</style>" + "\n".join(parts))
+
+
+def _asset(name: str) -> str:
+    return (resources.files(__package__) / name).read_text(encoding="utf-8")
+
+
+def _count(n: int, noun: str) -> str:
+    return f"{n} {noun}" + ("" if n == 1 else "s")
+
+
+def _results(records: Sequence[ResultRecord]) -> str:
+    """Results by sequence."""
+    table = results_table(records)
+    shaded = (
+        " The best of each sequence is shaded, errors among runs that answer at least "
+        f"{COMPLETE:.0%} of what the most complete one does."
+        if any(any(line.best) for line in table.lines)
+        else ""
+    )
+    several = " Of several runs the medians are shown." if any(record.run for record in records) else ""
+    return _table(table) + (
+        f'<p class="small">{ARROWS["lower"]} lower is better, '
+        f"{ARROWS['higher']} higher is better; read every error beside its coverage.{shaded}{several}</p>"
+    )
+
+
+def _table(table: Table) -> str:
+    """An HTML table that scrolls sideways on a narrow screen."""
+    headings = "".join(_heading(heading, i) for i, heading in enumerate(table.headings))
+    lines = []
+    for n, line in enumerate(table.lines):
+        first = line.kind == "mean" and n and table.lines[n - 1].kind != "mean"
+        kind = f' class="mean{" first" if first else ""}"' if line.kind == "mean" else ""
+        cells = []
+        for i, (text, heading) in enumerate(zip(line.cells, table.headings, strict=True)):
+            classes = [] if heading.number else ["name"]
+            if line.best and line.best[i]:
+                classes.append("best")
+            if line.kind == "failed" and heading.text == "method":
+                classes.append("warn")
+                text += " (failed)"
+            attribute = f' class="{" ".join(classes)}"' if classes else ""
+            cells.append(
+                f'<th scope="row"{attribute}>{escape(text)}</th>' if i == 0 else f"<td{attribute}>{escape(text)}</td>"
+            )
+        lines.append(f"<tr{kind}>{''.join(cells)}</tr>")
+    return (
+        f'<div class="scroll" role="region" aria-label="{escape(table.title)}" tabindex="0"><table><thead>'
+        f"<tr>{headings}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
+    )
+
+
+def _heading(heading: Heading, i: int) -> str:
+    metric = find_metric(heading.key) if heading.key else None
+    text = metric.short if metric is not None and metric.short and heading.unit != "difference" else heading.text
+    text = text[0].upper() + text[1:]
+    unit = " ".join(part for part in (heading.unit, ARROWS[metric.better] if metric is not None else "") if part)
+    about = f' title="{escape(metric.definition)}"' if metric is not None else ""
+    name = "" if heading.number and i else ' class="name"'
+    return f'<th scope="col"{name}{about}>{_unbroken(text)}<br><small>{escape(unit)}</small></th>'
+
+
+def _unbroken(heading: str) -> str:
+    return escape(heading).replace("1 s", "1&nbsp;s")
+
+
+def _board(board: Board, styles: Mapping[str, int]) -> str:
+    """Standings, pairs, classes, and the score over conditions, where there is something to compare."""
+    if len(board.standings) < 2 and len(board.sequences) < 2:
+        return ""
+    parts = []
+    for table in (standings_table(board), pairs_table(board), strata_table(board)):
+        if table.lines:
+            parts.append(f"<h2>{escape(table.title)}</h2>{_table(table)}")
+            parts += [f'<p class="small">{escape(note)}</p>' for note in table.notes]
+    varying = list(board.varying().items())[:SHOWN_CONDITIONS]
+    if varying:
+        labels = [row.label for row in board.standings]
+        order = {label: styles.get(label, 1 + i % STYLES) for i, label in enumerate(labels)}
+        legend = "".join(f'<li data-label="{escape(k)}">{swatch(v)}{escape(k)}</li>' for k, v in order.items())
+        plots = "".join(_over(board, key, values, order) for key, values in varying)
+        parts.append(
+            f'<section class="sequence"><h2>{escape(_short(board))} over conditions on {escape(board.name)}</h2>'
+            f'<ul class="legend" aria-label="Legend">{legend}</ul><div class="pair">{plots}</div></section>'
+        )
+    return "".join(parts)
+
+
+def _short(board: Board) -> str:
+    metric = find_metric(board.metric)
+    return metric.short if metric is not None else board.metric
+
+
+def _over(board: Board, key: str, values: Mapping[str, float], styles: Mapping[str, int]) -> str:
+    """The ranking metric of every sequence over a condition."""
+    condition = CONDITIONS[key]
+    curves = []
+    for label, style in styles.items():
+        cells = [cell for cell in board.cells() if cell.label == label and cell.sequence in values]
+        x = np.array([values[cell.sequence] for cell in cells])
+        y = np.array([cell.median for cell in cells])
+        if len(x) and not np.isnan(y).all():
+            curves.append(Curve(label, x, y, style))
+    if not curves:
+        return ""
+    x_label = condition.heading + (f" [{condition.unit}]" if condition.unit else "")
+    title = f"{_short(board)} over {condition.heading.lower()}"
+    return card(title, scatter_plot(curves, title, x_label, _short(board), top=1.0))
+
+
+def _making(records: Sequence[ResultRecord], command: str) -> str:
+    """Command, settings, versions and machine, each distinct value once."""
+    lines: dict[str, list[str]] = {}
+
+    def add(label: str, value: str) -> None:
+        if value and value not in lines.setdefault(label, []):
+            lines[label].append(value)
+
+    for record in records:
+        add("Split", f"{record.split}, recipe {record.split_digest[:16]}" if record.split_digest else record.split)
+        add("Evaluator", record.evaluator_version)
+        add("Settings", _settings(record.settings))
+        add("oysterbench", record.oysterbench_version)
+        add("Machine", _settings(record.hardware))
+        add("Created", record.created)
+    for record in records:
+        add(f"Conditions of {record.sequence}", _settings(record.conditions))
+    for record in records:
+        add(f"Settings of {record.method}", _settings(record.method_settings))
+        add(f"{record.method} says", _settings(record.info))
+    seeds: dict[str, list[str]] = {}
+    for record in records:
+        if record.seed is not None:
+            seeds.setdefault(record.method, []).append(str(record.seed))
+    for method, given in seeds.items():
+        add(f"Seeds of {method}", ", ".join(dict.fromkeys(given)))
+    items = "".join(f"<dt>{escape(k)}</dt><dd>{'<br>'.join(map(escape, v))}</dd>" for k, v in lines.items() if v)
+    return f"<h2>How this was made</h2><pre><code>{escape(command)}</code></pre><dl>{items}</dl>"
+
+
+def _settings(values: Mapping[str, Any]) -> str:
+    """Keys and values in one line; long values are cut, since the whole is in the JSON."""
+    texts = {k: v if isinstance(v, str) else json.dumps(v, default=str) for k, v in values.items()}
+    return ", ".join(f"{k} = {v if len(v) <= 2000 else v[:1997] + '...'}" for k, v in texts.items())
+
+
+def _definitions(records: Sequence[ResultRecord]) -> str:
+    """What the numbers mean: the metrics of the tables, then all others that were measured, folded away."""
+    measured = {key for record in records for key in record.metrics}
+    shown = [column.key for column in COLUMNS if column.key in measured]
+    others = [key for record in records for key in record.metrics if key not in shown]
+    folded = "".join(_definition(key, records) for key in dict.fromkeys(others))
+    if folded:
+        folded = (
+            f"<details><summary>{len(set(others))} more metrics, and their values</summary><dl>{folded}</dl></details>"
+        )
+    return f"<h2>What the numbers mean</h2><dl>{''.join(_definition(key) for key in shown)}</dl>{folded}"
+
+
+def _definition(key: str, records: Sequence[ResultRecord] = ()) -> str:
+    """Name, unit, direction and definition of a metric, and its value in each record."""
+    metric = find_metric(key) or Metric("", "", "No definition is known to this version.", key)
+    unit = " ".join(part for part in (f"[{metric.unit}]" if metric.unit else "", ARROWS[metric.better]) if part)
+    values = [
+        f"{record.method} on {record.sequence}: "
+        + (f"{value:.6g}" if not math.isnan(value) else f"none, {record.reasons.get(key, '')}")
+        for record in records[:SHOWN_VALUES]
+        if (value := record.metrics.get(key)) is not None
+    ]
+    shown = f'<br><span class="values">{escape("; ".join(values))}</span>' if values else ""
+    return (
+        f"<dt>{escape(metric.short or key)} <small>{escape(unit)}</small><br><code>{escape(key)}</code></dt>"
+        f"<dd>{escape(metric.definition)}{shown}</dd>"
+    )
+
+
+SHOWN_VALUES = 8  # records whose values stand beside a definition; the JSON holds them all

@@ -1,0 +1,190 @@
+"""One sequence of the report: paths, errors over time and along the path, recall, camera frames."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.evaluate.slam import SlamResult
+from oysterbench.geometry import Array
+from oysterbench.plots import Curve, height_plot, map_plot, recall_plot, swatch, thin, time_plot
+from oysterbench.results import ResultRecord
+from oysterbench.trajectory import Trajectory, ns_to_seconds
+
+TIME = "time since start [s]"
+WAY = "way along the true path [m]"
+MAP_POINTS = 1500  # of one path: still fine when it is looked at ten times as near
+
+
+@dataclass(frozen=True)
+class SlamRun:
+    """One run for the report: its record, its poses if it was scored, and camera frames as (stamp in ns, JPEG)."""
+
+    record: ResultRecord
+    result: SlamResult | None = None
+    frames: Sequence[tuple[int, bytes]] = ()
+
+
+Scored = Sequence[tuple[str, SlamResult]]
+"""Method and result of the runs that are drawn."""
+
+
+def sequence_section(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]) -> str:
+    """Plots and frames of one sequence."""
+    drawn = _drawn(runs)
+    scored = [(run.record.method, run.result) for run in drawn if run.result is not None]
+    parts = [f"<h2>{escape(name)}</h2>"]
+    begin_ns = None
+    if scored:
+        truth = scored[0][1].whole_truth
+        begin_ns = int(truth.stamps_ns[0])
+        end_s = (int(truth.stamps_ns[-1]) - begin_ns) * 1e-9
+        several = " Of several runs the one of median score is drawn." if len(drawn) < len(runs) else ""
+        parts.append(
+            f'<p class="small">{truth.path_length:.1f} m of path in {end_s:.1f} s, from stamp '
+            f"{ns_to_seconds(begin_ns)} s. Estimates are shown where they answer, aligned by "
+            f"{escape(scored[0][1].settings.align)}.{several}</p>"
+        )
+        parts.append(_legend([("truth", 0), *((method, styles[method]) for method, _ in scored)]))
+        parts += [_maps(truth, scored, styles), _errors(truth, end_s, scored, styles), _last(truth, scored, styles)]
+    else:
+        parts.append('<p class="small">No run on this sequence could be scored.</p>')
+    frames = next((run.frames for run in runs if run.frames), ())
+    if frames:
+        parts.append(f"<h3>Camera frames</h3><div class=frames>{''.join(_frame(*f, begin_ns) for f in frames)}</div>")
+    return f'<section class="sequence">{"".join(parts)}</section>'
+
+
+def _drawn(runs: Sequence[SlamRun]) -> list[SlamRun]:
+    """Of each method the run of median score, the lower one of two, among those that were scored."""
+    methods: dict[str, list[SlamRun]] = {}
+    for run in runs:
+        methods.setdefault(run.record.method, []).append(run)
+    drawn = []
+    for several in methods.values():
+        scored = [run for run in several if run.result is not None] or several[:1]
+        ordered = sorted(scored, key=lambda run: _score(run.record))
+        drawn.append(ordered[(len(ordered) - 1) // 2])
+    return drawn
+
+
+def _score(record: ResultRecord) -> float:
+    value = record.metrics.get("score", math.nan)
+    return -1.0 if math.isnan(value) else value
+
+
+def _legend(entries: Sequence[tuple[str, int]]) -> str:
+    items = "".join(f'<li data-label="{escape(label)}">{swatch(style)}{escape(label)}</li>' for label, style in entries)
+    return (
+        f'<ul class="legend" aria-label="Legend">{items}<li class="small">\N{WHITE CIRCLE} start, '
+        '\N{WHITE SQUARE} end of the truth</li></ul><p class="small zoomed" hidden>Click a plot, then scroll to zoom '
+        "(or pinch, or + and \N{MINUS SIGN}); drag to move; double-click to go back; click a name to hide it.</p>"
+    )
+
+
+def _maps(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> str:
+    """The trajectories from above, from the side that shows more of them, and their height over time."""
+    extent = np.ptp(truth.positions, axis=0)
+    side = 0 if extent[0] >= extent[1] else 1
+    axes = ("east x [m]", "north y [m]", "height z [m]")
+    shown = [("truth", truth, 0), *((method, result.estimate, styles[method]) for method, result in scored)]
+
+    def seen(title: str, i: int, j: int, least_height: float) -> str:
+        curves = [_outline(*entry, i, j) for entry in shown]
+        return card(title, map_plot(curves, title, axes[i], axes[j], least_height))
+
+    begin_ns, end_s = int(truth.stamps_ns[0]), float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
+    heights = []
+    for label, trajectory, style in shown:
+        seconds = (trajectory.stamps_ns - begin_ns) * 1e-9
+        heights.append(Curve(label, *_broken(trajectory.stamps_ns, seconds, trajectory.positions[:, 2]), style))
+    title = "Height over time"
+    height = card(title, height_plot(heights, title, TIME, axes[2], (0.0, end_s)))
+    above, beside = seen("Seen from above", 0, 1, 400.0), seen("Seen from the side", side, 2, 110.0)
+    return f'<div class="pair">{above}<div class="stack">{beside}{height}</div></div>'
+
+
+def card(title: str, plot: str) -> str:
+    """A plot in its frame."""
+    return f'<div class="card"><h3>{escape(title)}</h3>{plot}</div>'
+
+
+def _outline(label: str, trajectory: Trajectory, style: int, i: int, j: int) -> Curve:
+    """Coordinates i and j of a trajectory, thinned evenly, broken where its stamps are."""
+    step = max(1, len(trajectory) // MAP_POINTS)
+    index = np.unique(np.r_[0 : len(trajectory) : step, len(trajectory) - 1])
+    stamps, positions = trajectory.stamps_ns[index], trajectory.positions[index]
+    return Curve(label, *_broken(stamps, positions[:, i], positions[:, j]), style)
+
+
+def _broken(stamps_ns: NDArray[np.int64], x: NDArray[Any], y: NDArray[Any]) -> tuple[Array, Array]:
+    """x and y with a NaN wherever the stamps jump by more than 4 of their median steps and by more than 0.25 s."""
+    steps = np.diff(stamps_ns)
+    if not len(steps):
+        return x, y
+    jumps = np.flatnonzero((steps > 4 * np.median(steps)) & (steps > 250_000_000)) + 1
+    return np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
+
+
+def _errors(truth: Trajectory, end_s: float, scored: Scored, styles: Mapping[str, int]) -> str:
+    """Translation and rotation error over time."""
+    cards = []
+    for title, unit, key in (
+        ("Position error over time", "error [m]", "error_m"),
+        ("Rotation error over time", "error [deg]", "rotation_error_deg"),
+    ):
+        curves = []
+        for method, result in scored:
+            seconds = (result.stamps_ns - truth.stamps_ns[0]) * 1e-9
+            curves.append(
+                thin(Curve(method, *_broken(result.stamps_ns, seconds, getattr(result, key)), styles[method]))
+            )
+        cards.append(card(title, time_plot(curves, title, TIME, unit, (0.0, end_s))))
+    return f'<div class="pair">{"".join(cards)}</div>'
+
+
+def _last(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> str:
+    """Position error along the path, and recall curves; neither exists where the truth stands still."""
+    steps = np.linalg.norm(np.diff(truth.positions, axis=0), axis=1)
+    way = np.r_[0.0, np.cumsum(steps)]
+    seconds = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
+    if not way[-1] > 0:
+        return ""
+    along, curves = [], []
+    for method, result in scored:
+        x = np.interp((result.stamps_ns - truth.stamps_ns[0]) * 1e-9, seconds, way)
+        along.append(thin(Curve(method, *_broken(result.stamps_ns, x, result.error_m), styles[method])))
+        if result.recall is not None:
+            multiples = np.asarray(result.recall.error_m) / result.recall.scale_m
+            curves.append(Curve(method, multiples, np.asarray(result.recall.share), styles[method]))
+    title = "Position error along the path"
+    cards = [card(title, time_plot(along, title, WAY, "error [m]", (0.0, float(way[-1]))))]
+    if curves:
+        percent = scored[0][1].settings.recall_scale_percent
+        scale = next(result.recall.scale_m for _, result in scored if result.recall is not None)
+        unit = f"{percent:g} % of the path, {scale:.3g} m"
+        title = "Recall: share of true poses within an error"
+        cards.append(
+            card(title, recall_plot(curves, title, f"error [{unit}]", "share")).replace(
+                "</svg></div>", '</svg><p class="small">The area under a curve is its score.</p></div>'
+            )
+        )
+    return f'<div class="pair">{"".join(cards)}</div>'
+
+
+def _frame(stamp_ns: int, jpeg: bytes, begin_ns: int | None) -> str:
+    since = "" if begin_ns is None else f"{(stamp_ns - begin_ns) * 1e-9:.2f} s"
+    stamp = ns_to_seconds(stamp_ns)
+    caption = f"{since} <small>(stamp {stamp})</small>" if since else f"stamp {stamp}"
+    data = base64.b64encode(jpeg).decode()
+    return (
+        f'<figure><img loading="lazy" alt="Camera frame at {since or stamp}" src="data:image/jpeg;base64,{data}">'
+        f"<figcaption>{caption}</figcaption></figure>"
+    )

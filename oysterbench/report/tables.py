@@ -1,0 +1,295 @@
+"""Tables as data: results by sequence, standings, pairs and classes. `formats` writes them, in whatever form."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oysterbench.comparison import Board, boards, remarks
+from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.statistics import LEVEL, Interval
+from oysterbench.report.columns import ABSENT, COLUMNS, STANDING, Column, find_column
+from oysterbench.results import ResultRecord, aggregate, comparable_key, method_key
+
+COMPLETE = 0.95
+"""Of the highest coverage on a sequence: what a run must answer to be called the best there."""
+
+MINUS = "\N{MINUS SIGN}"
+
+
+@dataclass(frozen=True)
+class Heading:
+    """Of a column: text and unit below it; the metric that defines it; numbers stand to the right."""
+
+    text: str
+    unit: str = ""
+    key: str = ""
+    number: bool = True
+
+
+@dataclass(frozen=True)
+class Line:
+    """Cells as shown; kind is "failed" or "mean"; which cells are the best of their sequence."""
+
+    cells: tuple[str, ...]
+    kind: str = ""
+    best: tuple[bool, ...] = ()
+
+
+@dataclass(frozen=True)
+class Table:
+    """Title, headings, lines, and sentences that stand below."""
+
+    title: str
+    headings: tuple[Heading, ...]
+    lines: tuple[Line, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the results: sequence (or the mean), method, texts by column, which of them are the best."""
+
+    name: str
+    method: str
+    cells: tuple[str, ...]
+    best: tuple[bool, ...] = (False,) * len(COLUMNS)
+    failed: bool = False
+    mean: bool = False
+
+
+def rows(records: Sequence[ResultRecord]) -> list[Row]:
+    """Methods by sequence, in the order of their first appearance, then the means where there are two sequences.
+
+    Of several runs of a method on a sequence the medians are shown.
+    """
+    order = list(dict.fromkeys(record.sequence for record in records))
+    groups: dict[tuple[str, ...], list[ResultRecord]] = {}
+    for record in sorted(records, key=lambda record: order.index(record.sequence)):
+        groups.setdefault((record.sequence, *method_key(record), *comparable_key(record)), []).append(record)
+    medians = [{column.key: median(group, column.key) for column in COLUMNS} for group in groups.values()]
+    means = aggregate(records) if len(order) > 1 else []
+    best = _best([group[0].sequence for group in groups.values()], medians)
+    values = [*medians, *(mean["metrics"] for mean in means)]
+    cells = list(zip(*(c.texts([of.get(c.key) for of in values]) for c in COLUMNS), strict=True))
+    found = []
+    for group, of, texts in zip(groups.values(), medians, cells, strict=False):
+        failures = sum(record.failure is not None for record in group)
+        several = f" ({len(group)} runs{f', {failures} failed' if failures else ''})" if len(group) > 1 else ""
+        marked = tuple(of[c.key] == best.get((group[0].sequence, c.key), math.nan) for c in COLUMNS)
+        found.append(Row(group[0].sequence, group[0].method + several, texts, marked, failed=failures == len(group)))
+    for mean, texts in zip(means, cells[len(medians) :], strict=True):
+        failed = f", {mean['failures']} failed" if mean["failures"] else ""
+        found.append(Row(f"mean of {mean['sequences']}{failed}", mean["method"], texts, mean=True))
+    return found
+
+
+def median(records: Sequence[ResultRecord], key: str) -> float:
+    """Of the runs that have a value; NaN where none has."""
+    known = [value for record in records if not math.isnan(value := record.metrics.get(key, math.nan))]
+    return float(np.median(known)) if known else math.nan
+
+
+def _best(sequences: Sequence[str], medians: Sequence[dict[str, float]]) -> dict[tuple[str, str], float]:
+    """Best value of each sequence and column, where methods were compared and the metric has a direction.
+
+    Only runs that answer nearly as much as the most complete one compete: an error over the easy part is no record.
+    The score counts what is not answered, and so they all compete for it.
+    """
+
+    def coverage(of: dict[str, float]) -> float:
+        return 1.0 if math.isnan(of["coverage"]) else of["coverage"]
+
+    most: dict[str, float] = {}
+    for sequence, of in zip(sequences, medians, strict=True):
+        most[sequence] = max(most.get(sequence, 0.0), coverage(of))
+    values: dict[tuple[str, str], list[float]] = {}
+    for sequence, of in zip(sequences, medians, strict=True):
+        for column in COLUMNS:
+            complete = column.key == "score" or coverage(of) >= COMPLETE * most[sequence]
+            if complete and not math.isnan(of[column.key]):
+                values.setdefault((sequence, column.key), []).append(of[column.key])
+    best = {}
+    for (sequence, key), found in values.items():
+        metric = find_metric(key)
+        if metric is not None and metric.better and len(found) > 1 and min(found) < max(found):
+            best[sequence, key] = max(found) if metric.better == "higher" else min(found)
+    return best
+
+
+def failures_and_notes(records: Sequence[ResultRecord]) -> list[str]:
+    """What must be said about single runs, in sentences; the same sentence of several runs once."""
+    said = []
+    for record in records:
+        name = f"{record.method} on {record.sequence}"
+        if record.failure is not None:
+            said.append(f"{name} failed: {record.failure}")
+        said += [f"{name}: {note}" for note in record.notes]
+    return list(dict.fromkeys(said))
+
+
+def results_table(records: Sequence[ResultRecord]) -> Table:
+    """A line per method and sequence, the means below."""
+    headings = (
+        Heading("sequence", number=False),
+        Heading("method", number=False),
+        *(Heading(column.heading, column.unit, column.key) for column in COLUMNS),
+    )
+    lines = []
+    for row in rows(records):
+        kind = "mean" if row.mean else "failed" if row.failed else ""
+        lines.append(Line((row.name, row.method, *row.cells), kind, (False, False, *row.best)))
+    return Table("Results", headings, tuple(lines), tuple(failures_and_notes(records)))
+
+
+def interval_text(interval: Interval, column: Column) -> str:
+    """Both ends, or a dash."""
+    if not interval.known:
+        return ABSENT
+    low, high = (f"{value * column.factor:.{column.decimals}f}" for value in (interval.low, interval.high))
+    return f"{low} to {high}".replace("-", MINUS)
+
+
+def standings_table(board: Board) -> Table:
+    """Methods by the ranking metric, with its interval and spread, and coverage beside the errors."""
+    metric = find_column(board.metric)
+    shown = [row.summaries.get(board.metric) for row in board.standings]
+    texts = {
+        column.key: column.texts([s.mean if (s := row.summaries.get(column.key)) else None for row in board.standings])
+        for column in (metric, *STANDING)
+    }
+    lines = []
+    for i, (row, summary) in enumerate(zip(board.standings, shown, strict=True)):
+        spread = ABSENT
+        if summary is not None and not summary.reason:
+            spread = f"{summary.low:.{metric.decimals}f} to {summary.high:.{metric.decimals}f}"
+        lines.append(
+            Line(
+                (
+                    _rank(board, i),
+                    row.label,
+                    texts[metric.key][i],
+                    interval_text(summary.interval, metric) if summary is not None else ABSENT,
+                    spread,
+                    *(texts[column.key][i] for column in STANDING),
+                    f"{row.failures} of {row.runs}",
+                )
+            )
+        )
+    headings = (
+        Heading("rank"),
+        Heading("method", number=False),
+        Heading(metric.heading, metric.unit, metric.key),
+        Heading(f"{LEVEL:.0%}", "interval"),
+        Heading("sequences", "from, to"),
+        *(Heading(column.heading, column.unit, column.key) for column in STANDING),
+        Heading("failed", "runs"),
+    )
+    return Table(f"Standings on {board.name}", headings, tuple(lines), tuple(_reading(board)))
+
+
+def _rank(board: Board, i: int) -> str:
+    """The rank, with the worst that it may be; a place in brackets where nothing can be told apart."""
+    standing = board.standings[i].standing
+    if standing.place is None:
+        return ABSENT
+    if standing.rank is None or standing.worst is None:
+        return f"({standing.place})"
+    return f"{standing.rank}" if standing.rank == standing.worst else f"{standing.rank}\N{EN DASH}{standing.worst}"
+
+
+def _reading(board: Board) -> list[str]:
+    n = len(board.sequences)
+    said = [
+        f"Means over {n} sequence{'' if n == 1 else 's'}, each the mean of its runs; a failed run scores 0, and errors "
+        "are those of the runs that have one: read them beside coverage and failures."
+    ]
+    if any(row.standing.rank is not None for row in board.standings):
+        said.append(
+            f"A rank is a range where methods cannot be told apart at {LEVEL:.0%}, by resampling the differences on "
+            "the same sequences; each pair by itself, with no correction for their number."
+        )
+    elif len(board.standings) > 1:
+        said.append("Places in brackets are the order of these means: which method is better cannot be told.")
+    return said
+
+
+def pairs_table(board: Board) -> Table:
+    """Is a better than b, where, and by how much."""
+    metric = find_column(board.metric)
+    lines = []
+    for pair in board.pairs:
+        found = pair.comparison
+        where = f"{CONDITIONS[pair.condition].heading}: {pair.value}" if pair.condition else "everywhere"
+        difference = ABSENT if math.isnan(found.difference) else f"{found.difference:+.{metric.decimals}f}"
+        lines.append(
+            Line(
+                (
+                    pair.a,
+                    pair.b,
+                    where,
+                    difference.replace("-", MINUS),
+                    interval_text(found.interval, metric),
+                    f"{found.wins} / {found.ties} / {found.losses}",
+                    found.verdict if found.interval.known else f"not told apart: {_short(found.interval.reason)}",
+                ),
+                "" if pair.condition else "mean",
+            )
+        )
+    headings = (
+        Heading("method", number=False),
+        Heading("against", number=False),
+        Heading("where", number=False),
+        Heading(metric.heading, "difference", metric.key),
+        Heading(f"{LEVEL:.0%}", "interval"),
+        Heading("sequences", "won / tied / lost"),
+        Heading("verdict", number=False),
+    )
+    return Table(f"Pairs on {board.name}", headings, tuple(lines))
+
+
+def _short(reason: str) -> str:
+    return reason.partition(":")[0]
+
+
+def strata_table(board: Board) -> Table:
+    """Methods within each class of conditions, where there are several classes."""
+    metric = find_column(board.metric)
+    lines = []
+    for condition in STRATA:
+        for value, label, summary in board.strata(condition):
+            n = str(summary.sequences)
+            mean = metric.texts([summary.mean])[0]
+            lines.append(
+                Line((CONDITIONS[condition].heading, value, label, n, mean, interval_text(summary.interval, metric)))
+            )
+    headings = (
+        Heading("condition", number=False),
+        Heading("class", number=False),
+        Heading("method", number=False),
+        Heading("sequences"),
+        Heading(metric.heading, metric.unit, metric.key),
+        Heading(f"{LEVEL:.0%}", "interval"),
+    )
+    return Table(f"By conditions on {board.name}", headings, tuple(lines))
+
+
+def comparison_tables(records: Sequence[ResultRecord]) -> list[Table]:
+    """Standings, pairs and classes of every board; nothing where there is but one method on one sequence."""
+    found = boards(records)
+    tables = []
+    for board in found:
+        if len(board.standings) > 1 or len(board.sequences) > 1:
+            tables.append(standings_table(board))
+        if board.pairs:
+            tables.append(pairs_table(board))
+        if (strata := strata_table(board)).lines:
+            tables.append(strata)
+    if tables and (said := remarks(found)):
+        first = tables[0]
+        tables[0] = Table(first.title, first.headings, first.lines, (*said, *first.notes))
+    return tables
