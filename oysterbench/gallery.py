@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from oysterbench.errors import RecipeError
 from oysterbench.files import write_atomically
-from oysterbench.recipe import CameraRecipe, RigRecipe, SplitRecipe, count, load_split, vary_split
+from oysterbench.recipe import CameraRecipe, RigRecipe, SplitRecipe, carry, count, load_split, vary_split
 
 Picture = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
@@ -112,7 +112,7 @@ def panels(table: Path, progress: Progress = lambda done, total: None) -> tuple[
     """The pictures that a gallery file describes, and their captions.
 
     A gallery file names a `split`, and has [[panel]] tables with a `caption`, a time `at_s`, and `set`, the keys of the
-    split that are replaced (see `recipe.vary_split`).
+    split that are replaced (see `recipe.vary_split`); where they say so, with another `rig` and through its `camera`.
     """
     split, rows = _read_gallery(table)
     from oysterbench.stage import build_stage, look
@@ -120,13 +120,23 @@ def panels(table: Path, progress: Progress = lambda done, total: None) -> tuple[
     pictures: list[Picture] = []
     for k, row in enumerate(rows):
         progress(k, len(rows))
-        varied = vary_split(split, row["set"], f"{table}: panel {row['caption']!r}")
+        varied = vary_panel(split, row, table)
         varied = dataclasses.replace(varied, rig=shrink(varied.rig, PREVIEW_WIDTH))
-        camera = varied.rig.camera[0]
+        camera = next(c for c in varied.rig.camera if c.name == row.get("camera", varied.rig.camera[0].name))
         stage = build_stage(varied, varied.sequence[0].name, b"")
         pictures.append(look(stage, camera, round(row["at_s"] * camera.rate_hz)).colour)
     progress(len(rows), len(rows))
     return pictures, [row["caption"] for row in rows]
+
+
+def vary_panel(split: SplitRecipe, row: dict[str, Any], table: Path) -> SplitRecipe:
+    """The split of a panel."""
+    where = f"{table}: panel {row['caption']!r}"
+    carried = carry(split, row["rig"], where) if "rig" in row else split
+    cameras = [camera.name for camera in carried.rig.camera]
+    if row.get("camera", cameras[0]) not in cameras:
+        raise RecipeError(f"{where}: key 'camera': expected one of {', '.join(cameras)}, got {row['camera']!r}")
+    return vary_split(carried, row["set"], where)
 
 
 def _read_gallery(path: Path) -> tuple[SplitRecipe, list[dict[str, Any]]]:

@@ -11,7 +11,6 @@ import pytest
 
 from oysterbench import gallery
 from oysterbench.errors import RecipeError
-from oysterbench.recipe import vary_split
 
 
 def flat(value, width=40, height=30):
@@ -47,7 +46,7 @@ def test_every_panel_of_the_galleries_is_valid():
     for path in files:
         split, rows = gallery._read_gallery(path)
         for row in rows:
-            varied = vary_split(split, row["set"], str(path))
+            varied = gallery.vary_panel(split, row, path)
             assert 0 <= row["at_s"] < varied.sequence[0].duration_s
 
 

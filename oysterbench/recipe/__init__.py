@@ -30,7 +30,7 @@ from oysterbench.recipe.sensors import (
     SonarRecipe,
     VibrationRecipe,
 )
-from oysterbench.recipe.split import SplitRecipe, load_split, parse_split, split_names, vary_split
+from oysterbench.recipe.split import SplitRecipe, carry, load_split, parse_split, split_names, vary_split
 
 __all__ = [
     "BOTTOMS",
@@ -59,6 +59,7 @@ __all__ = [
     "VibrationRecipe",
     "WaterRecipe",
     "as_plain",
+    "carry",
     "count",
     "load_split",
     "parse_split",

@@ -87,18 +87,20 @@ def parse_split(source: str, where: str, rig_source: str | None = None) -> Split
             f"{where}: key 'rig': expected the name of a file in datasets/rigs, or the path of a .toml file beside the "
             f"recipe, got {rig_name!r}"
         )
-    if rig_source is None:
-        if rig_name.endswith(".toml"):
-            rig_path = Path(where).parent / rig_name
-        else:
-            rig_path = Path(str(resources.files("oysterbench_datasets") / "rigs" / f"{rig_name}.toml"))
-        rig_source = _read_text(rig_path, f"{where}: key 'rig': there is no rig {rig_name!r} ({rig_path} is absent)")
-    rig_where = f"rig {rig_name}"
-    rig = build(RigRecipe, with_grade(_parse_toml(rig_source, rig_where)), rig_where, "")
+    rig_source = _rig_text(rig_name, where) if rig_source is None else rig_source
+    rig = _read_rig(rig_source, f"rig {rig_name}")
     table = {**table, "rig": rig, "rig_source": rig_source, "source": source}
     split = build(SplitRecipe, table, where, "")
     _check_split(split, where)
     return split
+
+
+def carry(split: SplitRecipe, rig_name: str, where: str) -> SplitRecipe:
+    """The split with another rig, by its name or the path of its file beside `where`."""
+    source = _rig_text(rig_name, where)
+    other = dataclasses.replace(split, rig=_read_rig(source, f"rig {rig_name}"), rig_source=source)
+    _check_split(other, where)
+    return other
 
 
 def vary_split(split: SplitRecipe, changes: Mapping[str, Any], where: str) -> SplitRecipe:
@@ -125,6 +127,18 @@ def vary_split(split: SplitRecipe, changes: Mapping[str, Any], where: str) -> Sp
     )
     _check_split(varied, where)
     return varied
+
+
+def _rig_text(name: str, where: str) -> str:
+    if name.endswith(".toml"):
+        path = Path(where).parent / name
+    else:
+        path = Path(str(resources.files("oysterbench_datasets") / "rigs" / f"{name}.toml"))
+    return _read_text(path, f"{where}: key 'rig': there is no rig {name!r} ({path} is absent)")
+
+
+def _read_rig(source: str, where: str) -> RigRecipe:
+    return build(RigRecipe, with_grade(_parse_toml(source, where)), where, "")
 
 
 def _check_split(split: SplitRecipe, where: str) -> None:
