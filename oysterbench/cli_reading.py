@@ -29,14 +29,14 @@ NUMBERS = {7: "x,y,z,qx,qy,qz,qw", 16: "a 4 x 4 matrix"}
 
 @dataclass(frozen=True)
 class Reading:
-    """The options as they were given."""
+    """The options as they were given, by their names."""
 
     values: Mapping[str, Any]
 
     @property
     def given(self) -> list[str]:
         """Names of the options that were given."""
-        return [f"--{name.replace('_', '-')}" for name, value in self.values.items() if value not in (None, False)]
+        return [f"--{name}" for name, value in self.values.items() if value not in (None, False)]
 
     def options(self) -> tuple[ReadOptions, ReadOptions]:
         """For the truth and for the estimate."""
@@ -44,9 +44,9 @@ class Reading:
 
         values = self.values
         times = values["times"] and read_times(values["times"])
-        truth = {key.replace("-", "_"): values[f"truth_{key.replace('-', '_')}"] for key in OF_BOTH}
-        estimate = {key.replace("-", "_"): values[key.replace("-", "_")] for key in OF_BOTH}
-        place = values["t_body_estimate"]
+        truth = {key.replace("-", "_"): values[f"truth-{key}"] for key in OF_BOTH}
+        estimate = {key.replace("-", "_"): values[key] for key in OF_BOTH}
+        place = values["T-body-estimate"]
         return (
             ReadOptions(**truth, times=times),
             ReadOptions(
@@ -61,43 +61,28 @@ class Reading:
 
 def reading_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the options, and the argument `reading`."""
-    names: list[str] = []
+    kinds: dict[str, tuple[dict[str, Any], str]] = {}
+    for prefix, whose in (("", "Estimate"), ("truth-", "Truth")):
+        kinds |= {f"{prefix}{name}": ({"type": kind}, f"{whose}: {text}") for name, (kind, text) in OF_BOTH.items()}
+    kinds["times"] = (
+        {"type": click.Path(path_type=Path, dir_okay=False)},
+        "KITTI: a file with one time a line.  [default: the truth's]",
+    )
+    kinds["frame"] = ({"type": click.Choice(("body", "optical"))}, "Estimate: whose poses they are.")
+    kinds["T-body-estimate"] = (
+        {"metavar": "NUMBERS|FILE"},
+        "Estimate: where the frame of its poses is in the body: x,y,z,qx,qy,qz,qw or a 4 x 4 matrix.",
+    )
+    kinds["sort"] = ({"is_flag": True}, "Estimate: put its poses in the order of their stamps.")
+    # The command's other options may have the same names: these go by names of their own until they are collected.
+    names = {name: f"reading_{name.replace('-', '_').lower()}" for name in kinds}
 
     @functools.wraps(command)
     def wrapped(**values: Any) -> Any:
-        return command(reading=Reading({name: values.pop(name) for name in names}), **values)
+        return command(reading=Reading({name: values.pop(own) for name, own in names.items()}), **values)
 
-    options = [
-        (name, click.option(f"--{name}", type=kind, help=f"Estimate: {text}")) for name, (kind, text) in OF_BOTH.items()
-    ]
-    options += [
-        (f"truth-{name}", click.option(f"--truth-{name}", type=kind, help=f"Truth: {text}"))
-        for name, (kind, text) in OF_BOTH.items()
-    ]
-    times = click.Path(path_type=Path, dir_okay=False)
-    options += [
-        (
-            "times",
-            click.option("--times", type=times, help="KITTI: a file with one time a line.  [default: the truth's]"),
-        ),
-        (
-            "frame",
-            click.option("--frame", type=click.Choice(("body", "optical")), help="Estimate: whose poses they are."),
-        ),
-        (
-            "t_body_estimate",
-            click.option(
-                "--T-body-estimate",
-                "t_body_estimate",
-                metavar="NUMBERS|FILE",
-                help="Estimate: where the frame of its poses is in the body: x,y,z,qx,qy,qz,qw or a 4 x 4 matrix.",
-            ),
-        ),
-        ("sort", click.option("--sort", is_flag=True, help="Estimate: put its poses in the order of their stamps.")),
-    ]
-    names += [name.replace("-", "_") for name, _ in options]
-    for _, option in reversed(options):
-        wrapped = option(wrapped)
+    for name, (settings, text) in reversed(kinds.items()):
+        wrapped = click.option(f"--{name}", names[name], help=text, **settings)(wrapped)
     return wrapped
 
 

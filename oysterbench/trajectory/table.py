@@ -140,7 +140,11 @@ def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Table 
 
 def _single_spaces(data: bytes) -> bool:
     """Whether one space stands between two numbers everywhere, and none elsewhere."""
-    return not (data.startswith(b" ") or any(sign in data for sign in (b"\t", b"  ", b"\n ", b" \n")))
+    characters = np.frombuffer(data, dtype=np.uint8)
+    spaces = characters == ord(" ")
+    blanks = spaces | (characters == ord("\n"))
+    touching = (spaces[1:] & blanks[:-1]).any() or (spaces[:-1] & blanks[1:]).any()
+    return not (touching or b"\t" in data or data.startswith(b" ") or data.endswith(b" "))
 
 
 def _first_fields(data: bytes) -> NDArray[np.bytes_] | None:

@@ -83,7 +83,8 @@ def decoded(path: Path, data: bytes) -> str:
     """Text with lines that end in a line feed, without a byte order mark."""
     if b"\0" not in data:
         try:
-            return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+            text = data.decode("utf-8-sig")
+            return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
         except UnicodeDecodeError:
             pass
     raise TrajectoryError(f"{path} is not text; expected a trajectory: TUM, EuRoC, KITTI, CSV, .npz, MCAP or a bag")
