@@ -67,8 +67,9 @@ class SlamResult:
 
 
 def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None = None) -> SlamResult:
-    """Score an estimate against the truth.
+    """Score an estimate against the truth: `score(truth, estimate, SlamSettings(align="se3")).metrics["ate_rmse_m"]`.
 
+    The steps: check both, mend the clock, associate, align, measure. What a number means says `METRICS`.
     Raises TrajectoryError, in one line, where a number would mean nothing: poses that `check_trajectory` refuses,
     no common time, too few matched poses, an alignment that the motion does not determine.
     """
