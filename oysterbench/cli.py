@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli_hub import COMMANDS as HUB_COMMANDS
+from oysterbench.cli_outputs import Outputs, output_options
 from oysterbench.cli_reading import Reading, reading_options
 from oysterbench.cli_scoring import scoring_options
 from oysterbench.errors import OysterbenchError
@@ -67,14 +68,20 @@ def main() -> None:
       oysterbench eval --track slam                 the demo: render, run the baselines, print the table
       oysterbench eval --track slam --method gtsam_vi --out results
       oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3
+      oysterbench compare ours theirs               ranks, ties, and who is better where
       oysterbench splits                            what can be rendered, and what is here
       oysterbench render slam-mini --workers 2
+      oysterbench download slam-mini                from a hub, or rendered where none is set
       oysterbench info mini-01.mcap
       oysterbench export mini-01.mcap --format euroc --out mini-01
       oysterbench view mini-01.mcap                 one page to look through it
       oysterbench gallery                           waters, lights, reefs and views on one sheet
       oysterbench oyster --seed 7 --out oyster.glb
     """
+
+
+for _command in HUB_COMMANDS:
+    main.add_command(_command)
 
 
 @main.command("eval", short_help="Run methods on a split and score them, or score two files.")
@@ -89,7 +96,8 @@ def main() -> None:
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of the results.  [default: under the home]"
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Processes that render.  [default: one per core]")
-@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON on stdout, and nothing else.")
+@click.option("--runs", "times", type=click.IntRange(min=1), help="Runs of each method on each sequence.  [default: 1]")
+@output_options
 def eval_command(
     track: str,
     split_name: str | None,
@@ -100,7 +108,8 @@ def eval_command(
     settings: Callable[[], SlamSettings],
     out: Path | None,
     workers: int | None,
-    as_json: bool,
+    times: int | None,
+    outputs: Outputs,
 ) -> None:
     """Run methods on a split and score them, or score two trajectory files.
 
@@ -108,18 +117,22 @@ def eval_command(
     Examples:
       oysterbench eval --track slam
       oysterbench eval --track slam --method dead_reckoning --json
+      oysterbench eval --track slam --runs 5 --out five-runs
       oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3 --associate nearest
+      oysterbench eval --track slam --truth truth.tum --estimate mine.tum --report mine.html --tex -
 
-    The split is rendered on first use. Results are written as JSON and as an HTML report.
+    The split is rendered on first use. The folder of results has them as JSON, CSV, LaTeX, Markdown and as an HTML
+    report. Run k of a method that draws random numbers has the method's seed + k.
     """
     if (truth is None) != (estimate is None):
         raise click.UsageError("--truth and --estimate belong together: expected both or none")
     if truth is None and reading.given:
         raise click.UsageError(f"{', '.join(reading.given)}: says how to read files, but no --truth and --estimate are")
-    if truth is not None and (split_name or method_names or workers):
-        raise click.UsageError("--truth and --estimate score two files: --split, --method and --workers do not apply")
+    if truth is not None and (split_name or method_names or workers or times):
+        raise click.UsageError(
+            "--truth and --estimate score two files: --split, --method, --workers and --runs do not apply"
+        )
 
-    from oysterbench.report import write_html_report
     from oysterbench.results import document, dump, write_results
 
     chosen = settings()
@@ -139,24 +152,54 @@ def eval_command(
         out = out or split_folder(split) / "results"
         out.mkdir(parents=True, exist_ok=True)
         files = _render(split, split_folder(split), workers)
-        runs = evaluate_slam(split, files, methods, chosen, _say, out)
+        runs = evaluate_slam(split, files, methods, chosen, _say, out, times or 1)
 
     records = [run.record for run in runs]
     if out is not None:
         write_results(out / "results.json", records)
-        write_html_report(out / "report.html", runs, command=shlex.join(["oysterbench", *sys.argv[1:]]))
-    if as_json:
+    written = outputs.write(runs, out)
+    if outputs.as_json:
         click.echo(dump(document(records)))
-    else:
+    elif not outputs.on_stdout:
         _print_slam_table(records)
-    if out is not None:
-        _say(f"results: {out / 'results.json'}")
-        _say(f"report:  {out / 'report.html'}")
+    for path in [*([out / "results.json"] if out is not None else []), *written]:
+        _say(f"written: {path}")
     failures = [record for record in records if record.failure is not None]
     for record in failures:
         _say(f"{record.method} failed on {record.sequence}: {record.failure}")
     if failures:
         sys.exit(OysterbenchError.exit_code)
+
+
+@main.command("compare", short_help="Set results against each other: ranks, ties, who is better where.")
+@click.argument("results", metavar="[LABEL=]RESULT...", nargs=-1, required=True)
+@output_options
+def compare_command(results: tuple[str, ...], outputs: Outputs) -> None:
+    """Compare results that `oysterbench eval` wrote: JSON files, or the folders that hold results.json.
+
+    \b
+    Examples:
+      oysterbench compare ours/results.json theirs/results.json
+      oysterbench compare monday=run1 tuesday=run2     the methods of a file under a label
+      oysterbench compare run1 run2 --json
+      oysterbench compare run1 run2 --report compare.html --tex table.tex
+
+    Methods are ranked by their score over the sequences that all of them were run on; those that cannot be told apart
+    at 95 % share a rank. Results of different splits, evaluators or settings are kept apart, in tables of their own.
+    """
+    from oysterbench.comparison import as_plain, boards, remarks
+    from oysterbench.report import SlamRun, comparison_tables, results_table, terminal_table
+    from oysterbench.results import dump, labelled_results
+
+    records = labelled_results(results)
+    found = boards(records)
+    for path in outputs.write([SlamRun(record) for record in records]):
+        _say(f"written: {path}")
+    if outputs.as_json:
+        click.echo(dump({"remarks": remarks(found), "comparisons": [as_plain(board) for board in found]}))
+    elif not outputs.on_stdout:
+        for table in comparison_tables(records) or [results_table(records)]:
+            _print_rich(terminal_table(table))
 
 
 @main.command(short_help="What can be rendered, and what is here.")
@@ -437,9 +480,12 @@ def _frames_bar(title: str) -> Iterator[Progress]:
 
 
 def _print_slam_table(records: list[Any]) -> None:
-    from oysterbench.report import slam_table
+    from oysterbench.report import comparison_tables, slam_table, terminal_table
 
     _print_rich(slam_table(records))
+    alone = len({record.sequence for record in records}) == 1 and not any(record.run for record in records)
+    for table in [] if alone else comparison_tables(records):
+        _print_rich(terminal_table(table))
 
 
 def _print_rich(table: Any) -> None:

@@ -7,7 +7,7 @@ import math
 import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -289,3 +289,34 @@ def read_results(path: str | os.PathLike[str]) -> list[ResultRecord]:
     if not isinstance(content, Mapping) or not isinstance(content.get("results"), list):
         raise ResultError(f"{path}: expected an object with the list 'results', as `oysterbench eval` writes it")
     return [ResultRecord.from_dict(values, f"{path}: results[{i}]") for i, values in enumerate(content["results"])]
+
+
+def labelled_results(names: Iterable[str]) -> list[ResultRecord]:
+    """The records of files, or of folders that hold results.json, each as a path or as LABEL=PATH.
+
+    A label takes the place of the method's name, or stands before it where the file holds several methods. Raises
+    ResultError where two different records say that they are the same run of one method.
+    """
+    records: list[ResultRecord] = []
+    sources: dict[tuple[str, ...], tuple[str, ResultRecord]] = {}
+    for name in names:
+        label, _, rest = name.rpartition("=")
+        if label and Path(name).exists():  # a name that has the sign in it
+            label, rest = "", name
+        path = Path(rest)
+        found = read_results(path / "results.json" if path.is_dir() else path)
+        if not found:
+            raise ResultError(f"{path}: holds no result; expected what `oysterbench eval` writes")
+        methods = {record.method for record in found}
+        for record in found:
+            if label:
+                record = replace(record, method=label if len(methods) == 1 else f"{label} {record.method}")
+            key = (*comparable_key(record), *method_key(record), record.sequence, str(record.run))
+            other = sources.setdefault(key, (str(path), record))
+            if other[1] != record:
+                raise ResultError(
+                    f"{other[0]} and {path}: both hold run {record.run} of {record.method} on {record.sequence}, with "
+                    f"different numbers; tell them apart by labels, e.g. `oysterbench compare A={other[0]} B={path}`"
+                )
+            records.append(record)
+    return records

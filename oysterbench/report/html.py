@@ -27,6 +27,7 @@ from oysterbench.report.tables import (
     failures_and_notes,
     pairs_table,
     results_table,
+    runs_table,
     standings_table,
     strata_table,
 )
@@ -138,11 +139,11 @@ def _unbroken(heading: str) -> str:
 
 
 def _board(board: Board, styles: Mapping[str, int]) -> str:
-    """Standings, pairs, classes, and the score over conditions, where there is something to compare."""
-    if len(board.standings) < 2 and len(board.sequences) < 2:
-        return ""
+    """Standings, pairs, classes, runs, and the score over conditions, each where there is something of it to say."""
     parts = []
-    for table in (standings_table(board), pairs_table(board), strata_table(board)):
+    compared = len(board.standings) > 1 or len(board.sequences) > 1
+    standings = [standings_table(board)] if compared else []
+    for table in (*standings, pairs_table(board), strata_table(board), runs_table(board)):
         if table.lines:
             parts.append(f"<h2>{escape(table.title)}</h2>{_table(table)}")
             parts += [f'<p class="small">{escape(note)}</p>' for note in table.notes]

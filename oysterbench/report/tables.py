@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oysterbench.comparison import Board, boards, remarks
+from oysterbench.comparison import Board, Cell, boards, remarks
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import LEVEL, Interval
@@ -278,17 +278,56 @@ def strata_table(board: Board) -> Table:
     return Table(f"By conditions on {board.name}", headings, tuple(lines))
 
 
+def runs_table(board: Board) -> Table:
+    """Median and spread over the runs of each method on each sequence, where some have several."""
+    metric, drift, coverage = (find_column(key) for key in (board.metric, "ate_percent", "coverage"))
+    cells = [cell for cell in board.cells() if cell.runs > 1]
+    errors = {(cell.label, cell.sequence): cell for cell in board.cells(drift.key)}
+    lines = []
+    for cell in cells:
+        error = errors[cell.label, cell.sequence]
+        lines.append(
+            Line(
+                (
+                    cell.sequence,
+                    cell.label,
+                    str(cell.runs),
+                    str(cell.failures),
+                    *_median_and_range(metric, cell),
+                    coverage.texts([cell.coverage])[0],
+                    *_median_and_range(drift, error),
+                ),
+                "failed" if cell.failures == cell.runs else "",
+            )
+        )
+    headings = (
+        Heading("sequence", number=False),
+        Heading("method", number=False),
+        Heading("runs"),
+        Heading("failed"),
+        Heading(metric.heading, "median", metric.key),
+        Heading("from, to"),
+        Heading(coverage.heading, f"median {coverage.unit}", coverage.key),
+        Heading(drift.heading, f"median {drift.unit}", drift.key),
+        Heading("from, to"),
+    )
+    note = "A failed run scores 0; errors are those of the runs that have one."
+    return Table(f"Runs on {board.name}", headings, tuple(lines), (note,) if lines else ())
+
+
+def _median_and_range(column: Column, cell: Cell) -> tuple[str, str]:
+    middle, low, high = column.texts([cell.median, cell.low, cell.high])
+    return middle, middle if middle == ABSENT else f"{low} to {high}"
+
+
 def comparison_tables(records: Sequence[ResultRecord]) -> list[Table]:
-    """Standings, pairs and classes of every board; nothing where there is but one method on one sequence."""
+    """Runs, standings, pairs and classes of every board, each where there is something of it to say."""
     found = boards(records)
     tables = []
     for board in found:
         if len(board.standings) > 1 or len(board.sequences) > 1:
             tables.append(standings_table(board))
-        if board.pairs:
-            tables.append(pairs_table(board))
-        if (strata := strata_table(board)).lines:
-            tables.append(strata)
+        tables += [table for make in (pairs_table, strata_table, runs_table) if (table := make(board)).lines]
     if tables and (said := remarks(found)):
         first = tables[0]
         tables[0] = Table(first.title, first.headings, first.lines, (*said, *first.notes))
