@@ -27,3 +27,19 @@ class MethodError(OysterbenchError):
 
 class ResultError(OysterbenchError):
     """A result file is unreadable or its records are not what this version writes."""
+
+
+class HubError(OysterbenchError):
+    """A hub, an index or a manifest is not what it should be, or a request to one cannot be met."""
+
+
+class IntegrityError(HubError):
+    """Bytes or a signature are wrong: a damaged file, a hostile or broken mirror."""
+
+    exit_code = 3
+
+
+class NetworkError(HubError):
+    """No source could be reached, or none answered as it should."""
+
+    exit_code = 4

@@ -1,0 +1,55 @@
+"""What a sequence file says, whatever it was packed with: a hash of the decoded messages of each topic."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from oysterbench.sequence import topics
+from oysterbench.sequence.file import Reading, read_messages, summary_of
+from oysterbench.sequence.names import COLOUR
+
+RECORD = struct.Struct("<qq")  # stamp in ns, bytes that follow
+
+
+def content_of(path: Path) -> tuple[dict[str, dict[str, Any]], int]:
+    """Topic -> {"type", "messages", "sha256"} of the topics that have messages, and the file's duration in ns.
+
+    The hash runs over each message's stamp (int64, ns), length (int64) and payload, in the order of the file. The
+    payload is the CDR data; of an image in PNG it is header, shape and pixels. So neither the compression of chunks nor
+    that of PNG images changes it. JPEG stays as it is: its decoders may differ in the last bit.
+    """
+    with Reading(path) as reader:
+        summary = summary_of(path, reader)
+    assert summary.statistics is not None
+    counts = summary.statistics.channel_message_counts
+    content = {}
+    for channel in sorted(summary.channels.values(), key=lambda channel: channel.topic):
+        if not counts.get(channel.id, 0):
+            continue
+        kind = summary.schemas[channel.schema_id].name
+        whole = hashlib.sha256()
+        for message in read_messages(path, [channel.topic]):
+            payload = decoded_image(message.data) if kind == COLOUR else message.data
+            whole.update(RECORD.pack(message.stamp_ns, len(payload)))
+            whole.update(payload)
+        content[channel.topic] = {"type": kind, "messages": counts[channel.id], "sha256": whole.hexdigest()}
+    return content, summary.statistics.message_end_time - summary.statistics.message_start_time
+
+
+def decoded_image(data: bytes) -> bytes:
+    """A compressed image's CDR data; in PNG, which loses nothing, its header, shape and pixels instead."""
+    message = topics.decode(data, COLOUR)
+    if message.format != "png":
+        return data
+    pixels = cv2.imdecode(np.asarray(message.data), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        return data
+    shape = "x".join(str(n) for n in pixels.shape)
+    head = f"{topics.stamp_of(message.header)} {message.header.frame_id} {shape} {pixels.dtype.str} "
+    return head.encode() + pixels.tobytes()

@@ -1,0 +1,113 @@
+"""Smaller sequence files: some of the topics, attachments and metadata of one, chunk for chunk."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
+from typing import IO
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, ChunkIndex
+from mcap.records import Message as ChunkMessage
+from mcap.stream_reader import breakup_chunk
+from mcap.summary import Summary
+
+from oysterbench.errors import HubError
+from oysterbench.sequence.file import DAMAGE, RECORD, Reading, damaged, read_attachments, read_metadata, summary_of
+from oysterbench.sequence.names import TF_STATIC
+from oysterbench.sequence.read import CALIBRATION
+from oysterbench.sequence.types import is_measured
+from oysterbench.sequence.wire import Message
+from oysterbench.sequence.write import SequenceWriter
+
+PUBLIC_METADATA = ("sequence", "split", "split_version", "track", "rig", "oysterbench")
+PUBLIC_ATTACHMENTS = (CALIBRATION, "classes.json")
+PUBLIC_LEAVES = ("image", "camera_info", "velocity", "beams", "altitude", "range", "ping", "head")
+PUBLIC_TOPICS = (TF_STATIC, "/imu", "/pressure", "/magnetometer")
+"""What a hidden split shows: lists of what may be seen, so that what is new stays hidden until it is listed."""
+
+
+def is_public(topic: str) -> bool:
+    """Whether a hidden split shows a topic: a measurement of a kind that is listed here."""
+    return is_measured(topic) and (topic in PUBLIC_TOPICS or topic.rsplit("/", 1)[-1] in PUBLIC_LEAVES)
+
+
+def cut(
+    source: Path,
+    output: IO[bytes],
+    keep_topic: Callable[[str], bool],
+    keep_attachment: Callable[[str], bool] = lambda name: True,
+    keep_metadata: Callable[[str], bool] = lambda key: True,
+) -> None:
+    """Write the sequence file `source` again with the topics, attachments and metadata that are kept.
+
+    Chunks keep their order and bounds, so that small topics stay in chunks of their own. The same call gives the same
+    bytes.
+    """
+    with Reading(source) as reader:
+        summary = summary_of(source, reader)
+        records = read_metadata(reader)
+    types = {
+        channel.topic: summary.schemas[channel.schema_id].name
+        for channel in sorted(summary.channels.values(), key=lambda channel: channel.id)
+        if keep_topic(channel.topic)
+    }
+    writer = SequenceWriter(output, types)
+    for name, values in records.items():
+        writer.metadata(name, {key: value for key, value in values.items() if keep_metadata(key)})
+    media = {index.name: index.media_type for index in summary.attachment_indexes}
+    for name, data in read_attachments(source).items():
+        if keep_attachment(name):
+            writer.attachment(name, media[name], data)
+    for chunk in chunks_with(summary, types):
+        writer.section()
+        for message in read_chunk(source, chunk, summary.channels):
+            if message.topic in types:
+                writer.write(message)
+    writer.finish()
+
+
+def cut_public(source: Path, output: IO[bytes]) -> None:
+    """What a hidden split shows of a sequence: measurements and calibration; no recipe, truth or digest."""
+    cut(source, output, is_public, PUBLIC_ATTACHMENTS.__contains__, PUBLIC_METADATA.__contains__)
+
+
+def cut_truth(source: Path, output: IO[bytes]) -> None:
+    """What a hidden split keeps back of a sequence, with what is needed to open it; `cut_public` has the rest."""
+    shared = (TF_STATIC, "/imu")
+    cut(source, output, lambda topic: not is_public(topic) or topic in shared or topic.endswith("/camera_info"))
+
+
+def chunks_with(summary: Summary, topics: Collection[str]) -> list[ChunkIndex]:
+    """Chunks that hold messages of some topics, in the order of the file."""
+    wanted = {channel.id for channel in summary.channels.values() if channel.topic in topics}
+    found = [index for index in summary.chunk_indexes if wanted & index.message_index_offsets.keys()]
+    return sorted(found, key=lambda index: index.chunk_start_offset)
+
+
+def read_chunk(path: Path, index: ChunkIndex, channels: Mapping[int, Channel]) -> Iterator[Message]:
+    """Messages of a chunk, in the order in which they were written; the chunk's CRC is checked."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(index.chunk_start_offset)
+            opcode, _ = RECORD.unpack(file.read(RECORD.size))
+            if opcode != Opcode.CHUNK:
+                raise ValueError(f"expected a chunk at byte {index.chunk_start_offset}")
+            records = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
+    except (*DAMAGE, struct.error) as error:
+        raise HubError(damaged(path, str(error))) from None
+    for record in records:
+        if isinstance(record, ChunkMessage):
+            yield Message(channels[record.channel_id].topic, record.log_time, record.data)
+
+
+def match_topics(known: Collection[str], wanted: Collection[str], what: str) -> list[str]:
+    """Topics that fit patterns such as `/imu` or `/cam_front/*`; HubError where a pattern fits none."""
+    from fnmatch import fnmatchcase
+
+    for pattern in wanted:
+        if not any(fnmatchcase(topic, pattern) for topic in known):
+            raise HubError(f"{what}: no topic fits {pattern!r}; its topics: {', '.join(sorted(known))}")
+    return [topic for topic in known if any(fnmatchcase(topic, pattern) for pattern in wanted)]

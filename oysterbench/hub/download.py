@@ -1,0 +1,289 @@
+"""Downloading: index, manifest, files. A file appears under its name when every byte of it was checked."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TypeVar
+
+from oysterbench.errors import HubError, IntegrityError
+from oysterbench.files import home, locked, write_atomically
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.index import LARGEST, Index, Release, check_not_older, read_index
+from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, released_manifest
+from oysterbench.hub.sources import Patience, Refusal, Setback, is_offline, open_source
+from oysterbench.hub.transfer import Mirror, Part, Transfer, no_mirror_left, pause_s
+from oysterbench.hub.verify import DAMAGED, MANIFEST, RIGHT, check_file, kept_manifest
+
+T = TypeVar("T")
+
+CONNECTIONS = 4
+SPARE = 64 << 20
+"""Bytes that a download leaves free on the disk."""
+
+Progress = Callable[[int, int], None]
+"""Called with the bytes that are right and the bytes wanted."""
+
+Announce = Callable[[str], None]
+"""Called with a sentence on what is being done."""
+
+
+def quiet(text: str) -> None:
+    """Say nothing."""
+
+
+@dataclass
+class Hub:
+    """Mirrors of one tree, and the key that its index is signed with (hex; None: only released manifests are known)."""
+
+    mirrors: list[Mirror]
+    public: str | None
+    connections: int = CONNECTIONS
+    patience: Patience = field(default_factory=Patience)
+    announce: Announce = quiet
+
+    @classmethod
+    def at(cls, places: Sequence[str], public: str | None, announce: Announce = quiet, **options: object) -> Hub:
+        """A hub at addresses or folders, each a mirror of the others."""
+        hub = cls([], public, announce=announce, **options)  # type: ignore[arg-type]
+        hub.mirrors = [Mirror(open_source(place, hub.connections, hub.patience)) for place in places]
+        return hub
+
+    def index(self) -> Index:
+        """The index, from the first mirror whose index is well signed and not older than one seen before."""
+        if self.public is None:
+            raise HubError(
+                "no key of this hub is known: give its public key with --key, OYSTERBENCH_HUB_KEY or the key 'key' of "
+                f"{home() / 'hub.toml'}; the hub's owner has it from `oysterbench hub-key`"
+            )
+        public = self.public
+
+        def check(data: bytes, what: str) -> Index:
+            index = read_index(data, public, what)
+            check_not_older(index, data, public, what)
+            return index
+
+        return self._document("index.json", LARGEST, "the hub's index", check)
+
+    def manifest(self, split: str, version: str | None = None) -> Manifest:
+        """The manifest of a split: that which came with oysterbench, or that which the signed index names."""
+        if version is not None and (released := released_manifest(split, version)) is not None:
+            return released
+        release, version = find_release(self.index(), split, version)
+
+        def check(data: bytes, what: str) -> Manifest:
+            if sha256(data) != release.manifest:
+                raise IntegrityError(f"{what}: expected a manifest with SHA-256 {release.manifest}, got another")
+            manifest = read_manifest(data, what)
+            if (manifest.split, manifest.version) != (split, version):
+                raise IntegrityError(f"{what}: it is of {manifest.split} {manifest.version}, not of {split} {version}")
+            return manifest
+
+        return self._document(
+            f"manifests/{release.manifest}.json", release.manifest_size, f"the manifest of {split} {version}", check
+        )
+
+    def _document(self, path: str, largest: int, what: str, check: Callable[[bytes, str], T]) -> T:
+        """A small file of at most `largest` bytes, from the first mirror that gives one which passes the check."""
+        for mirror in self.mirrors:
+            where = f"{mirror.source.name}/{path}"
+            attempt = 0
+            while mirror.why_not(path) is None:
+                attempt += 1
+                try:
+                    return check(self._read(mirror, path, largest), where)
+                except IntegrityError as error:
+                    mirror.fail(str(error), lied=True)
+                except Refusal as refusal:
+                    mirror.refused[path] = str(refusal)
+                except Setback as setback:
+                    if attempt >= self.patience.attempts or setback.wait_s > self.patience.longest_wait_s:
+                        mirror.fail(f"{setback}, {attempt} times in a row")
+                    else:
+                        time.sleep(pause_s(attempt, setback.wait_s, self.patience))
+        raise no_mirror_left(what, path, self.mirrors)
+
+    @staticmethod
+    def _read(mirror: Mirror, path: str, largest: int) -> bytes:
+        data = bytearray()
+        with mirror.source.open(path) as body:
+            while more := body.read():
+                data += more
+                if len(data) > largest:
+                    raise IntegrityError(f"{mirror.source.name}/{path} is longer than {largest} bytes")
+        return bytes(data)
+
+
+def find_release(index: Index, split: str, version: str | None) -> tuple[Release, str]:
+    """A release and its version: the one asked for, or the newest."""
+    versions = index.splits.get(split)
+    if not versions:
+        raise HubError(f"the hub has no split {split!r}; it has {', '.join(sorted(index.splits)) or 'none'}")
+    version = version or list(versions)[-1]
+    if version not in versions:
+        raise HubError(f"the hub has no version {version!r} of {split}; it has {', '.join(versions)}")
+    return versions[version], version
+
+
+def choose(manifest: Manifest, patterns: Sequence[str]) -> list[FileEntry]:
+    """Files whose sequence fits a pattern such as `val-0*`; all without patterns. HubError where one fits none."""
+    names = [entry.sequence for entry in manifest.files]
+    for pattern in patterns:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise HubError(
+                f"{manifest.split} {manifest.version} has no sequence that fits {pattern!r}; it has {', '.join(names)}"
+            )
+    return [
+        entry
+        for entry in manifest.files
+        if not patterns or any(fnmatchcase(entry.sequence, pattern) for pattern in patterns)
+    ]
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a download would do for a file: `state` is "here" or "to fetch", `there` the bytes of it that a part has."""
+
+    entry: FileEntry
+    path: Path
+    state: str
+    there: int = 0
+
+
+def plan(manifest: Manifest, entries: Sequence[FileEntry], folder: Path) -> list[Step]:
+    """What is here and what is not.
+
+    In a folder where this manifest lies, a file of the right name and size is right: it appeared whole. Elsewhere it
+    is read; HubError where it is another one, which is left as it is.
+    """
+    kept = kept_manifest(folder)
+    same = kept is not None and kept.sha256 == manifest.sha256
+    steps = []
+    for entry in entries:
+        path, part = folder / entry.name, part_path(folder, entry)
+        if path.is_file() and not same and not (found := check_file(path, entry)).good:
+            raise HubError(
+                f"{path}: there is another file under this name ({found.detail}); it was left as it is: delete it or "
+                "choose another folder with --out"
+            )
+        if path.is_file() and (not same or path.stat().st_size == entry.size):
+            steps.append(Step(entry, path, "here", entry.size))
+        else:
+            there = min(part.stat().st_blocks * 512, entry.size) if part.is_file() else 0
+            steps.append(Step(entry, path, "to fetch", there))
+    return steps
+
+
+def find_here(
+    split: str, version: str | None, patterns: Sequence[str] = (), folder: Path | None = None
+) -> tuple[Path, Manifest] | None:
+    """A folder, with its manifest, where all chosen files of a split are: found without any network.
+
+    folder: look only there; otherwise under the home. Without a version, only the offline variable makes one that is
+    here good enough, because a hub may have a newer one.
+    """
+    if version is None and not is_offline():
+        return None
+    found = []
+    for path in [folder] if folder else sorted((home() / "splits" / split).glob("*")):
+        manifest = kept_manifest(path)
+        if manifest is None or manifest.split != split or version not in (None, manifest.version):
+            continue
+        if all(step.state == "here" for step in plan(manifest, choose(manifest, patterns), path)):
+            found.append((path, manifest))
+    return found[-1] if found else None
+
+
+def part_path(folder: Path, entry: FileEntry) -> Path:
+    """Where a file grows; bound to its hash, so that no other version goes on from it."""
+    return folder / f".{entry.name}.{entry.sha256[:16]}.part"
+
+
+def check_space(folder: Path, wanted: int) -> None:
+    """Raise HubError unless there is room for so many bytes more."""
+    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    free = shutil.disk_usage(there).free
+    if wanted + SPARE > free:
+        raise HubError(
+            f"{folder}: not enough room: {wanted / 1e6:.0f} MB are to be fetched, and {free / 1e6:.0f} MB are free; "
+            "nothing was fetched: make room, choose fewer files with --sequence, or another place with OYSTERBENCH_HOME"
+        )
+
+
+def download(
+    hub: Hub,
+    manifest: Manifest,
+    folder: Path,
+    entries: Sequence[FileEntry] | None = None,
+    verify: bool = False,
+    progress: Progress = lambda done, total: None,
+) -> dict[str, Path]:
+    """Fetch the files of a manifest that are not in the folder yet, and return all: sequence -> path.
+
+    verify: read files that are here already, and those that were written, once more, and repair what is damaged.
+    Raises IntegrityError or NetworkError where that fails; what was fetched is kept.
+    """
+    entries = manifest.files if entries is None else entries
+    steps = plan(manifest, entries, folder)
+    check_space(folder, sum(step.entry.size - step.there for step in steps if step.state != "here"))
+    write_atomically(folder / MANIFEST, manifest.data)
+    total, done = sum(entry.size for entry in entries), 0
+
+    def count(n: int) -> None:
+        nonlocal done
+        done += n
+        progress(done, total)
+
+    count(0)
+    for step in steps:
+        _fetch(hub, step, verify, count)
+    return {step.entry.sequence: step.path for step in steps}
+
+
+def _fetch(hub: Hub, step: Step, verify: bool, count: Callable[[int], None]) -> None:
+    """Have one file, whole. Several processes may be at it: they wait for one another where the disk knows locks."""
+    entry, target, path = step.entry, step.path, part_path(step.path.parent, step.entry)
+    with _locked_if_possible(path.with_suffix(".lock")):
+        if target.is_file() and _is_good(hub, target, entry, verify or step.state != "here", path):
+            count(entry.size)
+            path.unlink(missing_ok=True)
+            return
+        part = Part(path, entry)
+        try:
+            Transfer(part, hub.mirrors, hub.connections, hub.patience, count).fetch(range(len(entry.pieces)))
+            part.install(target)
+        finally:
+            part.close()
+        if verify and (found := check_file(target, entry)).state != RIGHT:
+            os.replace(target, path)
+            raise IntegrityError(
+                f"{target}: read back from the disk, it is {found.state} ({found.detail}); it was taken away again: "
+                "the disk may be failing"
+            )
+
+
+def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -> bool:
+    """Whether a file under its final name is right. A damaged one becomes a part, so that only its wrong pieces are
+    fetched again."""
+    if not read:
+        return True
+    found = check_file(target, entry)
+    if found.state == DAMAGED:
+        hub.announce(f"{target} is damaged ({found.detail}): what is wrong of it is fetched again")
+        os.replace(target, part)
+    return found.good
+
+
+@contextlib.contextmanager
+def _locked_if_possible(path: Path) -> Iterator[None]:
+    """A lock saves work; nothing goes wrong without it, as on network disks that know none."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            stack.enter_context(locked(path))
+        yield

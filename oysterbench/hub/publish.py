@@ -1,0 +1,212 @@
+"""Publishing: a split's files into a static tree. Nothing is ever half there, and publishing twice adds nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import IO
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from oysterbench.errors import HubError
+from oysterbench.files import locked, write_atomically
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.croissant import croissant
+from oysterbench.hub.cut import cut_public, cut_truth
+from oysterbench.hub.index import Index, Release, read_own_index
+from oysterbench.hub.manifest import Manifest, build_manifest
+from oysterbench.hub.pages import index_page, pictures_of
+from oysterbench.sequence.read import McapSequence
+
+TEMPORARY = ".publishing-"
+COPY = 1 << 20
+
+Announce = Callable[[str], None]
+"""Called with a sentence on what is being done."""
+
+
+def publish(
+    tree: Path,
+    facts: Mapping[str, str],
+    files: Mapping[str, Path],
+    key: Ed25519PrivateKey,
+    recipe_digest: str | None = None,
+    url: str = "",
+    announce: Announce = lambda text: None,
+) -> Manifest:
+    """Publish the sequence files (name -> path) of a split; facts: split, version, track, rig and summary.
+
+    Blobs go first, the signed index last: whoever reads the tree in between sees the old one. Raises HubError where
+    the version was released with other bytes.
+    """
+    with _writing(tree, key) as index:
+        announce(f"hashing {len(files)} sequences")
+        manifest = build_manifest(facts, files, recipe_digest)
+        _release(tree, key, index, manifest, files, url, announce)
+    return manifest
+
+
+def publish_hidden(
+    tree: Path,
+    truth: Path,
+    facts: Mapping[str, str],
+    files: Mapping[str, Path],
+    key: Ed25519PrivateKey,
+    url: str = "",
+    announce: Announce = lambda text: None,
+) -> Manifest:
+    """Publish what may be seen of a hidden split, and write its truth package to a folder of its own.
+
+    The package is `<truth>/<split>-<version>/`: a sequence file each with what was kept back, and `manifest.json`,
+    whose SHA-256 is the commitment in the public manifest. So nobody can exchange the truth later on.
+    """
+    package = truth / f"{facts['split']}-{facts['version']}"
+    if tree.resolve() in (package.resolve(), *package.resolve().parents):
+        raise HubError(f"{truth}: expected a folder outside the tree {tree}, which everybody can read")
+    package.mkdir(parents=True, exist_ok=True)
+    with _writing(tree, key) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
+        shown, kept = {}, {}
+        for name, path in files.items():
+            announce(f"taking the truth out of {name}")
+            shown[name] = Path(scratch) / f"{name}.mcap"
+            with open(shown[name], "wb") as file:
+                cut_public(path, file)
+            kept[name] = package / f"{name}.mcap"
+            with _appearing(kept[name]) as file:
+                cut_truth(path, file)
+        secret = build_manifest(facts, kept)
+        write_atomically(package / "manifest.json", secret.data)
+        manifest = build_manifest(facts, shown, commitment=secret.sha256)
+        _release(tree, key, index, manifest, shown, url, announce)
+    return manifest
+
+
+def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: str, hidden: bool) -> None:
+    """Raise HubError unless the files are of this split and version, made with the recipe's own digest; or, hidden,
+    with another one, which only a salt gives: without one everybody could render the truth."""
+    for name, path in files.items():
+        if not path.is_file():
+            raise HubError(f"{path}: not there yet; `oysterbench render {split}` makes it, or --data names its folder")
+        known = McapSequence(path).metadata
+        if (known.get("sequence"), known.get("split"), known.get("split_version")) != (name, split, version):
+            raise HubError(
+                f"{path}: expected {name} of {split} {version}, got {known.get('sequence')} of {known.get('split')} "
+                f"{known.get('split_version')}; nothing was published"
+            )
+        made_with = known.get("digest")
+        if hidden and made_with == digest:
+            raise HubError(
+                f"{path}: rendered without a salt, so that anybody can render its truth; nothing was published: render "
+                "a hidden split with its salt"
+            )
+        if not hidden and made_with != digest:
+            raise HubError(
+                f"{path}: made by another recipe of {split}, with a salt, or by another version of oysterbench; "
+                f"nothing was published: `oysterbench render {split}` makes what the recipe says, and --hidden "
+                "publishes what was rendered with a salt"
+            )
+
+
+@contextmanager
+def _writing(tree: Path, key: Ed25519PrivateKey) -> Iterator[Index]:
+    """Be the only one who writes to a tree, without what an interrupted publisher left."""
+    tree.mkdir(parents=True, exist_ok=True)
+    with locked(tree / ".lock"):
+        for left in (*tree.glob(f"{TEMPORARY}*"), *tree.glob(f"*/{TEMPORARY}*")):
+            if left.is_dir():
+                for file in left.iterdir():
+                    file.unlink()
+                left.rmdir()
+            else:
+                left.unlink()
+        yield read_own_index(tree, key)
+
+
+def _release(
+    tree: Path,
+    key: Ed25519PrivateKey,
+    index: Index,
+    manifest: Manifest,
+    files: Mapping[str, Path],
+    url: str,
+    announce: Announce,
+) -> None:
+    """Put everything into the tree that is not there yet, and name it in the index."""
+    known = index.splits.get(manifest.split, {}).get(manifest.version)
+    if known is not None and known.manifest != manifest.sha256:
+        raise HubError(
+            f"{manifest.split} {manifest.version} was released with other bytes (manifest {known.manifest[:12]}…, now "
+            f"{manifest.sha256[:12]}…) and a release never changes; the tree was left as it is: raise the version in "
+            "the split's recipe"
+        )
+    for entry in manifest.files:
+        announce(f"publishing {entry.name}, {entry.size / 1e6:.1f} MB")
+        put_blob(tree, files[entry.sequence], entry.sha256)
+    _put(tree / "manifests" / f"{manifest.sha256}.json", manifest.data)
+    if known is None:
+        published = datetime.now(UTC).date().isoformat()
+        described = croissant(manifest, published, url)
+        _put(tree / "croissant" / f"{sha256(described)}.json", described)
+        pictures = pictures_of(list(files.values()))
+        for picture in pictures:
+            _put(tree / "pictures" / f"{sha256(picture)}.jpg", picture)
+        release = Release(
+            manifest=manifest.sha256,
+            manifest_size=len(manifest.data),
+            size=manifest.size,
+            sequences=len(manifest.files),
+            track=manifest.track,
+            summary=manifest.summary,
+            hidden=manifest.hidden,
+            published=published,
+            croissant=sha256(described),
+            pictures=tuple(sha256(picture) for picture in pictures),
+        )
+        index = index.with_release(manifest.split, manifest.version, release)
+        write_atomically(tree / "index.json", index.signed_with(key))
+    _put(tree / "index.html", index_page(index).encode())
+
+
+def put_blob(tree: Path, source: Path, digest: str) -> None:
+    """Copy a file into `blobs/`, under its hash, which is taken again on the way.
+
+    A blob that is there already is trusted by its size: it appeared whole. `oysterbench verify` reads it again.
+    """
+    path = tree / "blobs" / digest
+    if path.is_file() and path.stat().st_size == source.stat().st_size:
+        return
+    whole = hashlib.sha256()
+    with open(source, "rb") as original, _appearing(path) as copy:
+        while data := original.read(COPY):
+            whole.update(data)
+            copy.write(data)
+        if whole.hexdigest() != digest:
+            raise HubError(f"{source} changed while it was published; nothing was released: run the same command again")
+
+
+def _put(path: Path, data: bytes) -> None:
+    """Write a file unless it says the same already."""
+    if not path.is_file() or path.read_bytes() != data:
+        write_atomically(path, data)
+
+
+@contextmanager
+def _appearing(path: Path) -> Iterator[IO[bytes]]:
+    """A file to write, which appears under its name when the block ends well, and leaves nothing when it does not."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=TEMPORARY)
+    try:
+        with os.fdopen(handle, "w+b") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise

@@ -1,0 +1,256 @@
+"""Where a tree can be read: a web server or a folder. A source gives bytes and errors; it is never believed."""
+
+from __future__ import annotations
+
+import contextlib
+import email.utils
+import os
+import re
+import time
+import urllib.parse
+import urllib.request
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Protocol
+
+from oysterbench.errors import HubError, NetworkError
+from oysterbench.version import VERSION
+
+if TYPE_CHECKING:
+    from urllib3 import BaseHTTPResponse, PoolManager
+
+READ = 1 << 18
+"""Bytes asked for at a time."""
+
+REDIRECTS = 5
+RETRIED = (408, 425, 429, 500, 502, 503, 504)
+"""Status codes after which the same request may succeed."""
+
+
+class Setback(Exception):
+    """A request that failed and may be made again; `wait_s`: no sooner than the server asks for."""
+
+    def __init__(self, message: str, wait_s: float = 0.0) -> None:
+        super().__init__(message)
+        self.wait_s = wait_s
+
+
+class Refusal(Exception):
+    """A request that this source will not meet, however often it is made."""
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long and how often a client tries. Times in seconds."""
+
+    attempts: int = 6  # in a row that bring nothing
+    first_wait_s: float = 0.5  # doubled from attempt to attempt
+    longest_wait_s: float = 60.0  # a server that asks for more is given up
+    connect_s: float = 10.0
+    idle_s: float = 30.0  # without a byte
+    window_s: float = 60.0  # within which `least_bytes` have to come
+    least_bytes: int = 1 << 14
+
+
+class Body(Protocol):
+    """What a source answers: bytes from `start` on; the file may be longer or shorter than what was asked for."""
+
+    start: int
+
+    def read(self) -> bytes:
+        """The next bytes, at least one; none at the end. Raises Setback."""
+        ...
+
+
+class Source(Protocol):
+    """A tree that can be read."""
+
+    name: str
+    parallel: bool  # whether several connections are worth their while
+
+    def open(self, path: str, start: int = 0, end: int | None = None) -> contextlib.AbstractContextManager[Body]:
+        """The bytes [start, end) of a file of the tree, or all of it where the source cannot do better.
+
+        Raises Setback or Refusal.
+        """
+        ...
+
+
+@dataclass
+class FileBody:
+    """Bytes of an open file, up to `left`."""
+
+    file: IO[bytes]
+    start: int
+    left: int | None
+
+    def read(self) -> bytes:
+        data = self.file.read(READ if self.left is None else min(READ, self.left))
+        if self.left is not None:
+            self.left -= len(data)
+        return data
+
+
+class Folder:
+    """A tree in a folder: a disk, a network share."""
+
+    parallel = False
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.name = str(folder)
+
+    @contextlib.contextmanager
+    def open(self, path: str, start: int = 0, end: int | None = None) -> Iterator[FileBody]:
+        try:
+            with open(self.folder / path, "rb") as file:
+                file.seek(start)
+                yield FileBody(file, start, None if end is None else end - start)
+        except FileNotFoundError:
+            raise Refusal(f"{self.folder / path} is not there") from None
+        except OSError as error:
+            raise Setback(f"{self.folder / path}: {error.strerror or error}") from None
+
+
+class HttpBody:
+    """The body of an answer, watched: a connection that trickles is as dead as one that is silent."""
+
+    def __init__(self, response: BaseHTTPResponse, start: int, patience: Patience) -> None:
+        self.start = start
+        self._response = response
+        self._patience = patience
+        self._since = time.monotonic()
+        self._got = 0
+
+    def read(self) -> bytes:
+        import urllib3
+
+        try:
+            data: bytes = self._response.read1(READ, decode_content=False)
+        except (urllib3.exceptions.HTTPError, OSError, ValueError) as error:
+            raise Setback(f"the connection broke: {_cause(error)}") from None
+        self._got += len(data or b"")
+        now = time.monotonic()
+        if now - self._since > self._patience.window_s:
+            if self._got < self._patience.least_bytes:
+                raise Setback(f"only {self._got} bytes in {now - self._since:.0f} s")
+            self._since, self._got = now, 0
+        return data or b""
+
+
+class Web:
+    """A tree behind a web server, which may do ranges or not."""
+
+    parallel = True
+
+    def __init__(self, url: str, connections: int, patience: Patience) -> None:
+        self.url = url.rstrip("/")
+        parts = urllib.parse.urlsplit(self.url)
+        self.name = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()  # no password in a message
+        self._patience = patience
+        self._pool = _pool(parts, connections, patience)
+
+    @contextlib.contextmanager
+    def open(self, path: str, start: int = 0, end: int | None = None) -> Iterator[HttpBody]:
+        import urllib3
+
+        headers = {"User-Agent": f"oysterbench/{VERSION}", "Accept-Encoding": "identity"}
+        if end is not None:
+            headers["Range"] = f"bytes={start}-{end - 1}"
+        try:
+            response = self._pool.request("GET", f"{self.url}/{path}", headers=headers, preload_content=False)
+        except (urllib3.exceptions.HTTPError, OSError, ValueError) as error:
+            raise Setback(f"no answer: {_cause(error)}") from None
+        try:
+            begins = _check(response, start, end)
+            yield HttpBody(response, begins, self._patience)
+        finally:
+            # A connection whose answer was read to its end is used again; what is left over is not read.
+            if response.length_remaining == 0:
+                response.release_conn()
+            else:
+                response.close()
+
+
+def _check(response: BaseHTTPResponse, start: int, end: int | None) -> int:
+    """Where the body begins in the file. Raises Setback or Refusal where it is not what was asked for."""
+    status = response.status
+    if status in RETRIED:
+        raise Setback(f"status {status}", _retry_after(response.headers.get("Retry-After")))
+    if status not in (200, 206):
+        said = "the file there is shorter than it should be" if status == 416 else (response.reason or "refused")
+        kind = Setback if status == 416 else Refusal
+        raise kind(f"status {status} ({said})")
+    if response.headers.get("Content-Encoding", "identity") != "identity":
+        raise Refusal(f"the answer is compressed ({response.headers['Content-Encoding']}), though it must not be")
+    if status == 200:
+        return 0
+    got = response.headers.get("Content-Range", "")
+    match = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+|\*)", got)
+    if end is None or match is None or int(match[1]) != start or not start <= int(match[2]) < end:
+        raise Setback(
+            f"asked for bytes {start} to {-1 if end is None else end - 1}, answered with {got or 'no range'!r}"
+        )
+    return start
+
+
+def _retry_after(value: str | None) -> float:
+    """Seconds of a Retry-After header, which is a number of seconds or a date; 0 where there is none."""
+    if not value:
+        return 0.0
+    if value.strip().isdigit():
+        return float(value)
+    try:
+        return max(0.0, email.utils.parsedate_to_datetime(value).timestamp() - time.time())
+    except ValueError:
+        return 0.0
+
+
+def _pool(parts: urllib.parse.SplitResult, connections: int, patience: Patience) -> PoolManager:
+    import urllib3
+
+    # Only redirects are followed here: what to try again, and when, is decided where it is known what is missing.
+    settings = {
+        "maxsize": connections,
+        "retries": urllib3.Retry(
+            total=None, connect=0, read=0, status=0, other=0, redirect=REDIRECTS, respect_retry_after_header=False
+        ),
+        "timeout": urllib3.Timeout(connect=patience.connect_s, read=patience.idle_s),
+    }
+    proxy = urllib.request.getproxies().get(parts.scheme)
+    if proxy and not urllib.request.proxy_bypass(parts.hostname or ""):
+        return urllib3.ProxyManager(proxy, **settings)  # type: ignore[arg-type]
+    return urllib3.PoolManager(**settings)  # type: ignore[arg-type]
+
+
+def _cause(error: BaseException) -> str:
+    """The innermost reason, in words."""
+    reason = getattr(error, "reason", None)
+    return _cause(reason) if isinstance(reason, BaseException) else str(error) or type(error).__name__
+
+
+def open_source(place: str, connections: int = 4, patience: Patience = Patience()) -> Source:
+    """A source from what a user gives: an http(s) address, a file:// address or the path of a folder.
+
+    Raises HubError for anything else, and NetworkError for an address while OYSTERBENCH_OFFLINE is set.
+    """
+    scheme, separator, _ = place.partition("://")
+    if separator and scheme.lower() in ("http", "https"):
+        if is_offline():
+            raise NetworkError(f"{place}: OYSTERBENCH_OFFLINE is set, so no server is asked; unset it or use a folder")
+        return Web(place, connections, patience)
+    if separator and scheme.lower() == "file":
+        folder = Path(urllib.request.url2pathname(urllib.parse.urlsplit(place).path))
+    elif separator:
+        raise HubError(f"{place}: expected http://, https://, file:// or a folder, got {scheme}://")
+    else:
+        folder = Path(place).expanduser()
+    if not folder.is_dir():
+        raise HubError(f"{place}: no such folder; expected the address of a hub or a folder with a published tree")
+    return Folder(folder)
+
+
+def is_offline() -> bool:
+    """Whether OYSTERBENCH_OFFLINE forbids the network."""
+    return os.environ.get("OYSTERBENCH_OFFLINE", "").lower() not in ("", "0", "false", "no")

@@ -1,0 +1,119 @@
+"""Some topics of a split: only the pieces that hold them are fetched, and a smaller file is cut from them here.
+
+Small topics lie in chunks of their own, so that the inertial data of a long sequence is a few pieces. The smaller file
+is made on this machine: it is a sequence file like any other, but no hub knows its hash.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+from mcap.summary import Summary
+
+from oysterbench.errors import HubError
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.cut import chunks_with, cut, match_topics
+from oysterbench.hub.download import Hub, Progress, check_space, part_path
+from oysterbench.hub.manifest import FileEntry
+from oysterbench.hub.transfer import Part, Transfer
+from oysterbench.sequence.file import FOOTER, MAGIC, Reading, damaged, summary_of
+
+Count = Callable[[int], None]
+
+
+def fetch_topics(
+    hub: Hub,
+    entries: Sequence[FileEntry],
+    folder: Path,
+    wanted: Sequence[str],
+    out: Path | None = None,
+    progress: Progress = lambda done, total: None,
+) -> dict[str, Path]:
+    """Smaller files with the topics that fit patterns such as `/imu` or `/cam_front/*`: sequence -> path.
+
+    They go to `out`, by default to a folder of their own within the split's. A file that is here whole is not fetched.
+    Raises HubError where a pattern fits no topic, or where a file is in the way.
+    """
+    out = out or folder / f"topics-{sha256(' '.join(sorted(wanted)).encode())[:8]}"
+    total = sum(entry.size for entry in entries)
+    files, done = {}, 0
+    for entry in entries:
+        names = match_topics(entry.content, wanted, entry.name)
+        target = out / entry.name
+        if target.exists() and out.resolve() == folder.resolve():
+            raise HubError(f"{target}: the whole file is here; it was left as it is: choose another folder with --out")
+        source = folder / entry.name
+        if source.is_file() and source.stat().st_size == entry.size:
+            _cut_into(target, source, names)
+        else:
+            _fetch_and_cut(hub, entry, folder, target, names, lambda n, done=done: progress(done + n, total))  # type: ignore[misc]
+        done += entry.size
+        progress(done, total)
+        files[entry.sequence] = target
+    return files
+
+
+def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names: Sequence[str], tell: Count) -> None:
+    """Fetch what the index of the file says, then cut. A part that was there before goes on growing later."""
+    path = part_path(folder, entry)
+    kept = path.is_file()
+    check_space(folder, entry.size)
+    part = Part(path, entry)
+    there: set[int] = set()
+
+    def fetch(spans: Iterable[tuple[int, int]]) -> None:
+        pieces = {
+            piece for start, end in spans for piece in range(start // entry.piece_size, -(-end // entry.piece_size))
+        }
+        Transfer(part, hub.mirrors, hub.connections, hub.patience, lambda n: None).fetch(sorted(pieces - there))
+        there.update(pieces)
+        tell(sum(entry.length(piece) for piece in there))
+
+    try:
+        fetch([(0, len(MAGIC)), (entry.size - FOOTER.size - len(MAGIC), entry.size)])
+        fetch([(_summary_start(path, entry.size), entry.size)])
+        with Reading(path) as reader:
+            summary = summary_of(path, reader)
+        fetch(_spans(summary, names))
+        _cut_into(target, path, names)
+    finally:
+        part.close()
+    if not kept:
+        path.unlink(missing_ok=True)
+
+
+def _summary_start(path: Path, size: int) -> int:
+    """Where the index of an MCAP file begins, from its footer."""
+    with open(path, "rb") as file:
+        file.seek(size - FOOTER.size - len(MAGIC))
+        start = int(FOOTER.unpack(file.read(FOOTER.size))[2])
+    if not len(MAGIC) <= start < size:
+        raise HubError(damaged(path, "its index is outside it"))
+    return start
+
+
+def _spans(summary: Summary, names: Sequence[str]) -> list[tuple[int, int]]:
+    """Bytes [start, end) of all that a smaller file is made from."""
+    found = [(index.offset, index.length) for index in summary.attachment_indexes]
+    found += [(index.offset, index.length) for index in summary.metadata_indexes]
+    found += [(chunk.chunk_start_offset, chunk.chunk_length) for chunk in chunks_with(summary, names)]
+    return [(start, start + length) for start, length in found]
+
+
+def _cut_into(target: Path, source: Path, names: Sequence[str]) -> None:
+    """Write the smaller file; it appears whole or not at all."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            cut(source, file, set(names).__contains__)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, target)
+    except BaseException:
+        os.unlink(temporary)
+        raise

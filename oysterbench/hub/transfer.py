@@ -1,0 +1,353 @@
+"""One file, fetched in pieces from several mirrors at once: a piece counts once its hash is right.
+
+The file grows as a sparse `.part` file beside its final name. The part is its own journal: what of it is right is found
+by hashing the pieces that are not holes, so nothing can come out of step with it, and a killed process costs at most
+the pieces that were under way, one for each connection. Two processes that write the same part write the same bytes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import enum
+import errno
+import os
+import random
+import threading
+from collections import Counter, deque
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from oysterbench.errors import HubError, IntegrityError, NetworkError
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.manifest import FileEntry
+from oysterbench.hub.sources import Body, Patience, Refusal, Setback, Source
+
+RUN = 8
+"""Pieces of one request, at most."""
+
+WRONG = 2
+"""Wrong pieces in a row after which a mirror is not asked again."""
+
+Count = Callable[[int], None]
+"""Called with the number of bytes that were found right."""
+
+
+class Found(enum.Enum):
+    """What a piece turned out to be."""
+
+    NEW = enum.auto()
+    KNOWN = enum.auto()
+    WRONG = enum.auto()
+
+
+class Mirror:
+    """A source, and what became known of it on the way."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.failure: str | None = None
+        self.lied = False  # it gave wrong bytes
+        self.refused: dict[str, str] = {}  # path -> why
+        self.whole = False  # it ignores ranges
+        self.sweeping = threading.Lock()  # held by the one connection that reads a whole file from it
+
+    def fail(self, why: str, lied: bool = False) -> None:
+        """Not to be asked again."""
+        self.failure, self.lied = why, self.lied or lied
+
+    def why_not(self, path: str) -> str | None:
+        """Why this mirror is not asked for a file, or None."""
+        return self.failure or self.refused.get(path)
+
+
+def no_mirror_left(what: str, path: str, mirrors: Iterable[Mirror]) -> HubError:
+    """The error when no mirror can give a file."""
+    mirrors = list(mirrors)
+    reasons = "; ".join(f"{mirror.source.name}: {mirror.why_not(path)}" for mirror in mirrors)
+    kind = IntegrityError if any(mirror.lied for mirror in mirrors) else NetworkError
+    return kind(f"{what} could not be fetched: {reasons}")
+
+
+def pause_s(attempt: int, asked_s: float, patience: Patience) -> float:
+    """Seconds to wait before the next attempt: doubled each time, with jitter, and no less than the server asks for.
+
+    The jitter is the one random number of oysterbench that no seed decides: clients must not come back together.
+    """
+    wait = min(patience.first_wait_s * 2 ** (attempt - 1), patience.longest_wait_s) * random.uniform(0.5, 1.0)
+    return max(wait, asked_s + random.uniform(0.0, 0.1) * asked_s)
+
+
+class Reader:
+    """Takes bytes out of a body in portions of any size."""
+
+    def __init__(self, body: Body) -> None:
+        self._body = body
+        self._left = memoryview(b"")
+
+    def take(self, view: memoryview) -> int:
+        """Put the next bytes at the beginning of `view`, and return how many. Raises Setback at the end."""
+        if not self._left:
+            self._left = memoryview(self._body.read())
+            if not self._left:
+                raise Setback("the answer ended too early")
+        n = min(len(view), len(self._left))
+        view[:n] = self._left[:n]
+        self._left = self._left[n:]
+        return n
+
+
+class Part:
+    """A file that is not whole yet."""
+
+    def __init__(self, path: Path, entry: FileEntry) -> None:
+        self.path, self.entry = path, entry
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        if os.fstat(self._file).st_size != entry.size:
+            os.ftruncate(self._file, entry.size)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        os.close(self._file)
+
+    def write(self, piece: int, data: memoryview) -> None:
+        """Keep a piece."""
+        offset = self.entry.span(piece)[0]
+        while data:
+            n = os.pwrite(self._file, data, offset)
+            offset, data = offset + n, data[n:]
+
+    def is_right(self, piece: int) -> bool:
+        """Whether a piece is there, by its hash."""
+        start, end = self.entry.span(piece)
+        if self._is_hole(start, end):
+            return False
+        return sha256(os.pread(self._file, end - start, start)) == self.entry.pieces[piece]
+
+    def _is_hole(self, start: int, end: int) -> bool:
+        try:
+            return os.lseek(self._file, start, os.SEEK_DATA) >= end
+        except OSError as error:
+            return error.errno == errno.ENXIO  # nothing but a hole from here on; other errors: cannot be known
+
+    def install(self, target: Path) -> None:
+        """Give the whole file its name, in one step and for good."""
+        os.fsync(self._file)
+        try:
+            os.replace(self.path, target)
+        except FileNotFoundError:  # another process was faster, with the same bytes
+            if not (target.is_file() and target.stat().st_size == self.entry.size):
+                raise
+        with contextlib.suppress(OSError):  # not every file system can
+            folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+
+
+class Transfer:
+    """Fetching pieces of one part with several connections."""
+
+    def __init__(self, part: Part, mirrors: list[Mirror], connections: int, patience: Patience, count: Count) -> None:
+        self._part, self.entry = part, part.entry
+        self.path = f"blobs/{part.entry.sha256}"
+        self._mirrors = mirrors
+        self._connections = connections
+        self.patience = patience
+        self._count = count
+        self._lock = threading.Lock()
+        self.stop = threading.Event()
+        self._missing: set[int] = set()
+        self._queue: deque[int] = deque()
+        self._error: BaseException | None = None
+
+    def fetch(self, pieces: Iterable[int]) -> None:
+        """Fetch what is missing of these pieces.
+
+        Raises IntegrityError or NetworkError when no mirror is left to ask; what was fetched stays in the part.
+        """
+        for piece in pieces:
+            if self._part.is_right(piece):
+                self._count(self.entry.length(piece))
+            else:
+                self._missing.add(piece)
+        if not self._missing:
+            return
+        self._queue.extend(sorted(self._missing))
+        parallel = any(mirror.source.parallel for mirror in self._mirrors)
+        n = min(self._connections if parallel else 1, len(self._queue))
+        workers = [threading.Thread(target=self._work, args=(k,), daemon=True) for k in range(n)]
+        try:
+            for worker in workers:
+                worker.start()
+            for worker in workers:
+                worker.join()
+        finally:
+            with self._lock:  # from here on nobody writes, and the part may be closed
+                self.stop.set()
+        if self._error is not None:
+            raise self._error
+        if self._missing:
+            total, there = len(self.entry.pieces), len(self.entry.pieces) - len(self._missing)
+            error = no_mirror_left(self.entry.name, self.path, self._mirrors)
+            raise type(error)(f"{error}; {there} of {total} pieces are kept, and the same command goes on from there")
+
+    def _work(self, number: int) -> None:
+        try:
+            Connection(self, number).run()
+        except BaseException as error:
+            with self._lock:
+                self._error = self._error or error
+            self.stop.set()
+
+    # What connections share:
+
+    def next_run(self) -> list[int]:
+        """Neighbouring pieces that nobody fetches yet; short runs towards the end, so that all end together."""
+        with self._lock:
+            longest = max(1, min(RUN, len(self._queue) // (2 * self._connections)))
+            run: list[int] = []
+            while self._queue and len(run) < longest and (not run or self._queue[0] == run[-1] + 1):
+                piece = self._queue.popleft()
+                if piece in self._missing:
+                    run.append(piece)
+            return run
+
+    def give_back(self, run: list[int]) -> None:
+        """Pieces that a connection could not fetch."""
+        with self._lock:
+            self._queue.extendleft(reversed(run))
+
+    def alive(self) -> list[Mirror]:
+        """Mirrors that can still be asked for the file."""
+        return [mirror for mirror in self._mirrors if mirror.why_not(self.path) is None]
+
+    def accept(self, piece: int, data: memoryview) -> Found:
+        """Keep a piece if its hash is right and it was missing."""
+        if sha256(data) != self.entry.pieces[piece]:
+            return Found.WRONG
+        with self._lock:
+            if self.stop.is_set():
+                raise Setback("stopped")
+            if piece not in self._missing:
+                return Found.KNOWN
+            self._part.write(piece, data)
+            self._missing.discard(piece)
+            self._count(len(data))
+            return Found.NEW
+
+    def is_missing(self, piece: int | None = None) -> bool:
+        """Whether a piece, or any, is missing."""
+        with self._lock:
+            return bool(self._missing) if piece is None else piece in self._missing
+
+
+class Connection:
+    """One of the workers of a transfer: it asks one mirror at a time for one run of pieces at a time."""
+
+    def __init__(self, transfer: Transfer, number: int) -> None:
+        self.t = transfer
+        self._turn = number
+        self._buffer = bytearray(min(transfer.entry.piece_size, transfer.entry.size))
+        self._filled = 0  # bytes of the first piece of the run that are in the buffer
+        self._gained = 0  # bytes that the attempt under way brought nearer to the end
+        self._attempts: Counter[Mirror] = Counter()  # in a row that brought nothing
+        self._wrong: Counter[Mirror] = Counter()  # wrong pieces in a row
+
+    def run(self) -> None:
+        """Fetch until nothing is missing or nobody is left to ask."""
+        while not self.t.stop.is_set() and (run := self.t.next_run()):
+            self._filled = 0
+            while run and not self.t.stop.is_set():
+                alive = self.t.alive()
+                if not alive:
+                    self.t.give_back(run)
+                    return
+                mirror = alive[self._turn % len(alive)]
+                self._gained = 0
+                try:
+                    self._ask(mirror, run)
+                except Refusal as refusal:
+                    mirror.refused[self.t.path] = str(refusal)
+                    self._change_mirror()
+                except Setback as setback:
+                    self._fall_back(mirror, setback)
+
+    def _change_mirror(self) -> None:
+        """A piece comes from one mirror, so that it is known who is to blame for it."""
+        self._turn += 1
+        self._filled = 0
+
+    def _fall_back(self, mirror: Mirror, setback: Setback) -> None:
+        """Decide what a failed attempt means: wait, ask another mirror, or never ask this one again."""
+        if self.t.stop.is_set():
+            return
+        patience = self.t.patience
+        came = self._gained >= patience.least_bytes
+        self._attempts[mirror] = 1 if came else self._attempts[mirror] + 1
+        if self._wrong[mirror] >= WRONG:
+            mirror.fail(str(setback), lied=True)
+        elif setback.wait_s > patience.longest_wait_s:
+            mirror.fail(f"{setback}; it asks to come back in {setback.wait_s:.0f} s")
+        elif self._attempts[mirror] >= patience.attempts:
+            mirror.fail(f"{setback}, {self._attempts[mirror]} times in a row")
+        if mirror.failure or (not came and len(self.t.alive()) > 1):
+            self._change_mirror()
+        if not mirror.failure:
+            self.t.stop.wait(pause_s(self._attempts[mirror], setback.wait_s, patience))
+
+    def _ask(self, mirror: Mirror, run: list[int]) -> None:
+        """Ask for the run, and strike every piece that comes off it."""
+        if mirror.whole:
+            self._sweep(mirror, run)
+            return
+        start, end = self.t.entry.span(run[0])[0] + self._filled, self.t.entry.span(run[-1])[1]
+        with mirror.source.open(self.t.path, start, end) as body:
+            if body.start != start:
+                mirror.whole = True
+                self._sweep(mirror, run, body)
+                return
+            reader = Reader(body)
+            while run:
+                self._take(mirror, reader, run[0])
+                del run[0]
+
+    def _take(self, mirror: Mirror, reader: Reader, piece: int) -> None:
+        """Read one piece to its end, and keep it; Setback if the answer ends before, or the piece is wrong."""
+        view = memoryview(self._buffer)[: self.t.entry.length(piece)]
+        while self._filled < len(view):
+            if self.t.stop.is_set():
+                raise Setback("stopped")
+            n = reader.take(view[self._filled :])
+            self._filled += n
+            self._gained += 0 if mirror.whole else n  # without ranges an attempt starts from nothing again
+        self._filled = 0
+        found = self.t.accept(piece, view)
+        if found is Found.WRONG:
+            self._wrong[mirror] += 1
+            raise Setback(f"piece {piece} of {self.t.entry.name} has wrong bytes")
+        self._wrong[mirror] = 0
+        if found is Found.NEW:
+            self._attempts[mirror] = 0
+            self._gained = max(self._gained, self.t.patience.least_bytes)
+
+    def _sweep(self, mirror: Mirror, run: list[int], body: Body | None = None) -> None:
+        """Read the whole file from a mirror that ignores ranges, and keep what is missing; one connection at a time."""
+        self._filled = 0
+        if not mirror.sweeping.acquire(blocking=False):
+            body = None  # another connection sweeps already: let this answer go, and wait for that one
+            mirror.sweeping.acquire()
+        try:
+            if self.t.stop.is_set() or not self.t.is_missing():
+                return
+            with contextlib.ExitStack() as stack:
+                reader = Reader(body or stack.enter_context(mirror.source.open(self.t.path)))
+                for piece in range(len(self.t.entry.pieces)):
+                    if not self.t.is_missing():
+                        break
+                    self._take(mirror, reader, piece)
+        finally:
+            self._filled = 0
+            mirror.sweeping.release()
+            run[:] = [piece for piece in run if self.t.is_missing(piece)]

@@ -1,0 +1,121 @@
+"""What is on disk, held against a manifest."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from oysterbench.errors import HubError, SequenceError
+from oysterbench.files import home
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.content import content_of
+from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, released_manifest
+from oysterbench.sequence.read import McapSequence
+
+MANIFEST = "manifest.json"
+"""Name of the manifest beside the files of a split."""
+
+RIGHT, REPACKED, DAMAGED, ABSENT, UNKNOWN = "right", "same content, other bytes", "damaged", "absent", "no manifest"
+
+
+@dataclass(frozen=True)
+class Check:
+    """What became of a file: `state` is one of the words above, `detail` says more."""
+
+    path: Path
+    state: str
+    detail: str = ""
+
+    @property
+    def good(self) -> bool:
+        """Whether the data can be used."""
+        return self.state in (RIGHT, REPACKED, UNKNOWN)
+
+
+def check_file(path: Path, entry: FileEntry) -> Check:
+    """Read a file and compare it with its entry: bytes first and, where they differ, the content."""
+    if not path.is_file():
+        return Check(path, ABSENT)
+    whole, wrong, size = hashlib.sha256(), [], 0
+    with open(path, "rb") as file:
+        for number, data in enumerate(iter(lambda: file.read(entry.piece_size), b"")):
+            whole.update(data)
+            size += len(data)
+            if number >= len(entry.pieces) or sha256(data) != entry.pieces[number]:
+                wrong.append(number)
+    if whole.hexdigest() == entry.sha256:
+        return Check(path, RIGHT)
+    try:
+        content, _ = content_of(path)
+    except SequenceError:
+        content = None
+    if content == {topic: dict(facts) for topic, facts in entry.content.items()}:
+        return Check(path, REPACKED, "packed by another version of a compressor")
+    if size != entry.size:
+        return Check(path, DAMAGED, f"expected {entry.size} bytes, got {size}")
+    return Check(
+        path,
+        DAMAGED,
+        f"{len(wrong)} of {len(entry.pieces)} pieces are wrong, the first at byte {wrong[0] * entry.piece_size}",
+    )
+
+
+def check_unknown(path: Path) -> Check:
+    """Check a file without a manifest by the checksums that it carries itself."""
+    if not path.is_file():
+        return Check(path, ABSENT)
+    try:
+        content_of(path)
+    except SequenceError as error:
+        return Check(path, DAMAGED, str(error))
+    return Check(path, UNKNOWN, "its own checksums are right; that it is the released file cannot be known")
+
+
+def kept_manifest(folder: Path) -> Manifest | None:
+    """The manifest that a download left beside its files."""
+    path = folder / MANIFEST
+    return read_manifest(path.read_bytes(), str(path)) if path.is_file() else None
+
+
+def checks(name: str = "") -> Iterator[Check]:
+    """Check a file, the splits of a name (NAME or NAME@VERSION) that are here, or, without a name, all that is here.
+
+    Raises HubError where nothing has that name.
+    """
+    if name.endswith(".mcap") or Path(name).is_file():
+        yield _check_alone(Path(name))
+        return
+    split, _, version = name.partition("@")
+    folders = sorted((home() / "splits").glob(f"{split or '*'}/{version}-*" if version else f"{split or '*'}/*"))
+    found = [path for folder in folders if folder.is_dir() for path in _check_folder(folder)]
+    if not found and name:
+        raise HubError(f"{name}: nothing of it is here; `oysterbench download {name}` fetches it")
+    yield from found
+
+
+def _check_folder(folder: Path) -> Iterator[Check]:
+    """Check the files of a split's folder, and say which of its manifest are absent."""
+    manifest = kept_manifest(folder)
+    if manifest is not None:
+        yield from (check_file(folder / entry.name, entry) for entry in manifest.files)
+        return
+    for path in sorted(folder.glob("*.mcap")):
+        yield _check_alone(path)
+
+
+def _check_alone(path: Path) -> Check:
+    """Check one file by the manifest beside it, or by that of the release it says it belongs to."""
+    if not path.is_file():
+        return Check(path, ABSENT)
+    manifest = kept_manifest(path.parent)
+    entry = manifest.find(path.name) if manifest else None
+    if entry is None:
+        try:
+            known = McapSequence(path).metadata
+        except SequenceError as error:
+            return Check(path, DAMAGED, str(error))
+        manifest = released_manifest(known.get("split", ""), known.get("split_version", ""))
+        entry = manifest.find(f"{known['sequence']}.mcap") if manifest else None
+    return check_unknown(path) if entry is None else check_file(path, entry)
