@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import heapq
 import json
 import multiprocessing
 import os
@@ -237,20 +236,16 @@ def run_job(split: SplitRecipe, job: Job, parts: Path, salt: bytes = b"") -> Non
     else:
         messages = sensor_messages(stage)
         tables[OYSTERS] = oyster_csv(stage)
-    wanted = _topics(split.rig, job.source)
-    types = {name: kind for name, kind in topics.rig_topics(split.rig).items() if name in wanted}
+    kinds = topics.rig_topics(split.rig)
+    types = {name: kinds[name] for name, source in _sources(split.rig).items() if source == job.source}
     write_atomically(parts / job.part, pack(messages, types, tables))
 
 
-def _topics(rig: RigRecipe, source: str) -> list[str]:
-    """Topics that a job's part holds: those of its camera or sonar, or all the others."""
-    cameras = {camera.name: topics.camera_topics(camera.name, camera.sent_layers) for camera in rig.camera}
-    sonars = {sonar.name: topics.sonar_topics(sonar.name, sonar.cloud) for sonar in rig.sonar}
-    bulky = cameras | sonars
-    if source:
-        return list(bulky[source])
-    taken = {name for names in bulky.values() for name in names} | {topics.TF_STATIC}
-    return [name for name in topics.rig_topics(rig) if name not in taken]
+def _sources(rig: RigRecipe) -> dict[str, str]:
+    """Topic -> the source of the jobs whose parts hold it, in the order of the file; all but the rig's frames."""
+    bulky = {name: camera.name for camera in rig.camera for name in topics.camera_topics(camera.name)}
+    bulky |= {name: sonar.name for sonar in rig.sonar for name in topics.sonar_topics(sonar.name)}
+    return {name: bulky.get(name, "") for name in topics.rig_topics(rig) if name != topics.TF_STATIC}
 
 
 def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, salt: bytes = b"") -> None:
@@ -282,16 +277,9 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
             writer.attachment(name, "text/csv", table)
         writer.write(topics.static_transforms(EPOCH_NS, _frames(split.rig, calibration)))
         writer.section()
-        for topic in _topics(split.rig, ""):
-            for message in read_messages(parts / Job(recipe.name).part, [topic]):
-                writer.write(message)
-            writer.section()
-        for group in _sections(split.rig):
-            sources = [
-                _read_parts([parts / job.part for job in jobs if job.source == source], names)
-                for source, names in group.items()
-            ]
-            for message in heapq.merge(*sources, key=lambda message: message.stamp_ns):
+        for topic, source in _sources(split.rig).items():  # a section each, so that reading one touches no other
+            files = [parts / job.part for job in jobs if job.source == source]
+            for message in _read_parts(files, topic):
                 writer.write(message)
             writer.section()
         writer.finish()
@@ -300,14 +288,9 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
     os.replace(temporary, path)
 
 
-def _sections(rig: RigRecipe) -> Iterator[dict[str, list[str]]]:
-    """What lies together in the file, as topics by camera or sonar: calibrations, pictures, layers, fans, clouds."""
-    for kind in ("camera_info", "image"):
-        yield {camera.name: [f"/{camera.name}/{kind}"] for camera in rig.camera}
-    yield {camera.name: [f"/{camera.name}/{layer}" for layer in camera.sent_layers] for camera in rig.camera}
-    for sonar in rig.sonar:
-        for name in topics.sonar_topics(sonar.name, sonar.cloud):
-            yield {sonar.name: [name]}
+def _read_parts(files: list[Path], topic: str) -> Iterator[Message]:
+    for file in files:
+        yield from read_messages(file, [topic])
 
 
 def _frames(rig: RigRecipe, calibration: dict[str, Any]) -> dict[str, tuple[Array, Array]]:
@@ -322,11 +305,6 @@ def _frames(rig: RigRecipe, calibration: dict[str, Any]) -> dict[str, tuple[Arra
         T = np.array(next(value for key, value in entry.items() if key.startswith("T_base_")))
         frames[name] = (T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
     return frames
-
-
-def _read_parts(files: list[Path], names: list[str]) -> Iterator[Message]:
-    for file in files:
-        yield from read_messages(file, names)
 
 
 def check_workers(workers: int | None) -> int:
