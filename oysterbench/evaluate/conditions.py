@@ -10,30 +10,30 @@ STRATA = ("water", "light", "density", "motion")
 
 @dataclass(frozen=True)
 class Condition:
-    """How a condition is written: a heading and a unit; empty for a class or a plain number."""
+    """How a condition is written: a name and a unit; empty for a class or a plain number."""
 
-    heading: str
+    name: str
     unit: str = ""
 
 
 CONDITIONS: dict[str, Condition] = {
-    "water": Condition("Water"),
-    "light": Condition("Light"),
-    "density": Condition("Density"),
-    "motion": Condition("Motion"),
-    "water_type": Condition("Water type"),
-    "path": Condition("Path"),
+    "water": Condition("water"),
+    "light": Condition("light"),
+    "density": Condition("density"),
+    "motion": Condition("motion"),
+    "water_type": Condition("water type"),
+    "path": Condition("path"),
     "secchi_m": Condition("Secchi depth", "m"),
-    "altitude_m": Condition("Altitude", "m"),
-    "oysters_per_m2": Condition("Oysters", "per m\N{SUPERSCRIPT TWO}"),
-    "speed_m_s": Condition("Speed", "m/s"),
-    "depth_m": Condition("Depth", "m"),
-    "snow_per_m3": Condition("Marine snow", "per m\N{SUPERSCRIPT THREE}"),
-    "daylight": Condition("Daylight"),
-    "wind_m_s": Condition("Wind", "m/s"),
-    "wave_height_m": Condition("Wave height", "m"),
-    "current_m_s": Condition("Current", "m/s"),
-    "plant_cover": Condition("Plant cover"),
-    "duration_s": Condition("Duration", "s"),
+    "altitude_m": Condition("altitude", "m"),
+    "oysters_per_m2": Condition("oysters", "per m\N{SUPERSCRIPT TWO}"),
+    "speed_m_s": Condition("speed", "m/s"),
+    "depth_m": Condition("depth", "m"),
+    "snow_per_m3": Condition("marine snow", "per m\N{SUPERSCRIPT THREE}"),
+    "daylight": Condition("daylight"),
+    "wind_m_s": Condition("wind", "m/s"),
+    "wave_height_m": Condition("wave height", "m"),
+    "current_m_s": Condition("current", "m/s"),
+    "plant_cover": Condition("plant cover"),
+    "duration_s": Condition("duration", "s"),
 }
 """Conditions by their key in a record, classes first."""

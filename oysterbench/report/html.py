@@ -6,6 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from importlib import resources
 from typing import Any
@@ -23,6 +24,7 @@ from oysterbench.report.sequences import SlamRun, card, sequence_section
 from oysterbench.report.tables import (
     COMPLETE,
     Heading,
+    Line,
     Table,
     failures_and_notes,
     pairs_table,
@@ -34,6 +36,7 @@ from oysterbench.report.tables import (
 from oysterbench.results import ResultRecord
 
 ARROWS = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", "": ""}
+OPEN_SEQUENCES = 3  # more are folded away, all but the first
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
 
 
@@ -59,15 +62,18 @@ def html_report(runs: Sequence[SlamRun], command: str, title: str | None = None)
         f"{escape(records[0].oysterbench_version)} on {escape(records[0].created[:10])}.</p>"
         if records
         else '<p class="lead">No runs.</p>',
-        _results(records),
-        *(f'<p class="small warn">{escape(remark)}</p>' for remark in failures_and_notes(records)),
         *(f'<p class="small">{escape(remark[0].upper() + remark[1:])}.</p>' for remark in remarks(found)),
-        *(_board(board, styles) for board in found),
     ]
-    for sequence in sequences:
+    standings = [_standings(board) for board in found if len(board.sequences) > 1]
+    parts += [*standings, *(["<h2>By sequence</h2>"] if standings else []), _results(records)]
+    parts += [f'<p class="small warn">{escape(remark)}</p>' for remark in failures_and_notes(records)]
+    parts += [_board(board, styles) for board in found]
+    for i, sequence in enumerate(sequences):
         of_sequence = [run for run in runs if run.record.sequence == sequence]
         if any(run.result is not None or run.frames or run.record.failure is not None for run in of_sequence):
-            parts.append(sequence_section(of_sequence, sequence, styles))
+            section = sequence_section(of_sequence, sequence, styles)
+            many = len(sequences) > OPEN_SEQUENCES
+            parts.append(_folded(f"Paths and errors on {sequence}", section, i == 0) if many else section)
     if records and all(run.result is None for run in runs):
         parts.append('<p class="small">Paths are drawn in the report of each evaluation.</p>')
     parts += [_making(records, command), _definitions(records), f"<script>{_asset('report.js')}</script>"]
@@ -127,7 +133,7 @@ def _table(table: Table) -> str:
 def _heading(heading: Heading, i: int) -> str:
     metric = find_metric(heading.key) if heading.key else None
     text = metric.short if metric is not None and metric.short and heading.unit != "difference" else heading.text
-    text = text[0].upper() + text[1:]
+    text = text if heading.name else text[0].upper() + text[1:]
     unit = " ".join(part for part in (heading.unit, ARROWS[metric.better] if metric is not None else "") if part)
     about = f' title="{escape(metric.definition)}"' if metric is not None else ""
     name = "" if heading.number and i else ' class="name"'
@@ -138,26 +144,51 @@ def _unbroken(heading: str) -> str:
     return escape(heading).replace("1 s", "1&nbsp;s")
 
 
+def _standings(board: Board) -> str:
+    table = standings_table(board)
+    notes = "".join(f'<p class="small">{escape(note)}</p>' for note in table.notes)
+    return f"<h2>{escape(table.title)}</h2>{_table(table)}{notes}"
+
+
 def _board(board: Board, styles: Mapping[str, int]) -> str:
-    """Standings, pairs, classes, runs, and the score over conditions, each where there is something of it to say."""
-    parts = []
-    compared = len(board.standings) > 1 or len(board.sequences) > 1
-    standings = [standings_table(board)] if compared else []
-    for table in (*standings, pairs_table(board), strata_table(board), runs_table(board)):
-        if table.lines:
-            parts.append(f"<h2>{escape(table.title)}</h2>{_table(table)}")
-            parts += [f'<p class="small">{escape(note)}</p>' for note in table.notes]
-    varying = list(board.varying().items())[:SHOWN_CONDITIONS]
-    if varying:
-        labels = [row.label for row in board.standings]
-        order = {label: styles.get(label, 1 + i % STYLES) for i, label in enumerate(labels)}
-        legend = "".join(f'<li data-label="{escape(k)}">{swatch(v)}{escape(k)}</li>' for k, v in order.items())
-        plots = "".join(_over(board, key, values, order) for key, values in varying)
-        parts.append(
-            f'<section class="sequence"><h2>{escape(_short(board))} over conditions on {escape(board.name)}</h2>'
-            f'<ul class="legend" aria-label="Legend">{legend}</ul><div class="pair">{plots}</div></section>'
-        )
+    """Pairs, classes, the score over conditions, and runs, each where there is something of it to say."""
+    parts = [] if len(board.sequences) > 1 or len(board.standings) < 2 else [_standings(board)]
+    pairs = pairs_table(board)
+    everywhere = tuple(line for line in pairs.lines if line.kind == "mean")
+    if everywhere:
+        parts.append(f"<h2>{escape(pairs.title)}</h2>{_table(replace(pairs, lines=_plain(everywhere)))}")
+    if len(everywhere) < len(pairs.lines):
+        within = replace(pairs, lines=tuple(line for line in pairs.lines if line.kind != "mean"))
+        parts.append(_folded("Pairs within each class of conditions", _table(within)))
+    if (strata := strata_table(board)).lines:
+        parts.append(f"<h2>{escape(strata.title)}</h2>{_table(strata)}")
+        parts += [f'<p class="small">{escape(note)}</p>' for note in strata.notes]
+    parts.append(_over_conditions(board, styles))
+    if (runs := runs_table(board)).lines:
+        parts.append(_folded(f"{runs.title}: median and spread", _table(runs)))
     return "".join(parts)
+
+
+def _plain(lines: Sequence[Line]) -> tuple[Line, ...]:
+    return tuple(replace(line, kind="") for line in lines)
+
+
+def _folded(summary: str, content: str, opened: bool = False) -> str:
+    return f"<details{' open' if opened else ''}><summary>{escape(summary)}</summary>{content}</details>"
+
+
+def _over_conditions(board: Board, styles: Mapping[str, int]) -> str:
+    varying = list(board.varying().items())[:SHOWN_CONDITIONS]
+    if not varying:
+        return ""
+    labels = [row.label for row in board.standings]
+    order = {label: styles.get(label, 1 + i % STYLES) for i, label in enumerate(labels)}
+    legend = "".join(f'<li data-label="{escape(k)}">{swatch(v)}{escape(k)}</li>' for k, v in order.items())
+    plots = "".join(_over(board, key, values, order) for key, values in varying)
+    return (
+        f'<section class="sequence"><h2>{escape(_short(board))} over conditions on {escape(board.name)}</h2>'
+        f'<ul class="legend" aria-label="Legend">{legend}</ul><div class="pair">{plots}</div></section>'
+    )
 
 
 def _short(board: Board) -> str:
@@ -177,8 +208,8 @@ def _over(board: Board, key: str, values: Mapping[str, float], styles: Mapping[s
             curves.append(Curve(label, x, y, style))
     if not curves:
         return ""
-    x_label = condition.heading + (f" [{condition.unit}]" if condition.unit else "")
-    title = f"{_short(board)} over {condition.heading.lower()}"
+    x_label = condition.name + (f" [{condition.unit}]" if condition.unit else "")
+    title = f"{_short(board)} over {condition.name}"
     return card(title, scatter_plot(curves, title, x_label, _short(board), top=1.0))
 
 
@@ -198,8 +229,6 @@ def _making(records: Sequence[ResultRecord], command: str) -> str:
         add("Machine", _settings(record.hardware))
         add("Created", record.created)
     for record in records:
-        add(f"Conditions of {record.sequence}", _settings(record.conditions))
-    for record in records:
         add(f"Settings of {record.method}", _settings(record.method_settings))
         add(f"{record.method} says", _settings(record.info))
     seeds: dict[str, list[str]] = {}
@@ -209,7 +238,10 @@ def _making(records: Sequence[ResultRecord], command: str) -> str:
     for method, given in seeds.items():
         add(f"Seeds of {method}", ", ".join(dict.fromkeys(given)))
     items = "".join(f"<dt>{escape(k)}</dt><dd>{'<br>'.join(map(escape, v))}</dd>" for k, v in lines.items() if v)
-    return f"<h2>How this was made</h2><pre><code>{escape(command)}</code></pre><dl>{items}</dl>"
+    conditions = {record.sequence: _settings(record.conditions) for record in records if record.conditions}
+    listed = "".join(f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in conditions.items())
+    folded = _folded("Conditions of each sequence", f"<dl>{listed}</dl>") if listed else ""
+    return f"<h2>How this was made</h2><pre><code>{escape(command)}</code></pre><dl>{items}</dl>{folded}"
 
 
 def _settings(values: Mapping[str, Any]) -> str:

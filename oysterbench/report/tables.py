@@ -23,12 +23,16 @@ MINUS = "\N{MINUS SIGN}"
 
 @dataclass(frozen=True)
 class Heading:
-    """Of a column: text and unit below it; the metric that defines it; numbers stand to the right."""
+    """Of a column: text and unit below it; the metric that defines it; numbers stand to the right.
+
+    A name is written as it is, everything else with a capital where that is usual.
+    """
 
     text: str
     unit: str = ""
     key: str = ""
     number: bool = True
+    name: bool = False
 
 
 @dataclass(frozen=True)
@@ -224,7 +228,7 @@ def pairs_table(board: Board) -> Table:
     lines = []
     for pair in board.pairs:
         found = pair.comparison
-        where = f"{CONDITIONS[pair.condition].heading}: {pair.value}" if pair.condition else "everywhere"
+        where = f"{CONDITIONS[pair.condition].name}: {pair.value}" if pair.condition else "everywhere"
         difference = ABSENT if math.isnan(found.difference) else f"{found.difference:+.{metric.decimals}f}"
         lines.append(
             Line(
@@ -235,7 +239,7 @@ def pairs_table(board: Board) -> Table:
                     difference.replace("-", MINUS),
                     interval_text(found.interval, metric),
                     f"{found.wins} / {found.ties} / {found.losses}",
-                    found.verdict if found.interval.known else f"not told apart: {_short(found.interval.reason)}",
+                    found.verdict if found.interval.known else f"{_short(found.interval.reason)}: too few to tell",
                 ),
                 "" if pair.condition else "mean",
             )
@@ -257,25 +261,29 @@ def _short(reason: str) -> str:
 
 
 def strata_table(board: Board) -> Table:
-    """Methods within each class of conditions, where there are several classes."""
+    """A line per class of conditions, a column per method, where there are several classes."""
     metric = find_column(board.metric)
+    labels = [row.label for row in board.standings]
     lines = []
     for condition in STRATA:
-        for value, label, summary in board.strata(condition):
-            n = str(summary.sequences)
-            mean = metric.texts([summary.mean])[0]
-            lines.append(
-                Line((CONDITIONS[condition].heading, value, label, n, mean, interval_text(summary.interval, metric)))
-            )
+        found = {(value, label): summary for value, label, summary in board.strata(condition)}
+        for value in dict.fromkeys(value for value, _ in found):
+            of_class = [found[value, label] for label in labels]
+            cells = [metric.texts([s.mean])[0] + _bracketed(s.interval, metric) for s in of_class]
+            count = str(len(board.classes(condition)[value]))
+            lines.append(Line((CONDITIONS[condition].name, value, count, *cells)))
     headings = (
         Heading("condition", number=False),
         Heading("class", number=False),
-        Heading("method", number=False),
         Heading("sequences"),
-        Heading(metric.heading, metric.unit, metric.key),
-        Heading(f"{LEVEL:.0%}", "interval"),
+        *(Heading(label, f"{metric.heading} {metric.unit}".strip(), name=True) for label in labels),
     )
-    return Table(f"By conditions on {board.name}", headings, tuple(lines))
+    note = f"In brackets the {LEVEL:.0%} interval, where there are enough sequences."
+    return Table(f"By conditions on {board.name}", headings, tuple(lines), (note,) if lines else ())
+
+
+def _bracketed(interval: Interval, column: Column) -> str:
+    return f" [{interval_text(interval, column)}]" if interval.known else ""
 
 
 def runs_table(board: Board) -> Table:
