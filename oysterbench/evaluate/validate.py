@@ -52,7 +52,9 @@ def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
     return replace(
         trajectory,
         stamps_ns=trajectory.stamps_ns.astype(np.int64, copy=False),
-        quaternions=trajectory.quaternions / norms[:, None],
+        # Row by row in memory, whatever a reader made of its columns: poses are gathered by the row.
+        positions=np.ascontiguousarray(trajectory.positions),
+        quaternions=np.ascontiguousarray(trajectory.quaternions / norms[:, None]),
     )
 
 
