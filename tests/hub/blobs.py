@@ -1,0 +1,36 @@
+"""Files of random bytes, as a manifest names them; and patience that fits a test."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.manifest import FileEntry
+from oysterbench.hub.sources import Patience, open_source
+from oysterbench.hub.transfer import Mirror, Part, Transfer
+
+IMPATIENT = Patience(
+    attempts=4, first_wait_s=0.001, longest_wait_s=0.01, connect_s=2.0, idle_s=0.2, window_s=0.15, least_bytes=1000
+)
+
+
+def blob(size: int, seed: int = 0, piece_size: int = 1 << 14) -> tuple[bytes, FileEntry]:
+    """Random bytes and their entry."""
+    data = random.Random(seed).randbytes(size)
+    pieces = tuple(sha256(data[k : k + piece_size]) for k in range(0, size, piece_size))
+    return data, FileEntry("dive-01.mcap", size, sha256(data), piece_size, pieces, {}, 0)
+
+
+def fetch(
+    entry: FileEntry, target: Path, places: list[str], patience: Patience = IMPATIENT, connections: int = 4
+) -> list[Mirror]:
+    """Fetch a blob from mirrors to a file, as `download` does."""
+    mirrors = [Mirror(open_source(place, connections, patience)) for place in places]
+    part = Part(target.with_suffix(".part"), entry)
+    try:
+        Transfer(part, mirrors, connections, patience, lambda n: None).fetch(range(len(entry.pieces)))
+        part.install(target)
+    finally:
+        part.close()
+    return mirrors

@@ -1,0 +1,169 @@
+"""Files fetched in pieces, from servers of all kinds: the right bytes or a clear error, never a wrong file."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from blobs import IMPATIENT, blob, fetch
+from web import KINDS, Honest, misbehaving, serving
+
+from oysterbench.errors import HubError, IntegrityError, NetworkError
+from oysterbench.hub.sources import _retry_after
+from oysterbench.hub.transfer import Part, pause_s
+
+DATA, ENTRY = blob(300_001)
+PATH = f"blobs/{ENTRY.sha256}"
+
+
+def attempt(kind, seed, folder):
+    """One run against a server that misbehaves for a random share of its answers; True if the file came."""
+    generator = random.Random(seed)
+    share = generator.choice((0.2, 0.5, 0.9, 1.0))
+    target = folder / f"{kind}-{seed}.mcap"
+    with misbehaving(kind, {PATH: DATA}, seed, share) as site:
+        try:
+            fetch(ENTRY, target, [site.url], connections=generator.choice((1, 3, 4)))
+        except HubError as error:
+            assert not target.exists()
+            assert error.exit_code in (3, 4)
+            assert "the same command goes on from there" in str(error)
+            assert site.url in str(error)
+            # What was kept is right: an honest server gives the rest.
+            kept = right_pieces(target.with_suffix(".part"))
+            with serving(Honest, {PATH: DATA}) as honest:
+                fetch(ENTRY, target, [honest.url])
+                asked = sum(end - start for _, start, end in honest.requests)
+            assert asked == len(DATA) - sum(ENTRY.length(piece) for piece in kept)
+            assert target.read_bytes() == DATA
+            return False
+    assert target.read_bytes() == DATA
+    return True
+
+
+def right_pieces(path):
+    part = Part(path, ENTRY)
+    found = [piece for piece in range(len(ENTRY.pieces)) if part.is_right(piece)]
+    part.close()
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_misbehaving_server_gives_the_right_bytes_or_a_clear_error(kind, tmp_path):
+    for seed in range(4):
+        attempt(kind, seed, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_misbehaving_server_200_times(kind, tmp_path):
+    came = sum(attempt(kind, 1000 + seed, tmp_path) for seed in range(200))
+    print(f"{kind}: {came} of 200 came whole, the others ended in an error and came from the next server")
+
+
+@pytest.mark.parametrize("size", [1, 5, 1 << 14, (1 << 14) + 1, 200_000])
+def test_files_of_every_size_come_whole(size, tmp_path):
+    data, entry = blob(size, seed=size)
+    with serving(Honest, {f"blobs/{entry.sha256}": data}) as site:
+        fetch(entry, tmp_path / "file", [site.url])
+    assert (tmp_path / "file").read_bytes() == data
+    assert not (tmp_path / "file.part").exists()
+    assert site.sent == size
+
+
+def test_each_piece_is_asked_for_once(tmp_path):
+    with serving(Honest, {PATH: DATA}) as site:
+        fetch(ENTRY, tmp_path / "file", [site.url])
+    asked = sorted((start, end) for _, start, end in site.requests)
+    assert asked[0][0] == 0
+    assert asked[-1][1] == len(DATA)
+    assert all(end == start for (_, end), (start, _) in zip(asked, asked[1:], strict=False))
+
+
+def test_a_part_is_gone_on_with_and_its_damaged_pieces_are_fetched_again(tmp_path):
+    damaged = bytearray(DATA)
+    damaged[5 * ENTRY.piece_size + 7] ^= 1
+    damaged[-1] ^= 1
+    (tmp_path / "file.part").write_bytes(damaged)
+    with serving(Honest, {PATH: DATA}) as site:
+        fetch(ENTRY, tmp_path / "file", [site.url])
+    assert (tmp_path / "file").read_bytes() == DATA
+    last = len(ENTRY.pieces) - 1
+    assert sorted((start, end) for _, start, end in site.requests) == [ENTRY.span(5), ENTRY.span(last)]
+
+
+def test_a_part_of_another_length_is_no_harm(tmp_path):
+    (tmp_path / "file.part").write_bytes(DATA + b"more")
+    with serving(Honest, {PATH: DATA}) as site:
+        fetch(ENTRY, tmp_path / "file", [site.url])
+    assert site.requests == []
+    assert (tmp_path / "file").read_bytes() == DATA
+
+
+def test_a_cut_connection_goes_on_within_the_piece(tmp_path):
+    with misbehaving("cut", {PATH: DATA}, 3, 0.5) as site:
+        fetch(ENTRY, tmp_path / "file", [site.url], connections=1)
+    assert any(start % ENTRY.piece_size for _, start, _ in site.requests)
+    assert (tmp_path / "file").read_bytes() == DATA
+
+
+def test_mirrors_stand_in_for_one_another(tmp_path):
+    with (
+        misbehaving("wrong_bytes", {PATH: DATA}, 1, 1.0) as liar,
+        serving(Honest, {}) as empty,
+        serving(Honest, {PATH: DATA}) as honest,
+    ):
+        mirrors = fetch(ENTRY, tmp_path / "file", [liar.url, empty.url, "http://127.0.0.1:9", honest.url])
+    assert (tmp_path / "file").read_bytes() == DATA
+    assert mirrors[0].lied
+    assert "404" in mirrors[1].why_not(PATH)
+    assert mirrors[3].why_not(PATH) is None
+
+
+def test_several_good_mirrors_share_the_work(tmp_path):
+    with serving(Honest, {PATH: DATA}) as one, serving(Honest, {PATH: DATA}) as other:
+        fetch(ENTRY, tmp_path / "file", [one.url, other.url], connections=2)
+    assert one.sent + other.sent == len(DATA)
+
+
+def test_wrong_bytes_are_an_integrity_error_and_a_dead_server_is_a_network_error(tmp_path):
+    with misbehaving("wrong_file", {PATH: DATA}, 1, 1.0) as site, pytest.raises(IntegrityError, match="wrong bytes"):
+        fetch(ENTRY, tmp_path / "file", [site.url])
+    with pytest.raises(NetworkError, match=r"127.0.0.1:9: no answer.*4 times in a row"):
+        fetch(ENTRY, tmp_path / "file", ["http://127.0.0.1:9"])
+
+
+def test_a_server_that_ignores_ranges_is_read_once(tmp_path):
+    whole = type("Whole", (Honest,), {"answer": lambda self: self.wanted() and self.whole(DATA)})
+    with serving(whole, {PATH: DATA}) as site:
+        fetch(ENTRY, tmp_path / "file", [site.url], connections=4)
+    assert (tmp_path / "file").read_bytes() == DATA
+    # Each connection finds out for itself, and lets its answer go; one of them is read to the end.
+    assert len(site.requests) <= 8
+
+
+def test_a_folder_is_a_mirror_too(tmp_path):
+    (tmp_path / "tree" / "blobs").mkdir(parents=True)
+    (tmp_path / "tree" / PATH).write_bytes(DATA)
+    fetch(ENTRY, tmp_path / "a", [str(tmp_path / "tree")])
+    fetch(ENTRY, tmp_path / "b", [f"file://{tmp_path / 'tree'}"])
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes() == DATA
+    (tmp_path / "tree" / PATH).write_bytes(DATA[:-1] + b"!")
+    with pytest.raises(IntegrityError):
+        fetch(ENTRY, tmp_path / "c", [str(tmp_path / "tree")])
+    assert not (tmp_path / "c").exists()
+
+
+def test_waits_grow_with_jitter_and_are_never_shorter_than_asked():
+    waits = [pause_s(3, 0.0, IMPATIENT) for _ in range(100)]
+    assert 0.002 <= min(waits) < max(waits) <= 0.004
+    assert pause_s(50, 0.0, IMPATIENT) <= IMPATIENT.longest_wait_s
+    assert all(7.0 <= pause_s(1, 7.0, IMPATIENT) <= 7.7 for _ in range(100))
+
+
+@pytest.mark.parametrize(
+    ("value", "seconds"), [(None, 0), ("", 0), ("12", 12), ("soon", 0), ("Fri, 31 Dec 1999 23:59:59 GMT", 0)]
+)
+def test_retry_after_is_a_number_or_a_date(value, seconds):
+    assert _retry_after(value) == seconds
+    assert _retry_after("Fri, 31 Dec 2100 23:59:59 GMT") > 1e9
