@@ -144,6 +144,101 @@ def test_eval_takes_every_alignment_and_association(trajectories, align, associa
     assert json.loads(result.stdout)["results"][0]["settings"]["align"] == align
 
 
+def test_eval_runs_a_method_several_times_and_says_how_the_runs_spread(recipe, kept_home, tmp_path):
+    arguments = ("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", "--runs", "2")
+    result = run(*arguments, "--out", tmp_path / "out", home=kept_home)
+    assert result.returncode == 0, result.stderr
+    assert "running dead_reckoning on tiny-01, run 2 of 2" in result.stderr
+    assert "dead_reckoning (2 runs)" in result.stdout
+    assert "Runs on tiny" in result.stdout
+    records = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
+    assert [record["run"] for record in records] == [0, 1]
+    assert records[0]["conditions"]["water_type"] == "1C"
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"results.json", "results.csv", "results.tex", "results.md", "report.html"} <= names
+    assert {"tiny-01-truth.tum", "tiny-01-dead_reckoning-1.tum", "tiny-01-dead_reckoning-2.tum"} <= names
+
+
+def test_eval_writes_the_forms_that_are_asked_for(trajectories, tmp_path):
+    truth, estimate = trajectories
+    files = ("--csv", tmp_path / "r.csv", "--md", tmp_path / "r.md", "--report", tmp_path / "new" / "r.html")
+    result = run("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--tex", "-", *files)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith("% needs \\usepackage{booktabs}")
+    assert "mine.tum" in (tmp_path / "r.csv").read_text()
+    assert "| truth.tum | mine.tum |" in (tmp_path / "r.md").read_text()
+    assert "oysterbench eval --track slam" in (tmp_path / "new" / "r.html").read_text()
+    assert f"written: {tmp_path / 'r.csv'}" in result.stderr
+
+
+@pytest.fixture
+def two_results(trajectories, tmp_path):
+    """Two folders of results: one estimate under two names, scored against one truth."""
+    truth, estimate = trajectories
+    other = estimate.with_name("theirs.tum")
+    other.write_text(estimate.read_text())
+    for name, path in (("ours", estimate), ("theirs", other)):
+        arguments = ("--truth", truth, "--estimate", path, "--align", "none", "--out", tmp_path / name)
+        assert run("eval", "--track", "slam", *arguments).returncode == 0
+    return tmp_path / "ours", tmp_path / "theirs"
+
+
+def test_compare_ranks_any_results_and_equal_ones_tie(two_results):
+    result = run("compare", *two_results, "--json")
+    assert result.returncode == 0, result.stderr
+    document = json.loads(result.stdout)
+    (board,) = document["comparisons"]
+    assert [(row["method"], row["place"], row["rank"]) for row in board["standings"]] == [
+        ("mine.tum", 1, None),
+        ("theirs.tum", 1, None),
+    ]
+    (pair,) = board["pairs"]
+    assert (pair["verdict"], pair["ties"], pair["difference"]) == ("not told apart", 1, 0.0)
+    assert document["remarks"] == ["1 sequence: no 95% interval can be had from fewer than 6"]
+    table = run("compare", *two_results).stdout
+    assert "Standings on truth.tum" in table
+    assert "Pairs on truth.tum" in table
+
+
+def test_compare_writes_all_forms_and_its_json_is_alone_on_stdout(two_results, tmp_path):
+    forms = [f"--{form}={tmp_path / form}" for form in ("csv", "tex", "md", "report")]
+    result = run("compare", *two_results, *forms, "--json")
+    assert json.loads(result.stdout)["comparisons"]
+    assert all((tmp_path / form).stat().st_size > 100 for form in ("csv", "tex", "md", "report"))
+
+
+def test_compare_keeps_other_settings_apart_and_says_so(two_results, trajectories, tmp_path):
+    truth, estimate = trajectories
+    arguments = ("--truth", truth, "--estimate", estimate, "--align", "se3", "--out", tmp_path / "other")
+    assert run("eval", "--track", "slam", *arguments).returncode == 0
+    result = run("compare", two_results[0], tmp_path / "other", "--json")
+    document = json.loads(result.stdout)
+    assert len(document["comparisons"]) == 2
+    assert 'kept apart as 2 comparisons, as they differ in setting align ("none", "se3")' in document["remarks"]
+
+
+def test_compare_asks_for_labels_where_two_files_say_to_be_the_same_run(two_results, trajectories, tmp_path):
+    truth, estimate = trajectories
+    worse = tmp_path / "again" / "mine.tum"
+    worse.parent.mkdir()
+    worse.write_text("\n".join(estimate.read_text().splitlines()[:100]))
+    arguments = ("--truth", truth, "--estimate", worse, "--align", "none", "--out", tmp_path / "again")
+    assert run("eval", "--track", "slam", *arguments).returncode == 0
+    first, second = two_results[0], tmp_path / "again"
+    assert_one_line(run("compare", first, second), "both hold run 0 of mine.tum .*oysterbench compare A=")
+    result = run("compare", f"before={first}", f"after={second}", "--json")
+    labels = [row["method"] for row in json.loads(result.stdout)["comparisons"][0]["standings"]]
+    assert labels == ["before", "after"]
+
+
+def test_compare_refuses_what_is_no_result_in_one_line(tmp_path):
+    (tmp_path / "empty.json").write_text('{"results": []}')
+    (tmp_path / "other.json").write_text("[1]")
+    assert_one_line(run("compare", tmp_path / "absent.json"), "absent.json: no such file")
+    assert_one_line(run("compare", tmp_path / "empty.json"), "holds no result")
+    assert_one_line(run("compare", tmp_path / "other.json"), "expected an object with the list 'results'")
+
+
 def test_an_unknown_split_is_one_line(home):
     result = run("eval", "--track", "slam", "--split", "slam-maxi", home=home)
     assert_one_line(result, "unknown split 'slam-maxi'; known splits: .*slam-mini")
@@ -166,6 +261,10 @@ def test_an_unknown_method_is_one_line_before_anything_is_rendered(home):
         ("eval", "--track", "slam", "--truth", "a.tum"),
         ("eval", "--track", "slam", "--truth", "a.tum", "--estimate", "b.tum", "--split", "slam-mini"),
         ("eval", "--track", "slam", "--align", "sideways"),
+        ("eval", "--track", "slam", "--truth", "a.tum", "--estimate", "b.tum", "--runs", "2"),
+        ("eval", "--track", "slam", "--json", "--csv", "-"),
+        ("eval", "--track", "slam", "--runs", "0"),
+        ("compare",),
         ("render",),
         ("render", "slam-mini", "--workers", "0"),
         ("fly",),
