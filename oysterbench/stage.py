@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.geometry import Array, transform
-from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe, SplitRecipe
+from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe, SplitRecipe, draw
 from oysterbench.render.camera import CameraRenderer, Frame
 from oysterbench.render.rays import RayCaster
 from oysterbench.scene.path import Path, build_path
@@ -58,8 +58,12 @@ class Stage:
 @lru_cache(maxsize=1)
 def build_stage(split: SplitRecipe, name: str, salt: bytes) -> Stage:
     """Built once per process and sequence; a worker's next job is most often of the same sequence."""
-    recipe = split.find_sequence(name)
-    streams = Streams(split.seed, salt, (recipe.name,))
+    streams = Streams(split.seed, salt, (name,))
+    recipe = draw(
+        split.find_sequence(name),
+        lambda key: float(streams.generator("drawn", key).random()),
+        f"split {split.name}: sequence {name}",
+    )
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
     return Stage(split.rig, recipe, world, path, streams)

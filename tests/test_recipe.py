@@ -65,7 +65,7 @@ def test_a_rig_may_lie_beside_its_recipe(tmp_path):
         ("oysters = 60", "oyster = 60", r"unknown key 'sequence\.reef\.oyster'; known keys here: size_m"),
         ("altitude_m = 0.9", "altitude_m = 3.0", r"the vehicle would leave the water.*got 3"),
         ("radius_m = 1.0", "radius_m = 2.4", r"the path leaves the reef; expected at most 1\.88.*got 2\.4"),
-        ('track = "slam"', 'track = "swim"', r"key 'track': expected one of slam, got 'swim'"),
+        ('track = "slam"', 'track = "swim"', r"key 'track': expected one of slam, segmentation, steering, got 'swim'"),
         ("seed = 5", 'seed = "five"', r"key 'seed': expected a whole number .*got 'five'"),
         ("seed = 5", "seed = nan", r"expected a whole number .*got nan"),
         ("depth_m = 3.0", "depth_m = nan", r"expected 0\.5 to 60, got nan"),

@@ -4,6 +4,7 @@ Everything that makes the bytes of a sequence is in here; keys carry their unit,
 value is refused with file, key, value and the allowed range. The fields of the dataclasses document the keys.
 """
 
+from oysterbench.recipe.drawn import draw
 from oysterbench.recipe.grades import IMU_GRADES
 from oysterbench.recipe.keys import as_plain
 from oysterbench.recipe.path import LOOP_RIPPLE, PathRecipe
@@ -13,6 +14,7 @@ from oysterbench.recipe.scene import (
     CLASSES,
     JERLOV_TYPES,
     WATER_TYPES,
+    DrawnRecipe,
     LightRecipe,
     ReefRecipe,
     SequenceRecipe,
@@ -41,6 +43,7 @@ __all__ = [
     "WATER_TYPES",
     "AltimeterRecipe",
     "CameraRecipe",
+    "DrawnRecipe",
     "DvlRecipe",
     "ImuRecipe",
     "LampRecipe",
@@ -61,6 +64,7 @@ __all__ = [
     "as_plain",
     "carry",
     "count",
+    "draw",
     "load_split",
     "parse_split",
     "split_names",

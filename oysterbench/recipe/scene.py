@@ -93,6 +93,14 @@ class SiteRecipe:
 
 
 @dataclass(frozen=True, kw_only=True)
+class DrawnRecipe:
+    """A value that is drawn from a range instead of being stated."""
+
+    key: str  # of a number that the sequence has, such as path.heading_deg
+    between: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
 class SequenceRecipe:
     """One sequence: a reef, its water and light, the path over it, and the site that it lies at."""
 
@@ -103,3 +111,4 @@ class SequenceRecipe:
     light: LightRecipe
     path: PathRecipe
     site: SiteRecipe = field(default=SiteRecipe())
+    drawn: tuple[DrawnRecipe, ...] = ()

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.errors import RecipeError
+from oysterbench.recipe.drawn import draw
 from oysterbench.recipe.grades import with_grade
 from oysterbench.recipe.keys import as_plain, build, choice, number, stated
 from oysterbench.recipe.path import check_path
@@ -22,18 +23,24 @@ from oysterbench.recipe.rig import LENSES, CameraRecipe, RigRecipe
 from oysterbench.recipe.scene import WATER_TYPES, SequenceRecipe
 from oysterbench.recipe.sensors import ImuRecipe, SensorRecipe
 
-TRACKS = ("slam",)
+TRACKS = ("slam", "segmentation", "steering")
+"""What a split is made for; one with masks of every oyster serves segmentation and detection alike."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SplitRecipe:
-    """A split: what the TOML file says, plus the rig that it names."""
+    """A split: what the TOML file says, plus the rig that it names.
+
+    A table `[defaults]` of the file holds what its sequences have in common: each `[[sequence]]` states only what
+    differs, key by key, at any depth; lists are taken whole.
+    """
 
     name: str
     version: str
     track: str = choice(TRACKS)
     seed: int = number(0, 2**63 - 1)
     summary: str
+    hidden: bool = False  # whether it is made with a secret salt only, so that nobody else can make its truth
     sequence: tuple[SequenceRecipe, ...]
     rig: RigRecipe
     rig_source: str = field(repr=False)  # text of the rig's file
@@ -87,12 +94,32 @@ def parse_split(source: str, where: str, rig_source: str | None = None) -> Split
             f"{where}: key 'rig': expected the name of a file in datasets/rigs, or the path of a .toml file beside the "
             f"recipe, got {rig_name!r}"
         )
+    _merge_defaults(table, where)
     rig_source = _rig_text(rig_name, where) if rig_source is None else rig_source
     rig = _read_rig(rig_source, f"rig {rig_name}")
     table = {**table, "rig": rig, "rig_source": rig_source, "source": source}
     split = build(SplitRecipe, table, where, "")
     _check_split(split, where)
     return split
+
+
+def _merge_defaults(table: dict[str, Any], where: str) -> None:
+    """Put the table `defaults` under each sequence."""
+    defaults = table.pop("defaults", {})
+    sequences = table.get("sequence")
+    if not isinstance(defaults, dict) or "name" in defaults:
+        raise RecipeError(f"{where}: key 'defaults': expected a table of keys of a sequence, without name")
+    if defaults and isinstance(sequences, list) and all(isinstance(sequence, dict) for sequence in sequences):
+        table["sequence"] = [_merged(defaults, sequence) for sequence in sequences]
+
+
+def _merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables merged key by key; where both have a value, that of `over` is taken."""
+    merged = {**under, **over}
+    for key in under.keys() & over.keys():
+        if isinstance(under[key], dict) and isinstance(over[key], dict):
+            merged[key] = _merged(under[key], over[key])
+    return merged
 
 
 def carry(split: SplitRecipe, rig_name: str, where: str) -> SplitRecipe:
@@ -168,22 +195,26 @@ def _check_split(split: SplitRecipe, where: str) -> None:
     _check_reach(split.rig, f"{where}: rig {split.rig.name}")
     _check_vibration(split.rig.imu, f"{where}: rig {split.rig.name}")
     for sequence in split.sequence:
-        if sequence.water.type is None and sequence.water.jerlov is None:
-            raise RecipeError(
-                f"{where}: sequence {sequence.name}: missing key 'water.type' (one of {', '.join(WATER_TYPES)})"
-            )
-        given = [key for key in ("oysters", "density_per_m2") if getattr(sequence.reef, key) is not None]
-        if len(given) != 1:
-            raise RecipeError(
-                f"{where}: sequence {sequence.name}: keys 'reef.oysters', 'reef.density_per_m2': expected exactly one "
-                f"of them, got {' and '.join(given) or 'neither'}"
-            )
-        check_path(sequence.path, sequence.reef.size_m, f"{where}: sequence {sequence.name}")
-        if sequence.path.altitude_m >= sequence.reef.depth_m:
-            raise RecipeError(
-                f"{where}: sequence {sequence.name}: key 'path.altitude_m': the vehicle would leave the water; "
-                f"expected less than reef.depth_m = {sequence.reef.depth_m:g}, got {sequence.path.altitude_m:g}"
-            )
+        place = f"{where}: sequence {sequence.name}"
+        for ends in (lambda key: 0.0), (lambda key: 1.0):
+            _check_sequence(draw(sequence, ends, place), place)
+
+
+def _check_sequence(sequence: SequenceRecipe, where: str) -> None:
+    if sequence.water.type is None and sequence.water.jerlov is None:
+        raise RecipeError(f"{where}: missing key 'water.type' (one of {', '.join(WATER_TYPES)})")
+    given = [key for key in ("oysters", "density_per_m2") if getattr(sequence.reef, key) is not None]
+    if len(given) != 1:
+        raise RecipeError(
+            f"{where}: keys 'reef.oysters', 'reef.density_per_m2': expected exactly one of them, got "
+            f"{' and '.join(given) or 'neither'}"
+        )
+    check_path(sequence.path, sequence.reef.size_m, where)
+    if sequence.path.altitude_m >= sequence.reef.depth_m:
+        raise RecipeError(
+            f"{where}: key 'path.altitude_m': the vehicle would leave the water; expected less than reef.depth_m = "
+            f"{sequence.reef.depth_m:g}, got {sequence.path.altitude_m:g}"
+        )
 
 
 RESERVED_NAMES = ("imu", "dvl", "pressure", "magnetometer", "truth", "tf", "tf_static")

@@ -1,0 +1,42 @@
+"""Values of a recipe that are drawn: a key, and the range that its value comes from.
+
+In a hidden split the draw needs the salt, as everything random does, so that the recipe gives away a range and not the
+way that the vehicle took.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from oysterbench.errors import RecipeError
+from oysterbench.recipe.keys import as_plain, build
+from oysterbench.recipe.scene import SequenceRecipe
+
+
+def draw(recipe: SequenceRecipe, share: Callable[[str], float], where: str) -> SequenceRecipe:
+    """The sequence with its drawn values in place. `share(key)`, in [0, 1], says how far into its range a value lies.
+
+    Raises RecipeError, which begins with `where`, for a key that is no number of a sequence, and for a value that the
+    key does not allow.
+    """
+    if not recipe.drawn:
+        return recipe
+    table = as_plain(dataclasses.replace(recipe, drawn=()))
+    for drawn in recipe.drawn:
+        low, high = drawn.between
+        place: Any = table
+        *parents, name = drawn.key.split(".")
+        for parent in parents:
+            place = place.get(parent) if isinstance(place, dict) else None
+        known = place if isinstance(place, dict) else {}
+        old = known.get(name)
+        if isinstance(old, bool) or not isinstance(old, int | float) or low > high:
+            raise RecipeError(
+                f"{where}: key 'drawn': expected the key of a number that the sequence states, such as "
+                f"'path.speed_m_s', and two values in order, got {drawn.key!r} between {list(drawn.between)}"
+            )
+        value = low + (high - low) * share(drawn.key)
+        known[name] = round(value) if isinstance(old, int) else value
+    return build(SequenceRecipe, table, where, "")
