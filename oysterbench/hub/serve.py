@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import logging
 import os
 import re
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import anyio.to_thread
 from starlette.applications import Starlette
@@ -17,6 +17,7 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from oysterbench.errors import HubError
 from oysterbench.version import VERSION
@@ -37,8 +38,9 @@ KINDS = {
 """Folder -> suffix and media type."""
 
 LARGEST_HEADERS = 16 << 10
+MOST_HEADERS = 100
 CLIENTS = 512
-"""Bytes of a request's headers, and clients at once, beyond which a request is refused."""
+"""Bytes and number of a request's headers, and clients at once, beyond which a request is refused."""
 
 HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 PAGE_HEADERS = {"Content-Security-Policy": "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'"}
@@ -98,6 +100,7 @@ def application(tree: Path) -> Starlette:
             Route("/robots.txt", robots),
         ],
         middleware=[
+            Middleware(HeaderLimit),
             Middleware(
                 CORSMiddleware,
                 allow_origins=["*"],
@@ -105,9 +108,25 @@ def application(tree: Path) -> Starlette:
                 allow_headers=["Range", "If-None-Match", "If-Match", "If-Range"],
                 expose_headers=["Accept-Ranges", "Content-Length", "Content-Range", "ETag"],
                 max_age=86400,
-            )
+            ),
         ],
     )
+
+
+class HeaderLimit:
+    """Refuses floods of headers that came in one go, which the HTTP parser lets through."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = scope.get("headers", [])
+        size = sum(len(name) + len(value) for name, value in headers)
+        if size > LARGEST_HEADERS or len(headers) > MOST_HEADERS:
+            refusal = PlainTextResponse("too many headers\n", 431, {"Connection": "close"})
+            await refusal(scope, receive, send)
+            return
+        await self.app(scope, receive, send)
 
 
 async def answer(request: Request, path: Path, media: str, caching: str, digest: str = "") -> Response:
@@ -164,7 +183,7 @@ class FileResponse(StreamingResponse):
             start += len(data)
             yield data
 
-    async def __call__(self, scope, receive, send) -> None:
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         try:
             await super().__call__(scope, receive, send)
         finally:
@@ -209,32 +228,32 @@ def serve(tree: Path, host: str, port: int) -> None:
     """Serve until interrupted; every request is logged on stderr."""
     import uvicorn
 
+    uvicorn.run(**settings(tree, host, port))
+
+
+def settings(tree: Path, host: str, port: int) -> dict[str, Any]:
+    """How uvicorn serves a tree. Raises HubError where there is none."""
     if not (tree / "index.json").is_file():
         raise HubError(f"{tree}: expected a published tree (index.json is absent); `oysterbench publish` makes one")
-    logging.getLogger("uvicorn.error").setLevel(logging.INFO)
-    uvicorn.run(
-        application(tree),
-        host=host,
-        port=port,
-        http="h11",
-        ws="none",
-        lifespan="off",
-        server_header=False,
-        h11_max_incomplete_event_size=LARGEST_HEADERS,
-        limit_concurrency=CLIENTS,
-        timeout_keep_alive=30,
-        log_config=LOGGING,
-    )
+    return {
+        "app": application(tree),
+        "host": host,
+        "port": port,
+        "http": "h11",
+        "ws": "none",
+        "lifespan": "off",
+        "server_header": False,
+        "h11_max_incomplete_event_size": LARGEST_HEADERS,
+        "limit_concurrency": CLIENTS,
+        "timeout_keep_alive": 30,
+        "log_config": LOGGING,
+    }
 
 
 LOGGING = {
     "version": 1,
     "disable_existing_loggers": False,
-    "formatters": {
-        "plain": {"format": "%(asctime)s %(levelname)s %(message)s"},
-    },
+    "formatters": {"plain": {"format": "%(asctime)s %(levelname)s %(message)s"}},
     "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "plain", "stream": "ext://sys.stderr"}},
-    "loggers": {
-        "uvicorn": {"handlers": ["stderr"], "level": "INFO", "propagate": False},
-    },
+    "loggers": {"uvicorn": {"handlers": ["stderr"], "level": "INFO", "propagate": False}},
 }
