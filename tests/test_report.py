@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from oysterbench import page
-from oysterbench.evaluate.metrics import SLAM
+from oysterbench.evaluate.metrics import SLAM, find_metric
 from oysterbench.evaluate.slam import EVALUATOR, SlamSettings, score
-from oysterbench.plots import Curve, map_plot, nice_ticks, thin, time_plot
+from oysterbench.plots import Curve, map_plot, nice_ticks, recall_plot, scatter_plot, thin, time_plot
 from oysterbench.report import COLUMNS, SlamRun, html_report, rows, slam_table, write_html_report
 from oysterbench.results import ResultRecord
 from oysterbench.streams import stream
@@ -198,6 +198,88 @@ def test_names_are_escaped_and_nothing_is_fetched_or_run():
         assert name != "src" or value.startswith("data:image/jpeg;base64,")
     assert "url(" not in html
     assert "@import" not in html
+
+
+def test_every_measured_metric_is_defined_with_its_unit_and_direction():
+    text = parsed(html_report([run("gtsam_vi")], "x")).text
+    measured = run("gtsam_vi").record.metrics
+    assert len(measured) > 30
+    for key in measured:
+        metric = find_metric(key)
+        assert metric.definition in text, key
+        assert key in text, key
+    assert "Score ↑" in text
+
+
+def many(**changes) -> list[SlamRun]:
+    runs = []
+    for i in range(7):
+        conditions = {"water": "clear" if i % 2 else "turbid", "secchi_m": 0.5 + i, "path": "loop"}
+        for k, method in enumerate(("good", "bad")):
+            sigma_m = 0.005 * (1 + 20 * k)
+            runs.append(run(method, sigma_m, f"dive-{i}", conditions=conditions, **changes))
+    return runs
+
+
+def test_several_sequences_begin_with_the_standings_and_end_with_conditions():
+    html = html_report(many(), "x")
+    text = parsed(html).text
+    order = [
+        "Standings on",
+        "By sequence",
+        "Pairs on",
+        "Pairs within each class",
+        "By conditions",
+        "over conditions on",
+    ]
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
+    assert "Score over Secchi depth" in text
+    assert html.count("<details open>") == 1  # of seven sequences the first is open
+    assert re.search(r"good\s*bad\s*everywhere\s*\+0\.\d{3}.*?better", text.replace("</td>", " "))
+
+
+def test_a_comparison_without_paths_is_a_page():
+    text = parsed(html_report([SlamRun(run_.record) for run_ in many()], "oysterbench compare a b")).text
+    assert "Paths are drawn in the report of each evaluation" in text
+    assert "Standings on" in text
+    assert "could be scored" not in text
+
+
+def test_of_several_runs_the_median_one_is_drawn():
+    def drawn(runs: list[SlamRun]) -> list[str]:
+        return re.findall('class="c1" data-label="a" d="([^"]*)"', html_report(runs, "x"))
+
+    runs = [run("a", sigma, run=k) for k, sigma in enumerate((0.001, 0.3, 0.02))]
+    assert "of median score is drawn" in html_report(runs, "x")
+    assert drawn(runs) == drawn([runs[1], runs[0], runs[2]]) == drawn([runs[2]]) != drawn([runs[0]])
+
+
+def test_without_scripts_nothing_is_hidden_but_the_hint():
+    html = html_report(many()[:4], "x")
+    assert re.findall(r"<(\w+)[^>]* hidden>", html) == ["p", "p"]
+
+
+def test_a_recall_curve_encloses_the_score():
+    shown = run("a", 0.02)
+    svg = recall_plot(
+        [Curve("a", shown.result.recall.error_m / shown.result.recall.scale_m, shown.result.recall.share, 1)],
+        "recall",
+        "error",
+        "share",
+    )
+    data = re.search('class="c1" data-label="a" d="([^"]*)"', svg).group(1)
+    x, y = np.array([[float(v) for v in word.split()] for word in re.split("[ML]", data)[1:]]).T
+    left, right = 56.0, 56.0 + 408.0
+    bottom = y.max()
+    area = np.sum(np.diff(x) * (bottom - y[:-1])) / ((right - left) * 190.0)
+    assert area == pytest.approx(shown.record.metrics["score"], abs=0.01)
+
+
+def test_points_of_a_scatter_plot_stand_where_their_values_are():
+    svg = scatter_plot([Curve("a", np.array([0.0, 10.0]), np.array([0.25, np.nan]), 1)], "t", "x", "y", top=1.0)
+    (circle,) = ElementTree.fromstring(svg).findall(".//circle")
+    assert float(circle.get("cy")) == pytest.approx(32 + 170 * 0.75)
 
 
 def test_plots_are_described_for_those_who_do_not_see_them():
