@@ -1,0 +1,351 @@
+"""Publishing: what is in the tree, what is never half in it, and what a hidden split keeps back."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from trees import (
+    DIGEST,
+    FACTS,
+    SECRET,
+    SEED,
+    a_key,
+    publish_secret,
+    publish_split,
+    tree_bytes,
+    write_sequence,
+    write_split,
+)
+
+import oysterbench
+from oysterbench.errors import HubError, SequenceError
+from oysterbench.hub import publish as publishing
+from oysterbench.hub.canonical import canonical, sha256
+from oysterbench.hub.index import read_index
+from oysterbench.hub.manifest import read_manifest
+from oysterbench.hub.publish import check_made_by
+from oysterbench.sequence.file import read_attachments, read_messages
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    return write_split(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def secret_files(tmp_path_factory):
+    return write_split(tmp_path_factory.mktemp("secret"), SECRET)
+
+
+@pytest.fixture(scope="module")
+def key_and_public(tmp_path_factory):
+    return a_key(tmp_path_factory.mktemp("key"))
+
+
+@pytest.fixture
+def key(key_and_public):
+    return key_and_public[0]
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory, secret_files, key_and_public):
+    """A hidden split: tree, truth package, manifest."""
+    folder = tmp_path_factory.mktemp("hidden")
+    manifest = publish_secret(folder / "tree", folder / "truth", secret_files, key_and_public[0])
+    return folder / "tree", folder / "truth" / "fake-val-1.0", manifest
+
+
+def test_the_tree_is_addressed_by_content(tmp_path, files, key_and_public):
+    key, public = key_and_public
+    manifest = publish_split(tmp_path / "tree", files, key)
+    found = tree_bytes(tmp_path / "tree")
+    for path, data in found.items():
+        folder, _, name = path.rpartition("/")
+        if folder:
+            assert name.partition(".")[0] == sha256(data), path
+    index = read_index(found["index.json"], public, "index")
+    release = index.splits["fake-val"]["1.0"]
+    assert release.manifest == manifest.sha256
+    assert read_manifest(found[f"manifests/{manifest.sha256}.json"], "manifest") == manifest
+    assert (release.sequences, release.size, release.hidden) == (2, manifest.size, False)
+    for entry, path in zip(manifest.files, files.values(), strict=True):
+        assert found[f"blobs/{entry.sha256}"] == path.read_bytes()
+    assert manifest.recipe_digest == DIGEST
+    assert b"creativecommons.org/licenses/by/4.0" in manifest.data
+    assert {path.partition("/")[0] for path in found} == {
+        "blobs",
+        "manifests",
+        "croissant",
+        "pictures",
+        "index.json",
+        "index.html",
+        ".lock",
+    }
+
+
+def test_publishing_twice_adds_nothing(tmp_path, files, key):
+    publish_split(tmp_path, files, key)
+    before = tree_bytes(tmp_path)
+    stamps = {path: (tmp_path / path).stat().st_mtime_ns for path in before if path != ".lock"}
+    publish_split(tmp_path, files, key)
+    assert tree_bytes(tmp_path) == before
+    assert {path: (tmp_path / path).stat().st_mtime_ns for path in stamps} == stamps
+
+
+def test_a_second_version_keeps_the_first_and_shares_its_blobs(tmp_path, files, key_and_public):
+    key, public = key_and_public
+    publish_split(tmp_path, files, key)
+    blobs = set((tmp_path / "blobs").iterdir())
+    publish_split(tmp_path, files, key, version="1.1")
+    assert set((tmp_path / "blobs").iterdir()) == blobs
+    index = read_index((tmp_path / "index.json").read_bytes(), public, "index")
+    assert list(index.splits["fake-val"]) == ["1.0", "1.1"]
+    assert index.counter == 2
+
+
+def test_a_release_never_changes(tmp_path, files, key):
+    publish_split(tmp_path, files, key)
+    before = tree_bytes(tmp_path)
+    other = {**files, "dive-02": files["dive-01"]}
+    with pytest.raises(HubError, match="a release never changes.*raise the version"):
+        publish_split(tmp_path, other, key)
+    assert tree_bytes(tmp_path) == before
+
+
+def test_a_tree_of_another_key_is_left_alone(tmp_path, files, key):
+    publish_split(tmp_path / "tree", files, key)
+    before = tree_bytes(tmp_path / "tree")
+    with pytest.raises(HubError, match="not signed with the key"):
+        publish_split(tmp_path / "tree", files, a_key(tmp_path)[0], version="2.0")
+    assert tree_bytes(tmp_path / "tree") == before
+
+
+@pytest.mark.parametrize("step", range(6))
+def test_an_interrupted_publish_leaves_what_was_there(tmp_path, files, key_and_public, step, monkeypatch):
+    """Whatever write is the last: the index that was there is whole and names only what is there."""
+    key, public = key_and_public
+    publish_split(tmp_path, {"dive-02": files["dive-02"]}, key, version="0.9")
+    writes, replace = [], os.replace
+
+    def failing(source, target):
+        if len(writes) == step:
+            raise KeyboardInterrupt
+        writes.append(target)
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", failing)
+    try:
+        publish_split(tmp_path, files, key)
+    except KeyboardInterrupt:
+        pass
+    else:
+        pytest.fail(f"there were fewer than {step + 1} writes")
+    monkeypatch.undo()
+    index = read_index((tmp_path / "index.json").read_bytes(), public, "index")
+    for release in index.splits["fake-val"].values():
+        manifest = read_manifest((tmp_path / "manifests" / f"{release.manifest}.json").read_bytes(), "manifest")
+        for entry in manifest.files:
+            assert sha256((tmp_path / "blobs" / entry.sha256).read_bytes()) == entry.sha256
+    publish_split(tmp_path, files, key)
+    undisturbed = tmp_path.parent / f"{tmp_path.name}-undisturbed"
+    publish_split(undisturbed, {"dive-02": files["dive-02"]}, key, version="0.9")
+    publish_split(undisturbed, files, key)
+    assert tree_bytes(tmp_path) == tree_bytes(undisturbed)
+
+
+def test_what_a_killed_publisher_left_is_taken_away(tmp_path, files, key):
+    for name in ("blobs/.publishing-abc", ".publishing-x/dive.mcap"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes(b"half")
+    publish_split(tmp_path, files, key)
+    assert not list(tmp_path.rglob(".publishing-*"))
+
+
+def test_a_file_that_changes_under_way_is_not_published(tmp_path, files, key, monkeypatch):
+    changing = shutil.copy(files["dive-01"], tmp_path / "dive-01.mcap")
+    build = publishing.build_manifest
+
+    def build_then_change(*arguments, **options):
+        manifest = build(*arguments, **options)
+        changing.write_bytes(changing.read_bytes()[:-1] + b"!")
+        return manifest
+
+    monkeypatch.setattr(publishing, "build_manifest", build_then_change)
+    with pytest.raises(HubError, match="changed while it was published"):
+        publish_split(tmp_path / "tree", {"dive-01": changing}, key)
+    assert not (tmp_path / "tree" / "index.json").exists()
+    assert not list((tmp_path / "tree" / "blobs").iterdir())
+
+
+def test_what_is_published_is_made_by_the_recipe(files, secret_files, tmp_path):
+    check_made_by(files, "fake-val", "1.0", DIGEST, hidden=False)
+    check_made_by(secret_files, "fake-val", "1.0", DIGEST, hidden=True)
+    with pytest.raises(HubError, match="made by another recipe"):
+        check_made_by(secret_files, "fake-val", "1.0", DIGEST, hidden=False)
+    with pytest.raises(HubError, match="without a salt"):
+        check_made_by(files, "fake-val", "1.0", DIGEST, hidden=True)
+    with pytest.raises(HubError, match=r"expected dive-01 of fake-val 2.0, got dive-01 of fake-val 1.0"):
+        check_made_by(files, "fake-val", "2.0", DIGEST, hidden=False)
+    with pytest.raises(HubError, match="oysterbench render fake-val"):
+        check_made_by({"dive-01": tmp_path / "no.mcap"}, "fake-val", "1.0", DIGEST, hidden=False)
+
+
+# Hidden splits
+
+
+def test_a_hidden_split_shows_measurements_only(hidden, secret_files):
+    tree, _, manifest = hidden
+    public = tree / "blobs" / manifest.files[0].sha256
+    sequence = oysterbench.open(public)
+    shown = {topic for topic, _, n in sequence.contents()}
+    assert shown == {
+        "/tf_static",
+        "/imu",
+        "/pressure",
+        "/magnetometer",
+        "/dvl/velocity",
+        "/dvl/beams",
+        "/dvl/altitude",
+        "/alt/range",
+        "/msis/ping",
+        "/msis/head",
+        "/fls/image",
+        "/cam_left/image",
+        "/cam_left/camera_info",
+        "/cam_right/image",
+        "/cam_right/camera_info",
+    }
+    with pytest.raises(SequenceError, match="no truth"):
+        sequence.truth()
+    assert set(read_attachments(public)) == {"calibration.json", "classes.json"}
+    assert set(sequence.metadata) == {"sequence", "split", "split_version", "track", "rig", "oysterbench"}
+    original = secret_files["dive-01"]
+    for topic in shown:
+        assert list(read_messages(public, [topic])) == list(read_messages(original, [topic]))
+
+
+def test_nothing_of_a_hidden_splits_tree_tells_recipe_or_digest(hidden, secret_files):
+    """Every byte of the tree is searched, chunks unpacked, for what would let somebody render or guess the truth."""
+    tree, truth, manifest = hidden
+    secrets = [SECRET, DIGEST, SEED, "truth/odometry", "split.toml", "rig.toml", "truth/oysters", "/tf\0"]
+    truths = [message.data for message in read_messages(secret_files["dive-01"], ["/truth/odometry"])]
+    for path, data in tree_bytes(tree).items():
+        unpacked = data
+        if path.startswith("blobs/"):
+            with open(tree / path, "rb") as file:
+                unpacked += b"".join(message.data for _, _, message in make_reader(file).iter_messages())
+        for secret in secrets:
+            assert secret.encode() not in unpacked, f"{path} tells {secret}"
+        assert not any(message in unpacked for message in truths)
+    assert manifest.recipe_digest is None
+    assert b"recipe_digest" not in manifest.data
+    assert sorted(path.name for path in truth.iterdir()) == ["dive-01.mcap", "dive-02.mcap", "manifest.json"]
+
+
+def test_the_commitment_is_the_hash_of_the_truth_package(hidden, secret_files):
+    _, truth, manifest = hidden
+    data = (truth / "manifest.json").read_bytes()
+    assert manifest.commitment == sha256(data)
+    for entry in read_manifest(data, "truth").files:
+        assert sha256((truth / entry.name).read_bytes()) == entry.sha256
+    kept = oysterbench.open(truth / "dive-01.mcap")
+    whole = oysterbench.open(secret_files["dive-01"])
+    np.testing.assert_array_equal(kept.truth().positions, whole.truth().positions)
+    assert len(kept.oysters()) == 2
+    assert kept.attachments["split.toml"] == SEED.encode()
+
+
+def test_public_part_and_truth_package_are_the_whole_sequence(hidden, secret_files):
+    tree, truth, manifest = hidden
+    parts = (tree / "blobs" / manifest.files[0].sha256, truth / "dive-01.mcap")
+    found = {topic: n for part in parts for topic, _, n in oysterbench.open(part).contents()}
+    assert found == {topic: n for topic, _, n in oysterbench.open(secret_files["dive-01"]).contents()}
+
+
+def test_publishing_a_hidden_split_twice_adds_nothing(hidden, secret_files, key, tmp_path):
+    tree, truth, manifest = hidden
+    shutil.copytree(tree, tmp_path / "tree")
+    before = tree_bytes(tmp_path / "tree")
+    assert publish_secret(tmp_path / "tree", tmp_path / "truth", secret_files, key) == manifest
+    assert tree_bytes(tmp_path / "tree") == before
+    assert tree_bytes(tmp_path / "truth" / "fake-val-1.0") == tree_bytes(truth)
+
+
+def test_another_truth_has_another_commitment(hidden, key, tmp_path):
+    other = {"dive-01": write_sequence(tmp_path / "dive-01.mcap", "dive-01", 0.8, SECRET)}
+    manifest = publish_secret(tmp_path / "tree", tmp_path / "truth", other, key)
+    assert manifest.commitment != hidden[2].commitment
+
+
+@pytest.mark.parametrize("place", ["tree", "tree/truth", "tree/blobs"])
+def test_the_truth_never_goes_into_the_tree(tmp_path, secret_files, key, place):
+    with pytest.raises(HubError, match="outside the tree"):
+        publish_secret(tmp_path / "tree", tmp_path / place, secret_files, key)
+    assert not list((tmp_path).rglob("*.mcap"))
+
+
+# What others read
+
+
+def test_the_croissant_file_describes_every_file(tmp_path, files, key):
+    manifest = publish_split(tmp_path, files, key)
+    (path,) = (tmp_path / "croissant").iterdir()
+    document = json.loads(path.read_bytes())
+    assert path.read_bytes() == canonical(document)
+    assert document["license"] == "https://creativecommons.org/licenses/by/4.0/"
+    assert document["name"] == FACTS["split"]
+    for entry, described in zip(manifest.files, document["distribution"], strict=True):
+        assert described["sha256"] == entry.sha256
+        assert (path.parent / described["contentUrl"]).read_bytes() == files[entry.sequence].read_bytes()
+    rows = document["recordSet"][0]["data"]
+    assert [row["sequences/name"] for row in rows] == ["dive-01", "dive-02"]
+
+
+def test_the_croissant_file_validates_with_mlcroissant(tmp_path, files, secret_files, key):
+    command = shutil.which("mlcroissant")
+    if command is None:
+        pytest.skip("mlcroissant is not on PATH: install it in an environment of its own (pip install mlcroissant)")
+    publish_split(tmp_path / "open", files, key)
+    publishing.publish(tmp_path / "url", FACTS, files, key, DIGEST, url="https://hub.example.org/")
+    publish_secret(tmp_path / "hidden", tmp_path / "truth", secret_files, key)
+    for tree in ("open", "url", "hidden"):
+        (path,) = (tmp_path / tree / "croissant").iterdir()
+        done = subprocess.run([command, "validate", "--jsonld", path], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert "Done." in done.stderr
+        assert "WARNING" not in done.stderr or tree != "url", done.stderr
+
+
+class Links(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.found, self.open, self.text = [], [], ""
+
+    def handle_starttag(self, tag, attributes):
+        self.found += [value for name, value in attributes if name in ("href", "src")]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_the_page_shows_every_release_and_its_links_lead_somewhere(tmp_path, files, key):
+    publish_split(tmp_path, files, key)
+    publish_split(tmp_path, files, key, split="other", summary="<script>alert(1)</script> & more")
+    page = Links()
+    text = (tmp_path / "index.html").read_text()
+    page.feed(text)
+    assert "<script" not in text
+    for name in ("fake-val 1.0", "other 1.0", "oysterbench download other@1.0"):
+        assert name in page.text
+    assert len(page.found) == 2 * 4 + 1
+    for link in page.found:
+        assert (tmp_path / link).is_file(), link
+    assert 'name="viewport"' in text
+    assert "prefers-color-scheme: dark" in text
