@@ -188,7 +188,7 @@ def compare_command(results: tuple[str, ...], outputs: Outputs) -> None:
     at 95 % share a rank. Results of different splits, evaluators or settings are kept apart, in tables of their own.
     """
     from oysterbench.comparison import as_plain, boards, remarks
-    from oysterbench.report import SlamRun, comparison_tables, results_table, terminal_table
+    from oysterbench.report import SlamRun, comparison_tables, results_tables, terminal_table
     from oysterbench.results import dump, labelled_results
 
     records = labelled_results(results)
@@ -198,7 +198,7 @@ def compare_command(results: tuple[str, ...], outputs: Outputs) -> None:
     if outputs.as_json:
         click.echo(dump({"remarks": remarks(found), "comparisons": [as_plain(board) for board in found]}))
     elif not outputs.on_stdout:
-        for table in comparison_tables(records) or [results_table(records)]:
+        for table in comparison_tables(records) or results_tables(records):
             _print_rich(terminal_table(table))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -79,6 +79,7 @@ class Cell:
 class Board:
     """Results that may be compared: one track, split, evaluator and setting.
 
+    apart:     what tells it from another board of the same split; empty where there is none
     sequences: those that every method was run on; the standings and pairs are over these alone
     left_out:  those that some method was not run on
     """
@@ -89,8 +90,16 @@ class Board:
     evaluator_version: str
     settings: Mapping[str, Any]
     entries: tuple[Entry, ...]
+    given: tuple[ResultRecord, ...]
     sequences: tuple[str, ...]
     left_out: tuple[str, ...]
+    apart: str = ""
+
+    @property
+    def records(self) -> list[ResultRecord]:
+        """All its records, each with its method's label for a name, in the order in which they were given."""
+        labels = {id(record): entry.label for entry in self.entries for record in entry.records}
+        return [replace(record, method=labels[id(record)]) for record in self.given]
 
     @property
     def metric(self) -> str:
@@ -190,6 +199,10 @@ class Board:
     @property
     def name(self) -> str:
         """What was run on, for a heading."""
+        return self._base + (f" ({self.apart})" if self.apart else "")
+
+    @property
+    def _base(self) -> str:
         return self.split or ", ".join((*self.sequences, *self.left_out))
 
 
@@ -210,7 +223,22 @@ def boards(records: Iterable[ResultRecord]) -> list[Board]:
         if text not in seen:
             seen.add(text)
             groups.setdefault(comparable_key(record), []).append(record)
-    return [_board(group) for group in groups.values()]
+    found = [_board(group) for group in groups.values()]
+    return [replace(board, apart=_apart(board, found)) for board in found]
+
+
+def _apart(board: Board, found: Sequence[Board]) -> str:
+    """What tells a board from others of its name."""
+    others = [other for other in found if other is not board and other.name == board.name]
+    parts = []
+    if any(other.split_digest != board.split_digest for other in others):
+        parts.append(f"recipe {board.split_digest[:8]}")
+    if any(other.evaluator_version != board.evaluator_version for other in others):
+        parts.append(board.evaluator_version)
+    for key, value in board.settings.items():
+        if any(other.settings.get(key) != value for other in others):
+            parts.append(f"{key} = {value}")
+    return ", ".join(parts)
 
 
 def _board(records: Sequence[ResultRecord]) -> Board:
@@ -240,6 +268,7 @@ def _board(records: Sequence[ResultRecord]) -> Board:
         first.evaluator_version,
         first.settings,
         entries,
+        tuple(records),
         tuple(name for name in truths if name in shared),
         tuple(name for name in truths if name not in shared),
     )

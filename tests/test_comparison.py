@@ -140,3 +140,10 @@ def test_a_board_is_strict_json():
     assert values["standings"][0]["method"] == "b"
     assert values["pairs"][0]["interval"]["low"] is None
     assert values["pairs"][0]["interval"]["reason"].startswith("2 sequences")
+
+
+def test_boards_of_one_split_are_told_apart_by_name_and_records_by_label():
+    found = boards([*runs("a", [0.9]), *runs("a", [0.8], settings={"align": "se3"})])
+    assert [board.name for board in found] == ["slam-mini (align = posyaw)", "slam-mini (align = se3)"]
+    (board,) = boards([*runs("a", [0.5], method_settings={"k": 1}), *runs("a", [0.6], method_settings={"k": 3})])
+    assert [kept.method for kept in board.records] == ["a (k = 1)", "a (k = 3)"]

@@ -149,3 +149,13 @@ def test_standings_show_coverage_and_failures_beside_the_errors():
     assert shown["bad"]["rank"] == "3"
     assert shown[AWKWARD]["failed"] == "1 of 8"
     assert re.fullmatch(r"0\.\d{3} to 0\.\d{3}", shown["good"]["95%"])
+
+
+def test_what_may_not_be_compared_stands_in_tables_of_its_own():
+    records = [*runs("a", [0.9, 0.8]), *runs("a", [0.1, 0.2], settings={"align": "se3"})]
+    found = [table for table in tables(records) if table.title.startswith("Results")]
+    assert [table.title for table in found] == [
+        "Results on slam-mini (align = posyaw)",
+        "Results on slam-mini (align = se3)",
+    ]
+    assert [table.lines[0].cells[2] for table in found] == ["0.900", "0.100"]

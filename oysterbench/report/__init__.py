@@ -4,7 +4,7 @@ from oysterbench.report.columns import COLUMNS, Column
 from oysterbench.report.formats import csv_text, latex_text, markdown_text, slam_table, tables, terminal_table
 from oysterbench.report.html import html_report, write_html_report
 from oysterbench.report.sequences import SlamRun
-from oysterbench.report.tables import comparison_tables, results_table, rows
+from oysterbench.report.tables import comparison_tables, results_table, results_tables, rows
 
 __all__ = [
     "COLUMNS",
@@ -16,6 +16,7 @@ __all__ = [
     "latex_text",
     "markdown_text",
     "results_table",
+    "results_tables",
     "rows",
     "slam_table",
     "tables",

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from oysterbench.evaluate.conditions import CONDITIONS
-from oysterbench.report.tables import Table, comparison_tables, results_table
+from oysterbench.report.tables import Table, comparison_tables, results_table, results_tables
 from oysterbench.results import ResultRecord
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ _LATEX = {
 
 def tables(records: Sequence[ResultRecord]) -> list[Table]:
     """What every form shows: results by sequence, then the comparison where there is something to compare."""
-    return [results_table(records), *comparison_tables(records)]
+    return [*results_tables(records), *comparison_tables(records)]
 
 
 def csv_text(records: Sequence[ResultRecord]) -> str:

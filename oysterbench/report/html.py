@@ -28,7 +28,7 @@ from oysterbench.report.tables import (
     Table,
     failures_and_notes,
     pairs_table,
-    results_table,
+    results_tables,
     runs_table,
     standings_table,
     strata_table,
@@ -70,7 +70,8 @@ def html_report(runs: Sequence[SlamRun], command: str, title: str | None = None)
     parts += [_board(board, styles) for board in found]
     for i, sequence in enumerate(sequences):
         of_sequence = [run for run in runs if run.record.sequence == sequence]
-        if any(run.result is not None or run.frames or run.record.failure is not None for run in of_sequence):
+        failed = all(run.record.failure is not None for run in of_sequence)
+        if failed or any(run.result is not None or run.frames for run in of_sequence):
             section = sequence_section(of_sequence, sequence, styles)
             many = len(sequences) > OPEN_SEQUENCES
             parts.append(_folded(f"Paths and errors on {sequence}", section, i == 0) if many else section)
@@ -90,15 +91,17 @@ def _count(n: int, noun: str) -> str:
 
 def _results(records: Sequence[ResultRecord]) -> str:
     """Results by sequence."""
-    table = results_table(records)
+    found = results_tables(records)
+    headed = len(found) > 1
+    drawn = [(f"<h3>{escape(table.title)}</h3>" if headed else "") + _table(table) for table in found]
     shaded = (
         " The best of each sequence is shaded, errors among runs that answer at least "
         f"{COMPLETE:.0%} of what the most complete one does."
-        if any(any(line.best) for line in table.lines)
+        if any(any(line.best) for table in found for line in table.lines)
         else ""
     )
     several = " Of several runs the medians are shown." if any(record.run for record in records) else ""
-    return _table(table) + (
+    return "".join(drawn) + (
         f'<p class="small">{ARROWS["lower"]} lower is better, '
         f"{ARROWS['higher']} higher is better; read every error beside its coverage.{shaded}{several}</p>"
     )

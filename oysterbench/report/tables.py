@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -134,6 +134,14 @@ def failures_and_notes(records: Sequence[ResultRecord]) -> list[str]:
             said.append(f"{name} failed: {record.failure}")
         said += [f"{name}: {note}" for note in record.notes]
     return list(dict.fromkeys(said))
+
+
+def results_tables(records: Sequence[ResultRecord]) -> list[Table]:
+    """Results by sequence, in a table for each board: what may not be compared does not stand in one."""
+    found = boards(records)
+    if len(found) < 2:
+        return [results_table(found[0].records if found else [])]
+    return [replace(results_table(board.records), title=f"Results on {board.name}") for board in found]
 
 
 def results_table(records: Sequence[ResultRecord]) -> Table:
