@@ -4,24 +4,36 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from oysterbench.hub.canonical import sha256
 from oysterbench.sequence import topics
-from oysterbench.sequence.file import Reading, read_messages, summary_of
+from oysterbench.sequence.file import Reading, read_attachments, read_messages, summary_of
 from oysterbench.sequence.names import COLOUR
 
 RECORD = struct.Struct("<qq")  # stamp in ns, bytes that follow
 
 
-def content_of(path: Path) -> tuple[dict[str, dict[str, Any]], int]:
-    """Topic -> {"type", "messages", "sha256"} of the topics that have messages, and the file's duration in ns.
+@dataclass(frozen=True)
+class Content:
+    """What a file says. topics: topic -> {"type", "messages", "sha256"}, of those that have messages; attachments:
+    name -> SHA-256."""
 
-    The hash runs over each message's stamp (int64, ns), length (int64) and payload, in the order of the file. The
-    payload is the CDR data; of an image in PNG it is header, shape and pixels. So neither the compression of chunks nor
+    topics: dict[str, dict[str, Any]]
+    attachments: dict[str, str]
+    duration_ns: int
+
+
+def content_of(path: Path) -> Content:
+    """Hash all topics and attachments of a sequence file; SequenceError where it is damaged.
+
+    The hash of a topic runs over each message's stamp (int64, ns), length (int64) and payload, in the order of the file.
+    The payload is the CDR data; of an image in PNG it is header, shape and pixels. So neither the compression of chunks nor
     that of PNG images changes it. JPEG stays as it is: its decoders may differ in the last bit.
     """
     with Reading(path) as reader:
@@ -39,7 +51,9 @@ def content_of(path: Path) -> tuple[dict[str, dict[str, Any]], int]:
             whole.update(RECORD.pack(message.stamp_ns, len(payload)))
             whole.update(payload)
         content[channel.topic] = {"type": kind, "messages": counts[channel.id], "sha256": whole.hexdigest()}
-    return content, summary.statistics.message_end_time - summary.statistics.message_start_time
+    attachments = {name: sha256(data) for name, data in sorted(read_attachments(path).items())}
+    statistics = summary.statistics
+    return Content(content, attachments, statistics.message_end_time - statistics.message_start_time)
 
 
 def decoded_image(data: bytes) -> bytes:

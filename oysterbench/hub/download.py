@@ -19,7 +19,7 @@ from oysterbench.hub.index import LARGEST, Index, Release, check_not_older, read
 from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, released_manifest
 from oysterbench.hub.sources import Patience, Refusal, Setback, is_offline, open_source
 from oysterbench.hub.transfer import Mirror, Part, Transfer, no_mirror_left, pause_s
-from oysterbench.hub.verify import DAMAGED, MANIFEST, RIGHT, check_file, kept_manifest
+from oysterbench.hub.verify import MANIFEST, RIGHT, check_file, kept_manifest
 
 T = TypeVar("T")
 
@@ -274,10 +274,11 @@ def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -
     if not read:
         return True
     found = check_file(target, entry)
-    if found.state == DAMAGED:
-        hub.announce(f"{target} is damaged ({found.detail}): what is wrong of it is fetched again")
-        os.replace(target, part)
-    return found.good
+    if found.state == RIGHT:
+        return True
+    hub.announce(f"{target}: {found.state} ({found.detail}); what is wrong of it is fetched again")
+    os.replace(target, part)
+    return False
 
 
 @contextlib.contextmanager

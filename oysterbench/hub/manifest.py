@@ -30,7 +30,7 @@ FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*\.mcap")
 class FileEntry:
     """One file: its name in the split's folder, size in bytes, SHA-256 of the whole and of each piece.
 
-    content: topic -> {"type", "messages", "sha256"}, see `content_of`.
+    content, attachments: what the file says, however it is compressed; see `content_of`.
     """
 
     name: str
@@ -39,6 +39,7 @@ class FileEntry:
     piece_size: int
     pieces: tuple[str, ...]
     content: Mapping[str, Mapping[str, Any]]
+    attachments: Mapping[str, str]
     duration_ns: int
 
     @property
@@ -93,6 +94,7 @@ class Manifest:
                 "sha256": entry.sha256,
                 "pieces": list(entry.pieces),
                 "content": {topic: dict(facts) for topic, facts in entry.content.items()},
+                "attachments": dict(entry.attachments),
                 "duration_ns": entry.duration_ns,
             }
             for entry in self.files
@@ -121,8 +123,17 @@ def describe_file(path: Path, name: str | None = None, piece_size: int = PIECE) 
             whole.update(piece)
             pieces.append(sha256(piece))
         size = file.tell()
-    content, duration_ns = content_of(path)
-    return FileEntry(name or path.name, size, whole.hexdigest(), piece_size, tuple(pieces), content, duration_ns)
+    content = content_of(path)
+    return FileEntry(
+        name=name or path.name,
+        size=size,
+        sha256=whole.hexdigest(),
+        piece_size=piece_size,
+        pieces=tuple(pieces),
+        content=content.topics,
+        attachments=content.attachments,
+        duration_ns=content.duration_ns,
+    )
 
 
 def build_manifest(
@@ -185,6 +196,7 @@ def read_manifest(data: bytes, what: str) -> Manifest:
                 piece_size,
                 tuple(pieces),
                 take(table, "content", dict, "files."),
+                take(table, "attachments", dict, "files."),
                 take(table, "duration_ns", int, "files."),
             )
         )

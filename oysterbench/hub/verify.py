@@ -48,11 +48,11 @@ def check_file(path: Path, entry: FileEntry) -> Check:
     if whole.hexdigest() == entry.sha256:
         return Check(path, RIGHT)
     try:
-        content, _ = content_of(path)
+        content = content_of(path)
     except SequenceError:
         content = None
-    if content == {topic: dict(facts) for topic, facts in entry.content.items()}:
-        return Check(path, REPACKED, "packed by another version of a compressor")
+    if content and (content.topics, content.attachments) == (entry.content, entry.attachments):
+        return Check(path, REPACKED, "all messages and attachments are right, their packing is not")
     if size != entry.size:
         return Check(path, DAMAGED, f"expected {entry.size} bytes, got {size}")
     return Check(

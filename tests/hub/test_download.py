@@ -1,0 +1,398 @@
+"""Downloading a published split: whom it trusts, what it keeps, and what it does without a network."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+
+import pytest
+from blobs import IMPATIENT
+from trees import DIGEST, SECRET, a_key, publish_secret, publish_split, tree_bytes, write_sequence, write_split
+from web import Honest, misbehaving, serving
+
+import oysterbench
+from oysterbench.errors import HubError, IntegrityError, NetworkError
+from oysterbench.hub import download as downloading
+from oysterbench.hub.canonical import canonical
+from oysterbench.hub.download import Hub, choose, download, find_here, part_path, plan
+from oysterbench.hub.index import read_index
+from oysterbench.hub.manifest import Manifest, build_manifest
+from oysterbench.hub.settings import hub_key, hub_places
+from oysterbench.hub.sign import make_key
+from oysterbench.hub.topics import fetch_topics
+from oysterbench.sequence.file import read_messages
+
+
+class Published:
+    """A published split: tree, keys and files."""
+
+    def __init__(self, folder):
+        self.folder, self.tree = folder, folder / "tree"
+        self.key, self.public = a_key(folder)
+        self.files = write_split(folder / "data")
+        self.manifest = publish_split(self.tree, self.files, self.key)
+
+    @property
+    def site(self):
+        """What a web server would have."""
+        return tree_bytes(self.tree)
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory):
+    return Published(tmp_path_factory.mktemp("hub"))
+
+
+@pytest.fixture(autouse=True)
+def _own_home(home):
+    """No test sees what another one remembered."""
+
+
+def hub_at(published, *places, key=None):
+    return Hub.at([str(place) for place in places], key or published.public, patience=IMPATIENT)
+
+
+def assert_same(files, published):
+    assert {name: path.read_bytes() for name, path in files.items()} == {
+        name: path.read_bytes() for name, path in published.files.items()
+    }
+
+
+def test_a_split_comes_whole_over_http_and_from_a_folder(published, tmp_path):
+    with serving(Honest, published.site) as site:
+        hub = hub_at(published, site.url)
+        manifest = hub.manifest("fake-val")
+        assert manifest == published.manifest
+        seen = []
+        files = download(hub, manifest, tmp_path / "a", progress=lambda *count: seen.append(count))
+    assert_same(files, published)
+    assert seen[0] == (0, manifest.size)
+    assert seen[-1] == (manifest.size, manifest.size)
+    assert sorted(path.name for path in (tmp_path / "a").iterdir() if not path.name.endswith(".lock")) == [
+        "dive-01.mcap",
+        "dive-02.mcap",
+        "manifest.json",
+    ]
+    folder = hub_at(published, published.tree)
+    assert_same(download(folder, folder.manifest("fake-val", "1.0"), tmp_path / "b"), published)
+    assert len(oysterbench.open(tmp_path / "b" / "dive-01.mcap").truth()) == 50
+
+
+def test_what_is_here_is_not_fetched_again(published, tmp_path):
+    with serving(Honest, published.site) as site:
+        hub = hub_at(published, site.url)
+        manifest = hub.manifest("fake-val")
+        download(hub, manifest, tmp_path)
+        sent = site.sent
+        assert_same(download(hub, manifest, tmp_path), published)
+        assert site.sent == sent
+
+
+def test_rendered_files_that_are_the_same_are_taken_as_they_are(published, tmp_path):
+    folder = tmp_path / "rendered"
+    shutil.copytree(published.folder / "data", folder)
+    assert_same(download(Hub([], None), published.manifest, folder), published)
+
+
+def test_another_file_under_the_name_is_left_alone(published, tmp_path):
+    (tmp_path / "dive-01.mcap").write_bytes(b"mine")
+    with pytest.raises(HubError, match="it was left as it is"):
+        download(hub_at(published, published.tree), published.manifest, tmp_path)
+    assert (tmp_path / "dive-01.mcap").read_bytes() == b"mine"
+
+
+def test_only_chosen_sequences_are_fetched(published, tmp_path):
+    entries = choose(published.manifest, ["*-02"])
+    files = download(hub_at(published, published.tree), published.manifest, tmp_path, entries)
+    assert list(files) == ["dive-02"]
+    assert not (tmp_path / "dive-01.mcap").exists()
+    with pytest.raises(HubError, match=r"no sequence that fits 'x\*'; it has dive-01, dive-02"):
+        choose(published.manifest, ["x*"])
+
+
+def test_verify_repairs_a_damaged_file_piece_by_piece(published, tmp_path):
+    hub = hub_at(published, published.tree)
+    download(hub, published.manifest, tmp_path)
+    path = tmp_path / "dive-01.mcap"
+    data = bytearray(path.read_bytes())
+    data[1000] ^= 1
+    path.write_bytes(data)
+    said = []
+    hub.announce = said.append
+    assert download(hub, published.manifest, tmp_path)["dive-01"].read_bytes() == data  # its size is right
+    assert_same(download(hub, published.manifest, tmp_path, verify=True), published)
+    assert "damaged (1 of 1 pieces are wrong, the first at byte 0)" in said[0]
+
+
+def test_a_disk_that_gives_back_other_bytes_is_noticed(published, tmp_path, monkeypatch):
+    install = downloading.Part.install
+
+    def install_badly(self, target):
+        install(self, target)
+        with open(target, "r+b") as file:
+            file.write(b"?")
+
+    monkeypatch.setattr(downloading.Part, "install", install_badly)
+    with pytest.raises(IntegrityError, match="the disk may be failing"):
+        download(hub_at(published, published.tree), published.manifest, tmp_path, verify=True)
+    assert not (tmp_path / "dive-01.mcap").exists()
+
+
+def test_room_is_looked_for_first(published, tmp_path, monkeypatch):
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=downloading.SPARE + 1000))
+    with pytest.raises(HubError, match=r"not enough room.*nothing was fetched"):
+        download(hub_at(published, published.tree), published.manifest, tmp_path / "new" / "folder")
+    assert not (tmp_path / "new").exists()
+
+
+# Trust
+
+
+def test_a_hostile_mirror_cannot_swap_a_manifest(published, tmp_path):
+    """It has good files, another manifest that it signed itself, and the good index with its hash in it."""
+    evil = tmp_path / "evil"
+    shutil.copytree(published.tree, evil)
+    other = publish_split(tmp_path / "own", {"dive-01": published.files["dive-02"]}, a_key(tmp_path)[0])
+    shutil.copytree(tmp_path / "own" / "manifests", evil / "manifests", dirs_exist_ok=True)
+    # 1. its own index, with its own signature
+    shutil.copy(tmp_path / "own" / "index.json", evil / "index.json")
+    with pytest.raises(IntegrityError, match="not signed with the key"):
+        hub_at(published, evil).manifest("fake-val")
+    # 2. the good index, changed, with the good signature
+    document = json.loads((published.tree / "index.json").read_bytes())
+    document["signed"]["splits"][0]["manifest"] = other.sha256
+    (evil / "index.json").write_text(json.dumps(document))
+    with pytest.raises(IntegrityError, match="not signed with the key"):
+        hub_at(published, evil).manifest("fake-val")
+    # 3. the good index as it is, and another manifest under the good one's name
+    shutil.copy(published.tree / "index.json", evil / "index.json")
+    (evil / "manifests" / f"{published.manifest.sha256}.json").write_bytes(other.data)
+    with pytest.raises(IntegrityError, match="expected a manifest with SHA-256"):
+        hub_at(published, evil).manifest("fake-val")
+    # 4. beside an honest mirror none of it matters
+    hub = hub_at(published, evil, published.tree)
+    assert hub.manifest("fake-val") == published.manifest
+    assert "expected a manifest" in hub.mirrors[0].failure
+
+
+@pytest.mark.parametrize("wrong", ["", "00" * 64, "zz" * 64, "12"])
+def test_a_bad_signature_is_none(published, wrong):
+    document = json.loads((published.tree / "index.json").read_bytes())
+    document["signatures"][0]["signature"] = wrong
+    for data in (document, {**document, "signatures": []}, {**document, "signatures": 7}, {"signed": {}}):
+        with pytest.raises(IntegrityError, match="nothing of it was used"):
+            read_index(json.dumps(data).encode(), published.public, "index")
+
+
+def test_a_second_signature_by_the_pinned_key_is_enough(published):
+    """So a hub can change its key: both sign for a while."""
+    document = json.loads((published.tree / "index.json").read_bytes())
+    document["signatures"].insert(0, {"key": "ab" * 32, "signature": "00" * 64})
+    assert read_index(json.dumps(document).encode(), published.public, "index").counter == 1
+
+
+def test_an_older_index_is_refused_once_a_newer_one_was_seen(published, tmp_path):
+    tree, old = tmp_path / "tree", tmp_path / "old"
+    shutil.copytree(published.tree, tree)
+    shutil.copytree(published.tree, old)
+    hub_at(published, old).manifest("fake-val")
+    publish_split(tree, published.files, published.key, version="1.1")
+    assert hub_at(published, tree).manifest("fake-val").version == "1.1"
+    with pytest.raises(IntegrityError, match="index number 1 is older than number 2, which was seen before"):
+        hub_at(published, old).manifest("fake-val")
+    both = hub_at(published, old, tree)
+    assert both.manifest("fake-val").version == "1.1"
+    assert both.manifest("fake-val", "1.0") == published.manifest
+
+
+def test_two_indexes_of_one_number_are_refused(published, tmp_path):
+    one, other = tmp_path / "one", tmp_path / "other"
+    publish_split(one, published.files, published.key, split="one")
+    publish_split(other, published.files, published.key, split="other")
+    hub_at(published, one).manifest("one")
+    with pytest.raises(IntegrityError, match="two indexes with number 1"):
+        hub_at(published, other).manifest("other")
+
+
+def test_without_a_key_no_index_is_believed(published):
+    hub = Hub.at([str(published.tree)], None, patience=IMPATIENT)
+    with pytest.raises(HubError, match=r"--key, OYSTERBENCH_HUB_KEY"):
+        hub.manifest("fake-val", "1.0")
+
+
+def test_a_released_manifest_needs_no_key_and_no_index(published, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        downloading, "released_manifest", lambda *name: published.manifest if name == ("fake-val", "1.0") else None
+    )
+    (tmp_path / "mirror" / "blobs").mkdir(parents=True)
+    for entry in published.manifest.files:
+        shutil.copy(published.tree / "blobs" / entry.sha256, tmp_path / "mirror" / "blobs")
+    hub = Hub.at([str(tmp_path / "mirror")], None, patience=IMPATIENT)
+    assert_same(download(hub, hub.manifest("fake-val", "1.0"), tmp_path / "a"), published)
+
+
+def test_splits_and_versions_that_are_not_there_are_named_with_those_that_are(published):
+    hub = hub_at(published, published.tree)
+    with pytest.raises(HubError, match="no split 'slam-max'; it has fake-val"):
+        hub.manifest("slam-max")
+    with pytest.raises(HubError, match=r"no version '3.0' of fake-val; it has 1.0"):
+        hub.manifest("fake-val", "3.0")
+
+
+def test_an_endless_index_is_not_read_to_its_end(published, monkeypatch):
+    monkeypatch.setattr(downloading, "LARGEST", 100)
+    with pytest.raises(IntegrityError, match="longer than 100 bytes"):
+        hub_at(published, published.tree).index()
+
+
+@pytest.mark.parametrize("kind", ["cut", "unavailable", "redirect", "nonsense", "wrong_file", "truncated_chunks"])
+def test_index_and_manifest_survive_a_misbehaving_server(published, kind):
+    for seed in range(5):
+        with misbehaving(kind, published.site, seed, 0.5) as site:
+            found = failure = None
+            try:
+                found = hub_at(published, site.url).manifest("fake-val")
+            except (NetworkError, IntegrityError) as error:
+                failure = str(error)
+            assert found == published.manifest or site.url in failure
+
+
+# Without a network
+
+
+def test_offline_asks_no_server_but_reads_folders_and_what_is_here(published, home, tmp_path, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_OFFLINE", "1")
+    with pytest.raises(NetworkError, match="OYSTERBENCH_OFFLINE is set"):
+        Hub.at(["https://hub.example.org"], published.public)
+    folder = home / "splits" / "fake-val" / "1.0-abc"
+    download(hub_at(published, published.tree), published.manifest, folder)
+    assert find_here("fake-val", "1.0") == (folder, published.manifest)
+    assert find_here("fake-val", None) == (folder, published.manifest)
+    assert find_here("fake-val", "2.0") is None
+    (folder / "dive-02.mcap").unlink()
+    assert find_here("fake-val", "1.0") is None
+    assert find_here("fake-val", "1.0", ["dive-01"]) == (folder, published.manifest)
+    monkeypatch.delenv("OYSTERBENCH_OFFLINE")
+    assert find_here("fake-val", None) is None  # a hub may have a newer version
+
+
+@pytest.mark.parametrize("place", ["ftp://x/y", "s3://bucket", "/no/such/folder"])
+def test_places_that_cannot_be_read_are_refused(place):
+    with pytest.raises(HubError, match="expected"):
+        Hub.at([place], None)
+
+
+def test_passwords_in_an_address_are_in_no_message(published):
+    hub = Hub.at(["http://user:secret@127.0.0.1:9"], published.public, patience=IMPATIENT)
+    with pytest.raises(NetworkError) as caught:
+        hub.index()
+    assert "secret" not in str(caught.value)
+
+
+def test_settings_come_from_options_then_environment_then_file(home, monkeypatch, tmp_path):
+    assert hub_places() == []
+    assert hub_key() is None
+    home.mkdir()
+    public = make_key(tmp_path / "key.pem")
+    (home / "hub.toml").write_text(f'url = ["https://a.example", "https://b.example"]\nkey = "{public}"\n')
+    assert hub_places() == ["https://a.example", "https://b.example"]
+    assert hub_key() == public
+    monkeypatch.setenv("OYSTERBENCH_HUB", "https://c.example /mnt/hub")
+    monkeypatch.setenv("OYSTERBENCH_HUB_KEY", "ab" * 32)
+    assert hub_places() == ["https://c.example", "/mnt/hub"]
+    assert hub_key() == "ab" * 32
+    assert hub_places(["https://d.example"]) == ["https://d.example"]
+    assert hub_key("CD" * 32) == "cd" * 32
+    with pytest.raises(HubError, match="--key: expected a hub's public key, 64 hex digits"):
+        hub_key("no key")
+    monkeypatch.delenv("OYSTERBENCH_HUB")
+    for text, said in (("url = 3", "expected an address"), ("= x", "not valid TOML")):
+        (home / "hub.toml").write_text(text)
+        with pytest.raises(HubError, match=said):
+            hub_places()
+
+
+def test_a_private_key_is_its_owners_and_never_overwritten(tmp_path):
+    make_key(tmp_path / "key.pem")
+    assert os.stat(tmp_path / "key.pem").st_mode & 0o777 == 0o600
+    before = (tmp_path / "key.pem").read_bytes()
+    with pytest.raises(HubError, match="it was left as it is"):
+        make_key(tmp_path / "key.pem")
+    assert (tmp_path / "key.pem").read_bytes() == before
+
+
+# Parts of a split
+
+
+def test_a_hidden_split_downloads_like_any_other(published, tmp_path):
+    key, public = a_key(tmp_path)
+    manifest = publish_secret(tmp_path / "tree", tmp_path / "truth", write_split(tmp_path / "data", SECRET), key)
+    hub = Hub.at([str(tmp_path / "tree")], public, patience=IMPATIENT)
+    assert hub.manifest("fake-val") == manifest
+    assert manifest.hidden
+    files = download(hub, manifest, tmp_path / "here")
+    assert len(list(oysterbench.open(files["dive-01"]).imu())) == 100
+
+
+@pytest.fixture(scope="module")
+def long_dive(tmp_path_factory):
+    """One sequence of many small pieces: its file, manifest and a tree."""
+    folder = tmp_path_factory.mktemp("long")
+    file = write_sequence(folder / "dive-01.mcap", "dive-01", 4.0)
+    facts = {"split": "fake-val", "version": "1.0", "track": "slam", "rig": "hand", "summary": "One dive"}
+    manifest: Manifest = build_manifest(facts, {"dive-01": file}, DIGEST, piece_size=4096)
+    (folder / "blobs").mkdir()
+    shutil.copy(file, folder / "blobs" / manifest.files[0].sha256)
+    return file, manifest, folder
+
+
+def test_topics_are_cut_from_the_pieces_that_hold_them(long_dive, published, tmp_path):
+    file, manifest, tree = long_dive
+    with serving(Honest, tree_bytes(tree)) as site:
+        files = fetch_topics(hub_at(published, site.url), manifest.files, tmp_path / "split", ["/imu", "/pressure"])
+        assert site.sent < 0.2 * manifest.size, f"{site.sent} of {manifest.size} bytes"
+    small = oysterbench.open(files["dive-01"])
+    assert {topic for topic, _, n in small.contents()} == {"/imu", "/pressure"}
+    for topic in ("/imu", "/pressure"):
+        assert list(read_messages(files["dive-01"], [topic])) == list(read_messages(file, [topic]))
+    assert small.attachments["split.toml"] == oysterbench.open(file).attachments["split.toml"]
+    assert not list((tmp_path / "split").glob(".*.part"))
+
+
+def test_topics_of_a_file_that_is_here_need_no_hub(long_dive, tmp_path):
+    file, manifest, _ = long_dive
+    download_folder = tmp_path / "split"
+    download_folder.mkdir()
+    shutil.copy(file, download_folder)
+    files = fetch_topics(Hub([], None), manifest.files, download_folder, ["/cam_left/*"], tmp_path / "out")
+    assert files == {"dive-01": tmp_path / "out" / "dive-01.mcap"}
+    assert len(list(oysterbench.open(files["dive-01"]).images("cam_left"))) == 40
+    again = fetch_topics(Hub([], None), manifest.files, download_folder, ["/cam_left/*"], tmp_path / "again")
+    assert again["dive-01"].read_bytes() == files["dive-01"].read_bytes()
+    with pytest.raises(HubError, match="no topic fits '/nothing'"):
+        fetch_topics(Hub([], None), manifest.files, download_folder, ["/nothing"])
+    with pytest.raises(HubError, match="it was left as it is"):
+        fetch_topics(Hub([], None), manifest.files, download_folder, ["/imu"], download_folder)
+
+
+def test_a_part_that_grows_is_kept_when_topics_are_cut_from_it(long_dive, published, tmp_path):
+    file, manifest, tree = long_dive
+    (entry,) = manifest.files
+    part = part_path(tmp_path, entry)
+    part.write_bytes(file.read_bytes()[: 10 * entry.piece_size])
+    hub = hub_at(published, tree)
+    fetch_topics(hub, manifest.files, tmp_path, ["/imu"])
+    assert part.is_file()
+    (step,) = plan(manifest, manifest.files, tmp_path)
+    assert step.state == "to fetch"
+    assert download(hub, manifest, tmp_path)["dive-01"].read_bytes() == file.read_bytes()
+    assert not part.exists()
+
+
+def test_the_memory_of_the_newest_index_is_canonical(published, home):
+    hub_at(published, published.tree).index()
+    (path,) = (home / "hub").glob("*.json")
+    assert path.name == f"{published.public}.json"
+    assert path.read_bytes() == canonical(json.loads(path.read_bytes()))
