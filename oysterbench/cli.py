@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli_compare import compare_command
 from oysterbench.cli_hub import COMMANDS as HUB_COMMANDS
-from oysterbench.cli_outputs import Outputs, output_options
+from oysterbench.cli_outputs import Outputs, output_options, print_rich
 from oysterbench.cli_reading import Reading, reading_options
 from oysterbench.cli_scoring import scoring_options
 from oysterbench.errors import OysterbenchError
@@ -80,7 +81,7 @@ def main() -> None:
     """
 
 
-for _command in HUB_COMMANDS:
+for _command in (compare_command, *HUB_COMMANDS):
     main.add_command(_command)
 
 
@@ -171,37 +172,6 @@ def eval_command(
         sys.exit(OysterbenchError.exit_code)
 
 
-@main.command("compare", short_help="Set results against each other: ranks, ties, who is better where.")
-@click.argument("results", metavar="[LABEL=]RESULT...", nargs=-1, required=True)
-@output_options
-def compare_command(results: tuple[str, ...], outputs: Outputs) -> None:
-    """Compare results that `oysterbench eval` wrote: JSON files, or the folders that hold results.json.
-
-    \b
-    Examples:
-      oysterbench compare ours/results.json theirs/results.json
-      oysterbench compare monday=run1 tuesday=run2     the methods of a file under a label
-      oysterbench compare run1 run2 --json
-      oysterbench compare run1 run2 --report compare.html --tex table.tex
-
-    Methods are ranked by their score over the sequences that all of them were run on; those that cannot be told apart
-    at 95 % share a rank. Results of different splits, evaluators or settings are kept apart, in tables of their own.
-    """
-    from oysterbench.comparison import as_plain, boards, remarks
-    from oysterbench.report import SlamRun, comparison_tables, results_tables, terminal_table
-    from oysterbench.results import dump, labelled_results
-
-    records = labelled_results(results)
-    found = boards(records)
-    for path in outputs.write([SlamRun(record) for record in records]):
-        _say(f"written: {path}")
-    if outputs.as_json:
-        click.echo(dump({"remarks": remarks(found), "comparisons": [as_plain(board) for board in found]}))
-    elif not outputs.on_stdout:
-        for table in comparison_tables(records) or results_tables(records):
-            _print_rich(terminal_table(table))
-
-
 @main.command(short_help="What can be rendered, and what is here.")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def splits(as_json: bool) -> None:
@@ -251,7 +221,7 @@ def splits(as_json: bool) -> None:
             here,
             row["summary"],
         )
-    _print_rich(table)
+    print_rich(table)
 
 
 @main.command(short_help="Render a split into sequence files.")
@@ -314,7 +284,7 @@ def info(sequence: Path, as_json: bool) -> None:
         table.add_column(heading, justify="right" if heading in ("messages", "per second") else "left")
     for row in facts["topics"]:
         table.add_row(row["topic"], row["type"], str(row["messages"]), f"{row['rate_hz']:g}")
-    _print_rich(table)
+    print_rich(table)
 
 
 @main.command(short_help="Export a sequence: EuRoC, TUM RGB-D, KITTI, COCO, Kalibr, PLY.")
@@ -482,19 +452,10 @@ def _frames_bar(title: str) -> Iterator[Progress]:
 def _print_slam_table(records: list[Any]) -> None:
     from oysterbench.report import comparison_tables, slam_table, terminal_table
 
-    _print_rich(slam_table(records))
+    print_rich(slam_table(records))
     alone = len({record.sequence for record in records}) == 1 and not any(record.run for record in records)
     for table in [] if alone else comparison_tables(records):
-        _print_rich(terminal_table(table))
-
-
-def _print_rich(table: Any) -> None:
-    from rich.console import Console
-
-    console = Console()
-    if not console.is_terminal:
-        console = Console(width=200)  # a pipe has no width to wrap to
-    console.print(table)
+        print_rich(terminal_table(table))
 
 
 def _say(text: str) -> None:

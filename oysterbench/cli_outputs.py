@@ -74,3 +74,13 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
         wrapped = click.option(f"--{form}", f"{form}_file", type=kind, help=f"Write {what}; - for stdout.")(wrapped)
     option = click.option("--json", "as_json", is_flag=True, help="Print as JSON on stdout, and nothing else.")
     return option(wrapped)
+
+
+def print_rich(table: Any) -> None:
+    """Print a table on stdout; a pipe has no width to wrap to."""
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=200)
+    console.print(table)

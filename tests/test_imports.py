@@ -41,16 +41,17 @@ MAY_IMPORT = {
     "report": GROUND | {"evaluate", "results", "comparison", "page", "plots"},
     "tracks": GROUND | {"sequence", "generate", "methods", "conditions", "evaluate", "results", "report"},
     "cli_outputs": {"files", "report"},
+    "cli_compare": {"cli_outputs", "results", "comparison", "report"},
     "hub": GROUND | {"sequence", "page"},
     "cli_hub": GROUND | {"generate", "hub"},
     "cli_reading": {"trajectory", "geometry"},
     "cli_scoring": {"evaluate"},
     "cli": GROUND
     | {
+        "cli_compare",
         "cli_outputs",
         "cli_hub",
         "cli_reading",
-        "comparison",
         "cli_scoring",
         "sequence",
         "generate",
