@@ -164,7 +164,6 @@ def download(
     """
     from oysterbench.hub.download import Hub, choose, download, find_here, plan
     from oysterbench.hub.settings import hub_key, hub_places
-    from oysterbench.hub.topics import fetch_topics
 
     name, _, version = name.partition("@")
     split = _known_split(name, version)
@@ -185,6 +184,8 @@ def download(
         return
     with bytes_bar(f"downloading {split_name}") as progress:
         if topics:
+            from oysterbench.hub.topics import fetch_topics
+
             files = fetch_topics(hub, entries, folder, topics, out, progress)
         else:
             files = download(hub, manifest, folder, entries, check, progress)

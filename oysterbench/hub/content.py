@@ -32,9 +32,9 @@ class Content:
 def content_of(path: Path) -> Content:
     """Hash all topics and attachments of a sequence file; SequenceError where it is damaged.
 
-    The hash of a topic runs over each message's stamp (int64, ns), length (int64) and payload, in the order of the file.
-    The payload is the CDR data; of an image in PNG it is header, shape and pixels. So neither the compression of chunks nor
-    that of PNG images changes it. JPEG stays as it is: its decoders may differ in the last bit.
+    The hash of a topic runs over each message's stamp (int64, ns), length (int64) and payload, in the order of the
+    file. The payload is the CDR data; of an image in PNG it is header, shape and pixels. So neither the compression of
+    chunks nor that of PNG images changes it. JPEG stays as it is: its decoders may differ in the last bit.
     """
     with Reading(path) as reader:
         summary = summary_of(path, reader)

@@ -13,7 +13,6 @@ from typing import Any
 
 from oysterbench.errors import IntegrityError
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
-from oysterbench.hub.content import content_of
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-manifest/1"
@@ -116,6 +115,8 @@ class Manifest:
 
 def describe_file(path: Path, name: str | None = None, piece_size: int = PIECE) -> FileEntry:
     """Hash a sequence file: the whole, its pieces and its content."""
+    from oysterbench.hub.content import content_of  # what reads messages is loaded only when needed
+
     whole = hashlib.sha256()
     pieces = []
     with open(path, "rb") as file:

@@ -10,9 +10,7 @@ from pathlib import Path
 from oysterbench.errors import HubError, SequenceError
 from oysterbench.files import home
 from oysterbench.hub.canonical import sha256
-from oysterbench.hub.content import content_of
 from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, released_manifest
-from oysterbench.sequence.read import McapSequence
 
 MANIFEST = "manifest.json"
 """Name of the manifest beside the files of a split."""
@@ -47,6 +45,8 @@ def check_file(path: Path, entry: FileEntry) -> Check:
                 wrong.append(number)
     if whole.hexdigest() == entry.sha256:
         return Check(path, RIGHT)
+    from oysterbench.hub.content import content_of  # what reads messages is loaded only when needed
+
     try:
         content = content_of(path)
     except SequenceError:
@@ -64,6 +64,8 @@ def check_file(path: Path, entry: FileEntry) -> Check:
 
 def check_unknown(path: Path) -> Check:
     """Check a file without a manifest by the checksums that it carries itself."""
+    from oysterbench.hub.content import content_of
+
     if not path.is_file():
         return Check(path, ABSENT)
     try:
@@ -107,6 +109,8 @@ def _check_folder(folder: Path) -> Iterator[Check]:
 
 def _check_alone(path: Path) -> Check:
     """Check one file by the manifest beside it, or by that of the release it says it belongs to."""
+    from oysterbench.sequence.read import McapSequence
+
     if not path.is_file():
         return Check(path, ABSENT)
     manifest = kept_manifest(path.parent)

@@ -1,0 +1,145 @@
+"""Downloads by several processes, and by processes that are killed."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from trees import a_key, tree_bytes
+from web import Honest, serving
+
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.download import CONNECTIONS, part_path
+from oysterbench.hub.index import Index, Release
+from oysterbench.hub.manifest import FileEntry, Manifest
+from oysterbench.hub.transfer import Part
+
+PIECE = 1 << 18
+SIZE = 24 * PIECE + 1234
+PROGRAM = Path(__file__).with_name("one_download.py")
+
+
+class Slow(Honest):
+    """A server that takes a second or so for the file."""
+
+    pause = staticmethod(lambda: time.sleep(0.006))
+
+
+class Big:
+    """A published split of one file of random bytes."""
+
+    def __init__(self, folder):
+        self.key, self.public = a_key(folder)
+        self.data = random.Random(7).randbytes(SIZE)
+        pieces = tuple(sha256(self.data[k : k + PIECE]) for k in range(0, SIZE, PIECE))
+        self.entry = FileEntry("dive-01.mcap", SIZE, sha256(self.data), PIECE, pieces, {}, {}, 0)
+        manifest = Manifest("big", "1.0", "slam", "hand", "random bytes", "0", (self.entry,))
+        facts = {"track": "slam", "summary": "", "hidden": False, "published": "2026-01-01", "croissant": "0" * 64}
+        release = Release(manifest.sha256, len(manifest.data), SIZE, 1, **facts)
+        self.files = {
+            "index.json": Index().with_release("big", "1.0", release).signed_with(self.key),
+            f"manifests/{manifest.sha256}.json": manifest.data,
+            f"blobs/{self.entry.sha256}": self.data,
+        }
+        self.blob = f"blobs/{self.entry.sha256}"
+
+
+@pytest.fixture(scope="module")
+def big(tmp_path_factory):
+    return Big(tmp_path_factory.mktemp("big"))
+
+
+@pytest.fixture(autouse=True)
+def _own_home(home):
+    """Processes remember indexes in a home of this test."""
+
+
+def start(url, big, folder, *options):
+    return subprocess.Popen(
+        [sys.executable, PROGRAM, url, big.public, str(folder), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def kill_and_go_on(big, folder, fraction):
+    """Kill a download when that share of the bytes was sent; finish it. Bytes of pieces that were sent twice."""
+    target, part = folder / "dive-01.mcap", part_path(folder, big.entry)
+    reached = threading.Event()
+    with serving(Slow, big.files) as site:
+        first = start(site.url, big, folder)
+        while first.poll() is None and not reached.wait(0.001):
+            if site.sent >= fraction * SIZE:
+                reached.set()
+        os.kill(first.pid, signal.SIGKILL)
+        first.communicate()
+        assert not target.exists() or target.read_bytes() == big.data
+        kept = set()
+        if part.is_file():
+            opened = Part(part, big.entry)
+            kept = {k for k in range(len(big.entry.pieces)) if opened.is_right(k)}
+            opened.close()
+        while any(thread.name.endswith("(process_request_thread)") for thread in threading.enumerate()):
+            time.sleep(0.005)  # what was under way notices that nobody listens
+        first_sent = site.sent
+    done = target.exists()
+    with serving(Honest, big.files) as site:
+        second = start(site.url, big, folder)
+        out, errors = second.communicate()
+        assert second.returncode == 0, errors
+        assert out.strip() == str(target)
+        blob_bytes = sum(end - start for path, start, end in site.requests if path == big.blob)
+    assert target.read_bytes() == big.data
+    assert not part.exists()
+    assert blob_bytes == (0 if done else SIZE - sum(big.entry.length(k) for k in kept))
+    return first_sent + blob_bytes - SIZE
+
+
+def check_killed(big, tmp_path, fractions):
+    twice = [kill_and_go_on(big, tmp_path / str(k), fraction) for k, fraction in enumerate(fractions)]
+    # The second time only what the part lacks is asked for. Of what was sent the first time, each connection loses at
+    # most the piece that was under way, and the system what was in its buffers (64 KiB written at a time).
+    slack = CONNECTIONS * (1 << 16) + 10_000
+    assert max(twice) <= CONNECTIONS * PIECE + slack, twice
+    return twice
+
+
+def test_a_killed_download_goes_on_from_its_pieces(big, tmp_path):
+    check_killed(big, tmp_path, (0.1, 0.7))
+
+
+@pytest.mark.slow
+def test_a_download_killed_at_50_random_moments(big, tmp_path):
+    generator = random.Random(3)
+    twice = check_killed(big, tmp_path, [generator.random() for _ in range(50)])
+    print(f"bytes sent twice, in pieces of {PIECE}: mean {sum(twice) / 50 / PIECE:.2f}, most {max(twice) / PIECE:.2f}")
+
+
+def all_at_once(big, folder, *options):
+    with serving(Slow, big.files) as site:
+        processes = [start(site.url, big, folder, *options) for _ in range(8)]
+        for process in processes:
+            out, errors = process.communicate()
+            assert process.returncode == 0, errors
+            assert out.strip() == str(folder / "dive-01.mcap")
+        sent = sum(end - start for path, start, end in site.requests if path == big.blob)
+    found = {name: data for name, data in tree_bytes(folder).items() if not name.endswith(".lock")}
+    assert set(found) == {"dive-01.mcap", "manifest.json"}
+    assert found["dive-01.mcap"] == big.data
+    return sent
+
+
+def test_eight_processes_download_one_copy(big, tmp_path):
+    assert all_at_once(big, tmp_path / "here") == SIZE
+
+
+def test_eight_processes_need_no_locks_to_be_right(big, tmp_path):
+    assert all_at_once(big, tmp_path / "here", "no-locks") >= SIZE
