@@ -103,7 +103,7 @@ class Hub:
                 except Refusal as refusal:
                     mirror.refused[path] = str(refusal)
                 except Setback as setback:
-                    if attempt >= self.patience.attempts or setback.wait_s > self.patience.longest_wait_s:
+                    if attempt >= self.patience.first_contact or setback.wait_s > self.patience.longest_wait_s:
                         mirror.fail(f"{setback}, {attempt} times in a row")
                     else:
                         time.sleep(pause_s(attempt, setback.wait_s, self.patience))

@@ -45,6 +45,7 @@ class Patience:
     """How long and how often a client tries. Times in seconds."""
 
     attempts: int = 6  # in a row that bring nothing
+    first_contact: int = 3  # attempts to read index and manifest: an absent hub is told soon
     first_wait_s: float = 0.5  # doubled from attempt to attempt
     longest_wait_s: float = 60.0  # a server that asks for more is given up
     connect_s: float = 10.0

@@ -1,0 +1,153 @@
+"""The hub's commands, as their users type them."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from conftest import TINY_RIG, TINY_SPLIT
+from trees import FACTS, SECRET, oysterbench_serve, write_sequence
+
+from oysterbench.cli import main
+from oysterbench.generate import digest
+from oysterbench.recipe import load_split
+
+
+class Place:
+    """A home, a recipe whose files are made by hand, a key and a published tree."""
+
+    def __init__(self, folder):
+        self.folder, self.home, self.tree, self.data = (folder, folder / "home", folder / "hub", folder / "data")
+        (folder / "rig.toml").write_text(TINY_RIG)
+        self.recipe = folder / "tiny.toml"
+        self.recipe.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
+        self.write(self.data, digest(load_split(str(self.recipe))))
+        self.public = self.run("hub-key", folder / "key.pem").stdout.strip()
+        self.run("publish", self.recipe, self.tree, "--key", folder / "key.pem", "--data", self.data)
+        self.whole = (self.data / "tiny-01.mcap").read_bytes()
+
+    def write(self, folder, made_with):
+        known = dict(FACTS)
+        FACTS.update(split="tiny", version="1.0")
+        try:
+            write_sequence(folder / "tiny-01.mcap", "tiny-01", 0.5, made_with)
+        finally:
+            FACTS.update(known)
+
+    def run(self, *arguments, code=0, home=None, **environment):
+        clean = {key: None for key in os.environ if key.startswith("OYSTERBENCH")}
+        done = CliRunner().invoke(
+            main,
+            [str(argument) for argument in arguments],
+            env=clean | {"OYSTERBENCH_HOME": str(home or self.home)} | environment,
+        )
+        assert done.exit_code == code, done.stderr
+        return done
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return Place(tmp_path_factory.mktemp("commands"))
+
+
+def test_from_publish_to_verify_over_http(place):
+    with oysterbench_serve(place.tree) as url:
+        hub = {"OYSTERBENCH_HUB": url, "OYSTERBENCH_HUB_KEY": place.public}
+        plan = json.loads(place.run("download", place.recipe, "--dry-run", "--json", **hub).stdout)
+        assert plan["files"][0]["state"] == "to fetch"
+        assert not (place.home / "splits").exists()
+        done = place.run("download", place.recipe, **hub)
+    path = Path(done.stdout.strip())
+    assert path.read_bytes() == place.whole
+    assert "\x1b" not in done.stderr  # no animation off a terminal
+    assert "downloading tiny: 0." in done.stderr
+    assert place.run("verify").stdout == f"{path}: right\n"
+    assert place.run("verify", "tiny").stdout == f"{path}: right\n"
+    # A downloaded split is where a rendered one would be.
+    rendered = place.run("render", place.recipe)
+    assert rendered.stdout.strip() == str(path)
+
+
+def test_offline_gives_what_is_here(place, tmp_path):
+    place.run("download", place.recipe, "--from", place.tree, "--key", place.public, home=tmp_path)
+    hub = {"OYSTERBENCH_HUB": "http://127.0.0.1:9", "OYSTERBENCH_OFFLINE": "1"}
+    done = place.run("download", place.recipe, home=tmp_path, **hub)
+    assert Path(done.stdout.strip()).read_bytes() == place.whole
+    assert "tiny-01" in place.run("download", "tiny@1.0", "--json", home=tmp_path, **hub).stdout
+    failed = place.run("download", "tiny@2.0", home=tmp_path, code=4, **hub)
+    assert failed.stderr.startswith("oysterbench: http://127.0.0.1:9: OYSTERBENCH_OFFLINE is set")
+
+
+def test_topics_and_out(place, tmp_path):
+    arguments = ("--from", place.tree, "--key", place.public, "--out", tmp_path / "small", "--topics", "/imu")
+    done = place.run("download", place.recipe, *arguments, home=tmp_path / "home")
+    assert done.stdout.strip() == str(tmp_path / "small" / "tiny-01.mcap")
+    topics = json.loads(place.run("info", tmp_path / "small" / "tiny-01.mcap", "--json").stdout)["topics"]
+    assert [row["topic"] for row in topics] == ["/imu"]
+
+
+def test_a_damaged_file_ends_with_3_and_is_repaired(place, tmp_path):
+    hub = ("--from", place.tree, "--key", place.public)
+    path = Path(place.run("download", place.recipe, *hub, home=tmp_path).stdout.strip())
+    path.write_bytes(place.whole[:-9] + b"x" + place.whole[-8:])
+    for what in ((), ("tiny",), (path,)):
+        failed = place.run("verify", *what, code=3, home=tmp_path)
+        assert f"{path}: damaged (1 of 1 pieces" in failed.stdout
+        assert "--verify" in failed.stderr
+    place.run("download", place.recipe, "--verify", *hub, home=tmp_path)
+    assert place.run("verify", home=tmp_path).stdout == f"{path}: right\n"
+    path.unlink()
+    assert "absent" in place.run("verify", code=3, home=tmp_path).stdout
+
+
+def test_errors_are_one_line_with_their_code(place, tmp_path):
+    def line(code, *arguments, **environment):
+        done = place.run(*arguments, code=code, home=tmp_path, **environment)
+        assert done.stdout == ""
+        assert done.stderr.count("\n") == 1, done.stderr
+        return done.stderr
+
+    key = ("--key", place.public)
+    assert "no answer" in line(4, "download", "tiny", "--from", "http://127.0.0.1:9/", *key)
+    assert "not signed" in line(3, "download", "tiny", "--from", place.tree, "--key", "ab" * 32)
+    assert "no key of this hub" in line(1, "download", "tiny", "--from", place.tree)
+    assert "no split 'slam-max'; it has tiny" in line(1, "download", "slam-max", "--from", place.tree, *key)
+    assert "no hub is set" in line(1, "download", "slam-max")
+    assert "no such key" in line(1, "publish", place.recipe, tmp_path / "x", "--key", tmp_path / "no.pem")
+    assert "oysterbench render" in line(1, "publish", place.recipe, tmp_path / "x", "--key", place.folder / "key.pem")
+    assert "index.json is absent" in line(1, "serve", tmp_path)
+    assert "nothing of it is here" in line(1, "verify", "slam-max")
+    place.run("publish", place.recipe, tmp_path, "--key", place.folder / "key.pem", "--hidden", code=2)
+
+
+def test_without_a_hub_the_split_is_rendered_and_it_says_so(place, tmp_path):
+    done = place.run("download", place.recipe, "--dry-run", home=tmp_path)
+    assert "no hub is set" in done.stderr
+    assert "would be rendered" in done.stderr
+    # With the files there already, rendering only checks them.
+    out = tmp_path / "out"
+    place.write(out, digest(load_split(str(place.recipe))))
+    done = place.run("download", place.recipe, "--out", out, home=tmp_path)
+    assert done.stdout.strip() == str(out / "tiny-01.mcap")
+    assert "rendered instead, which gives the same bytes" in done.stderr
+
+
+def test_a_hidden_split_from_publish_to_download(place, tmp_path):
+    place.write(tmp_path / "salted", SECRET)
+    published = place.run(
+        "publish",
+        place.recipe,
+        tmp_path / "hub",
+        *("--key", place.folder / "key.pem", "--data", tmp_path / "salted"),
+        *("--hidden", "--truth-out", tmp_path / "truth", "--json"),
+    )
+    facts = json.loads(published.stdout)
+    assert len(facts["commitment"]) == 64
+    done = place.run("download", "tiny", "--from", tmp_path / "hub", "--key", place.public, home=tmp_path / "home")
+    topics = json.loads(place.run("info", done.stdout.strip(), "--json").stdout)["topics"]
+    assert not any(row["topic"].startswith("/truth") for row in topics)
+    truth = json.loads(place.run("info", tmp_path / "truth" / "tiny-1.0" / "tiny-01.mcap", "--json").stdout)
+    assert truth["path_length_m"] > 0
