@@ -450,12 +450,15 @@ def _frames_bar(title: str) -> Iterator[Progress]:
 
 
 def _print_slam_table(records: list[Any]) -> None:
-    from oysterbench.report import comparison_tables, slam_table, terminal_table
+    from oysterbench.comparison import boards
+    from oysterbench.report import comparison_tables, runs_table, slam_table, terminal_table
 
     print_rich(slam_table(records))
-    alone = len({record.sequence for record in records}) == 1 and not any(record.run for record in records)
-    for table in [] if alone else comparison_tables(records):
-        print_rich(terminal_table(table))
+    several = len({record.sequence for record in records}) > 1
+    tables = comparison_tables(records) if several else [runs_table(board) for board in boards(records)]
+    for table in tables:
+        if table.lines:
+            print_rich(terminal_table(table))
 
 
 def _say(text: str) -> None:

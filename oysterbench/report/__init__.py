@@ -4,7 +4,7 @@ from oysterbench.report.columns import COLUMNS, Column
 from oysterbench.report.formats import csv_text, latex_text, markdown_text, slam_table, tables, terminal_table
 from oysterbench.report.html import html_report, write_html_report
 from oysterbench.report.sequences import SlamRun
-from oysterbench.report.tables import comparison_tables, results_table, results_tables, rows
+from oysterbench.report.tables import comparison_tables, results_table, results_tables, rows, runs_table
 
 __all__ = [
     "COLUMNS",
@@ -18,6 +18,7 @@ __all__ = [
     "results_table",
     "results_tables",
     "rows",
+    "runs_table",
     "slam_table",
     "tables",
     "terminal_table",

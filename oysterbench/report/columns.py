@@ -42,14 +42,13 @@ class Column:
 COLUMNS = (
     Column("score", "score", "", decimals=3, small=0.0),
     Column("ate_rmse_m", "ATE", "m", decimals=3, small=0.01),
-    Column("ate_percent", "ATE", "%"),
     Column("ate_rotation_rmse_deg", "rot", "deg"),
-    Column("rpe_1s_translation_rmse_m", "RPE1s", "m", decimals=3, small=0.01),
-    Column("rpe_1s_rotation_rmse_deg", "RPE1s", "deg"),
+    Column("rpe_1s_translation_rmse_m", "RPE 1s", "m", decimals=3, small=0.01),
+    Column("rpe_1s_rotation_rmse_deg", "RPE 1s", "deg"),
     Column("coverage", "cover", "%", factor=100.0),
     Column("realtime_factor", "speed", "x", decimals=1),
 )
-"""Of one line per method and sequence."""
+"""Of one line per method and sequence: as many as a terminal of 80 columns holds."""
 
 STANDING = (
     Column("coverage", "cover", "%", factor=100.0),
@@ -57,9 +56,9 @@ STANDING = (
     Column("ate_rotation_rmse_deg", "rot", "deg"),
     Column("realtime_factor", "speed", "x", decimals=1),
 )
-"""Of the standings, beside rank, score and interval."""
+"""Of the standings, beside rank, score and interval; errors relative to the path, as they are means over paths."""
 
 
 def find_column(key: str) -> Column:
     """The column of a metric."""
-    return next(column for column in COLUMNS if column.key == key)
+    return next(column for column in (*COLUMNS, *STANDING) if column.key == key)

@@ -19,7 +19,7 @@ from oysterbench.evaluate.metrics import Metric, find_metric
 from oysterbench.files import write_atomically
 from oysterbench.page import STYLES, page
 from oysterbench.plots import Curve, scatter_plot, swatch
-from oysterbench.report.columns import COLUMNS
+from oysterbench.report.columns import COLUMNS, STANDING
 from oysterbench.report.sequences import SlamRun, card, sequence_section
 from oysterbench.report.tables import (
     COMPLETE,
@@ -67,7 +67,8 @@ def html_report(runs: Sequence[SlamRun], command: str, title: str | None = None)
     standings = [_standings(board) for board in found if len(board.sequences) > 1]
     parts += [*standings, *(["<h2>By sequence</h2>"] if standings else []), _results(records)]
     parts += [f'<p class="small warn">{escape(remark)}</p>' for remark in failures_and_notes(records)]
-    parts += [_board(board, styles) for board in found]
+    drawn = any(run.result is not None for run in runs)
+    parts += [_board(board, styles, compared=len(board.sequences) > 1 or not drawn) for board in found]
     for i, sequence in enumerate(sequences):
         of_sequence = [run for run in runs if run.record.sequence == sequence]
         failed = all(run.record.failure is not None for run in of_sequence)
@@ -75,7 +76,7 @@ def html_report(runs: Sequence[SlamRun], command: str, title: str | None = None)
             section = sequence_section(of_sequence, sequence, styles)
             many = len(sequences) > OPEN_SEQUENCES
             parts.append(_folded(f"Paths and errors on {sequence}", section, i == 0) if many else section)
-    if records and all(run.result is None for run in runs):
+    if records and not drawn:
         parts.append('<p class="small">Paths are drawn in the report of each evaluation.</p>')
     parts += [_making(records, command), _definitions(records), f"<script>{_asset('report.js')}</script>"]
     return page(title, f"<style>{_asset('report.css')}</style>" + "\n".join(parts))
@@ -153,10 +154,13 @@ def _standings(board: Board) -> str:
     return f"<h2>{escape(table.title)}</h2>{_table(table)}{notes}"
 
 
-def _board(board: Board, styles: Mapping[str, int]) -> str:
-    """Pairs, classes, the score over conditions, and runs, each where there is something of it to say."""
-    parts = [] if len(board.sequences) > 1 or len(board.standings) < 2 else [_standings(board)]
-    pairs = pairs_table(board)
+def _board(board: Board, styles: Mapping[str, int], compared: bool) -> str:
+    """Pairs, classes, the score over conditions, and runs, each where there is something of it to say.
+
+    Methods on a single sequence are compared where that is what was asked for; beside its plots they need no words.
+    """
+    parts = [_standings(board)] if compared and len(board.sequences) == 1 and len(board.standings) > 1 else []
+    pairs = pairs_table(board) if compared else Table("", (), ())
     everywhere = tuple(line for line in pairs.lines if line.kind == "mean")
     if everywhere:
         parts.append(f"<h2>{escape(pairs.title)}</h2>{_table(replace(pairs, lines=_plain(everywhere)))}")
@@ -256,7 +260,7 @@ def _settings(values: Mapping[str, Any]) -> str:
 def _definitions(records: Sequence[ResultRecord]) -> str:
     """What the numbers mean: the metrics of the tables, then all others that were measured, folded away."""
     measured = {key for record in records for key in record.metrics}
-    shown = [column.key for column in COLUMNS if column.key in measured]
+    shown = [key for key in dict.fromkeys(column.key for column in (*COLUMNS, *STANDING)) if key in measured]
     others = [key for record in records for key in record.metrics if key not in shown]
     folded = "".join(_definition(key, records) for key in dict.fromkeys(others))
     if folded:
