@@ -20,7 +20,7 @@ from oysterbench.version import VERSION
 if TYPE_CHECKING:
     from urllib3 import BaseHTTPResponse, PoolManager
 
-READ = 1 << 18
+READ = 1 << 20
 """Bytes asked for at a time."""
 
 REDIRECTS = 5
