@@ -1,8 +1,9 @@
-"""Recipe to sequence files: a list of independent jobs, run by processes, resumed where they were stopped.
+"""Recipe to sequence files: a list of independent jobs, run anywhere, resumed where they were stopped.
 
-A job renders a few frames of one camera, or simulates the other sensors, into a part file. A part is there whole or
-not at all; when all parts of a sequence are there, they are put together in time order, and the sequence appears in
-one step. So the bytes depend neither on the number of workers nor on how often the work was interrupted.
+A job renders one frame of a camera or one ping of a sonar, or simulates all other sensors, and its bytes are kept as a
+part file. A part is there whole or not at all; when all parts of a sequence are there, they are put together in time
+order, and the sequence appears in one step. So the bytes depend neither on the number of workers, nor on where they
+are, nor on how often the work was interrupted. A part costs some 3 ms beyond its frame, which takes hundreds.
 """
 
 from __future__ import annotations
@@ -10,15 +11,11 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import multiprocessing
 import os
 import shutil
-import signal
-import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +25,8 @@ from oysterbench.errors import OysterbenchError, RecipeError, SequenceError
 from oysterbench.files import home, locked, write_atomically
 from oysterbench.geometry import Array
 from oysterbench.recipe import CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, count
+from oysterbench.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
+from oysterbench.scheduling import Results, run_here, run_in_processes, run_on_cluster
 from oysterbench.sequence import topics
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, McapSequence, read_attachments, read_messages
 from oysterbench.sequence.topics import EPOCH_NS, Message
@@ -37,8 +36,8 @@ from oysterbench.version import VERSION
 GENERATION = 3
 """Raised whenever the same recipe begins to give other bytes, so that no cached file is taken for a new one."""
 
-FRAMES_PER_PART = 10
-"""What a kill can cost: a few seconds of work per worker."""
+PROGRAM = f"oysterbench {VERSION}, generation {GENERATION}"
+"""What decides the bytes besides the recipe: workers elsewhere must have the same."""
 
 Progress = Callable[[int, int], None]
 """Called with the frames done and the frames wanted."""
@@ -46,28 +45,37 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Job:
-    """Frames or pings [first, last) of a camera or sonar, by its name; or, without one, all the small sensors."""
+    """A frame or ping of a camera or sonar, by its name; or, without one, all the small sensors."""
 
     sequence: str
     source: str = ""
-    first: int = 0
-    last: int = 0
+    frame: int = 0
 
     @property
     def part(self) -> str:
-        """Name of the file that the job leaves."""
-        return f"{self.source}-{self.first:06d}-{self.last:06d}.part" if self.source else "sensors.part"
+        """Name of the file that keeps its bytes."""
+        return f"{self.source}-{self.frame:06d}.part" if self.source else "sensors.part"
+
+    @property
+    def frames(self) -> int:
+        """How many frames it makes, for counting."""
+        return 1 if self.source else 0
 
 
-def digest(split: SplitRecipe, salt: bytes = b"") -> str:
-    """SHA-256 of all that decides the bytes: recipe, rig, salt, and the generation of this program."""
+def digest(split: SplitRecipe, salt: bytes = b"", device: str = "cpu") -> str:
+    """SHA-256 of all that decides the bytes: recipe, rig, salt, the generation of this program, and the kind of device.
+
+    The last bits of what a GPU computes are its own, so that its files are never taken for those of a processor.
+    """
     text = f"{GENERATION} {split.digest()} {hashlib.sha256(salt).hexdigest()}"
+    if device != "cpu":
+        text += f" {device.partition(':')[0]}"
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def split_folder(split: SplitRecipe, salt: bytes = b"") -> Path:
+def split_folder(split: SplitRecipe, salt: bytes = b"", device: str = "cpu") -> Path:
     """Where a split is kept under `OYSTERBENCH_HOME`; another recipe under the same name has another folder."""
-    return home() / "splits" / split.name / f"{split.version}-{digest(split, salt)[:12]}"
+    return home() / "splits" / split.name / f"{split.version}-{digest(split, salt, device)[:12]}"
 
 
 def sequence_files(split: SplitRecipe, folder: Path) -> dict[str, Path]:
@@ -81,38 +89,61 @@ def is_complete(split: SplitRecipe, folder: Path) -> bool:
 
 
 def generate_split(
-    split: SplitRecipe, folder: Path, workers: int = 1, progress: Progress | None = None, salt: bytes = b""
+    split: SplitRecipe,
+    folder: Path,
+    workers: int = 1,
+    progress: Progress | None = None,
+    salt: bytes = b"",
+    device: str = "cpu",
+    scheduler: str | None = None,
 ) -> dict[str, Path]:
     """Make the sequence files of a split that are not there yet, and return all of them.
 
-    Raises RecipeError where the recipe cannot be built, and SequenceError where the folder holds a damaged file or
-    one of another recipe; nothing that is there is overwritten.
+    workers: processes of this machine, unless the address of a Dask `scheduler` is given. device: of Warp, on the
+    machines that render.
+
+    Raises RecipeError where the recipe cannot be built or a hidden split is given no salt that keeps it hidden, and
+    SequenceError where the folder holds a damaged file or one of another recipe; nothing that is there is overwritten.
     """
+    if split.hidden and not is_strong(salt):
+        raise RecipeError(
+            f"split {split.name} is hidden: it is made with a secret salt only, of at least {LEAST_BYTES} mixed bytes, "
+            f"and got {len(salt)}; {HOW_TO_MAKE}"
+        )
+    made_by = digest(split, salt, device)
     files = sequence_files(split, folder)
     with locked(folder / ".lock"):
         for name, path in files.items():
             if path.exists():
-                _check_made_by(path, split, salt)
-                shutil.rmtree(_parts(folder, name, split, salt), ignore_errors=True)
+                _check_made_by(path, split, made_by)
+                shutil.rmtree(_parts(folder, name, made_by), ignore_errors=True)
         missing = [sequence for sequence in split.sequence if not files[sequence.name].exists()]
         if missing:
-            _render(split, missing, folder, workers, progress or (lambda done, total: None), salt)
+            task = partial(make_part, split, salt=Salt(salt), device=device, program=PROGRAM)
+
+            def run(jobs: list[Job]) -> Results[Job]:
+                if scheduler is not None:
+                    return run_on_cluster(task, jobs, scheduler)
+                if workers > 1 and len(jobs) > 1:
+                    return run_in_processes(task, jobs, workers, partial(_warm_up, device))
+                return run_here(task, jobs)
+
+            _render(split, missing, folder, made_by, run, progress or (lambda done, total: None))
         with contextlib.suppress(OSError):  # absent, or with parts of other recipes in it
             (folder / ".parts").rmdir()
     return files
 
 
-def _check_made_by(path: Path, split: SplitRecipe, salt: bytes) -> None:
-    made_by = McapSequence(path).metadata.get("digest")
-    if made_by != digest(split, salt):
+def _check_made_by(path: Path, split: SplitRecipe, made_by: str) -> None:
+    if McapSequence(path).metadata.get("digest") != made_by:
         raise SequenceError(
-            f"{path} was made by another recipe of {split.name} (or another version of oysterbench); it was left as it "
-            "is: delete it or choose another folder with --out"
+            f"{path} was made by another recipe of {split.name} (or with another salt, on another kind of device, by "
+            "another version of oysterbench); it was left as it is: delete it or choose another folder with --out"
         )
 
 
-def _parts(folder: Path, sequence: str, split: SplitRecipe, salt: bytes) -> Path:
-    return folder / ".parts" / f"{sequence}-{digest(split, salt)[:12]}"
+def _parts(folder: Path, sequence: str, made_by: str) -> Path:
+    return folder / ".parts" / f"{sequence}-{made_by[:12]}"
 
 
 def plan(split: SplitRecipe, sequence: SequenceRecipe) -> list[Job]:
@@ -121,9 +152,7 @@ def plan(split: SplitRecipe, sequence: SequenceRecipe) -> list[Job]:
     rates = {camera.name: camera.rate_hz for camera in split.rig.camera}
     rates |= {sonar.name: sonar.rate_hz for sonar in split.rig.sonar}
     for source, rate_hz in rates.items():
-        frames = count(sequence.duration_s, rate_hz)
-        for first in range(0, frames, FRAMES_PER_PART):
-            jobs.append(Job(sequence.name, source, first, min(first + FRAMES_PER_PART, frames)))
+        jobs += [Job(sequence.name, source, frame) for frame in range(count(sequence.duration_s, rate_hz))]
     return jobs
 
 
@@ -131,114 +160,69 @@ def _render(
     split: SplitRecipe,
     sequences: list[SequenceRecipe],
     folder: Path,
-    workers: int,
+    made_by: str,
+    run: Callable[[list[Job]], Results[Job]],
     progress: Progress,
-    salt: bytes,
 ) -> None:
     """Run the jobs that have left no part yet; put each sequence together as soon as its last part is there."""
     waiting: dict[str, set[Job]] = {}
     todo: list[Job] = []
     done = total = 0
     for sequence in sequences:
-        parts = _parts(folder, sequence.name, split, salt)
+        parts = _parts(folder, sequence.name, made_by)
         jobs = plan(split, sequence)
         missing = [job for job in jobs if not (parts / job.part).is_file()]
         waiting[sequence.name] = set(missing)
         todo += missing
-        total += sum(job.last - job.first for job in jobs)
-        done += sum(job.last - job.first for job in jobs if job not in waiting[sequence.name])
+        total += sum(job.frames for job in jobs)
+        done += sum(job.frames for job in jobs if job not in waiting[sequence.name])
     progress(done, total)
 
     def put_together(name: str) -> None:
-        parts = _parts(folder, name, split, salt)
-        assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", salt)
+        parts = _parts(folder, name, made_by)
+        assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", made_by)
         shutil.rmtree(parts, ignore_errors=True)
 
     for name in [name for name, missing in waiting.items() if not missing]:
         put_together(name)
-    for job in run_jobs(split, todo, folder, workers, salt):
-        done += job.last - job.first
-        progress(done, total)
-        waiting[job.sequence].discard(job)
-        if not waiting[job.sequence]:
-            put_together(job.sequence)
+    with contextlib.closing(run(todo)) as results:
+        for job, part in results:
+            write_atomically(_parts(folder, job.sequence, made_by) / job.part, part)
+            done += job.frames
+            progress(done, total)
+            waiting[job.sequence].discard(job)
+            if not waiting[job.sequence]:
+                put_together(job.sequence)
 
 
-def run_jobs(split: SplitRecipe, jobs: list[Job], folder: Path, workers: int, salt: bytes) -> Iterator[Job]:
-    """Run jobs in this process (one worker) or in several, and yield each when its part is there."""
-    if workers <= 1 or len(jobs) <= 1:
-        for job in jobs:
-            run_job(split, job, _parts(folder, job.sequence, split, salt), salt)
-            yield job
-        return
-    pool = ProcessPoolExecutor(
-        min(workers, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
-    )
-    try:
-        pool.submit(_warm_up).result()  # one process compiles the kernels, the others find them
-        pending: dict[Future[None], Job] = {}
-        queue = iter(jobs)
-        while True:
-            # A short queue: an interruption leaves little behind that was asked for and not done.
-            while len(pending) < 2 * workers and (next_job := next(queue, None)) is not None:
-                parts = _parts(folder, next_job.sequence, split, salt)
-                pending[pool.submit(run_job, split, next_job, parts, salt)] = next_job
-            if not pending:
-                break
-            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
-            for future in finished:
-                job = pending.pop(future)
-                future.result()
-                yield job
-    except BrokenProcessPool:
-        raise OysterbenchError(
-            "a render worker was killed (out of memory?); the frames that were finished are kept: run the same command "
-            "again, with fewer --workers"
-        ) from None
-    except BaseException:
-        for process in list(pool._processes.values()):  # on Ctrl-C do not wait for the frames under way
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
-    parent = multiprocessing.parent_process()
-
-    def leave_with_parent() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=leave_with_parent, daemon=True).start()
-    import cv2
-
-    cv2.setNumThreads(1)
-
-
-def _warm_up() -> None:
+def _warm_up(device: str) -> None:
+    """Compile the kernels; the other processes find them."""
     from oysterbench.render.camera import warm_up
 
-    warm_up()
+    warm_up(device)
 
 
-def run_job(split: SplitRecipe, job: Job, parts: Path, salt: bytes = b"") -> None:
-    """Do a job and leave its part file."""
+def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: str) -> bytes:
+    """Do a job: the bytes of its part, which are the same wherever it is done by the same program."""
+    if program != PROGRAM:
+        raise OysterbenchError(
+            f"a worker has {PROGRAM}, and was asked for what {program} makes: install the same version on all workers"
+        )
     from oysterbench.recording import oyster_csv, recorders, sensor_messages
+    from oysterbench.render.device import check_device
     from oysterbench.stage import build_stage
 
-    stage = build_stage(split, job.sequence, salt)
+    check_device(device)
+    stage = build_stage(split, job.sequence, salt, device)
     tables = {}
     if job.source:
-        messages = recorders(stage)[job.source](job.first, job.last)
+        messages = recorders(stage)[job.source](job.frame, job.frame + 1)
     else:
         messages = sensor_messages(stage)
         tables[OYSTERS] = oyster_csv(stage)
     kinds = topics.rig_topics(split.rig)
     types = {name: kinds[name] for name, source in _sources(split.rig).items() if source == job.source}
-    write_atomically(parts / job.part, pack(messages, types, tables))
+    return pack(messages, types, tables)
 
 
 def _sources(rig: RigRecipe) -> dict[str, str]:
@@ -248,7 +232,7 @@ def _sources(rig: RigRecipe) -> dict[str, str]:
     return {name: bulky.get(name, "") for name in topics.rig_topics(rig) if name != topics.TF_STATIC}
 
 
-def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, salt: bytes = b"") -> None:
+def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, made_by: str) -> None:
     """Put the parts of a sequence together, in time order; the file appears in one step."""
     from oysterbench.calibration import rig_calibration
 
@@ -265,7 +249,7 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
                 "split_version": split.version,
                 "track": split.track,
                 "rig": split.rig.name,
-                "digest": digest(split, salt),
+                "digest": made_by,
                 "oysterbench": VERSION,
             },
         )

@@ -32,16 +32,17 @@ class Stage:
     world: World
     path: Path
     streams: Streams
+    device: str = "cpu"
 
     @cached_property
     def renderers(self) -> dict[str, CameraRenderer]:
         """A renderer for each camera."""
-        return {c.name: CameraRenderer(self.world, c, self.recipe, rig=self.rig) for c in self.rig.camera}
+        return {c.name: CameraRenderer(self.world, c, self.recipe, self.device, rig=self.rig) for c in self.rig.camera}
 
     @cached_property
     def caster(self) -> RayCaster:
         """Single rays, for what hears."""
-        return RayCaster(self.world)
+        return RayCaster(self.world, self.device)
 
     @cached_property
     def sonars(self) -> dict[str, ImagingSonar]:
@@ -56,7 +57,7 @@ class Stage:
 
 
 @lru_cache(maxsize=1)
-def build_stage(split: SplitRecipe, name: str, salt: bytes) -> Stage:
+def build_stage(split: SplitRecipe, name: str, salt: bytes, device: str = "cpu") -> Stage:
     """Built once per process and sequence; a worker's next job is most often of the same sequence."""
     streams = Streams(split.seed, salt, (name,))
     recipe = draw(
@@ -66,7 +67,7 @@ def build_stage(split: SplitRecipe, name: str, salt: bytes) -> Stage:
     )
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
-    return Stage(split.rig, recipe, world, path, streams)
+    return Stage(split.rig, recipe, world, path, streams, device)
 
 
 def look(stage: Stage, camera: CameraRecipe, index: int) -> Frame:

@@ -15,7 +15,7 @@ from conftest import TINY_RIG, TINY_SPLIT, make_split
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
 from oysterbench.errors import SequenceError
-from oysterbench.generate import FRAMES_PER_PART, digest, generate_split, plan, split_folder
+from oysterbench.generate import digest, generate_split, plan, split_folder
 from oysterbench.recipe import count
 
 
@@ -143,9 +143,9 @@ def test_the_salt_decides_the_bytes(tiny_split):
 
 def test_every_frame_is_in_one_job(tiny_split):
     recipe = tiny_split.sequence[0]
-    frames = [k for job in plan(tiny_split, recipe) if job.source for k in range(job.first, job.last)]
+    frames = [job.frame for job in plan(tiny_split, recipe) if job.source]
     assert frames == list(range(25))
-    assert all(job.last - job.first <= FRAMES_PER_PART for job in plan(tiny_split, recipe))
+    assert sum(job.frames for job in plan(tiny_split, recipe)) == 25
 
 
 @pytest.mark.parametrize(
