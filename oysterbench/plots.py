@@ -21,6 +21,7 @@ INNER = WIDTH - LEFT - RIGHT
 MAX_POINTS = 600  # of one curve: more is finer than a pixel
 ROOM = 0.8  # how far, in lengths of the truth, an estimate may leave it and still be shown whole
 CROP = 0.25  # how much room, in lengths of the truth, is left around it where an estimate is not shown whole
+SHAPES = ((24, 0), (4, 45), (3, 0), (4, 0), (3, 180), (6, 0), (5, 0), (8, 22.5))  # corners and turn of points, by style
 RECALL_TICKS = (0.1, 0.25, 0.5, 1, 2, 4, 10)  # multiples of the error that counts half
 LOG_RATIO = 25.0  # between the largest errors of two methods, above which a linear axis would hide one
 
@@ -161,22 +162,39 @@ def recall_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str)
 
 
 def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, top: float | None = None) -> str:
-    """Points, not lines: one for each sequence and method; from zero up to `top`."""
+    """Points, not lines: one for each sequence and method; from zero up to `top`.
+
+    Without a top the axis ends above the highest point, and is logarithmic where they differ greatly.
+    """
     x_low, x_high = _limits([curve.x for curve in curves])
     margin = 0.06 * max(x_high - x_low, 1e-9)
     x_axis = Axis(x_low - margin, x_high + margin, LEFT, LEFT + INNER)
-    highest = top or 1.08 * max(_limits([curve.y for curve in curves])[1], 1e-9)
-    y_axis = Axis(0.0, highest, TOP + 170.0, TOP, 40.0)
+    lowest, highest = _limits([curve.y for curve in curves])
+    if top is None and 0 < lowest * LOG_RATIO < highest:
+        low, high = 10.0 ** math.floor(math.log10(lowest)), 10.0 ** math.ceil(math.log10(highest))
+        y_axis = Axis(low, high, TOP + 170.0, TOP, logarithmic=True)
+        y_label += ", logarithmic"
+    else:
+        y_axis = Axis(0.0, top or 1.08 * max(highest, 1e-9), TOP + 170.0, TOP, 40.0)
     points = []
     for k, curve in enumerate(curves):
         shift = 3.0 * (k - (len(curves) - 1) / 2)  # px, so that equal values of two methods are both seen
         for x, y in zip(curve.x, curve.y, strict=True):
             if math.isfinite(x) and math.isfinite(y):
-                place = f'cx="{float(x_axis.place(x)) + shift:.1f}" cy="{float(y_axis.place(y)):.1f}"'
+                place = f"translate({float(x_axis.place(x)) + shift:.1f} {float(y_axis.place(y)):.1f})"
                 about = f"<title>{escape(curve.label)}: {x:g}, {y:.3g}</title>"
-                points.append(f'<circle class="p{curve.style}" {_label(curve)} {place} r="4">{about}</circle>')
+                shape = f'points="{_shape(curve.style)}" transform="{place}"'
+                points.append(f'<polygon class="p{curve.style}" {_label(curve)} {shape}>{about}</polygon>')
     empty = [Curve(curve.label, curve.x[:0], curve.y[:0], curve.style) for curve in curves]
     return _drawing(empty, x_axis, y_axis, title, x_label, y_label, "", "".join(points))
+
+
+def _shape(style: int) -> str:
+    """Corners of a point about the origin: methods are told apart by shape, not by colour alone."""
+    corners, turn = SHAPES[(style - 1) % len(SHAPES)]
+    size = 4.2 * (2 * math.pi / (corners * math.sin(2 * math.pi / corners))) ** 0.5  # of equal area
+    angles = [math.radians(turn) + 2 * math.pi * k / corners for k in range(corners)]
+    return " ".join(f"{size * math.sin(angle):.1f},{-size * math.cos(angle):.1f}" for angle in angles)
 
 
 def thin(curve: Curve) -> Curve:
@@ -192,6 +210,12 @@ def thin(curve: Curve) -> Curve:
             keep.update((int(part[np.nanargmin(values)]), int(part[np.nanargmax(values)])))
     index = np.array(sorted(keep))
     return Curve(curve.label, curve.x[index], curve.y[index], curve.style)
+
+
+def point_swatch(style: int) -> str:
+    """A point, for the legend of a scatter plot."""
+    point = f'<polygon class="p{style}" points="{_shape(style)}" transform="translate(7 7)"/>'
+    return f'<svg class="swatch point" viewBox="0 0 14 14" aria-hidden="true">{point}</svg>'
 
 
 def swatch(style: int) -> str:

@@ -278,8 +278,15 @@ def test_a_recall_curve_encloses_the_score():
 
 def test_points_of_a_scatter_plot_stand_where_their_values_are():
     svg = scatter_plot([Curve("a", np.array([0.0, 10.0]), np.array([0.25, np.nan]), 1)], "t", "x", "y", top=1.0)
-    (circle,) = ElementTree.fromstring(svg).findall(".//circle")
-    assert float(circle.get("cy")) == pytest.approx(32 + 170 * 0.75)
+    (point,) = ElementTree.fromstring(svg).findall(".//polygon")
+    _, y = re.fullmatch(r"translate\((\S+) (\S+)\)", point.get("transform")).groups()
+    assert float(y) == pytest.approx(32 + 170 * 0.75)
+
+
+def test_methods_have_points_of_different_shapes():
+    curves = [Curve(str(k), np.array([0.0, 1.0]), np.array([0.5, 0.5]), k) for k in range(1, page.STYLES + 1)]
+    svg = scatter_plot(curves, "t", "x", "y", top=1.0)
+    assert len(set(re.findall('points="([^"]*)"', svg))) == page.STYLES
 
 
 def test_plots_are_described_for_those_who_do_not_see_them():

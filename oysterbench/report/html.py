@@ -18,7 +18,7 @@ from oysterbench.evaluate.conditions import CONDITIONS
 from oysterbench.evaluate.metrics import Metric, find_metric
 from oysterbench.files import write_atomically
 from oysterbench.page import STYLES, page
-from oysterbench.plots import Curve, scatter_plot, swatch
+from oysterbench.plots import Curve, point_swatch, scatter_plot
 from oysterbench.report.columns import COLUMNS, STANDING
 from oysterbench.report.sequences import SlamRun, card, sequence_section
 from oysterbench.report.tables import (
@@ -37,6 +37,7 @@ from oysterbench.results import ResultRecord
 
 ARROWS = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", "": ""}
 OPEN_SEQUENCES = 3  # more are folded away, all but the first
+ERROR = ("ate_percent",)  # shown over conditions beside the ranking metric; a failed run has none
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
 
 
@@ -190,10 +191,10 @@ def _over_conditions(board: Board, styles: Mapping[str, int]) -> str:
         return ""
     labels = [row.label for row in board.standings]
     order = {label: styles.get(label, 1 + i % STYLES) for i, label in enumerate(labels)}
-    legend = "".join(f'<li data-label="{escape(k)}">{swatch(v)}{escape(k)}</li>' for k, v in order.items())
+    legend = "".join(f'<li data-label="{escape(k)}">{point_swatch(v)}{escape(k)}</li>' for k, v in order.items())
     plots = "".join(_over(board, key, values, order) for key, values in varying)
     return (
-        f'<section class="sequence"><h2>{escape(_short(board))} over conditions on {escape(board.name)}</h2>'
+        f'<section class="sequence"><h2>{escape(_short(board))} and error over conditions on {escape(board.name)}</h2>'
         f'<ul class="legend" aria-label="Legend">{legend}</ul><div class="pair">{plots}</div></section>'
     )
 
@@ -203,21 +204,25 @@ def _short(board: Board) -> str:
     return metric.short if metric is not None else board.metric
 
 
-def _over(board: Board, key: str, values: Mapping[str, float], styles: Mapping[str, int]) -> str:
-    """The ranking metric of every sequence over a condition."""
-    condition = CONDITIONS[key]
-    curves = []
-    for label, style in styles.items():
-        cells = [cell for cell in board.cells() if cell.label == label and cell.sequence in values]
-        x = np.array([values[cell.sequence] for cell in cells])
-        y = np.array([cell.median for cell in cells])
-        if len(x) and not np.isnan(y).all():
-            curves.append(Curve(label, x, y, style))
-    if not curves:
-        return ""
-    x_label = condition.name + (f" [{condition.unit}]" if condition.unit else "")
-    title = f"{_short(board)} over {condition.name}"
-    return card(title, scatter_plot(curves, title, x_label, _short(board), top=1.0))
+def _over(board: Board, condition: str, values: Mapping[str, float], styles: Mapping[str, int]) -> str:
+    """The ranking metric, and the error beside it, of every sequence over a condition."""
+    cards = []
+    for key, top in ((board.metric, 1.0), *((key, None) for key in ERROR if key in board.keys)):
+        metric = find_metric(key)
+        found = board.cells(key)
+        curves = []
+        for label, style in styles.items():
+            cells = [cell for cell in found if cell.label == label and cell.sequence in values]
+            y = np.array([cell.median for cell in cells])
+            if len(y) and not np.isnan(y).all():
+                curves.append(Curve(label, np.array([values[cell.sequence] for cell in cells]), y, style))
+        if curves and metric is not None:
+            about = CONDITIONS[condition]
+            x_label = about.name + (f" [{about.unit}]" if about.unit else "")
+            y_label = metric.short + (f" [{metric.unit}]" if metric.unit else "")
+            title = f"{metric.short} over {about.name}"
+            cards.append(card(title, scatter_plot(curves, title, x_label, y_label, top)))
+    return "".join(cards)
 
 
 def _making(records: Sequence[ResultRecord], command: str) -> str:
