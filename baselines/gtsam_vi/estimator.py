@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from oysterbench.geometry import Array, invert
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench.trajectory import Trajectory
+from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.frontend import homogeneous
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Keyframe, Model, State, adjust, make_state, read_state
-from oysterbench_baselines.gtsam_vi.inertial import Segment, extend, integrate, preintegrate, relative_rotation
+from oysterbench_baselines.gtsam_vi.inertial import extend, integrate, preintegrate
 from oysterbench_baselines.gtsam_vi.initialisation import Start, View, closed_form_start, level_rotation
 from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.window import Window

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from oysterbench.geometry import Array, invert, transform
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
+from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.frontend import homogeneous
-from oysterbench_baselines.gtsam_vi.inertial import Segment, preintegrate, preintegration_params
+from oysterbench_baselines.gtsam_vi.inertial import preintegrate, preintegration_params
 from oysterbench_baselines.gtsam_vi.initialisation import View
 from oysterbench_baselines.gtsam_vi.settings import Settings
 

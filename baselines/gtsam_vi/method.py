@@ -8,9 +8,9 @@ from typing import Literal
 from oysterbench.errors import MethodError
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import ImuSample, Sequence
+from oysterbench_baselines.common.inertial import SampleBuffer, relative_rotation
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
-from oysterbench_baselines.gtsam_vi.inertial import SampleBuffer, relative_rotation
 from oysterbench_baselines.gtsam_vi.settings import Settings
 
 

@@ -29,7 +29,7 @@ class InertialOnly(Sequence):
     def images(self, camera: str) -> Iterator[Image]:
         return iter(())
 
-    def imu(self) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
         return iter(self._samples)
 
     @property

@@ -17,10 +17,10 @@ from oysterbench.geometry import Array, align_yaw, invert
 from oysterbench.sequence.euroc import EurocSequence
 from oysterbench.sequence.types import Image, ImuSample, Sequence
 from oysterbench.trajectory import Trajectory, read_trajectory
+from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import undistort
-from oysterbench_baselines.gtsam_vi.inertial import SampleBuffer
 
 
 def estimate(measured: dive.Dive) -> Estimator:

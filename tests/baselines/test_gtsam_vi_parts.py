@@ -13,10 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.geometry import invert
 from oysterbench.sequence.types import ImuSample
+from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, epipolar_inliers, find_corners, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.inertial import (
-    SampleBuffer,
-    Segment,
     integrate,
     preintegrate,
     preintegration_params,

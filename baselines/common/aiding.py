@@ -1,0 +1,184 @@
+"""What a DVL, a pressure sensor and a magnetometer say to the navigation filter, each if the rig has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from oysterbench.geometry import Array, invert
+from oysterbench.samples import DvlSample, MagneticSample, PressureSample
+from oysterbench.sequence.types import Sequence
+from oysterbench_baselines.common.filter import (
+    ATTITUDE,
+    GYRO_BIAS,
+    POSITION,
+    VELOCITY,
+    InvariantFilter,
+    cross,
+    rotation_exp,
+)
+
+
+@dataclass(frozen=True)
+class AidingSettings:
+    """What calibrations do not say of the aiding sensors. sigmas are priors of constants that the filter estimates."""
+
+    dvl_scale_sigma: float = 0.003  # of 1: a DVL of the A50 class is sold as good to 1 %, the better model to 0.1 %
+    dvl_misalignment_sigma_deg: float = 0.5  # per axis: what a mount is made and measured to
+    dvl_noise_floor: float = 0.001  # m/s, 1 sigma of a beam, whatever the sample says
+    depth_sigma: float = 0.005  # m: waves and water currents press on the sensor beside its own noise
+    depth_walk: float = 5e-4  # m/sqrt(s): the tide, taken as a walk: 6 cm in four hours, 1 cm in seven minutes
+    field_sigma: float = 15e-6  # T, per axis, of the first field reading as the Earth's: what hard iron hides
+    hard_iron_sigma: float = 10e-6  # T, per axis
+    soft_iron_sigma: float = 0.03  # of each element, about the identity
+    magnetic_sigma: float = 0.3e-6  # T: motors and currents, beside the sensor's own noise
+    magnetic_interval_s: float = 0.1  # readings in between say nothing new: iron, not noise, limits the compass
+    gate: float = 1e-5  # chance with which a good measurement is refused
+    patience: int = 16  # refusals in a row, after which it is the filter that is taken to be wrong
+
+
+def sensors_of(sequence: Sequence) -> list[str]:
+    """The aiding sensors that a rig has, as `Sequence.stream` names them."""
+    kinds = ("dvl", "pressure", "magnetometer")
+    return [kind for kind in kinds if getattr(sequence, f"{kind}_calibration") is not None]
+
+
+def dvl_rows(sample: DvlSample, floor: float) -> tuple[Array, Array, Array] | None:
+    """Directions (K, 3) in the DVL's frame, velocities (K,) m/s along them, and their variances (K,).
+
+    The beams that are valid, each for itself: fewer than three, which give no velocity, still say something. The noise
+    of a beam follows from the covariance of the velocity, sigma^2 (B^T B)^-1. None where there is neither.
+    """
+    valid = np.asarray(sample.beam_valid, dtype=bool) & np.isfinite(sample.beam_velocities)
+    if valid.any():
+        beams = sample.beam_directions[valid]
+        variance = np.nan
+        if valid.sum() >= 3 and np.isfinite(sample.covariance).all():
+            variance = float(np.trace(sample.covariance) / np.trace(np.linalg.inv(beams.T @ beams)))
+        return beams, sample.beam_velocities[valid], np.full(len(beams), max(variance, floor**2))
+    if np.isfinite(sample.velocity).all() and np.isfinite(sample.covariance).all():
+        # Turned to its principal axes, so that each row is independent.
+        variances, axes = np.linalg.eigh(sample.covariance)
+        return axes.T, axes.T @ sample.velocity, np.maximum(variances, floor**2)
+    return None
+
+
+class Aiding:
+    """Feeds a filter; adds its states of a sensor at that sensor's first sample."""
+
+    def __init__(self, sequence: Sequence, settings: AidingSettings | None = None) -> None:
+        self.settings = settings or AidingSettings()
+        self.imu = sequence.imu_calibration
+        self.refused = {"dvl": 0, "pressure": 0, "magnetometer": 0}
+        T_imu_base = invert(self.imu.T_base_imu)
+        mounts = [sequence.dvl_calibration, sequence.pressure_calibration, sequence.magnetometer_calibration]
+        self.T_imu_dvl, self.T_imu_pressure, self.T_imu_compass = (
+            None if mount is None else T_imu_base @ mount.T_base_sensor for mount in mounts
+        )
+        self._pressure = sequence.pressure_calibration
+        self._rows: dict[str, slice] = {}
+        self._stamps: dict[str, int] = {}
+        self._row_of_refusals = dict.fromkeys(self.refused, 0)
+        self._beam_variance = 0.0
+
+    def add(self, filter: InvariantFilter, sample: DvlSample | PressureSample | MagneticSample) -> None:
+        """Correct a filter that has been propagated to the sample's stamp."""
+        if isinstance(sample, DvlSample):
+            self._add_velocity(filter, sample)
+        elif isinstance(sample, PressureSample):
+            self._add_depth(filter, sample)
+        else:
+            self._add_field(filter, sample)
+
+    def _add_velocity(self, filter: InvariantFilter, sample: DvlSample) -> None:
+        """Along beam b: b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r), scale s and misalignment m of the DVL's axes."""
+        rows = dvl_rows(sample, self.settings.dvl_noise_floor)
+        if rows is None:
+            return
+        directions, along, variances = rows
+        if len(directions) >= 3:
+            self._beam_variance = float(variances.max())
+        variances = np.maximum(variances, self._beam_variance)
+        settings = self.settings
+        if "dvl" not in self._rows:
+            twist = np.radians(settings.dvl_misalignment_sigma_deg)
+            self._rows["dvl"] = filter.append(np.zeros(4), np.array([settings.dvl_scale_sigma, twist, twist, twist]))
+        at = self._rows["dvl"]
+        calibration = filter.extra[at.start - 15 : at.stop - 15]
+        rotation, lever = self.T_imu_dvl[:3, :3], self.T_imu_dvl[:3, 3]
+        moving = rotation.T @ (filter.rotation.T @ filter.velocity + np.cross(filter.rate, lever))
+        turn = rotation_exp(-calibration[1:])
+        scale = 1.0 + calibration[0]
+        seen = scale * turn @ moving
+        slope = np.zeros((3, len(filter.covariance)))
+        slope[:, VELOCITY] = scale * turn @ rotation.T @ filter.rotation.T
+        slope[:, GYRO_BIAS] = scale * turn @ rotation.T @ cross(lever)
+        slope[:, at.start] = turn @ moving
+        slope[:, at.start + 1 : at.stop] = cross(seen)
+        self._update(filter, "dvl", along - directions @ seen, directions @ slope, variances)
+
+    def _add_depth(self, filter: InvariantFilter, sample: PressureSample) -> None:
+        """z of the sensor in odom, and a constant: the depth at which odom lies, with the sensor's own offset."""
+        weight = self._pressure.density * self.imu.gravity
+        height = (self._pressure.atmosphere - sample.pressure) / weight
+        place = filter.position + filter.rotation @ self.T_imu_pressure[:3, 3]
+        if "pressure" not in self._rows:
+            self._rows["pressure"] = filter.append(np.array([height - place[2]]), np.array([10.0]))
+        at = self._rows["pressure"].start
+        elapsed = (sample.stamp_ns - self._stamps.get("pressure", sample.stamp_ns)) * 1e-9
+        self._stamps["pressure"] = sample.stamp_ns
+        filter.covariance[at, at] += elapsed * self.settings.depth_walk**2
+        slope = np.zeros((1, len(filter.covariance)))
+        slope[0, POSITION] = [0.0, 0.0, 1.0]
+        slope[0, ATTITUDE] = -cross(place)[2]
+        slope[0, at] = 1.0
+        variance = sample.variance / weight**2 + self.settings.depth_sigma**2
+        residual = np.array([height - place[2] - filter.extra[at - 15]])
+        self._update(filter, "pressure", residual, slope, np.array([variance]))
+
+    def _add_field(self, filter: InvariantFilter, sample: MagneticSample) -> None:
+        """A R_mag_imu R^T f + h: field f in odom, hard iron h and soft iron A, none of which is known beforehand.
+
+        With f free, one attitude says nothing; yaw is held by how the field turns against the vehicle.
+        """
+        settings = self.settings
+        last = self._stamps.get("magnetometer")
+        if last is not None and sample.stamp_ns - last < settings.magnetic_interval_s * 1e9:
+            return
+        self._stamps["magnetometer"] = sample.stamp_ns
+        to_sensor = self.T_imu_compass[:3, :3].T @ filter.rotation.T
+        if "magnetometer" not in self._rows:
+            mean = np.concatenate([to_sensor.T @ sample.field, np.zeros(3), np.eye(3).ravel()])
+            sigmas = [settings.field_sigma] * 3 + [settings.hard_iron_sigma] * 3 + [settings.soft_iron_sigma] * 9
+            self._rows["magnetometer"] = filter.append(mean, np.array(sigmas))
+        at = self._rows["magnetometer"]
+        field, hard, soft = np.split(filter.extra[at.start - 15 : at.stop - 15], [3, 6])
+        soft = soft.reshape(3, 3)
+        local = to_sensor @ field
+        slope = np.zeros((3, len(filter.covariance)))
+        slope[:, ATTITUDE] = soft @ to_sensor @ cross(field)
+        slope[:, at.start : at.start + 3] = soft @ to_sensor
+        slope[:, at.start + 3 : at.start + 6] = np.eye(3)
+        slope[:, at.start + 6 : at.stop] = np.kron(np.eye(3), local)
+        variance = np.full(3, sample.variance + settings.magnetic_sigma**2)
+        self._update(filter, "magnetometer", sample.field - soft @ local - hard, slope, variance)
+
+    def _update(self, filter: InvariantFilter, kind: str, residual: Array, slope: Array, variances: Array) -> None:
+        """Correct by the rows that are as near to their prediction as their covariance says.
+
+        What is refused time and again is taken: it is then the filter that is wrong.
+        """
+        spread = np.einsum("ki,ij,kj->k", slope, filter.covariance, slope) + variances
+        near = residual**2 <= float(chi2.isf(self.settings.gate, 1)) * spread
+        if not near.all():
+            self.refused[kind] += 1
+            self._row_of_refusals[kind] += 1
+            if self._row_of_refusals[kind] > self.settings.patience:
+                near[:] = True
+                variances = variances + residual**2
+        if near.all():
+            self._row_of_refusals[kind] = 0
+        if near.any():
+            filter.update(residual[near], slope[near], np.diag(variances[near]))

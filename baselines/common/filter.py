@@ -1,0 +1,173 @@
+"""Error-state Kalman filter of an inertial navigator, its error taken on the group of attitude, velocity and position.
+
+The errors are right-invariant (Barrau & Bonnabel 2017; with biases Hartley et al. 2020, sec. 4): with R, v, p the
+attitude, velocity and position of the IMU in odom, and e = (theta, x, y) the error,
+
+    R = Exp(theta) R^,    v = Exp(theta) v^ + x,    p = Exp(theta) p^ + y.
+
+So theta turns about the fixed axes of odom, a body-frame velocity depends on x alone, whatever the estimate is, and
+yaw gains no information from measurements that have none. Biases and the states of aiding sensors add as usual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from oysterbench.geometry import Array
+from oysterbench.sequence.types import ImuCalibration
+
+ATTITUDE, VELOCITY, POSITION = slice(0, 3), slice(3, 6), slice(6, 9)
+GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
+CORE = 15
+"""Rows of the error: attitude (rad), velocity (m/s), position (m), both biases (rad/s, m/s^2); then the aiding's."""
+
+
+@dataclass(frozen=True)
+class InertialNoise:
+    """Continuous white densities of gyro (rad/s/sqrt(Hz)) and accel (m/s^2/sqrt(Hz)), and of their biases' walks."""
+
+    gyro: float
+    accel: float
+    gyro_walk: float
+    accel_walk: float
+
+    @staticmethod
+    def of(imu: ImuCalibration, inflation: float) -> InertialNoise:
+        """That of a unit, its white part inflated; a file may say zero, and a little is left then."""
+        return InertialNoise(
+            max(imu.gyro_noise_density, 1e-6) * inflation,
+            max(imu.accel_noise_density, 1e-5) * inflation,
+            max(imu.gyro_random_walk, 1e-8),
+            max(imu.accel_random_walk, 1e-7),
+        )
+
+
+class InvariantFilter:
+    """State of the IMU in odom, biases, and further states of aiding sensors, with their joint covariance.
+
+    rotation (3, 3) R_odom_imu, velocity, position (3,), gyro_bias, accel_bias (3,), extra (M,): means.
+    covariance (15 + M, 15 + M): of the error above.
+    """
+
+    def __init__(self, rotation: Array, noise: InertialNoise, gravity: float) -> None:
+        self.rotation = np.array(rotation)
+        self.velocity, self.position = np.zeros(3), np.zeros(3)
+        self.gyro_bias, self.accel_bias = np.zeros(3), np.zeros(3)
+        self.extra = np.empty(0)
+        self.covariance = np.zeros((CORE, CORE))
+        self.rate = np.zeros(3)  # latest angular rate, rad/s, in the IMU frame, bias removed
+        self._noise = noise
+        self._down = np.array([0.0, 0.0, -gravity])
+
+    @property
+    def pose(self) -> Array:
+        """T_odom_imu (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position
+        return matrix
+
+    def append(self, mean: Array, sigmas: Array) -> slice:
+        """Add states of means (K,) and independent 1 sigmas (K,); gives their rows in the error."""
+        n, k = len(self.covariance), len(mean)
+        covariance = np.zeros((n + k, n + k))
+        covariance[:n, :n] = self.covariance
+        covariance[n:, n:] = np.diag(np.asarray(sigmas, dtype=float) ** 2)
+        self.extra, self.covariance = np.concatenate([self.extra, mean]), covariance
+        return slice(n, n + k)
+
+    def propagate(self, dt: float, gyro: Array, accel: Array) -> None:
+        """On by dt (s) at mean rate (3,) rad/s and specific force (3,) m/s^2: the force acts in the attitude half-way,
+        and the transition is exact to second order in dt."""
+        rate = gyro - self.gyro_bias
+        middle = self.rotation @ rotation_exp(0.5 * dt * rate)
+        acceleration = middle @ (accel - self.accel_bias) + self._down
+        self._propagate_covariance(dt, middle)
+        self.position = self.position + dt * (self.velocity + 0.5 * dt * acceleration)
+        self.velocity = self.velocity + dt * acceleration
+        self.rotation = self.rotation @ rotation_exp(dt * rate)
+        self.rate = rate
+
+    def _propagate_covariance(self, dt: float, middle: Array) -> None:
+        noise, eye = self._noise, np.eye(3)
+        g, v, p = cross(self._down), cross(self.velocity), cross(self.position)
+        step = np.eye(CORE)
+        turned = dt * middle
+        step[ATTITUDE, GYRO_BIAS] = -turned
+        step[VELOCITY, ATTITUDE] = dt * g
+        step[VELOCITY, GYRO_BIAS] = -(v + 0.5 * dt * g) @ turned
+        step[VELOCITY, ACCEL_BIAS] = -turned
+        step[POSITION, ATTITUDE] = 0.5 * dt**2 * g
+        step[POSITION, VELOCITY] = dt * eye
+        step[POSITION, GYRO_BIAS] = -(p + 0.5 * dt * v) @ turned
+        step[POSITION, ACCEL_BIAS] = -0.5 * dt * turned
+        # White noise of the rate turns everything about odom's origin: the group's adjoint.
+        lever = np.concatenate([eye, v, p])
+        whole = self.covariance
+        core = step @ whole[:CORE, :CORE] @ step.T
+        core[:9, :9] += dt * noise.gyro**2 * (lever @ lever.T)
+        core[VELOCITY, VELOCITY] += dt * noise.accel**2 * eye
+        core[GYRO_BIAS, GYRO_BIAS] += dt * noise.gyro_walk**2 * eye
+        core[ACCEL_BIAS, ACCEL_BIAS] += dt * noise.accel_walk**2 * eye
+        whole[:CORE, :CORE] = 0.5 * (core + core.T)
+        if len(whole) > CORE:
+            shared = step @ whole[:CORE, CORE:]
+            whole[:CORE, CORE:], whole[CORE:, :CORE] = shared, shared.T
+
+    def update(self, residual: Array, slope: Array, noise: Array) -> None:
+        """Correct by measured minus predicted (K,), with its derivative (K, 15 + M) by the error and its covariance
+        (K, K); the form of Joseph, which keeps the covariance positive."""
+        gain = np.linalg.solve(slope @ self.covariance @ slope.T + noise, slope @ self.covariance).T
+        change = gain @ residual
+        left = np.eye(len(self.covariance)) - gain @ slope
+        covariance = left @ self.covariance @ left.T + gain @ noise @ gain.T
+        self.covariance = 0.5 * (covariance + covariance.T)
+        turn = change[ATTITUDE]
+        rotation, jacobian = rotation_exp(turn), left_jacobian(turn)
+        self.rotation = orthonormal(rotation @ self.rotation)
+        self.velocity = rotation @ self.velocity + jacobian @ change[VELOCITY]
+        self.position = rotation @ self.position + jacobian @ change[POSITION]
+        self.gyro_bias = self.gyro_bias + change[GYRO_BIAS]
+        self.accel_bias = self.accel_bias + change[ACCEL_BIAS]
+        self.extra = self.extra + change[CORE:]
+
+    def pose_covariance(self, position: Array) -> Array:
+        """(6, 6) of a frame fixed to the IMU whose origin is at `position` (3,) in odom.
+
+        x y z (m) and rotations (rad), all about odom's axes: dp = y + theta x p, so that the lever arm is in it.
+        """
+        change = np.zeros((6, 9))
+        change[:3, POSITION] = change[3:, ATTITUDE] = np.eye(3)
+        change[:3, ATTITUDE] = -cross(position)
+        return change @ self.covariance[:9, :9] @ change.T
+
+
+def cross(vector: Array) -> Array:
+    """(3, 3) matrix of the cross product with a vector (3,) on its left."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def rotation_exp(turn: Array) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,) rad (Rodrigues)."""
+    angle = float(np.sqrt(turn @ turn))
+    matrix = cross(turn)
+    if angle < 1e-4:  # the next terms are below 1e-9 of it
+        return np.eye(3) + (1 - angle**2 / 6) * matrix + 0.5 * matrix @ matrix
+    return np.eye(3) + np.sin(angle) / angle * matrix + (1 - np.cos(angle)) / angle**2 * (matrix @ matrix)
+
+
+def left_jacobian(turn: Array) -> Array:
+    """Left Jacobian (3, 3) of SO(3) at a rotation vector (3,) (Sola et al. 2018, eq. 145)."""
+    angle = float(np.sqrt(turn @ turn))
+    matrix = cross(turn)
+    if angle < 1e-4:
+        return np.eye(3) + 0.5 * matrix + matrix @ matrix / 6
+    share = (angle - np.sin(angle)) / angle**3
+    return np.eye(3) + (1 - np.cos(angle)) / angle**2 * matrix + share * (matrix @ matrix)
+
+
+def orthonormal(rotation: Array) -> Array:
+    """A nearly orthonormal (3, 3) made so: one step of Newton's iteration for the polar decomposition."""
+    return 0.5 * rotation @ (3 * np.eye(3) - rotation.T @ rotation)

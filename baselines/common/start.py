@@ -1,0 +1,108 @@
+"""How a vehicle hangs in its first moments: level from gravity, biases where it is at rest, and how sure that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.errors import MethodError
+from oysterbench.geometry import Array, invert
+from oysterbench.sequence.types import ImuCalibration
+from oysterbench_baselines.common.filter import (
+    ACCEL_BIAS,
+    ATTITUDE,
+    GYRO_BIAS,
+    VELOCITY,
+    InertialNoise,
+    InvariantFilter,
+)
+
+
+@dataclass(frozen=True)
+class StartSettings:
+    """level_s: the vehicle is levelled by the mean specific force of so many seconds. It was at rest in them if both
+    sensors scattered by less than rest_sigmas of their white noise, or the floors, which stand in for the noise of a
+    unit that states none; and if the mean rate is within rest_sigmas of the turn-on bias.
+    """
+
+    level_s: float = 1.0
+    rest_sigmas: float = 2.0
+    gyro_floor: float = 2e-3  # rad/s
+    accel_floor: float = 0.02  # m/s^2
+    rest_speed: float = 0.005  # m/s, 1 sigma at rest
+    moving_speed: float = 1.0  # m/s, 1 sigma otherwise
+    moving_accel: float = 0.4  # m/s^2, 1 sigma of the mean acceleration: an ROV gathers speed
+
+
+def align(
+    stamps_ns: NDArray[np.int64], gyro: Array, accel: Array, calibration: ImuCalibration, settings: StartSettings
+) -> tuple[Array, Array, Array, bool]:
+    """Attitude R_odom_imu (3, 3) at the first sample, biases of gyro and accel (3,), and whether that was at rest.
+
+    Level by the mean specific force, with the yaw of base_link zero. The biases are those seen at rest, of the force
+    only the part along gravity (the rest of it cannot be told from tilt); in motion they are zero.
+    """
+    first = stamps_ns - stamps_ns[0] <= settings.level_s * 1e9
+    rate, force = gyro[first].mean(axis=0), accel[first].mean(axis=0)
+    gyro_limit = max(
+        settings.rest_sigmas * calibration.gyro_noise_density * calibration.rate_hz**0.5, settings.gyro_floor
+    )
+    accel_limit = max(
+        settings.rest_sigmas * calibration.accel_noise_density * calibration.rate_hz**0.5, settings.accel_floor
+    )
+    at_rest = bool(
+        gyro[first].std(axis=0).max() < gyro_limit
+        and accel[first].std(axis=0).max() < accel_limit
+        and np.abs(rate).max() < max(3 * calibration.gyro_turn_on, settings.gyro_floor)
+    )
+    up = force / np.linalg.norm(force)  # of odom, in the IMU frame
+    forward = calibration.T_base_imu[:3, :3].T[:, 0]
+    x = forward - up * (up @ forward)
+    if np.linalg.norm(x) < 1e-6:
+        raise MethodError("the vehicle starts nose up or down: its yaw is not defined")
+    x /= np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(up, x), up])
+    if not at_rest:
+        return rotation, np.zeros(3), np.zeros(3), False
+    return rotation, rate, force - up * calibration.gravity, True
+
+
+def start_filter(
+    stamps_ns: NDArray[np.int64],
+    gyro: Array,
+    accel: Array,
+    calibration: ImuCalibration,
+    noise: InertialNoise,
+    settings: StartSettings,
+) -> tuple[InvariantFilter, bool]:
+    """A filter at the first of N samples, odom at base_link with its yaw, and whether the vehicle was at rest.
+
+    Tilt errs by what the mean force had of the accelerometer's bias, of noise and of acceleration, over gravity: the
+    first of these stays in the filter as the correlation between tilt and bias.
+    """
+    rotation, gyro_bias, accel_bias, at_rest = align(stamps_ns, gyro, accel, calibration, settings)
+    filter = InvariantFilter(rotation, noise, calibration.gravity)
+    filter.gyro_bias, filter.accel_bias = gyro_bias, accel_bias
+    filter.position = rotation @ -invert(calibration.T_base_imu)[:3, 3]
+    eye, up = np.eye(3), np.outer(rotation[2], rotation[2])
+    span = max(min(settings.level_s, (stamps_ns[-1] - stamps_ns[0]) * 1e-9), 1e-3)
+    gyro_white, accel_white = noise.gyro**2 / span, noise.accel**2 / span
+    gyro_turn_on, accel_turn_on = max(calibration.gyro_turn_on, 1e-5), max(calibration.accel_turn_on, 1e-3)
+    of_bias = accel_turn_on**2 * eye
+    if at_rest:
+        of_bias = accel_turn_on**2 * (eye - up) + accel_white * up
+    of_mean = rotation @ of_bias @ rotation.T + accel_white * eye
+    if not at_rest:
+        of_mean = of_mean + settings.moving_accel**2 * eye
+    # theta x (0, 0, g) is what the mean force had beside gravity; yaw is zero by definition.
+    tilt = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / calibration.gravity
+    covariance = filter.covariance
+    covariance[ATTITUDE, ATTITUDE] = tilt @ of_mean @ tilt.T
+    covariance[ACCEL_BIAS, ACCEL_BIAS] = of_bias
+    covariance[ATTITUDE, ACCEL_BIAS] = tilt @ rotation @ of_bias
+    covariance[ACCEL_BIAS, ATTITUDE] = covariance[ATTITUDE, ACCEL_BIAS].T
+    covariance[GYRO_BIAS, GYRO_BIAS] = (gyro_white if at_rest else gyro_turn_on**2) * eye
+    covariance[VELOCITY, VELOCITY] = (settings.rest_speed if at_rest else settings.moving_speed) ** 2 * eye
+    return filter, at_rest
