@@ -1,0 +1,71 @@
+"""Finding a method: by the name of an entry point, or as `module:Class`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+
+from oysterbench.errors import MethodError
+from oysterbench.methods.method import Method
+
+ENTRY_POINTS = "oysterbench.methods"
+
+
+def method_names(track: str | None = None) -> list[str]:
+    """Names of the installed methods (of a track)."""
+    names = sorted(_points())
+    return names if track is None else [name for name in names if find_method(name).track == track]
+
+
+def find_method(reference: str) -> Method:
+    """A new object of the installed method of that name, or of the class `module:Class`.
+
+    A module is looked for where Python looks for it, and in the working folder.
+    """
+    try:
+        kind = _load_class(reference) if ":" in reference else _load_point(reference)
+        method = kind()
+    except MethodError:
+        raise
+    except ImportError as error:
+        advice = "" if ":" in reference else "; install what it needs, e.g. pip install 'oysterbench[slam]'"
+        raise MethodError(f"method {reference!r} cannot be loaded: {error}{advice}") from None
+    except Exception as error:
+        raise MethodError(f"method {reference!r} cannot be loaded: {type(error).__name__}: {error}") from error
+    if isinstance(method, type) or not isinstance(method, Method):
+        raise MethodError(f"method {reference!r}: expected an object with name, track and run, got {type(method)}")
+    return method
+
+
+def versions_of(reference: str) -> dict[str, str]:
+    """Name and version of the package that an entry point comes from; of a class, nothing is known."""
+    point = _points().get(reference)
+    return {} if point is None or point.dist is None else {point.dist.name: point.dist.version}
+
+
+def _points() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+
+
+def _load_point(name: str):
+    points = _points()
+    if name not in points:
+        raise MethodError(
+            f"unknown method {name!r}; installed methods: {', '.join(sorted(points)) or 'none'}; a class is given "
+            "as module:Class, another program with `oysterbench run --command`"
+        )
+    return points[name].load()
+
+
+def _load_class(reference: str):
+    module, _, name = reference.partition(":")
+    if not module or not name:
+        raise MethodError(f"method {reference!r}: expected module:Class, such as my_slam:MySlam")
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
+    found = import_module(module)
+    if not hasattr(found, name):
+        raise MethodError(f"method {reference!r}: {found.__file__} has no {name!r}")
+    return getattr(found, name)

@@ -1,0 +1,117 @@
+"""Commands in processes of their own: limited in time, measured, ended with all that they started."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from oysterbench.errors import MethodError
+
+SUPERVISOR = Path(__file__).with_name("supervise.py")
+STDOUT, STDERR, REPORT = "stdout.txt", "stderr.txt", "process.json"
+TAIL_BYTES, TAIL_LINES, TAIL_CHARACTERS = 4096, 5, 500
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended: what it cost (see `supervise`), and why it failed; None where it ended with status 0."""
+
+    wall_s: float
+    cpu_s: float
+    peak_bytes: int
+    left_behind: int
+    failure: str | None
+
+
+class Stopped(Exception):
+    """The command was ended because all of them are."""
+
+
+class Processes:
+    """Starts commands from any number of threads, and ends all of them at once."""
+
+    def __init__(self) -> None:
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._lock = threading.Lock()
+        self._stopped = False
+
+    def run(self, command: Sequence[str], limit_s: float, folder: Path) -> Ended:
+        """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder. Stopped by `stop`."""
+        report = folder / REPORT
+        report.unlink(missing_ok=True)
+        supervised = [sys.executable, "-I", "-S", str(SUPERVISOR), repr(float(limit_s)), str(report), *command]
+        with open(folder / STDOUT, "wb") as out, open(folder / STDERR, "wb") as err:
+            with self._lock:
+                if self._stopped:
+                    raise Stopped
+                # A session of its own: Ctrl-C on the terminal is answered by `stop`, and by nobody else.
+                process = subprocess.Popen(
+                    supervised, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
+                )
+                self._running.add(process)
+            try:
+                process.wait()
+            finally:
+                with self._lock:
+                    self._running.discard(process)
+        if self._stopped:
+            raise Stopped
+        if not report.is_file():
+            raise MethodError(
+                f"the supervisor of {command[0]} was killed: {tail(folder / STDERR) or 'no word from it'}"
+            )
+        return _ended(json.loads(report.read_text(encoding="utf-8")), limit_s, folder)
+
+    def stop(self) -> None:
+        """End all commands, and let none start."""
+        with self._lock:
+            self._stopped = True
+            for process in self._running:
+                process.terminate()
+
+
+def _ended(report: dict, limit_s: float, folder: Path) -> Ended:
+    if report["error"]:
+        return Ended(0.0, 0.0, 0, 0, f"could not be started: {report['error']}")
+    failure = None
+    if report["timed_out"]:
+        failure = f"time limit of {limit_s:g} s reached: killed"
+    elif report["signal"] is not None:
+        failure = f"killed by {signal_name(report['signal'])}"
+        if report["signal"] == signal.SIGKILL:
+            failure += " (out of memory?)"
+    elif report["stopped"]:
+        failure = "its supervisor was ended by SIGTERM"
+    elif report["status"]:
+        failure = f"exit status {report['status']}"
+    if failure is not None and (said := tail(folder / STDERR) or tail(folder / STDOUT)):
+        failure = f"{failure}; it last said: {said}"
+    return Ended(report["wall_s"], report["cpu_s"], report["peak_bytes"], report["left_behind"], failure)
+
+
+def signal_name(number: int) -> str:
+    """SIGSEGV of 11; real-time signals have numbers only."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
+
+
+def tail(path: Path) -> str:
+    """The last lines of a log in one line, however long it is and whatever it holds."""
+    try:
+        with open(path, "rb") as file:
+            size = file.seek(0, 2)
+            file.seek(max(0, size - TAIL_BYTES))
+            text = file.read().decode(errors="replace")
+    except OSError:
+        return ""
+    printable = "".join(c if c.isprintable() or c == "\n" else " " for c in text.replace("\r", "\n"))
+    lines = [" ".join(line.split()) for line in printable.split("\n") if line.strip()]
+    return " | ".join(lines[-TAIL_LINES:])[-TAIL_CHARACTERS:]

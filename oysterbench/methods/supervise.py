@@ -1,0 +1,141 @@
+"""Runs one command, measures it, and leaves nothing of it behind: a program of its own, for Linux.
+
+    python -I -S supervise.py LIMIT_S REPORT COMMAND...
+
+It imports the standard library only, so that what it measures is the command and not itself. It takes in the orphans of
+the command, also those that made themselves daemons, and kills all that is left when the command ends, when the limit
+is reached, when it gets SIGTERM, and when the process that started it dies. REPORT, a JSON file, says what happened:
+
+status, signal: how the command ended; one of them is null
+timed_out:      whether the limit was reached; stopped: whether SIGTERM came
+wall_s, cpu_s:  of the command; processor time of all its descendants, of user and system
+peak_bytes:     the greater of two: the most that one process had resident, as the kernel kept it, and the most that all
+                of them together had at one of the looks at them, every LOOK_S
+left_behind:    processes that were still there when the command had ended
+error:          why it could not be started; null where it was
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import signal
+import sys
+import time
+
+LOOK_S = 0.2
+KILLING_S = 30.0  # a process that the kernel does not let go of is given up after this
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
+WATCHED = {signal.SIGCHLD, signal.SIGTERM}
+CHANGED_BY_PYTHON = {signal.SIGPIPE, signal.SIGXFSZ}
+"""Signals that Python ignores, and whose default the command should have."""
+PAGE = os.sysconf("SC_PAGE_SIZE")
+
+
+def descendants() -> dict[int, int]:
+    """Process id -> resident bytes of all descendants of this process, the dead that nobody has waited for included."""
+    parents, resident = {}, {}
+    for name in os.listdir("/proc"):
+        if not name.isdigit():
+            continue
+        try:
+            with open(f"/proc/{name}/stat", "rb") as file:
+                fields = file.read().rpartition(b")")[2].split()  # after the name, which may hold anything
+        except OSError:  # it has ended meanwhile
+            continue
+        parents[int(name)] = int(fields[1])
+        resident[int(name)] = int(fields[21]) * PAGE
+    found: set[int] = set()
+    fresh = {os.getpid()}
+    while fresh:
+        fresh = {pid for pid, parent in parents.items() if parent in fresh} - found
+        found |= fresh
+    return {pid: resident[pid] for pid in found}
+
+
+class Supervisor:
+    """Of one command."""
+
+    def __init__(self) -> None:
+        self.cpu_s = 0.0
+        self.peak_bytes = 0
+        self.statuses: dict[int, int] = {}
+
+    def run(self, command: list[str], limit_s: float) -> dict[str, object]:
+        """What REPORT says."""
+        start = time.monotonic()
+        try:
+            pid = os.posix_spawnp(command[0], command, os.environ, setsigmask=(), setsigdef=CHANGED_BY_PYTHON)
+        except OSError as error:
+            return {"error": f"{command[0]}: {error.strerror}"}
+        timed_out = stopped = False
+        while pid not in self.statuses and not timed_out and not stopped:
+            left = start + limit_s - time.monotonic()
+            woken = signal.sigtimedwait(WATCHED, max(0.0, min(LOOK_S, left)))
+            stopped = woken is not None and woken.si_signo == signal.SIGTERM
+            self.look()
+            self.reap()
+            timed_out = pid not in self.statuses and time.monotonic() >= start + limit_s
+        wall_s = time.monotonic() - start
+        left_behind = len(descendants())
+        self.kill()
+        code = os.waitstatus_to_exitcode(self.statuses[pid]) if pid in self.statuses else -signal.SIGKILL
+        return {
+            "status": code if code >= 0 else None,
+            "signal": -code if code < 0 else None,
+            "timed_out": timed_out,
+            "stopped": stopped,
+            "wall_s": wall_s,
+            "cpu_s": self.cpu_s,
+            "peak_bytes": self.peak_bytes,
+            "left_behind": 0 if timed_out or stopped else left_behind,
+            "error": None,
+        }
+
+    def look(self) -> None:
+        """Take note of the memory in use."""
+        self.peak_bytes = max(self.peak_bytes, sum(descendants().values()))
+
+    def reap(self) -> bool:
+        """Wait for those that have ended, and add up what they cost. Returns whether any child is left."""
+        while True:
+            try:
+                pid, status, usage = os.wait4(-1, os.WNOHANG)
+            except ChildProcessError:
+                return False
+            if pid == 0:
+                return True
+            self.statuses[pid] = status
+            self.cpu_s += usage.ru_utime + usage.ru_stime
+            self.peak_bytes = max(self.peak_bytes, usage.ru_maxrss * 1024)
+
+    def kill(self) -> None:
+        """End all descendants; again and again, as those that are not dead yet may start others."""
+        end = time.monotonic() + KILLING_S
+        while self.reap() and time.monotonic() < end:
+            for pid in descendants():
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            signal.sigtimedwait({signal.SIGCHLD}, 0.01)
+
+
+def main(limit_s: str, report: str, *command: str) -> None:
+    """Run the command and write the report, whole or not at all."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, WATCHED)
+    parent = os.getppid()
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
+    for option, value in ((PR_SET_CHILD_SUBREAPER, 1), (PR_SET_PDEATHSIG, int(signal.SIGTERM))):
+        if prctl(option, ctypes.c_ulong(value), 0, 0, 0) != 0:
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    if os.getppid() != parent:  # it died before it could be watched
+        return
+    result = Supervisor().run(list(command), float(limit_s))
+    with open(f"{report}.new", "w", encoding="utf-8") as file:
+        json.dump(result, file)
+    os.replace(f"{report}.new", report)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
