@@ -163,7 +163,9 @@ def bootstrap_interval(values: Array) -> Interval:
     Percentiles of the bootstrap are too near each other for small n, by the factor sqrt((n - 1) / n) and by normal in
     place of t quantiles; they are taken at Phi(-sqrt(n / (n - 1)) t_(n - 1)) instead (Hesterberg 2015, the expanded
     percentile interval). Measured: the mean of normal values is held in 92 % of cases for n = 6 and in 95 % from 10 on;
-    of values as skewed as a standard lognormal in 88 % for n = 20. The score, within 0 and 1, is not that skewed. The resamples are a named stream: equal values give the equal interval.
+    of values as skewed as a standard lognormal in 88 % for n = 20. The score, within 0 and 1, is not that skewed.
+
+    The resamples are a named stream: equal values give the equal interval.
     """
     n = len(values)
     if n < LEAST_SEQUENCES:
