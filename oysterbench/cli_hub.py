@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,6 +50,7 @@ def hub_key(path: Path) -> None:
 @click.argument("tree", type=FOLDER, metavar="DIR")
 @click.option("--key", "key_file", type=FILE, required=True, help="Private key, from `oysterbench hub-key`.")
 @click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home]")
+@click.option("--salt-file", type=FILE, help="Secret of a hidden split, to find its files under the home.")
 @click.option("--url", default="", help="Address that the tree will have, for the Croissant metadata.")
 @click.option("--hidden", is_flag=True, help="Leave out recipe and truth; publish a commitment to the truth.")
 @click.option("--truth-out", type=FOLDER, help="Folder for the truth package, with --hidden.")
@@ -58,6 +60,7 @@ def publish(
     tree: Path,
     key_file: Path,
     data: Path | None,
+    salt_file: Path | None,
     url: str,
     hidden: bool,
     truth_out: Path | None,
@@ -68,7 +71,7 @@ def publish(
     \b
     Examples:
       oysterbench publish slam-val hub --key my-hub.pem
-      oysterbench publish slam-test hub --key my-hub.pem --hidden --data secret/slam-test --truth-out truth
+      oysterbench publish slam-test hub --key my-hub.pem --hidden --truth-out truth --salt-file slam-test.salt
 
     Publishing twice adds nothing; an interrupted publish leaves what was there before. A version that was released
     is never changed.
@@ -80,10 +83,17 @@ def publish(
     from oysterbench.hub.publish import check_made_by, publish, publish_hidden
     from oysterbench.hub.sign import load_key, public_hex
     from oysterbench.recipe import load_split
+    from oysterbench.salt import salt_for
 
     split = load_split(split_name)
+    if split.hidden and not hidden:
+        raise HubError(
+            f"{split.name} is a hidden split: published as it is, everybody would have its truth; nothing was "
+            "published: give --hidden and --truth-out"
+        )
     key = load_key(key_file)
-    files = sequence_files(split, data or split_folder(split))
+    folder = data or split_folder(split, salt_for(split.name, split.hidden, salt_file))
+    files = sequence_files(split, folder)
     check_made_by(files, split.name, split.version, digest(split), hidden)
     facts = {
         "split": split.name,
@@ -228,17 +238,27 @@ def _render_instead(
     no_hub = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
     if split is None:
         raise HubError(f"{name}: {no_hub}, and no split of this name and version can be rendered here")
-    if patterns or topics:
+    if split.hidden:
+        raise HubError(f"{name}: {no_hub}, and a hidden split cannot be rendered by who has not its salt")
+    if topics:
+        raise HubError(f"{name}: {no_hub}, and --topics needs one; `oysterbench render {name}` makes all topics")
+    names = tuple(
+        sequence.name
+        for sequence in split.sequence
+        if not patterns or any(fnmatchcase(sequence.name, pattern) for pattern in patterns)
+    )
+    if not names:
         raise HubError(
-            f"{name}: {no_hub}, and --sequence and --topics need one; `oysterbench render {name}` makes all of it"
+            f"{name}: no sequence fits {' or '.join(patterns)}; it has "
+            f"{', '.join(sequence.name for sequence in split.sequence)}"
         )
     if dry_run:
-        say(f"{no_hub}: {len(split.sequence)} sequences of {split.name} {split.version} would be rendered")
+        say(f"{no_hub}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
         return
     say(f"{no_hub}: {split.name} {split.version} is rendered instead, which gives the same bytes")
     group = context.find_root().command
     assert isinstance(group, click.Group)
-    context.invoke(group.commands["render"], split_name=name, out=out, as_json=as_json)
+    context.invoke(group.commands["render"], split_name=name, names=names, out=out, as_json=as_json)
 
 
 @click.command(short_help="Check what is on disk against its manifest.")

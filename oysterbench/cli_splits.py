@@ -61,7 +61,10 @@ def splits(ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: boo
 
     Without --hub no network is touched.
     """
-    rows = list(_known()) + list(_kept())
+    kept = list(_kept())
+    # A split that was downloaded is told of once, also where this oysterbench would keep its own elsewhere.
+    downloaded = {(row.name, row.version) for row in kept}
+    rows = [row for row in _known() if row.here or (row.name, row.version) not in downloaded] + kept
     if ask_hub or places:
         rows = list(_with_hub(rows, places, key))
     if as_json:
@@ -76,8 +79,7 @@ def splits(ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: boo
         table.add_column(heading, justify="right" if heading in ("sequences", "seconds") else "left")
     for row in rows:
         seconds = "" if row.duration_s is None else f"{row.duration_s:.6g}"
-        what = f"{row.summary} (truth kept back)" if row.hidden else row.summary
-        table.add_row(f"{row.name} {row.version}", row.track, str(row.sequences), seconds, row.state, what)
+        table.add_row(f"{row.name} {row.version}", row.track, str(row.sequences), seconds, row.state, row.summary)
     print_rich(table)
 
 
@@ -106,7 +108,7 @@ def _known() -> Iterator[Row]:
             size_bytes=size,
             full_bytes=full,
             complete=complete,
-            hidden=False,
+            hidden=split.hidden,
             folder=str(folder) if files else None,
             summary=split.summary,
         )

@@ -151,3 +151,33 @@ def test_a_hidden_split_from_publish_to_download(place, tmp_path):
     assert not any(row["topic"].startswith("/truth") for row in topics)
     truth = json.loads(place.run("info", tmp_path / "truth" / "tiny-1.0" / "tiny-01.mcap", "--json").stdout)
     assert truth["path_length_m"] > 0
+
+
+def test_splits_tells_what_is_here_and_what_the_hub_has(place, tmp_path):
+    def rows(*arguments):
+        found = json.loads(place.run("splits", "--json", *arguments, home=tmp_path).stdout)["splits"]
+        return {(row["name"], row["version"]): row for row in found}
+
+    hub = ("--from", place.tree, "--key", place.public)
+    assert ("tiny", "1.0") not in rows()
+    row = rows(*hub)["tiny", "1.0"]
+    assert (row["complete"], row["size_bytes"], row["full_bytes"]) == (False, 0, len(place.whole))
+    place.run("download", "tiny", *hub, home=tmp_path)
+    for arguments in ((), hub):
+        row = rows(*arguments)["tiny", "1.0"]
+        assert (row["complete"], row["size_bytes"], row["here"]) == (True, len(place.whole), 1)
+    assert "tiny 1.0" in place.run("splits", home=tmp_path).stdout
+    Path(row["folder"], "tiny-01.mcap").unlink()
+    assert rows()["tiny", "1.0"]["complete"] is False
+    assert "no hub is set" in place.run("splits", "--hub", home=tmp_path, code=1).stderr
+
+
+def test_a_hidden_recipe_is_never_published_with_its_truth(place, tmp_path):
+    (tmp_path / "rig.toml").write_text(TINY_RIG)
+    recipe = tmp_path / "tiny.toml"
+    recipe.write_text("hidden = true\n" + place.recipe.read_text())
+    arguments = ("publish", recipe, tmp_path / "hub", "--key", place.folder / "key.pem", "--data", place.data)
+    assert "everybody would have its truth" in place.run(*arguments, code=1).stderr
+    assert not (tmp_path / "hub").exists()
+    failed = place.run("download", recipe, code=1, home=tmp_path / "home")
+    assert "cannot be rendered by who has not its salt" in failed.stderr
