@@ -128,6 +128,23 @@ def test_a_download_killed_at_50_random_moments(big, tmp_path):
     print(f"bytes sent twice, in pieces of {PIECE}: mean {sum(twice) / 50 / PIECE:.2f}, most {max(twice) / PIECE:.2f}")
 
 
+def test_ctrl_c_is_one_line_with_130_and_the_download_goes_on(big, tmp_path):
+    command = [Path(sys.executable).with_name("oysterbench"), "download", "big", "--key", big.public, "--out", tmp_path]
+    with serving(Slow, big.files) as site:
+        process = subprocess.Popen([*command, "--from", site.url], stderr=subprocess.PIPE, text=True)
+        while site.sent < SIZE // 4:
+            time.sleep(0.001)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert errors.splitlines()[-1].startswith("oysterbench: interrupted; what was finished is kept")
+    assert "Traceback" not in errors
+    with serving(Honest, big.files) as site:
+        done = subprocess.run([*command, "--from", site.url], capture_output=True, text=True, check=True)
+        assert sum(end - start for path, start, end in site.requests if path == big.blob) < SIZE
+    assert Path(done.stdout.strip()).read_bytes() == big.data
+
+
 def all_at_once(big, folder, *options):
     with serving(Slow, big.files) as site:
         processes = [start(site.url, big, folder, *options) for _ in range(8)]

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import random
+import time
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -169,3 +173,68 @@ def test_waits_grow_with_jitter_and_are_never_shorter_than_asked():
 def test_retry_after_is_a_number_or_a_date(value, seconds):
     assert _retry_after(value) == seconds
     assert _retry_after("Fri, 31 Dec 2100 23:59:59 GMT") > 1e9
+
+
+def test_retry_after_is_honoured(tmp_path):
+    asked = []
+
+    class Busy(Honest):
+        def answer(self):
+            with self.site.lock:
+                asked.append(time.monotonic())
+                first = len(asked) == 1
+            if not first:
+                super().answer()
+                return
+            self.send_response(503)
+            self.send_header("Retry-After", "1")
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+    with serving(Busy, {PATH: DATA}) as site:
+        fetch(ENTRY, tmp_path / "file", [site.url], replace(IMPATIENT, longest_wait_s=2.0), connections=1)
+    assert (tmp_path / "file").read_bytes() == DATA
+    assert 1.0 <= asked[1] - asked[0] < 1.5
+
+
+def test_a_redirect_to_another_server_is_followed_and_its_bytes_are_checked(tmp_path):
+    with serving(Honest, {PATH: DATA}) as good, misbehaving("wrong_file", {PATH: DATA}, 1, 1.0) as bad:
+        for target, comes in ((good, True), (bad, False)):
+
+            class Elsewhere(Honest):
+                place = target.url
+
+                def answer(self):
+                    self.send_response(302)
+                    self.send_header("Location", self.place + self.path)
+                    self.send_header("Content-Length", "0")
+                    self.end_headers()
+
+            with serving(Elsewhere, {PATH: DATA}) as site:
+                if comes:
+                    fetch(ENTRY, tmp_path / "file", [site.url])
+                    assert (tmp_path / "file").read_bytes() == DATA
+                else:
+                    with pytest.raises(IntegrityError):
+                        fetch(ENTRY, tmp_path / "other", [site.url])
+
+
+def test_a_full_disk_ends_the_download_and_what_is_there_stays(tmp_path, monkeypatch):
+    write, written = os.pwrite, []
+
+    def pwrite(handle, data, offset):
+        if len(written) == 5:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written.append(offset)
+        return write(handle, data, offset)
+
+    monkeypatch.setattr(os, "pwrite", pwrite)
+    with serving(Honest, {PATH: DATA}) as site, pytest.raises(OSError, match="No space left"):
+        fetch(ENTRY, tmp_path / "file", [site.url])
+    monkeypatch.undo()
+    assert not (tmp_path / "file").exists()
+    assert len(right_pieces(tmp_path / "file.part")) == 5
+    with serving(Honest, {PATH: DATA}) as site:
+        fetch(ENTRY, tmp_path / "file", [site.url])
+    assert site.sent == len(DATA) - 5 * ENTRY.piece_size
+    assert (tmp_path / "file").read_bytes() == DATA
