@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +14,15 @@ from oysterbench.cli_compare import compare_command
 from oysterbench.cli_hub import COMMANDS as HUB_COMMANDS
 from oysterbench.cli_outputs import Outputs, output_options, print_rich
 from oysterbench.cli_reading import Reading, reading_options
+from oysterbench.cli_render import frames_bar, render, render_files
+from oysterbench.cli_run import run_command
 from oysterbench.cli_scoring import scoring_options
+from oysterbench.cli_splits import splits
 from oysterbench.errors import OysterbenchError
 from oysterbench.version import VERSION
 
 if TYPE_CHECKING:
     from oysterbench.evaluate.slam import SlamSettings
-    from oysterbench.generate import Progress
-    from oysterbench.recipe import SplitRecipe
 
 TRACKS = ("slam",)
 DEFAULT_SPLIT = {"slam": "slam-mini"}
@@ -69,6 +69,7 @@ def main() -> None:
       oysterbench eval --track slam                 the demo: render, run the baselines, print the table
       oysterbench eval --track slam --method gtsam_vi --out results
       oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3
+      oysterbench run my_slam --command "..."       run any program on a split, and score it
       oysterbench compare ours theirs               ranks, ties, and who is better where
       oysterbench splits                            what can be rendered, and what is here
       oysterbench render slam-mini --workers 2
@@ -81,7 +82,7 @@ def main() -> None:
     """
 
 
-for _command in (compare_command, *HUB_COMMANDS):
+for _command in (run_command, compare_command, render, splits, *HUB_COMMANDS):
     main.add_command(_command)
 
 
@@ -152,7 +153,7 @@ def eval_command(
         methods = [find_method(name) for name in dict.fromkeys(method_names or DEFAULT_METHODS[track])]
         out = out or split_folder(split) / "results"
         out.mkdir(parents=True, exist_ok=True)
-        files = _render(split, split_folder(split), workers)
+        files = render_files(split, workers=workers)
         runs = evaluate_slam(split, files, methods, chosen, _say, out, times or 1)
 
     records = [run.record for run in runs]
@@ -170,87 +171,6 @@ def eval_command(
         _say(f"{record.method} failed on {record.sequence}: {record.failure}")
     if failures:
         sys.exit(OysterbenchError.exit_code)
-
-
-@main.command(short_help="What can be rendered, and what is here.")
-@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
-def splits(as_json: bool) -> None:
-    """List the splits: what they are, and which are on this machine.
-
-    \b
-    Examples:
-      oysterbench splits
-      oysterbench splits --json
-    """
-    from oysterbench.generate import is_complete, sequence_files, split_folder
-    from oysterbench.recipe import load_split, split_names
-
-    rows: list[dict[str, Any]] = []
-    for name in split_names():
-        split = load_split(name)
-        folder = split_folder(split)
-        files = [path for path in sequence_files(split, folder).values() if path.is_file()]
-        rows.append(
-            {
-                "name": split.name,
-                "version": split.version,
-                "track": split.track,
-                "sequences": len(split.sequence),
-                "duration_s": sum(sequence.duration_s for sequence in split.sequence),
-                "complete": is_complete(split, folder),
-                "size_bytes": sum(path.stat().st_size for path in files),
-                "folder": str(folder) if files else None,
-                "summary": split.summary,
-            }
-        )
-    if as_json:
-        click.echo(json.dumps({"splits": rows}, indent=2))
-        return
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for heading in ("split", "track", "sequences", "seconds", "here", "what"):
-        table.add_column(heading, justify="right" if heading in ("sequences", "seconds") else "left")
-    for row in rows:
-        here = f"{row['size_bytes'] / 1e6:.0f} MB" if row["complete"] else "not yet"
-        table.add_row(
-            f"{row['name']} {row['version']}",
-            row["track"],
-            str(row["sequences"]),
-            f"{row['duration_s']:g}",
-            here,
-            row["summary"],
-        )
-    print_rich(table)
-
-
-@main.command(short_help="Render a split into sequence files.")
-@click.argument("split_name", metavar="SPLIT")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes that render.  [default: one per core]")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
-@click.option("--preview", "as_preview", is_flag=True, help="Only a contact sheet of small frames, in seconds.")
-@click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
-def render(split_name: str, workers: int | None, out: Path | None, as_preview: bool, as_json: bool) -> None:
-    """Render a split: a name from `oysterbench splits`, or the path of a .toml recipe.
-
-    \b
-    Examples:
-      oysterbench render slam-mini
-      oysterbench render my-reef.toml --workers 4 --out data
-      oysterbench render my-reef.toml --preview
-
-    May be interrupted at any time; the same command goes on from there. What is finished is not rendered again.
-    """
-    from oysterbench.generate import split_folder
-    from oysterbench.recipe import load_split
-
-    split = load_split(split_name)
-    files = _preview(split, out or Path(".")) if as_preview else _render(split, out or split_folder(split), workers)
-    if as_json:
-        click.echo(json.dumps({"split": split.name, "files": {k: str(v) for k, v in files.items()}}, indent=2))
-    else:
-        for path in files.values():
-            click.echo(path)
 
 
 @main.command(short_help="What is in a sequence file.")
@@ -366,7 +286,7 @@ def gallery(real: Path | None, out: Path) -> None:
 
     if out.suffix not in (".png", ".jpg"):
         raise click.UsageError(f"--out: expected a name that ends in .png or .jpg, got {out}")
-    with _frames_bar("gallery") as progress:
+    with frames_bar("gallery") as progress:
         picture = make_gallery(real, progress)
     write_picture(out, picture)
     click.echo(out)
@@ -394,59 +314,6 @@ def oyster(seed: int, size_mm: float | None, state: str, out: Path, as_json: boo
         return
     height, length, width = (1000 * facts[f"{key}_m"] for key in ("height", "length", "width"))
     click.echo(f"{out}: {height:.0f} x {length:.0f} x {width:.0f} mm, {1e6 * facts['volume_m3']:.1f} ml")
-
-
-def _preview(split: SplitRecipe, folder: Path) -> dict[str, Path]:
-    from oysterbench.gallery import preview, write_picture
-
-    files = {}
-    for sequence in split.sequence:
-        with _frames_bar(f"previewing {sequence.name}") as progress:
-            picture = preview(split, sequence.name, progress)
-        files[sequence.name] = folder / f"{sequence.name}-preview.png"
-        write_picture(files[sequence.name], picture)
-    return files
-
-
-def _render(split: SplitRecipe, folder: Path, workers: int | None) -> dict[str, Path]:
-    from oysterbench.generate import check_workers, generate_split, is_complete
-
-    if is_complete(split, folder):
-        return generate_split(split, folder)  # checks what is there, renders nothing
-    with _frames_bar(f"rendering {split.name}") as progress:
-        return generate_split(split, folder, check_workers(workers), progress)
-
-
-@contextmanager
-def _frames_bar(title: str) -> Iterator[Progress]:
-    """A progress bar on a terminal, a line at every tenth elsewhere; both on stderr."""
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        said = -1
-
-        def say(done: int, total: int) -> None:
-            nonlocal said
-            tenth = 10 * done // max(total, 1)
-            if tenth > said:
-                said = tenth
-                _say(f"{title}: {done} of {total} frames")
-
-        yield say
-        return
-    columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TextColumn("frames"))
-    with Progress(*columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console) as bar:
-        task = bar.add_task(title, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _print_slam_table(records: list[Any]) -> None:

@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -96,8 +96,9 @@ def generate_split(
     salt: bytes = b"",
     device: str = "cpu",
     scheduler: str | None = None,
+    names: Collection[str] = (),
 ) -> dict[str, Path]:
-    """Make the sequence files of a split that are not there yet, and return all of them.
+    """Make the sequence files of a split (or those of these names) that are not there yet, and return all of them.
 
     workers: processes of this machine, unless the address of a Dask `scheduler` is given. device: of Warp, on the
     machines that render.
@@ -110,14 +111,15 @@ def generate_split(
             f"split {split.name} is hidden: it is made with a secret salt only, of at least {LEAST_BYTES} mixed bytes, "
             f"and got {len(salt)}; {HOW_TO_MAKE}"
         )
+    wanted = [split.find_sequence(name) for name in names] or split.sequence
     made_by = digest(split, salt, device)
-    files = sequence_files(split, folder)
+    files = {sequence.name: sequence_files(split, folder)[sequence.name] for sequence in wanted}
     with locked(folder / ".lock"):
         for name, path in files.items():
             if path.exists():
                 _check_made_by(path, split, made_by)
                 shutil.rmtree(_parts(folder, name, made_by), ignore_errors=True)
-        missing = [sequence for sequence in split.sequence if not files[sequence.name].exists()]
+        missing = [sequence for sequence in wanted if not files[sequence.name].exists()]
         if missing:
             task = partial(make_part, split, salt=Salt(salt), device=device, program=PROGRAM)
 

@@ -42,7 +42,10 @@ MAY_IMPORT = {
     "plots": GROUND,
     "report": GROUND | {"evaluate", "results", "comparison", "page", "plots"},
     "tracks": GROUND | {"sequence", "generate", "methods", "conditions", "evaluate", "results", "report"},
+    "running": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report", "tracks"},
     "cli_outputs": {"files", "report"},
+    "cli_run": GROUND
+    | {"cli_outputs", "cli_render", "cli_scoring", "evaluate", "generate", "methods", "report", "results", "running"},
     "cli_compare": {"cli_outputs", "results", "comparison", "report"},
     "hub": GROUND | {"sequence", "page"},
     "cli_hub": GROUND | {"generate", "hub", "salt"},
@@ -58,6 +61,7 @@ MAY_IMPORT = {
         "cli_splits",
         "cli_reading",
         "cli_render",
+        "cli_run",
         "cli_scoring",
         "comparison",
         "sequence",
