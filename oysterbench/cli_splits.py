@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,10 +61,14 @@ def splits(ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: boo
 
     Without --hub no network is touched.
     """
-    kept = list(_kept())
+    from oysterbench.generate import split_folder
+    from oysterbench.recipe import load_split, split_names
+
+    known = {split_folder(split): split for split in map(load_split, split_names())}
+    kept = list(_kept(known))
     # A split that was downloaded is told of once, also where this oysterbench would keep its own elsewhere.
     downloaded = {(row.name, row.version) for row in kept}
-    rows = [row for row in _known() if row.here or (row.name, row.version) not in downloaded] + kept
+    rows = [row for row in _known(known) if row.here or (row.name, row.version) not in downloaded] + kept
     if ask_hub or places:
         rows = list(_with_hub(rows, places, key))
     if as_json:
@@ -83,16 +87,13 @@ def splits(ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: boo
     print_rich(table)
 
 
-def _known() -> Iterator[Row]:
-    """Splits that this oysterbench can render."""
-    from oysterbench.generate import sequence_files, split_folder
+def _known(splits: dict[Path, SplitRecipe]) -> Iterator[Row]:
+    """Splits that this oysterbench can render, by their folders."""
+    from oysterbench.generate import sequence_files
     from oysterbench.hub.manifest import released_manifest
     from oysterbench.hub.verify import kept_manifest
-    from oysterbench.recipe import load_split, split_names
 
-    for name in split_names():
-        split: SplitRecipe = load_split(name)
-        folder = split_folder(split)
+    for folder, split in splits.items():
         files = [path for path in sequence_files(split, folder).values() if path.is_file()]
         size = sum(path.stat().st_size for path in files)
         complete = len(files) == len(split.sequence)
@@ -114,14 +115,11 @@ def _known() -> Iterator[Row]:
         )
 
 
-def _kept() -> Iterator[Row]:
+def _kept(rendered: Collection[Path]) -> Iterator[Row]:
     """Splits that were downloaded and that this oysterbench would render differently, or not at all."""
     from oysterbench.files import home
-    from oysterbench.generate import split_folder
     from oysterbench.hub.verify import kept_manifest
-    from oysterbench.recipe import load_split, split_names
 
-    rendered = {split_folder(load_split(name)) for name in split_names()}
     for folder in sorted((home() / "splits").glob("*/*")):
         manifest: Manifest | None = kept_manifest(folder) if folder.is_dir() and folder not in rendered else None
         if manifest is None:
