@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from oysterbench.evaluate.inputs import read_pair
 from oysterbench.evaluate.slam import EVALUATOR, SlamResult, SlamSettings, score
 from oysterbench.generate import digest
 from oysterbench.methods import Method, run_method
+from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report import SlamRun
 from oysterbench.results import ResultRecord
@@ -82,41 +84,82 @@ def _run(
     number: int,
     seed: int | None,
 ) -> tuple[ResultRecord, SlamResult | None, Trajectory | None]:
-    record: dict[str, Any] = {
-        "track": "slam",
-        "split": split.name,
-        "split_digest": digest(split),
-        "sequence": sequence.name,
-        "truth_digest": truth_digest(truth),
-        "conditions": conditions(split, sequence.name),
-        "method": method.name,
-        "run": number,
-        "seed": seed,
-        "settings": settings.as_dict(),
-        "evaluator_version": EVALUATOR,
-    }
+    record = {**_about(split, sequence.name, truth, settings), "method": method.name, "run": number, "seed": seed}
     try:
         run = run_method(method, sequence)
     except MethodError as error:
         return ResultRecord(**record, failure=str(error)), None, None
-    duration = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
-    cost = {"wall_s": run.wall_s, "cpu_s": run.cpu_s, "realtime_factor": duration / run.wall_s}
+    cost = _cost(truth, run.wall_s, run.cpu_s)
     estimate = run.estimate.trajectory
+    return (*_scored(record, truth, estimate, settings, cost, run.estimate.info), estimate)
+
+
+def record_outcome(
+    split: SplitRecipe | None,
+    truth: Trajectory,
+    job: Job,
+    outcome: Outcome,
+    estimate: Trajectory | None,
+    settings: SlamSettings,
+) -> tuple[ResultRecord, SlamResult | None]:
+    """What the runner's job is worth. split: of the sequence, None for one that is of none; estimate: where it did not
+    fail."""
+    record = {
+        **_about(split, job.name, truth, settings),
+        "method": job.entrant.name,
+        "method_settings": job.entrant.settings,
+        "run": job.number,
+        "seed": outcome.identity["seed"],
+        "hardware": outcome.hardware,
+        "created": outcome.ended,
+    }
+    run = {key: getattr(outcome, key) for key in ("command", "versions", "limit_s", "process", "started")}
+    info = {**outcome.info, "run": run}
+    cost = {}
+    if outcome.wall_s > 0:
+        cost = _cost(truth, outcome.wall_s, outcome.cpu_s)
+        cost["peak_memory_mb"] = outcome.process["peak_bytes"] / 1e6
+    if outcome.failure is not None or estimate is None:
+        return ResultRecord(
+            **record, failure=outcome.failure, metrics=cost, notes=tuple(outcome.notes), info=info
+        ), None
+    # Said of the reading of its file; the one that is scored here has been read before.
+    return _scored(record, truth, replace(estimate, notes=tuple(outcome.notes)), settings, cost, info)
+
+
+def _about(split: SplitRecipe | None, sequence: str, truth: Trajectory, settings: SlamSettings) -> dict[str, Any]:
+    """What every record of a sequence says."""
+    return {
+        "track": "slam",
+        "split": "" if split is None else split.name,
+        "split_digest": "" if split is None else digest(split),
+        "sequence": sequence,
+        "truth_digest": truth_digest(truth),
+        "conditions": {} if split is None else conditions(split, sequence),
+        "settings": settings.as_dict(),
+        "evaluator_version": EVALUATOR,
+    }
+
+
+def _cost(truth: Trajectory, wall_s: float, cpu_s: float) -> dict[str, float]:
+    duration = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
+    return {"wall_s": wall_s, "cpu_s": cpu_s, "realtime_factor": duration / wall_s}
+
+
+def _scored(
+    record: Mapping[str, Any],
+    truth: Trajectory,
+    estimate: Trajectory,
+    settings: SlamSettings,
+    cost: Mapping[str, float],
+    info: Mapping[str, Any],
+) -> tuple[ResultRecord, SlamResult | None]:
     try:
         result = score(truth, estimate, settings)
     except TrajectoryError as error:
-        return ResultRecord(**record, failure=str(error), metrics=cost, info=run.estimate.info), None, estimate
-    return (
-        ResultRecord(
-            **record,
-            metrics={**result.metrics, **cost},
-            reasons=result.reasons,
-            notes=result.notes,
-            info=run.estimate.info,
-        ),
-        result,
-        estimate,
-    )
+        return ResultRecord(**record, failure=str(error), metrics=cost, info=info), None
+    metrics = {**result.metrics, **cost}
+    return ResultRecord(**record, metrics=metrics, reasons=result.reasons, notes=result.notes, info=info), result
 
 
 def score_files(

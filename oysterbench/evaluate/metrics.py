@@ -257,7 +257,14 @@ SLAM: dict[str, Metric] = {
         "Speed",
     ),
     "wall_s": Metric("s", "lower", "Wall time of the method.", "Wall time"),
-    "cpu_s": Metric("s", "lower", "Processor time of the method, summed over its threads.", "CPU time"),
+    "cpu_s": Metric("s", "lower", "Processor time of the method, summed over its threads and processes.", "CPU time"),
+    "peak_memory_mb": Metric(
+        "MB",
+        "lower",
+        "Most memory (1e6 bytes) that the method's processes had resident, the program around it included: the greater "
+        "of the largest one's peak, as the kernel kept it, and of their sum, looked at every 0.2 s.",
+        "Memory",
+    ),
 }
 """Metrics of the SLAM track by their key, which carries the unit; without one a metric is a plain number."""
 
