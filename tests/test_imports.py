@@ -33,7 +33,7 @@ MAY_IMPORT = {
     "scheduling": {"errors"},
     "generate": GROUND | {"calibration", "render", "sequence", "stage", "recording", "salt", "scheduling"},
     "gallery": GROUND | {"stage"},
-    "methods": GROUND | {"sequence", "hub"},
+    "methods": GROUND | {"sequence"},
     "evaluate": GROUND,
     "conditions": GROUND | {"render"},
     "results": GROUND | {"evaluate"},

@@ -17,8 +17,9 @@ from oysterbench.files import home, locked, write_atomically
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.index import LARGEST, Index, Release, check_not_older, read_index
 from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, released_manifest
+from oysterbench.hub.part import Part
 from oysterbench.hub.sources import Patience, Refusal, Setback, is_offline, open_source
-from oysterbench.hub.transfer import Mirror, Part, Transfer, no_mirror_left, pause_s
+from oysterbench.hub.transfer import Mirror, Transfer, no_mirror_left, pause_s
 from oysterbench.hub.verify import MANIFEST, RIGHT, check_file, kept_manifest
 
 T = TypeVar("T")

@@ -17,10 +17,10 @@ from oysterbench.errors import HubError
 from oysterbench.files import locked, write_atomically
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.croissant import croissant
-from oysterbench.hub.cut import cut_public, cut_truth
 from oysterbench.hub.index import Index, Release, read_own_index
 from oysterbench.hub.manifest import Manifest, build_manifest
 from oysterbench.hub.pages import index_page, pictures_of
+from oysterbench.sequence.cut import cut_public, cut_truth
 from oysterbench.sequence.read import McapSequence
 
 TEMPORARY = ".publishing-"

@@ -15,10 +15,11 @@ from mcap.summary import Summary
 
 from oysterbench.errors import HubError
 from oysterbench.hub.canonical import sha256
-from oysterbench.hub.cut import chunks_with, cut, match_topics
 from oysterbench.hub.download import Hub, Progress, check_space, part_path
 from oysterbench.hub.manifest import FileEntry
-from oysterbench.hub.transfer import Part, Transfer
+from oysterbench.hub.part import Part
+from oysterbench.hub.transfer import Transfer
+from oysterbench.sequence.cut import chunks_with, cut, match_topics
 from oysterbench.sequence.file import FOOTER, MAGIC, Reading, damaged, summary_of
 
 Count = Callable[[int], None]
@@ -35,7 +36,7 @@ def fetch_topics(
     """Smaller files with the topics that fit patterns such as `/imu` or `/cam_front/*`: sequence -> path.
 
     They go to `out`, by default to a folder of their own within the split's. A file that is here whole is not fetched.
-    Raises HubError where a pattern fits no topic, or where a file is in the way.
+    Raises SequenceError where a pattern fits no topic, and HubError where a file is in the way.
     """
     out = out or folder / f"topics-{sha256(' '.join(sorted(wanted)).encode())[:8]}"
     total = sum(entry.size for entry in entries)

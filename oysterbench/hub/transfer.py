@@ -9,17 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import enum
-import errno
-import os
 import random
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
-from pathlib import Path
 
 from oysterbench.errors import HubError, IntegrityError, NetworkError
 from oysterbench.hub.canonical import sha256
-from oysterbench.hub.manifest import FileEntry
+from oysterbench.hub.part import Part
 from oysterbench.hub.sources import Body, Patience, Refusal, Setback, Source
 
 RUN = 8
@@ -94,56 +91,6 @@ class Reader:
         view[:n] = self._left[:n]
         self._left = self._left[n:]
         return n
-
-
-class Part:
-    """A file that is not whole yet."""
-
-    def __init__(self, path: Path, entry: FileEntry) -> None:
-        self.path, self.entry = path, entry
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        if os.fstat(self._file).st_size != entry.size:
-            os.ftruncate(self._file, entry.size)
-
-    def close(self) -> None:
-        """Let go of the file."""
-        os.close(self._file)
-
-    def write(self, piece: int, data: memoryview) -> None:
-        """Keep a piece."""
-        offset = self.entry.span(piece)[0]
-        while data:
-            n = os.pwrite(self._file, data, offset)
-            offset, data = offset + n, data[n:]
-
-    def is_right(self, piece: int) -> bool:
-        """Whether a piece is there, by its hash."""
-        start, end = self.entry.span(piece)
-        if self._is_hole(start, end):
-            return False
-        return sha256(os.pread(self._file, end - start, start)) == self.entry.pieces[piece]
-
-    def _is_hole(self, start: int, end: int) -> bool:
-        try:
-            return os.lseek(self._file, start, os.SEEK_DATA) >= end
-        except OSError as error:
-            return error.errno == errno.ENXIO  # nothing but a hole from here on; other errors: cannot be known
-
-    def install(self, target: Path) -> None:
-        """Give the whole file its name, in one step and for good."""
-        os.fsync(self._file)
-        try:
-            os.replace(self.path, target)
-        except FileNotFoundError:  # another process was faster, with the same bytes
-            if not (target.is_file() and target.stat().st_size == self.entry.size):
-                raise
-        with contextlib.suppress(OSError):  # not every file system can
-            folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
 
 
 class Transfer:

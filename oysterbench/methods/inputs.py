@@ -44,7 +44,7 @@ def _write_measurements(path: Path, out: Path) -> None:
     """Topics and attachments that are listed as public, as a hidden split is published."""
     if not path.is_file():
         raise MethodError(f"{path}: {{mcap}} needs a sequence file, and this is a folder; {{euroc}} takes both")
-    from oysterbench.hub.cut import cut_public
+    from oysterbench.sequence.cut import cut_public
 
     handle, temporary = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.")
     try:

@@ -29,9 +29,10 @@ from pathlib import Path
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.index import Index
 from oysterbench.hub.manifest import PIECE, FileEntry
+from oysterbench.hub.part import Part
 from oysterbench.hub.sign import load_key, make_key
 from oysterbench.hub.sources import Patience, open_source
-from oysterbench.hub.transfer import Mirror, Part, Transfer
+from oysterbench.hub.transfer import Mirror, Transfer
 
 RATIO = 0.8
 """Of curl's throughput, at least."""

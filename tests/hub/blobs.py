@@ -7,8 +7,9 @@ from pathlib import Path
 
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.manifest import FileEntry
+from oysterbench.hub.part import Part
 from oysterbench.hub.sources import Patience, open_source
-from oysterbench.hub.transfer import Mirror, Part, Transfer
+from oysterbench.hub.transfer import Mirror, Transfer
 
 IMPATIENT = Patience(
     attempts=4, first_wait_s=0.001, longest_wait_s=0.01, connect_s=2.0, idle_s=0.2, window_s=0.15, least_bytes=1000

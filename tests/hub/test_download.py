@@ -12,7 +12,7 @@ from trees import DIGEST, SECRET, a_key, publish_secret, publish_split, tree_byt
 from web import Honest, misbehaving, serving
 
 import oysterbench
-from oysterbench.errors import HubError, IntegrityError, NetworkError
+from oysterbench.errors import HubError, IntegrityError, NetworkError, SequenceError
 from oysterbench.hub import download as downloading
 from oysterbench.hub.canonical import canonical
 from oysterbench.hub.download import Hub, choose, download, find_here, part_path, plan
@@ -371,7 +371,7 @@ def test_topics_of_a_file_that_is_here_need_no_hub(long_dive, tmp_path):
     assert len(list(oysterbench.open(files["dive-01"]).images("cam_left"))) == 40
     again = fetch_topics(Hub([], None), manifest.files, download_folder, ["/cam_left/*"], tmp_path / "again")
     assert again["dive-01"].read_bytes() == files["dive-01"].read_bytes()
-    with pytest.raises(HubError, match="no topic fits '/nothing'"):
+    with pytest.raises(SequenceError, match="no topic fits '/nothing'"):
         fetch_topics(Hub([], None), manifest.files, download_folder, ["/nothing"])
     with pytest.raises(HubError, match="it was left as it is"):
         fetch_topics(Hub([], None), manifest.files, download_folder, ["/imu"], download_folder)

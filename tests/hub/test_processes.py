@@ -20,7 +20,7 @@ from oysterbench.hub.canonical import sha256
 from oysterbench.hub.download import CONNECTIONS, part_path
 from oysterbench.hub.index import Index, Release
 from oysterbench.hub.manifest import FileEntry, Manifest
-from oysterbench.hub.transfer import Part
+from oysterbench.hub.part import Part
 
 PIECE = 1 << 19
 SIZE = 20 * PIECE + 1234

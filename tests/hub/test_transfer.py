@@ -14,8 +14,9 @@ from blobs import IMPATIENT, blob, fetch
 from web import KINDS, Honest, misbehaving, serving
 
 from oysterbench.errors import HubError, IntegrityError, NetworkError
+from oysterbench.hub.part import Part
 from oysterbench.hub.sources import _retry_after
-from oysterbench.hub.transfer import Part, pause_s
+from oysterbench.hub.transfer import pause_s
 
 DATA, ENTRY = blob(300_001)
 PATH = f"blobs/{ENTRY.sha256}"

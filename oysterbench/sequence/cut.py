@@ -14,7 +14,7 @@ from mcap.records import Message as ChunkMessage
 from mcap.stream_reader import breakup_chunk
 from mcap.summary import Summary
 
-from oysterbench.errors import HubError
+from oysterbench.errors import SequenceError
 from oysterbench.sequence.file import DAMAGE, RECORD, Reading, damaged, read_attachments, read_metadata, summary_of
 from oysterbench.sequence.names import TF_STATIC
 from oysterbench.sequence.read import CALIBRATION
@@ -97,17 +97,17 @@ def read_chunk(path: Path, index: ChunkIndex, channels: Mapping[int, Channel]) -
                 raise ValueError(f"expected a chunk at byte {index.chunk_start_offset}")
             records = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
     except (*DAMAGE, struct.error) as error:
-        raise HubError(damaged(path, str(error))) from None
+        raise SequenceError(damaged(path, str(error))) from None
     for record in records:
         if isinstance(record, ChunkMessage):
             yield Message(channels[record.channel_id].topic, record.log_time, record.data)
 
 
 def match_topics(known: Collection[str], wanted: Collection[str], what: str) -> list[str]:
-    """Topics that fit patterns such as `/imu` or `/cam_front/*`; HubError where a pattern fits none."""
+    """Topics that fit patterns such as `/imu` or `/cam_front/*`; SequenceError where a pattern fits none."""
     from fnmatch import fnmatchcase
 
     for pattern in wanted:
         if not any(fnmatchcase(topic, pattern) for topic in known):
-            raise HubError(f"{what}: no topic fits {pattern!r}; its topics: {', '.join(sorted(known))}")
+            raise SequenceError(f"{what}: no topic fits {pattern!r}; its topics: {', '.join(sorted(known))}")
     return [topic for topic in known if any(fnmatchcase(topic, pattern) for pattern in wanted)]
