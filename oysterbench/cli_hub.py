@@ -262,7 +262,7 @@ def _render_instead(
 
 
 @click.command(short_help="Check what is on disk against its manifest.")
-@click.argument("what", nargs=-1, metavar="[SPLIT|FILE]...")
+@click.argument("what", nargs=-1, metavar="[SPLIT|FILE|HUB]...")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def verify(what: tuple[str, ...], as_json: bool) -> None:
     """Read files again and compare them with the manifest of their split; all that is here by default.
@@ -272,6 +272,7 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
       oysterbench verify
       oysterbench verify slam-val
       oysterbench verify data/mini-01.mcap
+      oysterbench verify hub                    every file of a published tree
 
     Ends with 3 if anything is damaged or absent; `oysterbench download SPLIT --verify` repairs it.
     """

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from oysterbench.errors import HubError, SequenceError
 from oysterbench.files import home
-from oysterbench.hub.canonical import sha256
+from oysterbench.hub.canonical import parse, sha256
 from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, released_manifest
 
 MANIFEST = "manifest.json"
@@ -82,10 +82,13 @@ def kept_manifest(folder: Path) -> Manifest | None:
 
 
 def checks(name: str = "") -> Iterator[Check]:
-    """Check a file, the splits of a name (NAME or NAME@VERSION) that are here, or, without a name, all that is here.
+    """Check a file, the tree of a hub, the splits of a name (NAME or NAME@VERSION) that are here, or all that is here.
 
     Raises HubError where nothing has that name.
     """
+    if name and (Path(name) / "index.json").is_file():
+        yield from check_tree(Path(name))
+        return
     if name.endswith(".mcap") or Path(name).is_file():
         yield _check_alone(Path(name))
         return
@@ -95,6 +98,30 @@ def checks(name: str = "") -> Iterator[Check]:
     if not found and name:
         raise HubError(f"{name}: nothing of it is here; `oysterbench download {name}` fetches it")
     yield from found
+
+
+def check_tree(tree: Path) -> Iterator[Check]:
+    """Check that every file of a published tree has the hash that is its name, and that none that is named is absent.
+
+    Whether the index is signed is for those who know the key: for clients.
+    """
+    index = parse((tree / "index.json").read_bytes(), str(tree / "index.json"))
+    named = set()
+    for release in index["signed"]["splits"]:
+        path = tree / "manifests" / f"{release['manifest']}.json"
+        named |= {path, tree / "croissant" / f"{release['croissant']}.json"}
+        named |= {tree / "pictures" / f"{digest}.jpg" for digest in release["pictures"]}
+        if path.is_file():
+            manifest = read_manifest(path.read_bytes(), str(path))
+            named |= {tree / "blobs" / entry.sha256 for entry in manifest.files}
+    found = {path for folder in ("blobs", "croissant", "manifests", "pictures") for path in (tree / folder).glob("*")}
+    for path in sorted(named | found):
+        if not path.is_file():
+            yield Check(path, ABSENT, "the index names it: publish its split again")
+            continue
+        with open(path, "rb") as file:
+            right = hashlib.file_digest(file, "sha256").hexdigest() == path.stem
+        yield Check(path, RIGHT) if right else Check(path, DAMAGED, "delete it and publish its split again")
 
 
 def _check_folder(folder: Path) -> Iterator[Check]:

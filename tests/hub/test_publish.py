@@ -31,6 +31,7 @@ from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.hub.index import read_index
 from oysterbench.hub.manifest import read_manifest
 from oysterbench.hub.publish import check_made_by
+from oysterbench.hub.verify import ABSENT, DAMAGED, RIGHT, checks
 from oysterbench.sequence.file import read_attachments, read_messages
 
 
@@ -195,6 +196,22 @@ def test_what_is_published_is_made_by_the_recipe(files, secret_files, tmp_path):
         check_made_by(files, "fake-val", "2.0", DIGEST, hidden=False)
     with pytest.raises(HubError, match="oysterbench render fake-val"):
         check_made_by({"dive-01": tmp_path / "no.mcap"}, "fake-val", "1.0", DIGEST, hidden=False)
+
+
+def test_a_tree_can_be_verified_and_is_repaired_by_publishing_again(tmp_path, files, key):
+    manifest = publish_split(tmp_path, files, key)
+    assert {check.state for check in checks(str(tmp_path))} == {RIGHT}
+    assert len(list(checks(str(tmp_path)))) == len([path for path in tree_bytes(tmp_path) if "/" in path])
+    blob, other = (tmp_path / "blobs" / entry.sha256 for entry in manifest.files)
+    blob.write_bytes(blob.read_bytes()[:-1] + b"?")
+    other.unlink()
+    assert {check.path: check.state for check in checks(str(tmp_path)) if not check.good} == {
+        blob: DAMAGED,
+        other: ABSENT,
+    }
+    blob.unlink()
+    publish_split(tmp_path, files, key)
+    assert {check.state for check in checks(str(tmp_path))} == {RIGHT}
 
 
 # Hidden splits
