@@ -12,6 +12,7 @@ from oysterbench.samples import DvlSample, MagneticSample, PressureSample
 from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.common.filter import (
     ATTITUDE,
+    CORE,
     GYRO_BIAS,
     POSITION,
     VELOCITY,
@@ -49,12 +50,13 @@ def dvl_rows(sample: DvlSample, floor: float) -> tuple[Array, Array, Array] | No
     """Directions (K, 3) in the DVL's frame, velocities (K,) m/s along them, and their variances (K,).
 
     The beams that are valid, each for itself: fewer than three, which give no velocity, still say something. The noise
-    of a beam follows from the covariance of the velocity, sigma^2 (B^T B)^-1. None where there is neither.
+    of a beam follows from the covariance of the velocity, sigma^2 (B^T B)^-1, or is the floor. None where there
+    is neither.
     """
     valid = np.asarray(sample.beam_valid, dtype=bool) & np.isfinite(sample.beam_velocities)
     if valid.any():
         beams = sample.beam_directions[valid]
-        variance = np.nan
+        variance = 0.0
         if valid.sum() >= 3 and np.isfinite(sample.covariance).all():
             variance = float(np.trace(sample.covariance) / np.trace(np.linalg.inv(beams.T @ beams)))
         return beams, sample.beam_velocities[valid], np.full(len(beams), max(variance, floor**2))
@@ -92,6 +94,19 @@ class Aiding:
         else:
             self._add_field(filter, sample)
 
+    def rows(self, kind: str) -> slice | None:
+        """The rows of a sensor's states in the filter's error; None before its first sample."""
+        return self._rows.get(kind)
+
+    def height_offset(self, filter: InvariantFilter) -> float | None:
+        """What a pressure sensor's height (m) is over z of odom; None without one."""
+        at = self._rows.get("pressure")
+        return None if at is None else float(filter.extra[at.start - CORE])
+
+    def set_height_offset(self, filter: InvariantFilter, offset: float) -> None:
+        """Put another one in its place: when odom has been chosen anew."""
+        filter.extra[self._rows["pressure"].start - CORE] = offset
+
     def _add_velocity(self, filter: InvariantFilter, sample: DvlSample) -> None:
         """Along beam b: b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r), scale s and misalignment m of the DVL's axes."""
         rows = dvl_rows(sample, self.settings.dvl_noise_floor)
@@ -106,7 +121,7 @@ class Aiding:
             twist = np.radians(settings.dvl_misalignment_sigma_deg)
             self._rows["dvl"] = filter.append(np.zeros(4), np.array([settings.dvl_scale_sigma, twist, twist, twist]))
         at = self._rows["dvl"]
-        calibration = filter.extra[at.start - 15 : at.stop - 15]
+        calibration = filter.extra[at.start - CORE : at.stop - CORE]
         rotation, lever = self.T_imu_dvl[:3, :3], self.T_imu_dvl[:3, 3]
         moving = rotation.T @ (filter.rotation.T @ filter.velocity + np.cross(filter.rate, lever))
         turn = rotation_exp(-calibration[1:])
@@ -135,7 +150,7 @@ class Aiding:
         slope[0, ATTITUDE] = -cross(place)[2]
         slope[0, at] = 1.0
         variance = sample.variance / weight**2 + self.settings.depth_sigma**2
-        residual = np.array([height - place[2] - filter.extra[at - 15]])
+        residual = np.array([height - place[2] - filter.extra[at - CORE]])
         self._update(filter, "pressure", residual, slope, np.array([variance]))
 
     def _add_field(self, filter: InvariantFilter, sample: MagneticSample) -> None:
@@ -154,7 +169,7 @@ class Aiding:
             sigmas = [settings.field_sigma] * 3 + [settings.hard_iron_sigma] * 3 + [settings.soft_iron_sigma] * 9
             self._rows["magnetometer"] = filter.append(mean, np.array(sigmas))
         at = self._rows["magnetometer"]
-        field, hard, soft = np.split(filter.extra[at.start - 15 : at.stop - 15], [3, 6])
+        field, hard, soft = np.split(filter.extra[at.start - CORE : at.stop - CORE], [3, 6])
         soft = soft.reshape(3, 3)
         local = to_sensor @ field
         slope = np.zeros((3, len(filter.covariance)))

@@ -33,7 +33,7 @@ class StartSettings:
     accel_floor: float = 0.02  # m/s^2
     rest_speed: float = 0.005  # m/s, 1 sigma at rest
     moving_speed: float = 1.0  # m/s, 1 sigma otherwise
-    moving_accel: float = 0.4  # m/s^2, 1 sigma of the mean acceleration: an ROV gathers speed
+    moving_accel: float = 0.6  # m/s^2, 1 sigma of what moves the mean force off: gathering speed, and rolling
 
 
 def align(
@@ -96,10 +96,14 @@ def start_filter(
     of_mean = rotation @ of_bias @ rotation.T + accel_white * eye
     if not at_rest:
         of_mean = of_mean + settings.moving_accel**2 * eye
-    # theta x (0, 0, g) is what the mean force had beside gravity; yaw is zero by definition.
-    tilt = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]) / calibration.gravity
+    # theta x (0, 0, g) is what the mean force had beside gravity. The bow points along x by definition: where it is
+    # above or below the horizon, a tilt about it needs a turn about z with it.
+    bow = rotation @ calibration.T_base_imu[:3, :3].T[:, 0]
+    tilt = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -bow[2] / bow[0], 0.0]]) / calibration.gravity
     covariance = filter.covariance
     covariance[ATTITUDE, ATTITUDE] = tilt @ of_mean @ tilt.T
+    # What of the yaw is of second order in the tilt, and all that there is of it where the bow is level.
+    covariance[2, 2] += (covariance[0, 0] + covariance[1, 1]) ** 2
     covariance[ACCEL_BIAS, ACCEL_BIAS] = of_bias
     covariance[ATTITUDE, ACCEL_BIAS] = tilt @ rotation @ of_bias
     covariance[ACCEL_BIAS, ATTITUDE] = covariance[ATTITUDE, ACCEL_BIAS].T

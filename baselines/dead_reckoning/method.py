@@ -19,9 +19,9 @@ from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.common.start import StartSettings, start_filter
 
-FLOOR = 1e-12
-"""m^2 and rad^2 on the diagonal of every covariance: the first pose is exact by definition, and a matrix that is
-singular cannot be inverted."""
+FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
+"""m^2 and rad^2 on every covariance: the first pose is exact by definition, and a matrix that is singular cannot be
+inverted."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class DeadReckoning:
             if isinstance(item, ImuSample):
                 stamps.append(item.stamp_ns)
                 poses.append(filter.pose @ T_imu_base)
-                covariances.append(filter.pose_covariance(poses[-1][:3, 3]) + FLOOR * np.eye(6))
+                covariances.append(filter.pose_covariance(poses[-1][:3, 3]) + FLOOR)
             else:
                 aiding.add(filter, item)
         matrices = np.array(poses)

@@ -131,6 +131,7 @@ class Estimator:
         self.keyframes.append(Keyframe(len(self.keyframes), stamp_ns, view, segment, rest))
         self._since = []
         if self._window is not None:
+            self.keyframes[-1].aiding = self._aiding_of(len(self.keyframes) - 1, self.keyframes[-2].state)
             try:
                 self._window.add(self.keyframes, predicted)
                 diverged = self._has_diverged()
@@ -142,6 +143,10 @@ class Estimator:
             self._try_to_start(self.settings.init_scale_sigma)
         if self._window is not None:
             self._measurements = preintegrate(Segment.join([]), self.keyframes[-1].state.bias, self.model.params)
+
+    def _aiding_of(self, k: int, before: State) -> list[gtsam.NonlinearFactor]:
+        """Factors of other sensors for key frame k, `before` the state one earlier: here none."""
+        return []
 
     # Initialisation.
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
@@ -33,7 +34,8 @@ class State:
 
 @dataclass
 class Keyframe:
-    """A key frame: its stamp, what it saw, the inertial measurements since the last key frame, its latest estimate."""
+    """A key frame: its stamp, what it saw, the inertial measurements since the last key frame, its latest estimate;
+    and factors of other sensors, on its states, those of the key frame before it, and what the model shares."""
 
     index: int
     stamp_ns: int
@@ -41,6 +43,7 @@ class Keyframe:
     segment: Segment
     at_rest: bool
     state: State | None = None
+    aiding: list[gtsam.NonlinearFactor] = field(default_factory=list)
 
 
 class Model:
@@ -79,6 +82,14 @@ class Model:
     def rest(self, keyframe: int) -> gtsam.NonlinearFactor:
         """No velocity."""
         return gtsam.PriorFactorVector(V(keyframe), np.zeros(3), self._rest)
+
+    def shared(self) -> Mapping[int, Array]:
+        """Variables that are in every graph, by key, with their values at first: here none."""
+        return {}
+
+    def shared_priors(self) -> list[gtsam.NonlinearFactor]:
+        """What is known of them beforehand."""
+        return []
 
     def start_priors(self, keyframe: int, state: State) -> list[gtsam.NonlinearFactor]:
         """Position and yaw, which nothing measures, held; roll, pitch and velocity free; bias as at turn-on."""
@@ -184,11 +195,17 @@ def adjust(model: Model, keyframes: list[Keyframe], states: list[State], gates_p
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for factor in model.start_priors(first, states[0]):
             graph.push_back(factor)
+        for factor in model.shared_priors():
+            graph.push_back(factor)
+        for key, value in model.shared().items():
+            values.insert(key, value)
         for keyframe, state in zip(keyframes, states, strict=True):
             insert_state(values, keyframe.index, state)
             if keyframe.index > first:
                 # Integrated about one bias for all: the average, whose corrections are smallest.
                 graph.push_back(model.inertial(keyframe.index - 1, keyframe.index, keyframe.segment, states[-1].bias))
+                for factor in keyframe.aiding:
+                    graph.push_back(factor)
             if keyframe.at_rest:
                 graph.push_back(model.rest(keyframe.index))
         for landmark, point in zip(ids, points, strict=True):

@@ -39,6 +39,7 @@ class Window:
                 stamps[key(keyframe.index)] = float(keyframe.index)
         for landmark in self._landmarks:
             stamps[L(landmark)] = float(self._observations[landmark][-1][0])
+        stamps |= dict.fromkeys(model.shared(), float(last))
         self._smoother.update(bundle.graph, bundle.values, stamps)
         self._read(keyframes, last)
 
@@ -52,6 +53,9 @@ class Window:
         graph.push_back(self.model.inertial(k - 1, k, keyframe.segment, keyframes[-2].state.bias))
         if keyframe.at_rest:
             graph.push_back(self.model.rest(k))
+        for factor in keyframe.aiding:
+            graph.push_back(factor)
+        stamps |= dict.fromkeys(self.model.shared(), float(k))  # they never leave
         keyframe.state = predicted
         self._remember(keyframe)
         self._see_again(keyframe, graph, stamps)
@@ -60,6 +64,11 @@ class Window:
         self._read(keyframes, k)
         self._landmarks = {i for i in self._landmarks if self._observations[i][-1][0] > k - self._lag}
         self._observations = {i: o for i, o in self._observations.items() if o[-1][0] > k - self._lag}
+
+    def joint(self, keys: list[int]) -> tuple[gtsam.Values, gtsam.JointMarginal]:
+        """The estimate, and the joint covariance of some of its variables."""
+        values = self._smoother.calculateEstimate()
+        return values, gtsam.Marginals(self._smoother.getFactors(), values).jointMarginalCovariance(keys)
 
     @property
     def _lag(self) -> int:

@@ -1,0 +1,298 @@
+"""The estimator: a filter that always runs, and the window of gtsam_vi, which corrects it at every key frame.
+
+The filter (IMU, DVL, depth, compass) predicts every frame and needs no picture. From the window comes its state, with
+its covariance, anew at each key frame; the window in turn starts from the filter, and starts again from it after a
+failure. So there is a pose and a covariance for every frame, with or without anything to see.
+"""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, V, X
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array, invert
+from oysterbench.samples import DvlSample, MagneticSample, PressureSample
+from oysterbench.sequence.types import CameraCalibration, Sequence
+from oysterbench.trajectory import Trajectory
+from oysterbench_baselines.common.aiding import Aiding
+from oysterbench_baselines.common.filter import CORE, InertialNoise, cross
+from oysterbench_baselines.common.inertial import Segment
+from oysterbench_baselines.common.start import start_filter
+from oysterbench_baselines.gtsam_full.factors import (
+    COMPASS_KEY,
+    DVL_KEY,
+    FIELD_UNIT,
+    depth_factor,
+    field_factor,
+    sum_velocities,
+    velocity_factor,
+)
+from oysterbench_baselines.gtsam_full.model import AidedModel
+from oysterbench_baselines.gtsam_full.settings import Settings
+from oysterbench_baselines.gtsam_vi.estimator import Estimator
+from oysterbench_baselines.gtsam_vi.graph import State, adjust, make_state, read_state
+from oysterbench_baselines.gtsam_vi.initialisation import View
+from oysterbench_baselines.gtsam_vi.window import Window
+
+FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
+"""m^2 and rad^2 on every covariance: the first pose is exact by definition."""
+
+
+class AidedEstimator(Estimator):
+    """Takes frames of tracks, inertial measurements and the aiding sensors' samples, in time order."""
+
+    settings: Settings
+
+    def __init__(
+        self,
+        sequence: Sequence,
+        camera: CameraCalibration,
+        settings: Settings,
+        first: tuple[NDArray[np.int64], Array, Array],
+    ) -> None:
+        """first: stamps (N,), gyro and accel (N, 3) of the first moments, by which the vehicle is levelled."""
+        super().__init__(camera, sequence.imu_calibration, settings)
+        noise = InertialNoise.of(self.imu, settings.imu_inflation)
+        self.filter, self.info["started_at_rest"] = start_filter(*first, self.imu, noise, settings.start)
+        self.aiding = Aiding(sequence, settings.aiding)
+        self.model: AidedModel = AidedModel(camera, self.imu, settings, sequence.dvl_calibration is not None)
+        self.covariances: list[Array] = []  # (6, 6) of T_odom_base, one a frame, as known at that frame
+        self._parts: list[tuple[Segment, DvlSample | None]] = []  # since the last key frame
+        self._intervals: dict[int, list[tuple[Segment, DvlSample | None]]] = {}  # by the key frame that they lead to
+        self._heights: dict[int, tuple[float, float]] = {}  # of the pressure sensor at a key frame, and 1 sigma, m
+        self._fields: dict[int, tuple[Array, float]] = {}  # magnetic field at a key frame, and 1 sigma, FIELD_UNIT
+        self._pressure: PressureSample | None = None
+        self._field: MagneticSample | None = None
+        self._first_field: tuple[Array, int] | None = None
+        self._offset: float | None = None  # of the pressure sensor's height over z of odom, m
+        self._weight = 1.0
+        if sequence.pressure_calibration is not None:
+            self._weight = sequence.pressure_calibration.density * self.imu.gravity
+            self._atmosphere = sequence.pressure_calibration.atmosphere
+
+    # Samples.
+
+    def add_segment(self, segment: Segment) -> None:
+        """Inertial measurements up to the next sample or frame."""
+        for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
+            self.filter.propagate(dt, gyro, accel)
+        if self.keyframes:
+            self._parts.append((segment, None))
+
+    def add_sample(self, sample: DvlSample | PressureSample | MagneticSample) -> None:
+        """A sample at the end of the last segment."""
+        self.aiding.add(self.filter, sample)
+        if isinstance(sample, DvlSample) and self._parts:
+            self._parts[-1] = (self._parts[-1][0], sample)
+        elif isinstance(sample, PressureSample):
+            self._pressure = sample
+        elif isinstance(sample, MagneticSample):
+            self._field = sample
+
+    def add_frame(self, stamp_ns: int, segment: Segment, ids: NDArray[np.int64], rays: Array) -> None:
+        super().add_frame(stamp_ns, segment, ids, rays)
+        pose = self.filter.pose
+        if self.model.has_dvl or self._window is not None:
+            self.frames[-1].online = pose
+        place = (pose @ invert(self.imu.T_base_imu))[:3, 3]
+        self.covariances.append(self.filter.pose_covariance(place) + FLOOR)
+
+    @property
+    def gyro_bias(self) -> Array:
+        return self.filter.gyro_bias
+
+    def _predict(self) -> State | None:
+        if self._window is None:
+            return None
+        return self._filter_state()
+
+    def _filter_state(self) -> State:
+        f = self.filter
+        return make_state(f.rotation, f.position, f.velocity, f.gyro_bias, f.accel_bias)
+
+    # Key frames.
+
+    def _add_keyframe(self, stamp_ns: int, view: View, predicted: State | None) -> None:
+        k = len(self.keyframes)
+        self._intervals[k], self._parts = self._parts, []
+        self._note_height(k, stamp_ns)
+        self._note_field(k, stamp_ns)
+        super()._add_keyframe(stamp_ns, view, predicted)
+        self._measurements = None  # the filter predicts
+        if self._window is not None:
+            self._correct_filter(k)
+
+    def _note_height(self, k: int, stamp_ns: int) -> None:
+        """The depth reading, moved to the key frame at the filter's vertical speed."""
+        if self._pressure is None:
+            return
+        delay = (stamp_ns - self._pressure.stamp_ns) * 1e-9
+        height = (self._atmosphere - self._pressure.pressure) / self._weight + delay * self.filter.velocity[2]
+        variance = self._pressure.variance / self._weight**2 + self.settings.aiding.depth_sigma**2
+        if delay <= self.settings.keyframe_max_s:
+            self._heights[k] = float(height), float(np.sqrt(variance + (0.02 * delay) ** 2))
+
+    def _note_field(self, k: int, stamp_ns: int) -> None:
+        """The magnetic field, if it was read a moment ago; less certain as the vehicle turns."""
+        sample, settings = self._field, self.settings
+        if sample is None or (stamp_ns - sample.stamp_ns) * 1e-9 > settings.compass_delay_s:
+            return
+        field = sample.field / FIELD_UNIT
+        turned = np.linalg.norm(self.filter.rate) * (stamp_ns - sample.stamp_ns) * 1e-9
+        own = (sample.variance + settings.aiding.magnetic_sigma**2) / FIELD_UNIT**2
+        self._fields[k] = field, float(np.sqrt(own + (turned * np.linalg.norm(field)) ** 2))
+        if self._first_field is None:
+            self._first_field = field, k
+
+    def _aiding_of(self, k: int, before: State) -> list[gtsam.NonlinearFactor]:
+        """Factors of the interval that leads to key frame k, and of k itself; `before`: the state one earlier."""
+        settings, aiding, factors = self.settings, self.aiding, []
+        gravity = self.imu.gravity
+        if self.model.has_dvl:
+            floor = settings.aiding.dvl_noise_floor
+            velocity = sum_velocities(self._intervals[k], before, gravity, aiding.T_imu_dvl, floor)
+            if velocity is not None:
+                factors.append(velocity_factor(velocity, k - 1, gravity, settings.aiding_huber))
+        if k in self._heights and self._offset is not None:
+            height, sigma = self._heights[k]
+            factors.append(depth_factor(k, height - self._offset, aiding.T_imu_pressure[:3, 3], sigma))
+        if k in self._fields and self.model.earth is not None:
+            field, sigma = self._fields[k]
+            rotation = aiding.T_imu_compass[:3, :3].T
+            factors.append(field_factor(k, field, sigma, rotation, settings.aiding_huber))
+        return factors
+
+    # Start.
+
+    def _try_to_start(self, max_scale_sigma: float) -> None:
+        """With a DVL the filter knows the motion, and the window takes it from there; without, as gtsam_vi does."""
+        if not self.model.has_dvl:
+            super()._try_to_start(max_scale_sigma)
+            self._anchor_depth()
+            return
+        self._offset = self.aiding.height_offset(self.filter)
+        settings = self.settings
+        stretch = self.keyframes[self._first :][-settings.init_max_keyframes :]
+        elapsed = (stretch[-1].stamp_ns - stretch[0].stamp_ns) * 1e-9
+        tilt = np.sqrt(np.diag(self.filter.covariance)[:2].max())
+        if len(stretch) < settings.start_keyframes or elapsed < settings.start_s:
+            return
+        if tilt > np.radians(settings.start_tilt_deg):
+            return
+        states = self._states_back(stretch)
+        if self._first_field is not None:
+            # The field's mean is free: this is only where the solver begins.
+            to_compass = self.aiding.T_imu_compass[:3, :3].T @ states[-1].nav.attitude().matrix().T
+            field, _ = self._fields.get(stretch[-1].index, (self._first_field[0], 0.0))
+            self.model.earth = to_compass.T @ field
+        for keyframe, before in zip(stretch[1:], states[:-1], strict=True):
+            keyframe.aiding = self._aiding_of(keyframe.index, before)
+        try:
+            bundle = adjust(self.model, stretch, states, (3 * settings.max_slide_px, settings.max_landmark_error_px))
+            window = Window(self.model, stretch, bundle)
+        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+            return
+        self._window = window
+        self.info.setdefault("init_s", (stretch[-1].stamp_ns - self.keyframes[0].stamp_ns) * 1e-9)
+        for keyframe in stretch[1:] if self._first else stretch:
+            keyframe.state = read_state(bundle.values, keyframe.index)
+        self._good = (self.keyframes[-1].index, self.keyframes[-1].state)
+        self._fill_back(stretch[0].index)
+
+    def _anchor_depth(self) -> None:
+        """The depth at which an odom lies that the pictures have chosen: by all readings so far."""
+        known = [self.keyframes[k] for k in self._heights if self.keyframes[k].state is not None]
+        if self._window is None or not known:
+            return
+        lever = np.append(self.aiding.T_imu_pressure[:3, 3], 1.0)
+        self._offset = float(np.mean([self._heights[k.index][0] - (k.state.matrix @ lever)[2] for k in known]))
+        self.aiding.set_height_offset(self.filter, self._offset)
+
+    def _states_back(self, stretch: list) -> list[State]:
+        """States of the key frames: the filter's at the last, and back from there along the inertial measurements."""
+        states = [self._filter_state()]
+        for keyframe in reversed(stretch[1:]):
+            states.append(self._back(states[-1], keyframe.segment))
+        return states[::-1]
+
+    # The window's estimate, as the filter's state.
+
+    def _correct_filter(self, k: int) -> None:
+        """The filter goes on from the window's estimate of key frame k, with its covariance."""
+        keys = [X(k), V(k), B(k), *self.model.shared()]
+        try:
+            values, joint = self._window.joint(keys)
+        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+            return
+        state = read_state(values, k)
+        rotation, velocity = state.nav.attitude().matrix(), state.nav.velocity()
+        position = state.nav.position()
+        f = self.filter
+        rows: dict[int, tuple[slice, Array]] = {}
+        for key, name, unit in (
+            (DVL_KEY, "dvl", np.ones(4)),
+            (COMPASS_KEY, "magnetometer", np.r_[[FIELD_UNIT] * 6, np.ones(9)]),
+        ):
+            at = self.aiding.rows(name)
+            if key in keys and at is not None:
+                rows[key] = at, np.diag(unit)
+                f.extra[at.start - CORE : at.stop - CORE] = unit * values.atVector(key)
+        # From GTSAM's tangent (rotation and position in the body's axes, accelerometer bias first) to the filter's.
+        n = len(f.covariance)
+        change = {key: np.zeros((n, size)) for key, size in ((X(k), 6), (V(k), 3), (B(k), 6))}
+        change[X(k)][:3, :3] = rotation
+        change[X(k)][3:6, :3] = cross(velocity) @ rotation
+        change[X(k)][6:9, :3] = cross(position) @ rotation
+        change[X(k)][6:9, 3:] = rotation
+        change[V(k)][3:6] = np.eye(3)
+        change[B(k)][12:15, :3] = change[B(k)][9:12, 3:] = np.eye(3)
+        for key, (at, unit) in rows.items():
+            change[key] = np.zeros((n, len(unit)))
+            change[key][at] = unit
+        covariance = np.zeros((n, n))
+        for first in change:
+            for second in change:
+                covariance += change[first] @ joint.at(first, second) @ change[second].T
+        kept = self.aiding.rows("pressure")
+        if kept is not None:
+            covariance[kept, kept] = f.covariance[kept, kept]
+        if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] < -1e-9:
+            return
+        f.rotation, f.velocity, f.position = rotation, np.array(velocity), np.array(position)
+        f.gyro_bias, f.accel_bias = np.array(state.bias.gyroscope()), np.array(state.bias.accelerometer())
+        f.covariance = 0.5 * (covariance + covariance.T)
+
+    # Failures.
+
+    def _restart(self) -> None:
+        """The window is given up; the filter goes on, and the next window starts from it."""
+        if not self.model.has_dvl:
+            super()._restart()
+            return
+        self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
+        self._window, self._measurements, self._bad_keyframes = None, None, 0
+        self._first = self.keyframes[-1].index
+        for keyframe in self.keyframes:
+            if keyframe.state is None or not np.isfinite(keyframe.state.matrix).all():
+                keyframe.state = self._filter_state()
+        self.keyframes[-1].state = self._filter_state()
+        f = self.filter
+        self.model.start = f.pose_covariance(f.position), f.covariance[3:6, 3:6] + np.eye(3) * 1e-6
+
+    # Results.
+
+    def finish(self) -> None:
+        if not self.model.has_dvl:
+            super().finish()
+            return
+        self.info["keyframes"] = len(self.keyframes)
+        self.info["initialised"] = int(self._window is not None)
+        self.info.update({f"refused_{kind}": n for kind, n in self.aiding.refused.items()})
+
+    def online(self) -> Trajectory:
+        trajectory = super().online()
+        return Trajectory(
+            trajectory.stamps_ns, trajectory.positions, trajectory.quaternions, np.array(self.covariances)
+        )

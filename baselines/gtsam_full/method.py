@@ -1,0 +1,88 @@
+"""The method: a sequence in, a trajectory with covariances out."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import chain
+from typing import Literal
+
+import numpy as np
+
+from oysterbench.errors import MethodError
+from oysterbench.methods import Estimate
+from oysterbench.samples import Image, ImuSample
+from oysterbench.sequence.types import Sequence
+from oysterbench_baselines.common.aiding import sensors_of
+from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
+from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
+from oysterbench_baselines.gtsam_full.settings import Settings
+from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
+
+
+class GtsamFull:
+    """gtsam_vi with DVL, pressure and magnetometer, each where the rig has it; it needs no pictures while it has a DVL.
+
+    output: "online" gives each pose and covariance as known at its frame, "smoothed" those after an adjustment of the
+    whole path. camera: name of the camera; the first one by default.
+    """
+
+    name = "gtsam_full"
+    track = "slam"
+
+    def __init__(
+        self,
+        output: Literal["smoothed", "online"] = "smoothed",
+        camera: str | None = None,
+        settings: Settings | None = None,
+    ) -> None:
+        if output not in ("smoothed", "online"):
+            raise MethodError(f"gtsam_full: expected output 'smoothed' or 'online', got {output!r}")
+        self.output = output
+        self.camera = camera
+        self.settings = settings or Settings()
+
+    def run(self, sequence: Sequence) -> Estimate:
+        """Poses T_odom_base with covariances at the camera's stamps."""
+        camera = self.camera or next(iter(sequence.cameras), "")
+        if camera not in sequence.cameras:
+            raise MethodError(
+                f"gtsam_full: sequence {sequence.name} has no camera {camera!r}; cameras: "
+                f"{', '.join(sequence.cameras) or 'none'}"
+            )
+        sensors = sensors_of(sequence)
+        stream = sequence.stream(*sensors, camera)
+        head = []
+        for item in stream:
+            head.append(item)
+            if item.stamp_ns - head[0].stamp_ns > self.settings.start.level_s * 1e9:
+                break
+        inertial = [item for item in head if isinstance(item, ImuSample)]
+        if len(inertial) < 2:
+            raise MethodError(f"gtsam_full: expected inertial samples in sequence {sequence.name}, got {len(inertial)}")
+        first = (
+            np.array([sample.stamp_ns for sample in inertial], dtype=np.int64),
+            np.array([sample.gyro for sample in inertial]),
+            np.array([sample.accel for sample in inertial]),
+        )
+        front_end = FrontEnd(sequence.cameras[camera], self.settings)
+        estimator = AidedEstimator(sequence, sequence.cameras[camera], self.settings, first)
+        R_imu_cam = estimator.model.T_imu_cam[:3, :3]
+        samples, since = SampleBuffer(), list[Segment]()
+        for item in chain(head, stream):
+            if isinstance(item, ImuSample):
+                samples.add(item)
+                continue
+            segment = samples.cut(item.stamp_ns)
+            estimator.add_segment(segment)
+            since.append(segment)
+            if not isinstance(item, Image):
+                estimator.add_sample(item)
+                continue
+            between, since = Segment.join(since), []
+            turn = R_imu_cam.T @ relative_rotation(between, estimator.gyro_bias) @ R_imu_cam
+            tracks = front_end.track(item.pixels, turn)
+            estimator.add_frame(item.stamp_ns, between, tracks.ids, tracks.rays)
+        estimator.finish()
+        trajectory = estimator.online() if self.output == "online" else estimator.smoothed()
+        info = {"trajectory": self.output, "camera": camera, "sensors": ["imu", *sensors, camera], **estimator.info}
+        return Estimate(trajectory, {**info, "settings": dataclasses.asdict(self.settings)})
