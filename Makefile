@@ -11,7 +11,7 @@ demo: $(VENV)/.demo
 	$(VENV)/bin/oysterbench eval --track slam
 
 test: lint
-	$(VENV)/bin/pytest
+	$(VENV)/bin/pytest -n auto --dist loadfile
 
 test-slow: $(VENV)/.dev
 	$(VENV)/bin/pytest -m "slow or not slow"

@@ -34,7 +34,7 @@ def some_rays(world, count):
 
 
 def test_ranges_normals_and_instances_agree_with_trimesh(world, caster):
-    origins, directions = some_rays(world, 300)
+    origins, directions = some_rays(world, 60)
     echoes = caster.cast(origins, directions, FAR)
     ground = world.terrain.mesh()
     inside = np.all(np.abs(ground.vertices[:, :2]) < 2.5, axis=1)[ground.faces].all(axis=1)
@@ -53,9 +53,9 @@ def test_ranges_normals_and_instances_agree_with_trimesh(world, caster):
     points, which, triangles = found
     ranges = np.linalg.norm(points - origins[which], axis=1)
     same = (echoes.instances[which] == owner[triangles]) & (np.abs(echoes.ranges[which] - ranges) < 5e-4)
-    assert len(which) > 250
+    assert len(which) > 50
     assert np.unique(owner[triangles]).size > 15
-    assert same.mean() > 0.98  # a ray along an outline may fall on either side of it
+    assert same.mean() > 0.95  # a ray along an outline may fall on either side of it
     classes = np.concatenate([[1], world.instances.classes])
     assert np.array_equal(echoes.classes[which], classes[echoes.instances[which]])
     lengths = np.linalg.norm(echoes.normals[which], axis=1)

@@ -46,7 +46,13 @@ def test_a_crowd_is_felt_where_it_stands_and_nowhere_else() -> None:
 
 
 @pytest.mark.parametrize(
-    ("size_mm", "density_per_m2", "most"), [(85, 50, 0.004), (85, 200, 0.025), (40, 600, 0.013), (85, 600, 0.38)]
+    ("size_mm", "density_per_m2", "most"),
+    [
+        (85, 50, 0.004),
+        (85, 200, 0.025),
+        pytest.param(40, 600, 0.013, marks=pytest.mark.slow),
+        pytest.param(85, 600, 0.38, marks=pytest.mark.slow),
+    ],
 )
 def test_few_oysters_stand_deep_in_those_of_other_clumps(size_mm: int, density_per_m2: int, most: float) -> None:
     crowding = measure_crowding(world(oyster_size_mm=float(size_mm), density_per_m2=float(density_per_m2)))
