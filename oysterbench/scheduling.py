@@ -109,7 +109,7 @@ def run_on_cluster(task: Callable[[J], bytes], jobs: Sequence[J], address: str) 
     deaths: Counter[str] = Counter()
     with client:
         pending: dict[str, J] = {}
-        done = as_completed()
+        done = as_completed(loop=client.loop)
         queue = iter(jobs)
 
         def submit(job: J) -> None:
