@@ -1,4 +1,9 @@
-"""A file that is not whole yet: sparse, beside its final name, and its own journal."""
+"""A file that is not whole yet: it grows as a sparse `.part` beside its final name.
+
+The part is its own journal: what of it is right is found by hashing the pieces that are not holes, so nothing can come
+out of step with it, and a killed process costs at most the pieces that were under way, one for each connection. Two
+processes that write the same part write the same bytes.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +30,15 @@ class Part:
         """Let go of the file."""
         os.close(self._file)
 
-    def write(self, piece: int, data: memoryview) -> None:
-        """Keep a piece."""
+    def duplicate(self) -> int:
+        """A descriptor of one's own to write through, so that nobody else's `close` can make it another file's."""
+        return os.dup(self._file)
+
+    def write(self, piece: int, data: memoryview, descriptor: int) -> None:
+        """Keep a piece. It may be written twice at once: with the same bytes."""
         offset = self.entry.span(piece)[0]
         while data:
-            n = os.pwrite(self._file, data, offset)
+            n = os.pwrite(descriptor, data, offset)
             offset, data = offset + n, data[n:]
 
     def is_right(self, piece: int) -> bool:

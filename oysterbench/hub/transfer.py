@@ -1,14 +1,10 @@
-"""One file, fetched in pieces from several mirrors at once: a piece counts once its hash is right.
-
-The file grows as a sparse `.part` file beside its final name. The part is its own journal: what of it is right is found
-by hashing the pieces that are not holes, so nothing can come out of step with it, and a killed process costs at most
-the pieces that were under way, one for each connection. Two processes that write the same part write the same bytes.
-"""
+"""One file, fetched in pieces from several mirrors at once: a piece counts once its hash is right."""
 
 from __future__ import annotations
 
 import contextlib
 import enum
+import os
 import random
 import threading
 from collections import Counter, deque
@@ -131,8 +127,7 @@ class Transfer:
             for worker in workers:
                 worker.join()
         finally:
-            with self._lock:  # from here on nobody writes, and the part may be closed
-                self.stop.set()
+            self.stop.set()
         if self._error is not None:
             raise self._error
         if self._missing:
@@ -141,12 +136,15 @@ class Transfer:
             raise type(error)(f"{error}; {there} of {total} pieces are kept, and the same command goes on from there")
 
     def _work(self, number: int) -> None:
+        descriptor = self._part.duplicate()
         try:
-            Connection(self, number).run()
+            Connection(self, number, descriptor).run()
         except BaseException as error:
             with self._lock:
                 self._error = self._error or error
             self.stop.set()
+        finally:
+            os.close(descriptor)
 
     # What connections share:
 
@@ -170,16 +168,16 @@ class Transfer:
         """Mirrors that can still be asked for the file."""
         return [mirror for mirror in self._mirrors if mirror.why_not(self.path) is None]
 
-    def accept(self, piece: int, data: memoryview) -> Found:
-        """Keep a piece if its hash is right and it was missing."""
+    def accept(self, piece: int, data: memoryview, descriptor: int) -> Found:
+        """Keep a piece if its hash is right and it was missing. Hashing and writing hold nobody up."""
         if sha256(data) != self.entry.pieces[piece]:
             return Found.WRONG
+        if not self.is_missing(piece):
+            return Found.KNOWN
+        self._part.write(piece, data, descriptor)
         with self._lock:
-            if self.stop.is_set():
-                raise Setback("stopped")
             if piece not in self._missing:
                 return Found.KNOWN
-            self._part.write(piece, data)
             self._missing.discard(piece)
             self._count(len(data))
             return Found.NEW
@@ -193,9 +191,10 @@ class Transfer:
 class Connection:
     """One of the workers of a transfer: it asks one mirror at a time for one run of pieces at a time."""
 
-    def __init__(self, transfer: Transfer, number: int) -> None:
+    def __init__(self, transfer: Transfer, number: int, descriptor: int) -> None:
         self.t = transfer
         self._turn = number
+        self._descriptor = descriptor
         self._buffer = bytearray(min(transfer.entry.piece_size, transfer.entry.size))
         self._filled = 0  # bytes of the first piece of the run that are in the buffer
         self._gained = 0  # bytes that the attempt under way brought nearer to the end
@@ -270,7 +269,7 @@ class Connection:
             self._filled += n
             self._gained += 0 if mirror.whole else n  # without ranges an attempt starts from nothing again
         self._filled = 0
-        found = self.t.accept(piece, view)
+        found = self.t.accept(piece, view, self._descriptor)
         if found is Found.WRONG:
             self._wrong[mirror] += 1
             raise Setback(f"piece {piece} of {self.t.entry.name} has wrong bytes")

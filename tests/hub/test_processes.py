@@ -93,8 +93,10 @@ def kill_and_go_on(big, folder, fraction):
             opened = Part(part, big.entry)
             kept = {k for k in range(len(big.entry.pieces)) if opened.is_right(k)}
             opened.close()
-        while any(thread.name.endswith("(process_request_thread)") for thread in threading.enumerate()):
-            time.sleep(0.005)  # what was under way notices that nobody listens
+        for _ in range(2000):  # what was under way notices that nobody listens
+            if not site.connections:
+                break
+            time.sleep(0.005)
         first_sent = site.sent
     done = target.exists()
     with serving(Honest, big.files) as site:

@@ -20,6 +20,7 @@ class Site:
     files: dict[str, bytes]
     requests: list[tuple[str, int, int]] = field(default_factory=list)  # path, first byte, byte behind the last
     sent: int = 0  # bytes of bodies
+    connections: int = 0  # that are open
     lock: threading.Lock = field(default_factory=threading.Lock)
     url: str = ""
 
@@ -30,6 +31,15 @@ class Honest(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     site: Site
     pause: Callable[[], None] = staticmethod(lambda: None)
+
+    def handle(self) -> None:
+        with self.site.lock:
+            self.site.connections += 1
+        try:
+            super().handle()
+        finally:
+            with self.site.lock:
+                self.site.connections -= 1
 
     def log_message(self, *arguments: object) -> None:
         pass
