@@ -1,0 +1,209 @@
+"""Monocular or stereo visual odometry: a pose for each frame from landmarks, landmarks at each key frame from poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array
+from oysterbench_baselines.visual_only.settings import Settings
+from oysterbench_baselines.visual_only.views import (
+    point_from_views,
+    pose_from_points,
+    ray_angle,
+    relative_pose,
+    reprojection_errors,
+)
+
+MatchRight = Callable[[float | None], tuple[NDArray[np.int64], Array]]
+"""Ids (M,) and rays (M, 2) in the right camera of tracks of the frame; asked with the depth to begin with, m."""
+
+
+@dataclass
+class Landmark:
+    """A track as key frames saw it: poses T_map_cam (4, 4) and rays (2,); and its point (3,) in the map, once known."""
+
+    poses: list[Array] = field(default_factory=list)
+    rays: list[Array] = field(default_factory=list)
+    point: Array | None = None
+
+    def see(self, T_map_cam: Array, ray: Array, most: int) -> None:
+        """Add a view; of more than `most` the oldest goes."""
+        self.poses, self.rays = [*self.poses, T_map_cam][-most:], [*self.rays, ray][-most:]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What a frame shows: ids (N,) of tracks and their rays (N, 2)."""
+
+    stamp_ns: int
+    ids: NDArray[np.int64]
+    rays: Array
+
+    def of(self, ids: NDArray[np.int64]) -> Array:
+        """Rays (M, 2) of those tracks; ids are in order."""
+        return self.rays[np.searchsorted(self.ids, ids)]
+
+
+class Odometry:
+    """Poses T_map_cam of one camera, `map` being where it was in the first frame of the map.
+
+    focal_px turns the settings' pixels into rays. T_left_right (4, 4): the other camera of a stereo pair, which gives
+    the map its scale; without one the median depth at the start is taken as `start_depth_m`.
+    """
+
+    def __init__(self, settings: Settings, focal_px: float, T_left_right: Array | None = None) -> None:
+        self.settings = settings
+        self.T_left_right = T_left_right
+        self.poses: dict[int, Array] = {}  # stamp, ns -> T_map_cam
+        self.lost_ns: int | None = None
+        self.key_frames = 0
+        self._px = 1.0 / focal_px
+        self._landmarks: dict[int, Landmark] = {}
+        self._waiting: list[Frame] = []  # frames before there is a map
+        self._key: Frame | None = None
+        self._known_at_key = 0
+
+    def add(self, frame: Frame, match_right: MatchRight | None = None) -> Array | None:
+        """The pose of the next frame, None as long as there is no map, or where the map is not seen any more."""
+        if self.key_frames == 0:
+            self._start(frame, match_right)
+            return self.poses.get(frame.stamp_ns)
+        found = self._locate(frame)
+        if found is None:
+            if self.lost_ns is None:
+                self.lost_ns = frame.stamp_ns
+            return None
+        self.lost_ns = None
+        T_map_cam, known = found
+        self.poses[frame.stamp_ns] = T_map_cam
+        if self._is_key(frame, known):
+            self._add_key(frame, T_map_cam, match_right)
+        return T_map_cam
+
+    @property
+    def landmarks(self) -> Array:
+        """(L, 3) points of the map whose tracks live."""
+        return np.array([mark.point for mark in self._landmarks.values() if mark.point is not None]).reshape(-1, 3)
+
+    def _start(self, frame: Frame, match_right: MatchRight | None) -> None:
+        """The first map: at once with stereo, after enough parallax without."""
+        if self.T_left_right is not None:
+            if match_right is not None:
+                self._add_key(frame, np.eye(4), match_right)
+                if len(self.landmarks) < self.settings.start_min_points:
+                    self.key_frames, self._landmarks = 0, {}
+                else:
+                    self.poses[frame.stamp_ns] = np.eye(4)
+            return
+        self._waiting.append(frame)
+        first = self._waiting[0]
+        common = np.intersect1d(first.ids, frame.ids)
+        if len(common) < self.settings.start_min_points:
+            self._waiting = [frame]
+            return
+        before, after = first.of(common), frame.of(common)
+        if np.median(np.linalg.norm(after - before, axis=1)) < self.settings.start_parallax_px * self._px:
+            return
+        T_first_now = relative_pose(before, after, self.settings.essential_error_px * self._px)
+        if T_first_now is not None:
+            self._start_from(first, frame, T_first_now)
+
+    def _start_from(self, first: Frame, last: Frame, T_first_last: Array) -> None:
+        """Take over the map of two views if it is large enough and the frames between them fit it."""
+        settings = self.settings
+        self._see(first, np.eye(4))
+        self._see(last, T_first_last)
+        self._triangulate(last)
+        points = self.landmarks
+        if len(points) >= settings.start_min_points:
+            self._scale(settings.start_depth_m / float(np.median(points[:, 2])))
+            found = {frame.stamp_ns: self._locate(frame, drop=False) for frame in self._waiting}
+            poses = {stamp: pose[0] for stamp, pose in found.items() if pose is not None}
+            if len(poses) >= settings.start_agreement * len(found) and last.stamp_ns in poses:
+                self.poses |= poses
+                self.key_frames, self._key, self._waiting = 2, last, []
+                self._known_at_key = len(points)
+                return
+        self._landmarks = {}
+
+    def _scale(self, factor: float) -> None:
+        for mark in self._landmarks.values():
+            mark.poses = [np.block([[T[:3, :3], factor * T[:3, 3:]], [T[3:]]]) for T in mark.poses]
+            mark.point = None if mark.point is None else factor * mark.point
+
+    def _locate(self, frame: Frame, drop: bool = True) -> tuple[Array, int] | None:
+        """The pose from the landmarks that are seen, and their number; None where too few agree on one.
+
+        drop: those that do not agree are given up: their tracks have slid off their points, or they move.
+        """
+        settings = self.settings
+        marks = [self._landmarks.get(int(track)) for track in frame.ids]
+        known = np.array([mark is not None and mark.point is not None for mark in marks], dtype=bool)
+        ids = frame.ids[known]
+        points = np.array([mark.point for mark in marks if mark is not None and mark.point is not None]).reshape(-1, 3)
+        found = pose_from_points(points, frame.rays[known], settings.pose_error_px * self._px, settings.pose_trials)
+        if found is None:
+            return None
+        T_map_cam, agree = found
+        if agree.sum() < max(settings.min_inliers, settings.min_inlier_share * len(agree)):
+            return None
+        if drop:
+            for track in ids[~agree]:
+                del self._landmarks[int(track)]
+        return T_map_cam, int(agree.sum())
+
+    def _is_key(self, frame: Frame, known: int) -> bool:
+        assert self._key is not None
+        common = np.intersect1d(self._key.ids, frame.ids)
+        if len(common) < self.settings.min_inliers or known < self.settings.key_share * self._known_at_key:
+            return True
+        moved = np.linalg.norm(frame.of(common) - self._key.of(common), axis=1)
+        return float(np.median(moved)) > self.settings.key_parallax_px * self._px
+
+    def _add_key(self, frame: Frame, T_map_cam: Array, match_right: MatchRight | None) -> None:
+        """Note what the frame sees, and fit all landmarks in it to their views."""
+        depth = self._median_depth(T_map_cam)
+        self._see(frame, T_map_cam)
+        if match_right is not None and self.T_left_right is not None:
+            ids, rays = match_right(depth)
+            for track, ray in zip(ids, rays, strict=True):
+                # The right view counts as one more of the same landmark: a base of known length.
+                mark = self._landmarks[int(track)]
+                mark.see(T_map_cam @ self.T_left_right, ray, self.settings.max_views)
+        self._triangulate(frame)
+        live = set(frame.ids.tolist())
+        self._landmarks = {track: mark for track, mark in self._landmarks.items() if track in live}
+        self._key = frame
+        self._known_at_key = len(self.landmarks)
+        self.key_frames += 1
+
+    def _median_depth(self, T_map_cam: Array) -> float | None:
+        points = self.landmarks
+        return float(np.median((points - T_map_cam[:3, 3]) @ T_map_cam[:3, 2])) if len(points) else None
+
+    def _see(self, frame: Frame, T_map_cam: Array) -> None:
+        for track, ray in zip(frame.ids.tolist(), frame.rays, strict=True):
+            self._landmarks.setdefault(track, Landmark()).see(T_map_cam, ray, self.settings.max_views)
+
+    def _triangulate(self, frame: Frame) -> None:
+        """Points of the tracks of a key frame from all their views; those that do not fit them are forgotten."""
+        settings = self.settings
+        angle = settings.min_ray_angle_deg if self.T_left_right is None else settings.stereo_min_angle_deg
+        for track in frame.ids.tolist():
+            mark = self._landmarks[track]
+            if len(mark.poses) < 2:
+                continue
+            poses, rays = np.array(mark.poses), np.array(mark.rays)
+            point = point_from_views(poses, rays)
+            if point is None or ray_angle(poses, point) < np.radians(angle):
+                continue
+            errors = [reprojection_errors(point[None], T, ray[None])[0] for T, ray in zip(poses, rays, strict=True)]
+            if max(errors) < settings.landmark_error_px * self._px:
+                mark.point = point
+            else:
+                # Begun anew from its last view: the track has slid, or one of the poses was wrong.
+                self._landmarks[track] = Landmark([mark.poses[-1]], [mark.rays[-1]])
