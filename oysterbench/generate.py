@@ -200,7 +200,9 @@ def _render(
 def _warm_up(device: str) -> None:
     """Compile the kernels; the other processes find them."""
     from oysterbench.render.camera import warm_up
+    from oysterbench.render.device import check_device
 
+    check_device(device)
     warm_up(device)
 
 
