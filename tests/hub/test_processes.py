@@ -13,17 +13,12 @@ import time
 from pathlib import Path
 
 import pytest
-from trees import a_key, tree_bytes
+from trees import PIECE, SIZE, Big, tree_bytes
 from web import Honest, serving
 
-from oysterbench.hub.canonical import sha256
 from oysterbench.hub.download import CONNECTIONS, part_path
-from oysterbench.hub.index import Index, Release
-from oysterbench.hub.manifest import FileEntry, Manifest
 from oysterbench.hub.part import Part
 
-PIECE = 1 << 19
-SIZE = 20 * PIECE + 1234
 BUFFERS = 3 << 16  # bytes of a connection that the system may hold: sent, and not received
 PROGRAM = Path(__file__).with_name("one_download.py")
 
@@ -36,25 +31,6 @@ class Slow(Honest):
     def setup(self):
         self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 15)
         super().setup()
-
-
-class Big:
-    """A published split of one file of random bytes."""
-
-    def __init__(self, folder):
-        self.key, self.public = a_key(folder)
-        self.data = random.Random(7).randbytes(SIZE)
-        pieces = tuple(sha256(self.data[k : k + PIECE]) for k in range(0, SIZE, PIECE))
-        self.entry = FileEntry("dive-01.mcap", SIZE, sha256(self.data), PIECE, pieces, {}, {}, 0)
-        manifest = Manifest("big", "1.0", "slam", "hand", "random bytes", "0", (self.entry,))
-        facts = {"track": "slam", "summary": "", "hidden": False, "published": "2026-01-01", "croissant": "0" * 64}
-        release = Release(manifest.sha256, len(manifest.data), SIZE, 1, **facts)
-        self.files = {
-            "index.json": Index().with_release("big", "1.0", release).signed_with(self.key),
-            f"manifests/{manifest.sha256}.json": manifest.data,
-            f"blobs/{self.entry.sha256}": self.data,
-        }
-        self.blob = f"blobs/{self.entry.sha256}"
 
 
 @pytest.fixture(scope="module")

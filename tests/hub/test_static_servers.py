@@ -12,8 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 from blobs import IMPATIENT
-from test_processes import Big
-from trees import a_key, publish_split, tree_bytes, write_split
+from trees import Big, a_key, publish_split, tree_bytes, write_split
 
 from oysterbench.hub.download import Hub, download, part_path
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import threading
 import time
 from contextlib import contextmanager
@@ -11,6 +12,8 @@ from pathlib import Path
 from hand_made_dive import RIG, all_types, calibration, messages
 
 from oysterbench.hub.canonical import sha256
+from oysterbench.hub.index import Index, Release
+from oysterbench.hub.manifest import FileEntry, Manifest
 from oysterbench.hub.publish import publish, publish_hidden
 from oysterbench.hub.sign import load_key, make_key
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
@@ -20,6 +23,10 @@ FACTS = {"split": "fake-val", "version": "1.0", "track": "slam", "rig": "hand", 
 DIGEST = sha256(b"the recipe")
 SECRET = sha256(b"the recipe, with a salt")
 SEED = "seed = 20261120"
+
+PIECE = 1 << 19
+SIZE = 20 * PIECE + 1234
+"""Of the large file of `Big`, in bytes."""
 
 
 def write_sequence(path: Path, name: str, seconds: float = 1.0, digest: str = DIGEST, compress: bool = True) -> Path:
@@ -66,6 +73,25 @@ def publish_split(tree: Path, files: dict[str, Path], key, **facts: str):
 def publish_secret(tree: Path, truth: Path, files: dict[str, Path], key):
     """Publish as a hidden split."""
     return publish_hidden(tree, truth, FACTS, files, key)
+
+
+class Big:
+    """A published split of one file of random bytes."""
+
+    def __init__(self, folder):
+        self.key, self.public = a_key(folder)
+        self.data = random.Random(7).randbytes(SIZE)
+        pieces = tuple(sha256(self.data[k : k + PIECE]) for k in range(0, SIZE, PIECE))
+        self.entry = FileEntry("dive-01.mcap", SIZE, sha256(self.data), PIECE, pieces, {}, {}, 0)
+        manifest = Manifest("big", "1.0", "slam", "hand", "random bytes", "0", (self.entry,))
+        facts = {"track": "slam", "summary": "", "hidden": False, "published": "2026-01-01", "croissant": "0" * 64}
+        release = Release(manifest.sha256, len(manifest.data), SIZE, 1, **facts)
+        self.files = {
+            "index.json": Index().with_release("big", "1.0", release).signed_with(self.key),
+            f"manifests/{manifest.sha256}.json": manifest.data,
+            f"blobs/{self.entry.sha256}": self.data,
+        }
+        self.blob = f"blobs/{self.entry.sha256}"
 
 
 def tree_bytes(tree: Path) -> dict[str, bytes]:
