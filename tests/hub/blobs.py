@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from pathlib import Path
 
 from oysterbench.hub.canonical import sha256
@@ -11,9 +12,11 @@ from oysterbench.hub.part import Part
 from oysterbench.hub.sources import Patience, open_source
 from oysterbench.hub.transfer import Mirror, Transfer
 
-IMPATIENT = Patience(
-    attempts=4, first_wait_s=0.001, longest_wait_s=0.01, connect_s=2.0, idle_s=0.2, window_s=0.15, least_bytes=1000
-)
+CALM = Patience(attempts=4, first_wait_s=0.001, longest_wait_s=0.01, least_bytes=1000)
+"""For servers that answer, however busy the machine is: nothing is asked for twice because it came late."""
+
+IMPATIENT = replace(CALM, connect_s=2.0, idle_s=0.2, window_s=0.15)
+"""For servers that are silent or trickle."""
 
 
 def blob(size: int, seed: int = 0, piece_size: int = 1 << 14) -> tuple[bytes, FileEntry]:
@@ -24,7 +27,7 @@ def blob(size: int, seed: int = 0, piece_size: int = 1 << 14) -> tuple[bytes, Fi
 
 
 def fetch(
-    entry: FileEntry, target: Path, places: list[str], patience: Patience = IMPATIENT, connections: int = 4
+    entry: FileEntry, target: Path, places: list[str], patience: Patience = CALM, connections: int = 4
 ) -> list[Mirror]:
     """Fetch a blob from mirrors to a file, as `download` does."""
     mirrors = [Mirror(open_source(place, connections, patience)) for place in places]

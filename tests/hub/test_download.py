@@ -7,7 +7,7 @@ import os
 import shutil
 
 import pytest
-from blobs import IMPATIENT
+from blobs import CALM
 from trees import DIGEST, SECRET, a_key, publish_secret, publish_split, tree_bytes, write_sequence, write_split
 from web import Honest, misbehaving, serving
 
@@ -50,7 +50,7 @@ def _own_home(home):
 
 
 def hub_at(published, *places, key=None):
-    return Hub.at([str(place) for place in places], key or published.public, patience=IMPATIENT)
+    return Hub.at([str(place) for place in places], key or published.public, patience=CALM)
 
 
 def assert_same(files, published):
@@ -217,7 +217,7 @@ def test_two_indexes_of_one_number_are_refused(published, tmp_path):
 
 
 def test_without_a_key_no_index_is_believed(published):
-    hub = Hub.at([str(published.tree)], None, patience=IMPATIENT)
+    hub = Hub.at([str(published.tree)], None, patience=CALM)
     with pytest.raises(HubError, match=r"--key, OYSTERBENCH_HUB_KEY"):
         hub.manifest("fake-val", "1.0")
 
@@ -229,7 +229,7 @@ def test_a_released_manifest_needs_no_key_and_no_index(published, tmp_path, monk
     (tmp_path / "mirror" / "blobs").mkdir(parents=True)
     for entry in published.manifest.files:
         shutil.copy(published.tree / "blobs" / entry.sha256, tmp_path / "mirror" / "blobs")
-    hub = Hub.at([str(tmp_path / "mirror")], None, patience=IMPATIENT)
+    hub = Hub.at([str(tmp_path / "mirror")], None, patience=CALM)
     assert_same(download(hub, hub.manifest("fake-val", "1.0"), tmp_path / "a"), published)
 
 
@@ -285,7 +285,7 @@ def test_places_that_cannot_be_read_are_refused(place):
 
 
 def test_passwords_in_an_address_are_in_no_message(published):
-    hub = Hub.at(["http://user:secret@127.0.0.1:9"], published.public, patience=IMPATIENT)
+    hub = Hub.at(["http://user:secret@127.0.0.1:9"], published.public, patience=CALM)
     with pytest.raises(NetworkError) as caught:
         hub.index()
     assert "secret" not in str(caught.value)
@@ -329,7 +329,7 @@ def test_a_private_key_is_its_owners_and_never_overwritten(tmp_path):
 def test_a_hidden_split_downloads_like_any_other(published, tmp_path):
     key, public = a_key(tmp_path)
     manifest = publish_secret(tmp_path / "tree", tmp_path / "truth", write_split(tmp_path / "data", SECRET), key)
-    hub = Hub.at([str(tmp_path / "tree")], public, patience=IMPATIENT)
+    hub = Hub.at([str(tmp_path / "tree")], public, patience=CALM)
     assert hub.manifest("fake-val") == manifest
     assert manifest.hidden
     files = download(hub, manifest, tmp_path / "here")

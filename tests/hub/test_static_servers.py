@@ -11,7 +11,7 @@ import urllib.request
 from contextlib import contextmanager
 
 import pytest
-from blobs import IMPATIENT
+from blobs import CALM
 from trees import Big, a_key, publish_split, tree_bytes, write_split
 
 from oysterbench.hub.download import Hub, download, part_path
@@ -64,12 +64,12 @@ def running(command, port):
 def check(url, tree, tmp_path):
     """Both splits come right; a part is gone on with; pictures and page are there for browsers."""
     folder, big, public = tree
-    hub = Hub.at([f"{url}/dives"], public, patience=IMPATIENT)
+    hub = Hub.at([f"{url}/dives"], public, patience=CALM)
     files = download(hub, hub.manifest("fake-val"), tmp_path / "dives")
     assert {path.name: path.read_bytes() for path in files.values()} == {
         name: data for name, data in tree_bytes(folder / "data").items() if name.endswith(".mcap")
     }
-    hub = Hub.at([f"{url}/big"], big.public, patience=IMPATIENT)
+    hub = Hub.at([f"{url}/big"], big.public, patience=CALM)
     part = part_path(tmp_path / "big", big.entry)
     part.parent.mkdir()
     part.write_bytes(big.data[: big.entry.size // 2])

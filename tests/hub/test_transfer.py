@@ -10,7 +10,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from blobs import IMPATIENT, blob, fetch
+from blobs import CALM, IMPATIENT, blob, fetch
 from web import KINDS, Honest, misbehaving, serving
 
 from oysterbench.errors import HubError, IntegrityError, NetworkError
@@ -30,7 +30,7 @@ def attempt(kind, seed, folder):
     with misbehaving(kind, {PATH: DATA}, seed, share) as site:
         failure = None
         try:
-            fetch(ENTRY, target, [site.url], connections=generator.choice((1, 3, 4)))
+            fetch(ENTRY, target, [site.url], IMPATIENT, connections=generator.choice((1, 3, 4)))
         except HubError as error:
             failure = error
     if failure is not None:
@@ -162,10 +162,10 @@ def test_a_folder_is_a_mirror_too(tmp_path):
 
 
 def test_waits_grow_with_jitter_and_are_never_shorter_than_asked():
-    waits = [pause_s(3, 0.0, IMPATIENT) for _ in range(100)]
+    waits = [pause_s(3, 0.0, CALM) for _ in range(100)]
     assert 0.002 <= min(waits) < max(waits) <= 0.004
-    assert pause_s(50, 0.0, IMPATIENT) <= IMPATIENT.longest_wait_s
-    assert all(7.0 <= pause_s(1, 7.0, IMPATIENT) <= 7.7 for _ in range(100))
+    assert pause_s(50, 0.0, CALM) <= CALM.longest_wait_s
+    assert all(7.0 <= pause_s(1, 7.0, CALM) <= 7.7 for _ in range(100))
 
 
 @pytest.mark.parametrize(
@@ -193,9 +193,9 @@ def test_retry_after_is_honoured(tmp_path):
             self.end_headers()
 
     with serving(Busy, {PATH: DATA}) as site:
-        fetch(ENTRY, tmp_path / "file", [site.url], replace(IMPATIENT, longest_wait_s=2.0), connections=1)
+        fetch(ENTRY, tmp_path / "file", [site.url], replace(CALM, longest_wait_s=2.0), connections=1)
     assert (tmp_path / "file").read_bytes() == DATA
-    assert 1.0 <= asked[1] - asked[0] < 1.5
+    assert asked[1] - asked[0] >= 1.0
 
 
 def test_a_redirect_to_another_server_is_followed_and_its_bytes_are_checked(tmp_path):
