@@ -18,6 +18,7 @@ from oysterbench_baselines.common.filter import (
     VELOCITY,
     InvariantFilter,
     cross,
+    left_jacobian,
     rotation_exp,
 )
 
@@ -37,7 +38,11 @@ class AidingSettings:
     magnetic_sigma: float = 0.3e-6  # T: motors and currents, beside the sensor's own noise
     magnetic_interval_s: float = 0.1  # readings in between say nothing new: iron, not noise, limits the compass
     gate: float = 1e-5  # chance with which a good measurement is refused
-    patience: int = 16  # refusals in a row, after which it is the filter that is taken to be wrong
+    patience: int = 5  # samples refused in a row, after which it is the filter that is taken to be wrong
+
+
+WRONG = {"dvl": VELOCITY, "pressure": POSITION, "magnetometer": ATTITUDE}
+"""What of the filter is taken to be wrong when a sensor contradicts it for long."""
 
 
 def sensors_of(sequence: Sequence) -> list[str]:
@@ -82,7 +87,7 @@ class Aiding:
         self._pressure = sequence.pressure_calibration
         self._rows: dict[str, slice] = {}
         self._stamps: dict[str, int] = {}
-        self._row_of_refusals = dict.fromkeys(self.refused, 0)
+        self._in_a_row = dict.fromkeys(self.refused, 0)
         self._beam_variance = 0.0
 
     def add(self, filter: InvariantFilter, sample: DvlSample | PressureSample | MagneticSample) -> None:
@@ -131,7 +136,7 @@ class Aiding:
         slope[:, VELOCITY] = scale * turn @ rotation.T @ filter.rotation.T
         slope[:, GYRO_BIAS] = scale * turn @ rotation.T @ cross(lever)
         slope[:, at.start] = turn @ moving
-        slope[:, at.start + 1 : at.stop] = cross(seen)
+        slope[:, at.start + 1 : at.stop] = cross(seen) @ left_jacobian(-calibration[1:])
         self._update(filter, "dvl", along - directions @ seen, directions @ slope, variances)
 
     def _add_depth(self, filter: InvariantFilter, sample: PressureSample) -> None:
@@ -183,17 +188,18 @@ class Aiding:
     def _update(self, filter: InvariantFilter, kind: str, residual: Array, slope: Array, variances: Array) -> None:
         """Correct by the rows that are as near to their prediction as their covariance says.
 
-        What is refused time and again is taken: it is then the filter that is wrong.
+        When all of a sensor is refused time and again it is the filter that is wrong: what the sensor measures is then
+        as uncertain as it is off, and the sample counts.
         """
         spread = np.einsum("ki,ij,kj->k", slope, filter.covariance, slope) + variances
         near = residual**2 <= float(chi2.isf(self.settings.gate, 1)) * spread
         if not near.all():
             self.refused[kind] += 1
-            self._row_of_refusals[kind] += 1
-            if self._row_of_refusals[kind] > self.settings.patience:
-                near[:] = True
-                variances = variances + residual**2
-        if near.all():
-            self._row_of_refusals[kind] = 0
+        self._in_a_row[kind] = 0 if near.any() else self._in_a_row[kind] + 1
+        if self._in_a_row[kind] > self.settings.patience:
+            rows = WRONG[kind]
+            lever = max(float(np.sum(slope[:, rows] ** 2)), 1e-30) / len(residual)
+            filter.covariance[rows, rows] += np.eye(3) * float(np.max(residual**2)) / lever
+            near[:] = True
         if near.any():
             filter.update(residual[near], slope[near], np.diag(variances[near]))

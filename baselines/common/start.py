@@ -102,8 +102,8 @@ def start_filter(
     tilt = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -bow[2] / bow[0], 0.0]]) / calibration.gravity
     covariance = filter.covariance
     covariance[ATTITUDE, ATTITUDE] = tilt @ of_mean @ tilt.T
-    # What of the yaw is of second order in the tilt, and all that there is of it where the bow is level.
-    covariance[2, 2] += (covariance[0, 0] + covariance[1, 1]) ** 2
+    # And where the bow is level, of second order: half the product of both tilts.
+    covariance[2, 2] += 0.25 * covariance[0, 0] * covariance[1, 1]
     covariance[ACCEL_BIAS, ACCEL_BIAS] = of_bias
     covariance[ATTITUDE, ACCEL_BIAS] = tilt @ rotation @ of_bias
     covariance[ACCEL_BIAS, ATTITUDE] = covariance[ATTITUDE, ACCEL_BIAS].T

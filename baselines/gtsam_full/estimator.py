@@ -17,7 +17,16 @@ from oysterbench.samples import DvlSample, MagneticSample, PressureSample
 from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.aiding import Aiding
-from oysterbench_baselines.common.filter import CORE, InertialNoise, cross
+from oysterbench_baselines.common.filter import (
+    ACCEL_BIAS,
+    ATTITUDE,
+    CORE,
+    GYRO_BIAS,
+    POSITION,
+    VELOCITY,
+    InertialNoise,
+    cross,
+)
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.common.start import start_filter
 from oysterbench_baselines.gtsam_full.factors import (
@@ -32,7 +41,7 @@ from oysterbench_baselines.gtsam_full.factors import (
 from oysterbench_baselines.gtsam_full.model import AidedModel
 from oysterbench_baselines.gtsam_full.settings import Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.graph import State, adjust, make_state, read_state
+from oysterbench_baselines.gtsam_vi.graph import Bundle, State, adjust, make_state, read_state
 from oysterbench_baselines.gtsam_vi.initialisation import View
 from oysterbench_baselines.gtsam_vi.window import Window
 
@@ -92,6 +101,8 @@ class AidedEstimator(Estimator):
             self._field = sample
 
     def add_frame(self, stamp_ns: int, segment: Segment, ids: NDArray[np.int64], rays: Array) -> None:
+        if not self.keyframes and self.model.has_dvl:
+            self._hold_start()
         super().add_frame(stamp_ns, segment, ids, rays)
         pose = self.filter.pose
         if self.model.has_dvl or self._window is not None:
@@ -242,12 +253,12 @@ class AidedEstimator(Estimator):
         # From GTSAM's tangent (rotation and position in the body's axes, accelerometer bias first) to the filter's.
         n = len(f.covariance)
         change = {key: np.zeros((n, size)) for key, size in ((X(k), 6), (V(k), 3), (B(k), 6))}
-        change[X(k)][:3, :3] = rotation
-        change[X(k)][3:6, :3] = cross(velocity) @ rotation
-        change[X(k)][6:9, :3] = cross(position) @ rotation
-        change[X(k)][6:9, 3:] = rotation
-        change[V(k)][3:6] = np.eye(3)
-        change[B(k)][12:15, :3] = change[B(k)][9:12, 3:] = np.eye(3)
+        change[X(k)][ATTITUDE, :3] = rotation
+        change[X(k)][VELOCITY, :3] = cross(velocity) @ rotation
+        change[X(k)][POSITION, :3] = cross(position) @ rotation
+        change[X(k)][POSITION, 3:] = rotation
+        change[V(k)][VELOCITY] = np.eye(3)
+        change[B(k)][ACCEL_BIAS, :3] = change[B(k)][GYRO_BIAS, 3:] = np.eye(3)
         for key, (at, unit) in rows.items():
             change[key] = np.zeros((n, len(unit)))
             change[key][at] = unit
@@ -278,8 +289,12 @@ class AidedEstimator(Estimator):
             if keyframe.state is None or not np.isfinite(keyframe.state.matrix).all():
                 keyframe.state = self._filter_state()
         self.keyframes[-1].state = self._filter_state()
+        self._hold_start()
+
+    def _hold_start(self) -> None:
+        """A window that starts now knows the first state as well as the filter does."""
         f = self.filter
-        self.model.start = f.pose_covariance(f.position), f.covariance[3:6, 3:6] + np.eye(3) * 1e-6
+        self.model.start = f.pose_covariance(f.position), f.covariance[VELOCITY, VELOCITY] + np.eye(3) * 1e-6
 
     # Results.
 
@@ -290,6 +305,20 @@ class AidedEstimator(Estimator):
         self.info["keyframes"] = len(self.keyframes)
         self.info["initialised"] = int(self._window is not None)
         self.info.update({f"refused_{kind}": n for kind, n in self.aiding.refused.items()})
+
+    def _with_covariances(self, trajectory: Trajectory, bundle: Bundle) -> Trajectory:
+        """Each frame with the covariance of the key frame before it: the one after holds it from the other side."""
+        marginals = gtsam.Marginals(bundle.graph, bundle.values)
+        lever = invert(self.imu.T_base_imu)[:3, 3]
+        found = []
+        for keyframe in self.keyframes:
+            rotation = bundle.values.atPose3(X(keyframe.index)).rotation().matrix()
+            change = np.zeros((6, 6))  # to x y z and rotations of base_link about odom's axes
+            change[:3, 3:] = change[3:, :3] = rotation
+            change[:3, :3] = -cross(rotation @ lever) @ rotation
+            found.append(change @ marginals.marginalCovariance(X(keyframe.index)) @ change.T + FLOOR)
+        covariances = np.array([found[frame.keyframe] for frame in self.frames])
+        return Trajectory(trajectory.stamps_ns, trajectory.positions, trajectory.quaternions, covariances)
 
     def online(self) -> Trajectory:
         trajectory = super().online()

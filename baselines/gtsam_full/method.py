@@ -18,6 +18,11 @@ from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
 from oysterbench_baselines.gtsam_full.settings import Settings
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
 
+MISSING_PERIODS = 1.5
+"""Of the camera, after which a frame counts as missing: the pose is given without it."""
+NOTHING = (np.empty(0, dtype=np.int64), np.empty((0, 2)))
+"""Ids and rays of a frame that nobody took."""
+
 
 class GtsamFull:
     """gtsam_vi with DVL, pressure and magnetometer, each where the rig has it; it needs no pictures while it has a DVL.
@@ -42,7 +47,7 @@ class GtsamFull:
         self.settings = settings or Settings()
 
     def run(self, sequence: Sequence) -> Estimate:
-        """Poses T_odom_base with covariances at the camera's stamps."""
+        """Poses T_odom_base with covariances at the camera's stamps, where frames are missing, and at the end."""
         camera = self.camera or next(iter(sequence.cameras), "")
         if camera not in sequence.cameras:
             raise MethodError(
@@ -67,21 +72,37 @@ class GtsamFull:
         front_end = FrontEnd(sequence.cameras[camera], self.settings)
         estimator = AidedEstimator(sequence, sequence.cameras[camera], self.settings, first)
         R_imu_cam = estimator.model.T_imu_cam[:3, :3]
-        samples, since = SampleBuffer(), list[Segment]()
+        patience_ns = MISSING_PERIODS / sequence.cameras[camera].rate_hz * 1e9
+        samples = SampleBuffer()
+        since_frame, since_image = list[Segment](), list[Segment]()
+        last_ns = latest_ns = int(first[0][0])  # of the last frame, and of the last inertial sample
         for item in chain(head, stream):
             if isinstance(item, ImuSample):
                 samples.add(item)
-                continue
+                latest_ns = item.stamp_ns
+                if latest_ns - last_ns < patience_ns:
+                    continue
             segment = samples.cut(item.stamp_ns)
             estimator.add_segment(segment)
-            since.append(segment)
-            if not isinstance(item, Image):
+            since_frame.append(segment)
+            since_image.append(segment)
+            if isinstance(item, Image):
+                R_before_now = relative_rotation(Segment.join(since_image), estimator.gyro_bias)
+                tracks = front_end.track(item.pixels, R_imu_cam.T @ R_before_now @ R_imu_cam)
+                ids, rays, since_image = tracks.ids, tracks.rays, []
+            elif isinstance(item, ImuSample):  # a frame that is missing
+                ids, rays = NOTHING
+            else:
                 estimator.add_sample(item)
                 continue
-            between, since = Segment.join(since), []
-            turn = R_imu_cam.T @ relative_rotation(between, estimator.gyro_bias) @ R_imu_cam
-            tracks = front_end.track(item.pixels, turn)
-            estimator.add_frame(item.stamp_ns, between, tracks.ids, tracks.rays)
+            if estimator.frames and item.stamp_ns <= last_ns:
+                continue  # its place has been taken
+            estimator.add_frame(item.stamp_ns, Segment.join(since_frame), ids, rays)
+            last_ns, since_frame = item.stamp_ns, []
+        if latest_ns > last_ns:  # to the very end
+            segment = samples.cut(latest_ns)
+            estimator.add_segment(segment)
+            estimator.add_frame(latest_ns, Segment.join([*since_frame, segment]), *NOTHING)
         estimator.finish()
         trajectory = estimator.online() if self.output == "online" else estimator.smoothed()
         info = {"trajectory": self.output, "camera": camera, "sensors": ["imu", *sensors, camera], **estimator.info}

@@ -316,7 +316,11 @@ class Estimator:
                 pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
                 pose[:3, 3] += share * shift
             poses.append(pose)
-        return self._trajectory(poses)
+        return self._with_covariances(self._trajectory(poses), bundle)
+
+    def _with_covariances(self, trajectory: Trajectory, bundle: Bundle) -> Trajectory:
+        """The smoothed trajectory with what is known of its covariances: here nothing."""
+        return trajectory
 
     def _slip(self, k: int, states: list[State]) -> tuple[Array, Array]:
         """What is missing from key frame k, moved on by the inertial measurements, to key frame k + 1."""

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from oysterbench.calibration import rig_calibration
-from oysterbench.geometry import Array
+from oysterbench.geometry import Array, left_product
 from oysterbench.recipe import DvlRecipe, ImuRecipe, MagnetometerRecipe, PressureRecipe, RigRecipe, SiteRecipe
 from oysterbench.recipe.grades import COMMON, IMU_GRADES
 from oysterbench.render.rays import Echoes
@@ -163,7 +163,5 @@ class SensorDive(Sequence):
         angle = np.arctan2(first[1, 0], first[0, 0])
         turn = np.array([[np.cos(angle), np.sin(angle), 0], [-np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
         half = np.array([0, 0, -np.sin(angle / 2), np.cos(angle / 2)])
-        from oysterbench.geometry import left_product
-
         quaternions = truth.quaternions @ left_product(half).T
         return Trajectory(truth.stamps_ns, (truth.positions - truth.positions[0]) @ turn.T, quaternions)
