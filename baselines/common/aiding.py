@@ -80,11 +80,14 @@ class Aiding:
         self.imu = sequence.imu_calibration
         self.refused = {"dvl": 0, "pressure": 0, "magnetometer": 0}
         T_imu_base = invert(self.imu.T_base_imu)
-        mounts = [sequence.dvl_calibration, sequence.pressure_calibration, sequence.magnetometer_calibration]
+        mounts = (sequence.dvl_calibration, sequence.pressure_calibration, sequence.magnetometer_calibration)
+        # Of a sensor that the rig lacks there is no sample either, and its place is not asked for.
         self.T_imu_dvl, self.T_imu_pressure, self.T_imu_compass = (
-            None if mount is None else T_imu_base @ mount.T_base_sensor for mount in mounts
+            np.full((4, 4), np.nan) if mount is None else T_imu_base @ mount.T_base_sensor for mount in mounts
         )
-        self._pressure = sequence.pressure_calibration
+        depth = sequence.pressure_calibration
+        self.weight = 1.0 if depth is None else depth.density * self.imu.gravity  # of the water, Pa/m
+        self.atmosphere = 0.0 if depth is None else depth.atmosphere
         self._rows: dict[str, slice] = {}
         self._stamps: dict[str, int] = {}
         self._in_a_row = dict.fromkeys(self.refused, 0)
@@ -107,6 +110,14 @@ class Aiding:
         """What a pressure sensor's height (m) is over z of odom; None without one."""
         at = self._rows.get("pressure")
         return None if at is None else float(filter.extra[at.start - CORE])
+
+    def height(self, sample: PressureSample) -> float:
+        """z (m) of the pressure sensor over the water's surface, by its reading."""
+        return (self.atmosphere - sample.pressure) / self.weight
+
+    def height_variance(self, sample: PressureSample) -> float:
+        """Variance (m^2) of that, less what is constant."""
+        return sample.variance / self.weight**2 + self.settings.depth_sigma**2
 
     def set_height_offset(self, filter: InvariantFilter, offset: float) -> None:
         """Put another one in its place: when odom has been chosen anew."""
@@ -141,8 +152,7 @@ class Aiding:
 
     def _add_depth(self, filter: InvariantFilter, sample: PressureSample) -> None:
         """z of the sensor in odom, and a constant: the depth at which odom lies, with the sensor's own offset."""
-        weight = self._pressure.density * self.imu.gravity
-        height = (self._pressure.atmosphere - sample.pressure) / weight
+        height = self.height(sample)
         place = filter.position + filter.rotation @ self.T_imu_pressure[:3, 3]
         if "pressure" not in self._rows:
             self._rows["pressure"] = filter.append(np.array([height - place[2]]), np.array([10.0]))
@@ -154,7 +164,7 @@ class Aiding:
         slope[0, POSITION] = [0.0, 0.0, 1.0]
         slope[0, ATTITUDE] = -cross(place)[2]
         slope[0, at] = 1.0
-        variance = sample.variance / weight**2 + self.settings.depth_sigma**2
+        variance = self.height_variance(sample)
         residual = np.array([height - place[2] - filter.extra[at - CORE]])
         self._update(filter, "pressure", residual, slope, np.array([variance]))
 

@@ -53,6 +53,8 @@ class AidedEstimator(Estimator):
     """Takes frames of tracks, inertial measurements and the aiding sensors' samples, in time order."""
 
     settings: Settings
+    _window: Window | None
+    _first: int
 
     def __init__(
         self,
@@ -76,10 +78,6 @@ class AidedEstimator(Estimator):
         self._field: MagneticSample | None = None
         self._first_field: tuple[Array, int] | None = None
         self._offset: float | None = None  # of the pressure sensor's height over z of odom, m
-        self._weight = 1.0
-        if sequence.pressure_calibration is not None:
-            self._weight = sequence.pressure_calibration.density * self.imu.gravity
-            self._atmosphere = sequence.pressure_calibration.atmosphere
 
     # Samples.
 
@@ -105,10 +103,15 @@ class AidedEstimator(Estimator):
             self._hold_start()
         super().add_frame(stamp_ns, segment, ids, rays)
         pose = self.filter.pose
-        if self.model.has_dvl or self._window is not None:
+        if self._sails or self._window is not None:
             self.frames[-1].online = pose
         place = (pose @ invert(self.imu.T_base_imu))[:3, 3]
         self.covariances.append(self.filter.pose_covariance(place) + FLOOR)
+
+    @property
+    def _sails(self) -> bool:
+        """Whether the filter has ever been told a velocity: without one it is dead reckoning by the inertial unit."""
+        return self.aiding.rows("dvl") is not None
 
     @property
     def gyro_bias(self) -> Array:
@@ -133,15 +136,16 @@ class AidedEstimator(Estimator):
         super()._add_keyframe(stamp_ns, view, predicted)
         self._measurements = None  # the filter predicts
         if self._window is not None:
-            self._correct_filter(k)
+            self._intervals.clear()  # all of them are in factors now
+            self._correct_filter(self._window, k)
 
     def _note_height(self, k: int, stamp_ns: int) -> None:
         """The depth reading, moved to the key frame at the filter's vertical speed."""
         if self._pressure is None:
             return
         delay = (stamp_ns - self._pressure.stamp_ns) * 1e-9
-        height = (self._atmosphere - self._pressure.pressure) / self._weight + delay * self.filter.velocity[2]
-        variance = self._pressure.variance / self._weight**2 + self.settings.aiding.depth_sigma**2
+        height = self.aiding.height(self._pressure) + delay * self.filter.velocity[2]
+        variance = self.aiding.height_variance(self._pressure)
         if delay <= self.settings.keyframe_max_s:
             self._heights[k] = float(height), float(np.sqrt(variance + (0.02 * delay) ** 2))
 
@@ -179,13 +183,13 @@ class AidedEstimator(Estimator):
 
     def _try_to_start(self, max_scale_sigma: float) -> None:
         """With a DVL the filter knows the motion, and the window takes it from there; without, as gtsam_vi does."""
-        if not self.model.has_dvl:
+        if not self._sails:
             super()._try_to_start(max_scale_sigma)
             self._anchor_depth()
             return
         self._offset = self.aiding.height_offset(self.filter)
         settings = self.settings
-        stretch = self.keyframes[self._first :][-settings.init_max_keyframes :]
+        stretch = self.keyframes[self._first :]
         elapsed = (stretch[-1].stamp_ns - stretch[0].stamp_ns) * 1e-9
         tilt = np.sqrt(np.diag(self.filter.covariance)[:2].max())
         if len(stretch) < settings.start_keyframes or elapsed < settings.start_s:
@@ -230,11 +234,11 @@ class AidedEstimator(Estimator):
 
     # The window's estimate, as the filter's state.
 
-    def _correct_filter(self, k: int) -> None:
+    def _correct_filter(self, window: Window, k: int) -> None:
         """The filter goes on from the window's estimate of key frame k, with its covariance."""
         keys = [X(k), V(k), B(k), *self.model.shared()]
         try:
-            values, joint = self._window.joint(keys)
+            values, joint = window.joint(keys)
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             return
         state = read_state(values, k)
@@ -279,7 +283,7 @@ class AidedEstimator(Estimator):
 
     def _restart(self) -> None:
         """The window is given up; the filter goes on, and the next window starts from it."""
-        if not self.model.has_dvl:
+        if not self._sails:
             super()._restart()
             return
         self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
@@ -299,7 +303,7 @@ class AidedEstimator(Estimator):
     # Results.
 
     def finish(self) -> None:
-        if not self.model.has_dvl:
+        if not self._sails:
             super().finish()
             return
         self.info["keyframes"] = len(self.keyframes)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from oysterbench.errors import MethodError
-from oysterbench.geometry import Array
+from oysterbench.geometry import Array, align_yaw
 from oysterbench.samples import ImuSample
 from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench.trajectory import Trajectory
@@ -163,6 +163,18 @@ def test_it_finds_back_to_the_true_motion_after_the_inertial_unit_has_lied():
     error = errors(sequence, trajectory)[:, :3]
     # What happened meanwhile is lost; what comes after is not.
     assert np.linalg.norm(error[160:] - error[160], axis=1).max() < 0.2
+
+
+def test_a_dvl_that_never_locks_leaves_the_start_to_the_pictures():
+    sequence = dive.SensorDive(3, dive.rig("dvl", "pressure", max_range_m=1.0), dive.survey_path(15.0, resting=False))
+    estimator = estimate(sequence, tracks(sequence, 3, (np.inf, np.inf)))
+    trajectory = estimator.online()
+    assert estimator.info["initialised"] == 1
+    assert len(trajectory) == 150
+    truth = sequence.truth().at(trajectory.stamps_ns)
+    aligned = align_yaw(truth.positions, trajectory.positions).apply(trajectory.positions)
+    error = np.linalg.norm(aligned - truth.positions, axis=1)
+    assert np.sqrt(np.mean(error**2)) < 0.02 * truth.path_length
 
 
 def test_an_unknown_camera_and_an_unknown_output_are_refused():

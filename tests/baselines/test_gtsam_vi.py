@@ -123,7 +123,7 @@ class FlatBottom(Sequence):
         texture = cv2.GaussianBlur(noise, (0, 0), 1.5) * 2 + cv2.GaussianBlur(noise, (0, 0), 5) * 4
         self._texture = np.clip(110 + 40 * texture, 0, 255).astype(np.uint8)
 
-    def images(self, camera: str) -> Iterator[Image]:
+    def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         calibration = self.cameras[camera]
         times = np.arange(0, self._seconds, 1 / calibration.rate_hz)
         # Texels of 1 cm, the first at x = y = -7 m: columns are the directions of both axes and the origin.
@@ -133,7 +133,7 @@ class FlatBottom(Sequence):
             pixels = cv2.warpPerspective(self._texture, homography, (calibration.width, calibration.height))
             yield Image(dive.START_NS + round(time * 1e9), camera, np.repeat(pixels[:, :, None], 3, axis=2))
 
-    def imu(self) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
         generator = np.random.default_rng(3)
         return iter(dive.inertial_samples(dive.survey_pose, self.imu_calibration, self._seconds, generator))
 
@@ -188,9 +188,9 @@ class Beginning(EurocSequence):
 
     seconds = 15.0
 
-    def images(self, camera: str) -> Iterator[Image]:
+    def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         first = None
-        for image in super().images(camera):
+        for image in super().images(camera, start_ns, end_ns):
             first = first or image.stamp_ns
             if image.stamp_ns > first + self.seconds * 1e9:
                 return
