@@ -14,9 +14,13 @@ from oysterbench_baselines.visual_only.views import (
     point_from_views,
     pose_from_points,
     ray_angle,
-    relative_pose,
+    relative_poses,
     reprojection_errors,
+    view_errors,
 )
+
+SAME_TURN_RAD, SAME_SWING_RAD = np.radians(3.0), np.radians(20.0)
+"""Motions that differ by less are taken for estimates of one: the false one of a plane is farther from the true."""
 
 MatchRight = Callable[[float | None], tuple[NDArray[np.int64], Array]]
 """Ids (M,) and rays (M, 2) in the right camera of tracks of the frame; asked with the depth to begin with, m."""
@@ -46,6 +50,34 @@ class Frame:
     def of(self, ids: NDArray[np.int64]) -> Array:
         """Rays (M, 2) of those tracks; ids are in order."""
         return self.rays[np.searchsorted(self.ids, ids)]
+
+
+@dataclass(frozen=True)
+class Located:
+    """T_map_cam (4, 4) of a frame, how many landmarks agree on it, and the sum of their squared errors."""
+
+    T_map_cam: Array
+    landmarks: int
+    squares: float
+
+
+@dataclass(frozen=True)
+class Start:
+    """A first map: landmarks by track, poses T_map_cam by stamp of the frames so far, and the mean squared error of
+    their tracks, in which those that fit no landmark, or no pose, count as the greatest error that is taken."""
+
+    motion: Array  # T_first_last (4, 4) that it was made from
+    landmarks: dict[int, Landmark]
+    poses: dict[int, Array]
+    points: int
+    error: float
+
+
+def are_different(first: Array, second: Array) -> bool:
+    """Whether two motions (4, 4) with translations of length one are more than estimates of one."""
+    turn = np.arccos(np.clip((np.trace(first[:3, :3].T @ second[:3, :3]) - 1) / 2, -1, 1))
+    swing = np.arccos(np.clip(first[:3, 3] @ second[:3, 3], -1, 1))
+    return bool(turn > SAME_TURN_RAD or swing > SAME_SWING_RAD)
 
 
 class Odometry:
@@ -78,11 +110,10 @@ class Odometry:
                 self.lost_ns = frame.stamp_ns
             return None
         self.lost_ns = None
-        T_map_cam, known = found
-        self.poses[frame.stamp_ns] = T_map_cam
-        if self._is_key(frame, known):
-            self._add_key(frame, T_map_cam, match_right)
-        return T_map_cam
+        self.poses[frame.stamp_ns] = found.T_map_cam
+        if self._is_key(frame, found.landmarks):
+            self._add_key(frame, found.T_map_cam, match_right)
+        return found.T_map_cam
 
     @property
     def landmarks(self) -> Array:
@@ -108,35 +139,60 @@ class Odometry:
         before, after = first.of(common), frame.of(common)
         if np.median(np.linalg.norm(after - before, axis=1)) < self.settings.start_parallax_px * self._px:
             return
-        T_first_now = relative_pose(before, after, self.settings.essential_error_px * self._px)
-        if T_first_now is not None:
-            self._start_from(first, frame, T_first_now)
+        motions = relative_poses(before, after, self.settings.essential_error_px * self._px)
+        maps = sorted(
+            (start for T_first_now in motions if (start := self._map_of(first, frame, T_first_now)) is not None),
+            key=lambda start: start.error,
+        )
+        if not maps or maps[0].points < self.settings.start_min_points:
+            return
+        # Two views of a plane allow for two motions; which is true shows in the frames between, or in later ones.
+        rivals = [start for start in maps[1:] if are_different(start.motion, maps[0].motion)]
+        if all(rival.error > self.settings.start_margin * maps[0].error for rival in rivals):
+            self._take(maps[0], frame)
 
-    def _start_from(self, first: Frame, last: Frame, T_first_last: Array) -> None:
-        """Take over the map of two views if it is large enough and the frames between them fit it."""
+    def _map_of(self, first: Frame, last: Frame, T_first_last: Array) -> Start | None:
+        """The map of two views, None where it is too small or the frames between them do not fit it."""
         settings = self.settings
+        common = np.intersect1d(first.ids, last.ids)
+        self._landmarks = {}
         self._see(first, np.eye(4))
         self._see(last, T_first_last)
-        self._triangulate(last)
+        # Without regard to the angle: a point too far to be used still tells a false motion.
+        self._triangulate(last, 0.0)
         points = self.landmarks
-        if len(points) >= settings.start_min_points:
-            self._scale(settings.start_depth_m / float(np.median(points[:, 2])))
-            found = {frame.stamp_ns: self._locate(frame, drop=False) for frame in self._waiting}
-            poses = {stamp: pose[0] for stamp, pose in found.items() if pose is not None}
-            if len(poses) >= settings.start_agreement * len(found) and last.stamp_ns in poses:
-                self.poses |= poses
-                self.key_frames, self._key, self._waiting = 2, last, []
-                self._known_at_key = len(points)
-                return
-        self._landmarks = {}
+        if len(points) < settings.start_min_points or np.median(points[:, 2]) <= 0:
+            return None
+        self._scale(settings.start_depth_m / float(np.median(points[:, 2])))
+        poses, errors = {}, []
+        worst = (settings.pose_error_px * self._px) ** 2
+        for frame in self._waiting:
+            found = self._locate(frame, drop=False)
+            tracks = len(np.intersect1d(frame.ids, common))
+            if found is not None:
+                poses[frame.stamp_ns] = found.T_map_cam
+                errors.append((found.squares + worst * (tracks - found.landmarks)) / tracks)
+            else:
+                errors.append(worst)
+        if last.stamp_ns not in poses or len(poses) < settings.start_agreement * len(self._waiting):
+            return None
+        self._forget_far(settings.min_ray_angle_deg)
+        return Start(T_first_last, self._landmarks, poses, len(self.landmarks), float(np.mean(errors)))
+
+    def _take(self, start: Start, last: Frame) -> None:
+        """Go on from a map."""
+        self._landmarks = start.landmarks
+        self.poses |= start.poses
+        self.key_frames, self._key, self._waiting = 2, last, []
+        self._known_at_key = len(self.landmarks)
 
     def _scale(self, factor: float) -> None:
         for mark in self._landmarks.values():
             mark.poses = [np.block([[T[:3, :3], factor * T[:3, 3:]], [T[3:]]]) for T in mark.poses]
             mark.point = None if mark.point is None else factor * mark.point
 
-    def _locate(self, frame: Frame, drop: bool = True) -> tuple[Array, int] | None:
-        """The pose from the landmarks that are seen, and their number; None where too few agree on one.
+    def _locate(self, frame: Frame, drop: bool = True) -> Located | None:
+        """The pose from the landmarks that are seen; None where too few agree on one.
 
         drop: those that do not agree are given up: their tracks have slid off their points, or they move.
         """
@@ -154,7 +210,8 @@ class Odometry:
         if drop:
             for track in ids[~agree]:
                 del self._landmarks[int(track)]
-        return T_map_cam, int(agree.sum())
+        errors = reprojection_errors(points[agree], T_map_cam, frame.rays[known][agree])
+        return Located(T_map_cam, len(errors), float(np.sum(errors**2)))
 
     def _is_key(self, frame: Frame, known: int) -> bool:
         assert self._key is not None
@@ -174,7 +231,8 @@ class Odometry:
                 # The right view counts as one more of the same landmark: a base of known length.
                 mark = self._landmarks[int(track)]
                 mark.see(T_map_cam @ self.T_left_right, ray, self.settings.max_views)
-        self._triangulate(frame)
+        one = self.T_left_right is None
+        self._triangulate(frame, self.settings.min_ray_angle_deg if one else self.settings.stereo_min_angle_deg)
         live = set(frame.ids.tolist())
         self._landmarks = {track: mark for track, mark in self._landmarks.items() if track in live}
         self._key = frame
@@ -189,20 +247,25 @@ class Odometry:
         for track, ray in zip(frame.ids.tolist(), frame.rays, strict=True):
             self._landmarks.setdefault(track, Landmark()).see(T_map_cam, ray, self.settings.max_views)
 
-    def _triangulate(self, frame: Frame) -> None:
-        """Points of the tracks of a key frame from all their views; those that do not fit them are forgotten."""
+    def _forget_far(self, angle_deg: float) -> None:
+        """Take back points whose rays meet at less than an angle."""
+        for mark in self._landmarks.values():
+            if mark.point is not None and ray_angle(np.array(mark.poses), mark.point) < np.radians(angle_deg):
+                mark.point = None
+
+    def _triangulate(self, frame: Frame, angle_deg: float) -> None:
+        """Points of the tracks of a key frame from all their views, where their rays meet at an angle; those that do
+        not fit them are forgotten."""
         settings = self.settings
-        angle = settings.min_ray_angle_deg if self.T_left_right is None else settings.stereo_min_angle_deg
         for track in frame.ids.tolist():
             mark = self._landmarks[track]
             if len(mark.poses) < 2:
                 continue
             poses, rays = np.array(mark.poses), np.array(mark.rays)
             point = point_from_views(poses, rays)
-            if point is None or ray_angle(poses, point) < np.radians(angle):
+            if point is None or ray_angle(poses, point) < np.radians(angle_deg):
                 continue
-            errors = [reprojection_errors(point[None], T, ray[None])[0] for T, ray in zip(poses, rays, strict=True)]
-            if max(errors) < settings.landmark_error_px * self._px:
+            if view_errors(point, poses, rays).max() < settings.landmark_error_px * self._px:
                 mark.point = point
             else:
                 # Begun anew from its last view: the track has slid, or one of the poses was wrong.

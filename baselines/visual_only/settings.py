@@ -23,9 +23,10 @@ class Settings:
     patience_frames: int = 20  # unusable ones, bridged from the last usable one: 1 s at 20 Hz
 
     # The first map, of one camera.
-    start_parallax_px: float = 25.0  # median
+    start_parallax_px: float = 40.0  # median
     start_min_points: int = 40
     start_agreement: float = 0.7  # of the frames in between, which must fit the new map
+    start_margin: float = 2.0  # of the errors of the second best motion to those of the best
     start_depth_m: float = 1.0  # median: one camera cannot tell, and surveys are flown at about this height
     essential_error_px: float = 1.0
 

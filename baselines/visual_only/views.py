@@ -24,6 +24,14 @@ def reprojection_errors(points: Array, T_map_cam: Array, rays: Array) -> Array:
     return np.where(depth > 0, errors, np.inf)
 
 
+def view_errors(point: Array, poses: Array, rays: Array) -> Array:
+    """(V,) the same of one point (3,) that is seen along rays (V, 2) from poses (V, 4, 4)."""
+    seen = np.einsum("vji,vj->vi", poses[:, :3, :3], point - poses[:, :3, 3])
+    depth = seen[:, 2]
+    errors = np.linalg.norm(seen[:, :2] / np.where(depth > 0, depth, 1.0)[:, None] - rays, axis=1)
+    return np.where(depth > 0, errors, np.inf)
+
+
 def pose_from_points(
     points: Array, rays: Array, tolerance: float, trials: int
 ) -> tuple[Array, NDArray[np.bool_]] | None:
@@ -86,15 +94,23 @@ def ray_angle(poses: Array, point: Array) -> float:
     return float(np.arccos(np.clip((lines @ lines[0]).min(), -1, 1)))
 
 
-def relative_pose(before: Array, after: Array, tolerance: float) -> Array | None:
-    """T_before_after (4, 4) between two views of rays (N, 2), (N, 2), with a translation of length one.
+def relative_poses(before: Array, after: Array, tolerance: float) -> list[Array]:
+    """T_before_after (4, 4) that two views of rays (N, 2), (N, 2) allow for, each with a translation of length one.
 
-    Five points in RANSAC (Nistér 2004), and of the four decompositions the one that has the points before both cameras.
+    The one of the essential matrix, by five points in RANSAC (Nistér 2004) and with the points before both cameras;
+    and those of the homography (Malis & Vargas 2007) with the plane before both: of a level bottom two views leave two.
     """
-    essential, agree = cv2.findEssentialMat(
-        before, after, np.eye(3), method=cv2.RANSAC, prob=0.9999, threshold=tolerance
-    )
-    if essential is None or essential.shape != (3, 3):
-        return None
-    _, rotation, shift, _ = cv2.recoverPose(essential, before, after, np.eye(3), mask=agree.copy())
-    return invert(transform(rotation, shift.ravel()))
+    found = []
+    camera = np.eye(3)
+    essential, agree = cv2.findEssentialMat(before, after, camera, method=cv2.RANSAC, prob=0.9999, threshold=tolerance)
+    if essential is not None and essential.shape == (3, 3):
+        _, rotation, shift, _ = cv2.recoverPose(essential, before, after, camera, mask=agree.copy())
+        found.append(invert(transform(rotation, shift.ravel())))
+    plane, agree = cv2.findHomography(before, after, cv2.RANSAC, tolerance)
+    if plane is not None:
+        lines = homogeneous(before[agree.ravel() > 0])
+        for rotation, shift, normal in zip(*cv2.decomposeHomographyMat(plane, camera)[1:], strict=True):
+            length = np.linalg.norm(shift)
+            if length > 1e-6 and (lines @ normal > 0).all():
+                found.append(invert(transform(rotation, shift.ravel() / length)))
+    return found
