@@ -68,7 +68,7 @@ class VisualOnly:
             )
         info: dict[str, Any] = {
             "cameras": [left] if right is None else [left, right],
-            "scale": "of the stereo base" if right else "none: the median depth at the start is 1",
+            "scale": "of the stereo base" if right else "none: the median depth at the start is taken as known",
             "frames": frames,
             "located": len(odometry.poses),
             "key_frames": odometry.key_frames,

@@ -27,7 +27,7 @@ class Settings:
     start_min_points: int = 40
     start_agreement: float = 0.7  # of the frames in between, which must fit the new map
     start_margin: float = 2.0  # of the errors of the second best motion to those of the best
-    start_depth_m: float = 1.0  # median: one camera cannot tell, and surveys are flown at about this height
+    start_depth_m: float = 1.5  # median: one camera cannot tell; tilted 30 degrees down, 1 m over the bottom
     essential_error_px: float = 1.0
 
     # Poses.
