@@ -144,17 +144,20 @@ def eval_command(
         runs = [score_files(truth, estimate, chosen, *reading.options())]
     else:
         from oysterbench.generate import split_folder
-        from oysterbench.methods import find_method
+        from oysterbench.methods.entrants import PythonMethod
         from oysterbench.recipe import load_split
-        from oysterbench.tracks import evaluate_slam
+        from oysterbench.running import Dive, run_slam
 
         # Everything that can be wrong with the request is found before the rendering begins.
         split = load_split(split_name or DEFAULT_SPLIT[track])
-        methods = [find_method(name) for name in dict.fromkeys(method_names or DEFAULT_METHODS[track])]
+        methods = [PythonMethod(name) for name in dict.fromkeys(method_names or DEFAULT_METHODS[track])]
         out = out or split_folder(split) / "results"
         out.mkdir(parents=True, exist_ok=True)
         files = render_files(split, workers=workers)
-        runs = evaluate_slam(split, files, methods, chosen, _say, out, times or 1)
+        dives = [Dive(name, path, split) for name, path in files.items()]
+        # One at a time, so that none takes time from another, and anew: `run` is the command that goes on.
+        finished = run_slam(dives, methods, chosen, out, times or 1, again=True, announce=_say)
+        runs = [each.scored for each in finished if each.scored is not None]
 
     records = [run.record for run in runs]
     if out is not None:

@@ -148,7 +148,7 @@ def test_eval_runs_a_method_several_times_and_says_how_the_runs_spread(recipe, k
     arguments = ("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", "--runs", "2")
     result = run(*arguments, "--out", tmp_path / "out", home=kept_home)
     assert result.returncode == 0, result.stderr
-    assert "running dead_reckoning on tiny-01, run 2 of 2" in result.stderr
+    assert "running dead_reckoning on tiny-01, run 2 (2 of 2)" in result.stderr
     assert "dead_reckoning (2 runs)" in result.stdout
     assert "Runs on tiny" in result.stdout
     records = json.loads((tmp_path / "out" / "results.json").read_text())["results"]

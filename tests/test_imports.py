@@ -62,6 +62,7 @@ MAY_IMPORT = {
         "cli_reading",
         "cli_render",
         "cli_run",
+        "running",
         "cli_scoring",
         "comparison",
         "sequence",
