@@ -17,6 +17,7 @@ from oysterbench_baselines.common.filter import (
     VELOCITY,
     InertialNoise,
     InvariantFilter,
+    rotation_exp,
 )
 
 
@@ -33,7 +34,7 @@ class StartSettings:
     accel_floor: float = 0.02  # m/s^2
     rest_speed: float = 0.005  # m/s, 1 sigma at rest
     moving_speed: float = 1.0  # m/s, 1 sigma otherwise
-    moving_accel: float = 0.6  # m/s^2, 1 sigma of what moves the mean force off: gathering speed, and rolling
+    moving_accel: float = 0.3  # m/s^2, 1 sigma of the mean acceleration: an ROV gathers speed, and sways
 
 
 def align(
@@ -57,6 +58,8 @@ def align(
         and accel[first].std(axis=0).max() < accel_limit
         and np.abs(rate).max() < max(3 * calibration.gyro_turn_on, settings.gyro_floor)
     )
+    if not at_rest:
+        force = _unturned(stamps_ns[first], gyro[first], accel[first]).mean(axis=0)
     up = force / np.linalg.norm(force)  # of odom, in the IMU frame
     forward = calibration.T_base_imu[:3, :3].T[:, 0]
     x = forward - up * (up @ forward)
@@ -67,6 +70,15 @@ def align(
     if not at_rest:
         return rotation, np.zeros(3), np.zeros(3), False
     return rotation, rate, force - up * calibration.gravity, True
+
+
+def _unturned(stamps_ns: NDArray[np.int64], gyro: Array, accel: Array) -> Array:
+    """Specific forces (N, 3) in the IMU's attitude at the first of N samples: what it rolls meanwhile is not tilt."""
+    turned, rotation = [accel[0]], np.eye(3)
+    for dt, rate, force in zip(np.diff(stamps_ns) * 1e-9, 0.5 * (gyro[1:] + gyro[:-1]), accel[1:], strict=True):
+        rotation = rotation @ rotation_exp(dt * rate)
+        turned.append(rotation @ force)
+    return np.array(turned)
 
 
 def start_filter(
