@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
 
 from oysterbench.generate import generate_split
 from oysterbench.recipe import parse_split
+
+# Where the tests run in the background, SIGINT comes ignored, and programs that they start and interrupt inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 TINY_RIG = """
 name = "tiny"
