@@ -2,23 +2,55 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
+from oysterbench.errors import MethodError, TrajectoryError
+from oysterbench.methods.map import LandmarkMap
 from oysterbench.sequence.types import Sequence
 from oysterbench.trajectory import Trajectory
+from oysterbench.trajectory.checks import checked_poses
+
+PATH_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]*")
 
 
 @dataclass(frozen=True)
 class Estimate:
     """What a SLAM method gives: poses T_odom_base at the stamps it chooses; z of odom points up.
 
-    info: anything the method wants to keep with the result (JSON values).
+    trajectory:   the path that is scored
+    info:         anything the method wants to keep with the result (JSON values)
+    scored:       what the scored path is called, such as "optimised"; a method with one path need not say
+    alternatives: further paths of the same run by name, such as "online", in the same frames. They are written beside
+                  the scored one and measured for information; no ranking sees them.
+    map:          key frames and landmarks, where the method has them
+
+    Raises MethodError where an alternative has no name that can be part of a file's, no pose, a number that is not
+    finite, or stamps that do not increase.
     """
 
     trajectory: Trajectory
     info: Mapping[str, Any] = field(default_factory=dict)
+    scored: str = ""
+    alternatives: Mapping[str, Trajectory] = field(default_factory=dict)
+    map: LandmarkMap | None = None
+
+    def __post_init__(self) -> None:
+        names = [*([self.scored] if self.scored else []), *self.alternatives]
+        for name in names:
+            if not PATH_NAME.fullmatch(name):
+                raise MethodError(f"name of a path: expected letters, digits and _ -, got {name!r}")
+            if names.count(name) > 1:
+                raise MethodError(f"alternatives: expected other names than that of the scored path, got {name!r}")
+        for name, path in self.alternatives.items():
+            if len(path) == 0:
+                raise MethodError(f"alternative {name!r}: expected poses, got none; leave it out")
+            try:
+                checked_poses(path, name, lambda i, name=name: f"alternative {name!r}: pose {i + 1}")  # type: ignore[misc]
+            except TrajectoryError as error:
+                raise MethodError(str(error)) from None
 
 
 @runtime_checkable

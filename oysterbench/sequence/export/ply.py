@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from oysterbench.errors import SequenceError
 from oysterbench.geometry import Array
+from oysterbench.ply import write_ply
 from oysterbench.sequence.calibration import CameraCalibration
 from oysterbench.sequence.export.parts import frames_with_layers, sensor_poses
 from oysterbench.sequence.types import Sequence
@@ -32,7 +33,6 @@ POINT = np.dtype(
     ]
 )
 ECHO = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("class", "u1"), ("instance", "<u2")])
-_PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<u2": "ushort"}
 
 
 def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
@@ -153,15 +153,6 @@ def voxels(points: Array) -> NDArray[np.int64]:
     """(N,) number of the voxel that each point (N, 3) is in; within 10 km of the origin."""
     cells = np.floor(points / VOXEL_M).astype(np.int64) + (1 << 20)
     return (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-
-
-def write_ply(path: Path, rows: NDArray[Any], comment: str) -> None:
-    """A structured array (N,) as the vertices of a binary PLY, a property per field."""
-    properties = [f"property {_PLY_TYPES[rows.dtype[name].str]} {name}" for name in rows.dtype.names or ()]
-    header = ["ply", "format binary_little_endian 1.0", f"comment {comment}", f"element vertex {len(rows)}"]
-    with open(path, "wb") as file:
-        file.write("\n".join([*header, *properties, "end_header\n"]).encode())
-        file.write(rows.tobytes())
 
 
 def _rows(points: Array, kind: np.dtype[Any]) -> NDArray[Any]:
