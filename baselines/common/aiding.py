@@ -124,11 +124,17 @@ class Aiding:
         filter.extra[self._rows["pressure"].start - CORE] = offset
 
     def _add_velocity(self, filter: InvariantFilter, sample: DvlSample) -> None:
-        """Along beam b: b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r), scale s and misalignment m of the DVL's axes."""
-        rows = dvl_rows(sample, self.settings.dvl_noise_floor)
-        if rows is None:
+        """Along beam b: b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r), scale s and misalignment m of the DVL's axes.
+
+        Linear in v, but not in v and the calibration together: the slopes by the calibration are taken at the velocity
+        that the sample leads to. At the one before it, which at a start in motion is nothing, or after a long silence
+        wrong, the sample would say nothing of the misalignment, the next one would, and from the two of them the filter
+        would believe to know it.
+        """
+        beams = dvl_rows(sample, self.settings.dvl_noise_floor)
+        if beams is None:
             return
-        directions, along, variances = rows
+        directions, along, variances = beams
         if len(directions) >= 3:
             self._beam_variance = float(variances.max())
         variances = np.maximum(variances, self._beam_variance)
@@ -139,16 +145,20 @@ class Aiding:
         at = self._rows["dvl"]
         calibration = filter.extra[at.start - CORE : at.stop - CORE]
         rotation, lever = self.T_imu_dvl[:3, :3], self.T_imu_dvl[:3, 3]
-        moving = rotation.T @ (filter.rotation.T @ filter.velocity + np.cross(filter.rate, lever))
-        turn = rotation_exp(-calibration[1:])
-        scale = 1.0 + calibration[0]
-        seen = scale * turn @ moving
+        turn = (1.0 + calibration[0]) * rotation_exp(-calibration[1:])
+        by_velocity = turn @ rotation.T @ filter.rotation.T
+        seen = by_velocity @ filter.velocity + turn @ rotation.T @ np.cross(filter.rate, lever)
+        residual = along - directions @ seen
+        rows = directions @ by_velocity
+        gain = filter.covariance[VELOCITY, VELOCITY] @ rows.T
+        change = gain @ np.linalg.solve(rows @ gain + np.diag(variances), residual)
+        then = seen + by_velocity @ change
         slope = np.zeros((3, len(filter.covariance)))
-        slope[:, VELOCITY] = scale * turn @ rotation.T @ filter.rotation.T
-        slope[:, GYRO_BIAS] = scale * turn @ rotation.T @ cross(lever)
-        slope[:, at.start] = turn @ moving
-        slope[:, at.start + 1 : at.stop] = cross(seen) @ left_jacobian(-calibration[1:])
-        self._update(filter, "dvl", along - directions @ seen, directions @ slope, variances)
+        slope[:, VELOCITY] = by_velocity
+        slope[:, GYRO_BIAS] = turn @ rotation.T @ cross(lever)
+        slope[:, at.start] = then / (1.0 + calibration[0])
+        slope[:, at.start + 1 : at.stop] = cross(then) @ left_jacobian(-calibration[1:])
+        self._update(filter, "dvl", residual, directions @ slope, variances)
 
     def _add_depth(self, filter: InvariantFilter, sample: PressureSample) -> None:
         """z of the sensor in odom, and a constant: the depth at which odom lies, with the sensor's own offset."""
