@@ -9,9 +9,11 @@ from pathlib import Path
 
 from oysterbench.errors import MethodError, SequenceError
 from oysterbench.evaluate.slam import SlamSettings
+from oysterbench.files import write_atomically
 from oysterbench.generate import digest
 from oysterbench.methods.entrants import Entrant
-from oysterbench.methods.outcomes import Job, Outcome, estimate_of
+from oysterbench.methods.map import MAP
+from oysterbench.methods.outcomes import Job, Outcome, alternatives_of, estimate_of
 from oysterbench.methods.runner import default_limit_s, run_jobs
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report import SlamRun
@@ -94,7 +96,8 @@ def run_slam(
     """Run each entrant so many times on each sequence, in processes of their own, and score what they leave.
 
     What `out` holds already is scored and not run (see `runner.run_jobs` for again, retry, keep_inputs). It gets the
-    poses as TUM as well: SEQUENCE-truth.tum, SEQUENCE-METHOD.tum, of several runs SEQUENCE-METHOD-RUN.tum.
+    poses as TUM as well: SEQUENCE-truth.tum, SEQUENCE-METHOD.tum, of several runs SEQUENCE-METHOD-RUN.tum; a method's
+    other paths as SEQUENCE-METHOD.NAME.tum, and its landmarks as SEQUENCE-METHOD.map.ply.
     """
     known = {dive.name: dive for dive in dives}
     jobs = []
@@ -107,11 +110,18 @@ def run_slam(
     for job, outcome in run_jobs(jobs, out, workers, again, retry, keep_inputs, hardware(), announce):
         dive = known[job.name]
         estimate = estimate_of(job.folder(out)) if outcome.failure is None else None
+        alternatives: dict[str, Trajectory] = {}
         if estimate is not None:
+            alternatives = alternatives_of(job.folder(out), outcome)
             number = f"-{job.number + 1}" if times > 1 else ""
-            write_tum(out / f"{job.name}-{job.entrant.name}{number}.tum", estimate)
+            name = f"{job.name}-{job.entrant.name}{number}"
+            write_tum(out / f"{name}.tum", estimate)
+            for path_name, path in alternatives.items():
+                write_tum(out / f"{name}.{path_name}.tum", path)
+            if outcome.map is not None:
+                write_atomically(out / f"{name}.{MAP}", (job.folder(out) / MAP).read_bytes())
         if dive.truth is None:
             yield Finished(job, outcome, None)
         else:
-            record, result = record_outcome(dive.split, dive.truth, job, outcome, estimate, settings)
+            record, result = record_outcome(dive.split, dive.truth, job, outcome, estimate, settings, alternatives)
             yield Finished(job, outcome, SlamRun(record, result, dive.frames))

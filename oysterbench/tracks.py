@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import cv2
@@ -25,6 +26,9 @@ from oysterbench.trajectory import ReadOptions, Trajectory, write_tum
 
 FRAMES_IN_REPORT = 6
 FRAME_WIDTH = 480  # px, in the report
+
+PATH_METRICS = ("ate_rmse_m", "ate_percent", "ate_rotation_rmse_deg", "rpe_1s_translation_rmse_m", "coverage")
+"""What is kept of the paths of a method that are not scored."""
 
 Announce = Callable[[str], None]
 """Called with a sentence on what is being done."""
@@ -91,7 +95,8 @@ def _run(
         return ResultRecord(**record, failure=str(error)), None, None
     cost = _cost(truth, run.wall_s, run.cpu_s)
     estimate = run.estimate.trajectory
-    return (*_scored(record, truth, estimate, settings, cost, run.estimate.info), estimate)
+    info = {**run.estimate.info, **paths_info(truth, run.estimate.scored, run.estimate.alternatives, settings)}
+    return (*_scored(record, truth, estimate, settings, cost, info), estimate)
 
 
 def record_outcome(
@@ -101,9 +106,10 @@ def record_outcome(
     outcome: Outcome,
     estimate: Trajectory | None,
     settings: SlamSettings,
+    alternatives: Mapping[str, Trajectory] = MappingProxyType({}),
 ) -> tuple[ResultRecord, SlamResult | None]:
-    """What the runner's job is worth. split: of the sequence, None for one that is of none; estimate: where it did not
-    fail."""
+    """What the runner's job is worth. split: of the sequence, None for one that is of none; estimate, alternatives:
+    where it did not fail."""
     record = {
         **_about(split, job.name, truth, settings),
         "method": job.entrant.name,
@@ -114,7 +120,9 @@ def record_outcome(
         "created": outcome.ended,
     }
     run = {key: getattr(outcome, key) for key in ("command", "versions", "limit_s", "process", "started")}
-    info = {**outcome.info, "run": run}
+    info = {**outcome.info, "run": run, **paths_info(truth, outcome.scored, alternatives, settings)}
+    if outcome.map is not None:
+        info["map"] = dict(outcome.map)
     cost = {}
     if outcome.wall_s > 0:
         cost = _cost(truth, outcome.wall_s, outcome.cpu_s)
@@ -125,6 +133,25 @@ def record_outcome(
         ), None
     # Said of the reading of its file; the one that is scored here has been read before.
     return _scored(record, truth, replace(estimate, notes=tuple(outcome.notes)), settings, cost, info)
+
+
+def paths_info(
+    truth: Trajectory, scored: str, alternatives: Mapping[str, Trajectory], settings: SlamSettings
+) -> dict[str, Any]:
+    """For the `info` of a record: which of a method's paths is scored, and what each other one reaches (PATH_METRICS).
+
+    An alternative that cannot be scored has a `failure` in their place: it costs the scored path nothing.
+    """
+    if not scored and not alternatives:
+        return {}
+    reached: dict[str, dict[str, Any]] = {}
+    for name, path in alternatives.items():
+        try:
+            metrics = score(truth, path, settings).metrics
+            reached[name] = {key: metrics[key] for key in PATH_METRICS}
+        except TrajectoryError as error:
+            reached[name] = {"failure": str(error)}
+    return {"paths": {"scored": scored, "alternatives": reached}}
 
 
 def _about(split: SplitRecipe | None, sequence: str, truth: Trajectory, settings: SlamSettings) -> dict[str, Any]:

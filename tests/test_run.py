@@ -14,10 +14,12 @@ from oysterbench.evaluate.slam import SlamSettings
 from oysterbench.methods import runner
 from oysterbench.methods.entrants import Command, PythonMethod
 from oysterbench.methods.inputs import FORMS, frame_pose, write_input
+from oysterbench.ply import read_ply
+from oysterbench.report.tables import results_table
 from oysterbench.running import Dive, dives_of, run_slam
 from oysterbench.sequence.export.parts import sensor_poses
 from oysterbench.sequence.names import TRUTH_TOPICS
-from oysterbench.trajectory import Trajectory, write_tum
+from oysterbench.trajectory import Trajectory, read_trajectory, write_tum
 from oysterbench.trajectory.frames import poses_of_body
 
 NAME = "hand-made"
@@ -293,7 +295,7 @@ def test_one_runner_works_in_a_folder_at_a_time(dive_file, answer, tmp_path):
 METHODS = """
 import os
 import numpy as np
-from oysterbench.methods import Estimate
+from oysterbench.methods import Estimate, LandmarkMap
 from oysterbench.trajectory import Trajectory
 
 
@@ -334,6 +336,18 @@ class Peeks(Turns):
 
     def run(self, sequence):
         return Estimate(sequence.truth())
+
+
+class Paths(Turns):
+    name = "paths"
+
+    def run(self, sequence):
+        path = super().run(sequence).trajectory
+        late = path.select(slice(len(path) // 2, None))
+        n = 4
+        colours = np.tile(np.uint8([200, 100, 50]), (n, 1))
+        seen = LandmarkMap(path.select(slice(None, None, 50)), np.eye(n)[:, :3], colours, np.arange(n))
+        return Estimate(path, scored="optimised", alternatives={"online": late}, map=seen)
 
 
 class Other(Turns):
@@ -393,3 +407,23 @@ def test_a_class_that_cannot_be_had_is_named(reference, message, own_methods):
     with pytest.raises(MethodError) as caught:
         PythonMethod(reference)
     assert message in str(caught.value)
+
+
+def test_further_paths_and_the_map_lie_beside_the_scored_path(own_methods, run, tmp_path):
+    (done,) = run(PythonMethod("own_methods:Paths"))
+    out = tmp_path / "out"
+    scored, online = (read_trajectory(out / f"hand-made-paths{part}.tum") for part in ("", ".online"))
+    assert len(online) == len(scored) - len(scored) // 2
+    landmarks = read_ply(out / "hand-made-paths.map.ply")
+    assert [landmarks[key].tolist() for key in ("x", "red", "observations")] == [[1, 0, 0, 0], [200] * 4, [0, 1, 2, 3]]
+    assert len(read_trajectory(out / "runs/paths/hand-made/1/keyframes.tum")) == -(-len(scored) // 50)
+    info = done.scored.record.info
+    assert info["map"] == {"keyframes": -(-len(scored) // 50), "landmarks": 4}
+    assert info["paths"]["scored"] == "optimised"
+    assert info["paths"]["alternatives"]["online"]["coverage"] == pytest.approx(0.5, abs=0.02)
+    assert done.scored.record.metrics["coverage"] > 0.9
+    (said,) = results_table([done.scored.record]).notes
+    assert said.startswith("paths: scored is the optimised path; not scored: online (ATE ")
+    # Of what is finished already, all of it is read again.
+    (again,) = run(PythonMethod("own_methods:Paths"))
+    assert again.scored.record.to_dict() == done.scored.record.to_dict()

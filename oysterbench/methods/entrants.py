@@ -9,7 +9,7 @@ import shlex
 import shutil
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -31,14 +31,25 @@ PACKAGES = ("numpy", "scipy", "opencv-python-headless", "gtsam", "torch")
 """Packages whose versions are kept with a result, where they are installed."""
 
 
+SAID = ("info", "wall_s", "cpu_s", "scored", "alternatives", "map")
+"""Keys of what a method of Python says in answer.json."""
+
+
 @dataclass(frozen=True)
 class Answer:
-    """What a run left: poses T_odom_base, what it says of itself, and its own account of what it cost, if any."""
+    """What a run left: poses T_odom_base, what it says of itself, and its own account of what it cost, if any.
+
+    scored, alternatives: names of the path that is scored and of further ones, which lie beside it; map: counts of its
+    key frames and landmarks, None where there is no map.
+    """
 
     trajectory: Trajectory
     info: Mapping[str, Any] = field(default_factory=dict)
     wall_s: float | None = None
     cpu_s: float | None = None
+    scored: str = ""
+    alternatives: Sequence[str] = ()
+    map: Mapping[str, int] | None = None
 
 
 class Entrant(ABC):
@@ -114,7 +125,7 @@ class PythonMethod(Entrant):
     def answer(self, sequence: Path, given: Path | None, folder: Path) -> Answer:
         said = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
         trajectory = read_as_given(folder / ESTIMATE)
-        return Answer(trajectory, said["info"], said["wall_s"], said["cpu_s"])
+        return Answer(trajectory, **{key: said[key] for key in SAID})
 
     def said_failure(self, folder: Path) -> str | None:
         try:

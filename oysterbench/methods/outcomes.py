@@ -11,7 +11,7 @@ from typing import Any
 from oysterbench.errors import MethodError
 from oysterbench.files import write_atomically
 from oysterbench.methods.entrants import Entrant
-from oysterbench.methods.worker import ESTIMATE
+from oysterbench.methods.worker import ESTIMATE, alternative_file
 from oysterbench.trajectory import Trajectory, read_trajectory
 
 OUTCOME = "outcome.json"
@@ -49,6 +49,8 @@ class Outcome:
     process:      of the whole process: wall_s, cpu_s, peak_bytes, and left_behind, processes that had to be ended
     command:      as it was run; versions, hardware, started, ended: UTC, ISO 8601
     info, notes:  of the method, and of the reading of its answer
+    scored:       what the method calls the path that is scored; alternatives: names of the others
+    map:          counts of the map's key frames and landmarks, None where there is none
     """
 
     identity: Mapping[str, Any]
@@ -64,6 +66,9 @@ class Outcome:
     ended: str
     info: Mapping[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    scored: str = ""
+    alternatives: list[str] = field(default_factory=list)
+    map: Mapping[str, int] | None = None
 
     def write(self, folder: Path) -> None:
         """Whole or not at all."""
@@ -89,3 +94,8 @@ def read_outcome(folder: Path) -> Outcome | None:
 def estimate_of(folder: Path) -> Trajectory:
     """Poses T_odom_base of a job that did not fail."""
     return read_trajectory(folder / ESTIMATE)
+
+
+def alternatives_of(folder: Path, outcome: Outcome) -> dict[str, Trajectory]:
+    """Its further paths by name."""
+    return {name: read_trajectory(folder / alternative_file(name)) for name in outcome.alternatives}

@@ -173,6 +173,9 @@ def _with_answer(outcome: Outcome, job: Job, given: Path | None, folder: Path, e
         cpu_s=ended.cpu_s if answer.cpu_s is None else answer.cpu_s,
         info=dict(answer.info),
         notes=notes,
+        scored=answer.scored,
+        alternatives=list(answer.alternatives),
+        map=answer.map,
     )
 
 

@@ -2,8 +2,10 @@
 
     python -m oysterbench.methods.worker REFERENCE SEQUENCE FOLDER [SEED]
 
-FOLDER gets estimate.npz and answer.json: `info` of the estimate, and `wall_s` and `cpu_s` of `run` alone, threads and
-children included; or `failure`, one line, where there is no estimate.
+FOLDER gets estimate.npz, the path that is scored; estimate.NAME.npz of each alternative; map.ply and keyframes.tum
+where there is a map; and answer.json: `info`, `scored`, `alternatives` (names) and `map` (counts, or null) of the
+estimate, and `wall_s` and `cpu_s` of `run` alone, threads and children included; or `failure`, one line, where there is
+no estimate.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from typing import Any
 from oysterbench.errors import OysterbenchError
 from oysterbench.files import write_atomically
 from oysterbench.methods.finding import find_method
+from oysterbench.methods.method import Estimate
 from oysterbench.sequence import open_sequence
 from oysterbench.trajectory import write_npz
 
@@ -35,14 +38,35 @@ def answer(reference: str, path: str, folder: Path, seed: int | None) -> dict[st
     try:
         estimate = method.run(sequence)
         cost = {"wall_s": time.perf_counter() - wall, "cpu_s": _cpu_s() - cpu}
-        write_npz(folder / ESTIMATE, estimate.trajectory)
-        return {"info": _plain(dict(estimate.info)), **cost}
+        return {**keep(estimate, folder), **cost}
     except OysterbenchError as error:
         return {"failure": str(error)}
     except Exception as error:
         traceback.print_exc()
         line = " ".join(f"{type(error).__name__}: {error}".split())
         return {"failure": f"method {method.name!r} failed on sequence {sequence.name}: {line}"}
+
+
+def keep(estimate: Estimate, folder: Path) -> dict[str, Any]:
+    """Write an estimate; returns what answer.json says of it."""
+    write_npz(folder / ESTIMATE, estimate.trajectory)
+    for name, path in estimate.alternatives.items():
+        write_npz(folder / alternative_file(name), path)
+    counts = None
+    if estimate.map is not None:
+        estimate.map.write(folder)
+        counts = {"keyframes": len(estimate.map.keyframes), "landmarks": len(estimate.map.landmarks)}
+    return {
+        "info": _plain(dict(estimate.info)),
+        "scored": estimate.scored,
+        "alternatives": list(estimate.alternatives),
+        "map": counts,
+    }
+
+
+def alternative_file(name: str) -> str:
+    """File of an alternative in the folder of its run."""
+    return f"estimate.{name}.npz"
 
 
 def _cpu_s() -> float:

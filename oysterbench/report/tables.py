@@ -133,7 +133,28 @@ def failures_and_notes(records: Sequence[ResultRecord]) -> list[str]:
         if record.failure is not None:
             said.append(f"{name} failed: {record.failure}")
         said += [f"{name}: {note}" for note in record.notes]
-    return list(dict.fromkeys(said))
+    return [*dict.fromkeys(said), *paths_said(records)]
+
+
+def paths_said(records: Sequence[ResultRecord]) -> list[str]:
+    """A sentence for each method that has several paths: which of them is scored, and what the others reach."""
+    methods: dict[tuple[str, ...], list[ResultRecord]] = {}
+    for record in records:
+        if "paths" in record.info:
+            methods.setdefault(method_key(record), []).append(record)
+    said = []
+    for (method, *_), group in methods.items():
+        scored = " and ".join(dict.fromkeys(str(record.info["paths"]["scored"]) or "first" for record in group))
+        reached: dict[str, list[float]] = {}
+        for record in group:
+            for name, metrics in record.info["paths"]["alternatives"].items():
+                if metrics.get("ate_rmse_m") is not None:
+                    reached.setdefault(name, []).append(metrics["ate_rmse_m"])
+        mean = f", mean of {len(group)}" if len(group) > 1 else ""
+        others = [f"{name} (ATE {np.mean(values):.2g} m{mean})" for name, values in reached.items()]
+        beside = f"; not scored: {', '.join(others)}" if others else ""
+        said.append(f"{method}: scored is the {scored} path{beside}")
+    return said
 
 
 def results_tables(records: Sequence[ResultRecord]) -> list[Table]:
