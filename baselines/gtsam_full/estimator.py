@@ -41,8 +41,9 @@ from oysterbench_baselines.gtsam_full.factors import (
 from oysterbench_baselines.gtsam_full.model import AidedModel
 from oysterbench_baselines.gtsam_full.settings import Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.graph import Bundle, State, adjust, make_state, read_state
+from oysterbench_baselines.gtsam_vi.graph import Bundle, adjust
 from oysterbench_baselines.gtsam_vi.initialisation import View
+from oysterbench_baselines.gtsam_vi.states import State, make_state, read_state
 from oysterbench_baselines.gtsam_vi.window import Window
 
 FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)

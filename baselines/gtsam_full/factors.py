@@ -17,8 +17,8 @@ from oysterbench.samples import DvlSample
 from oysterbench_baselines.common.aiding import dvl_rows
 from oysterbench_baselines.common.filter import cross
 from oysterbench_baselines.common.inertial import Segment
-from oysterbench_baselines.gtsam_vi.graph import State
 from oysterbench_baselines.gtsam_vi.inertial import integrate
+from oysterbench_baselines.gtsam_vi.states import State
 
 DVL_KEY = gtsam.symbol("d", 0)
 """Error of scale, and misalignment (rad) about x, y, z of the DVL: (4,)."""

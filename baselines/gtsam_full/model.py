@@ -12,7 +12,8 @@ from oysterbench.geometry import Array
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.gtsam_full.factors import COMPASS_KEY, DVL_KEY, FIELD_UNIT
 from oysterbench_baselines.gtsam_full.settings import Settings
-from oysterbench_baselines.gtsam_vi.graph import Model, State
+from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.states import State
 
 LEAST = np.array([1e-4] * 3 + [1e-4] * 3)
 """rad and m, 1 sigma: what the start is held with where it is exact by definition."""

@@ -15,21 +15,24 @@ from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.frontend import homogeneous
-from oysterbench_baselines.gtsam_vi.graph import Bundle, Keyframe, Model, State, adjust, make_state, read_state
-from oysterbench_baselines.gtsam_vi.inertial import extend, integrate, preintegrate
-from oysterbench_baselines.gtsam_vi.initialisation import Start, View, closed_form_start, level_rotation
+from oysterbench_baselines.gtsam_vi.graph import Bundle, Model, adjust
+from oysterbench_baselines.gtsam_vi.inertial import extend, preintegrate
+from oysterbench_baselines.gtsam_vi.initialisation import View, closed_form_start, level_rotation
 from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.smoothing import smooth
+from oysterbench_baselines.gtsam_vi.states import (
+    Frame,
+    Keyframe,
+    State,
+    backward,
+    coast,
+    forward,
+    hold,
+    make_state,
+    read_state,
+    states_of,
+)
 from oysterbench_baselines.gtsam_vi.window import Window
-
-
-@dataclass
-class Frame:
-    """A frame: the key frame before it (or itself), the measurements since, and the pose that was known at once."""
-
-    stamp_ns: int
-    keyframe: int
-    since: Segment
-    online: Array | None = None  # T_odom_imu
 
 
 @dataclass
@@ -171,7 +174,7 @@ class Estimator:
             self.model.accel_turn_on,
             settings.pixel_sigma_px / self.model.focal,
         )
-        states = _states(start, self._anchor)
+        states = states_of(start, self._anchor)
         try:
             bundle = adjust(self.model, stretch, states, settings.init_gates_px)
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
@@ -197,28 +200,13 @@ class Estimator:
             if self.keyframes[k].state is not None:
                 break
             after = self.keyframes[k + 1]
-            self.keyframes[k].state = _hold(after.state) if after.at_rest else self._back(after.state, after.segment)
+            self.keyframes[k].state = hold(after.state) if after.at_rest else self._back(after.state, after.segment)
         for frame in self.frames:
             if frame.online is None:
-                frame.online = self._forward(self.keyframes[frame.keyframe].state, frame.since)
+                frame.online = forward(self.keyframes[frame.keyframe].state, frame.since, self.model.params).matrix
 
     def _back(self, state: State, segment: Segment) -> State:
-        """The state at the beginning of a segment from that at its end."""
-        bias = state.bias
-        part = integrate([segment], bias.gyroscope())
-        time = part.time[-1]
-        down = np.array([0.0, 0.0, -self.imu.gravity])
-        rotation = state.nav.attitude().matrix() @ part.rotation[-1].T
-        gained = part.velocity[-1] - part.velocity_rate[-1] @ bias.accelerometer()
-        moved = part.position[-1] - part.position_rate[-1] @ bias.accelerometer()
-        velocity = state.nav.velocity() - down * time - rotation @ gained
-        position = state.nav.position() - velocity * time - 0.5 * down * time**2 - rotation @ moved
-        return make_state(rotation, position, velocity, bias.gyroscope(), bias.accelerometer())
-
-    def _forward(self, state: State, segment: Segment) -> Array:
-        """T_odom_imu (4, 4) after a segment."""
-        measurements = preintegrate(segment, state.bias, self.model.params)
-        return measurements.predict(state.nav, state.bias).pose().matrix()
+        return backward(state, segment, self.imu.gravity)
 
     # Divergence.
 
@@ -249,10 +237,10 @@ class Estimator:
         index, state = self._good
         stamp_ns = self.keyframes[index].stamp_ns
         for keyframe in self.keyframes[index:]:
-            keyframe.state = _coast(state, (keyframe.stamp_ns - stamp_ns) * 1e-9)
+            keyframe.state = coast(state, (keyframe.stamp_ns - stamp_ns) * 1e-9)
         for frame in self.frames:
             if frame.stamp_ns > stamp_ns:
-                frame.online = _coast(state, (frame.stamp_ns - stamp_ns) * 1e-9).matrix
+                frame.online = coast(state, (frame.stamp_ns - stamp_ns) * 1e-9).matrix
         self._first, self._anchor = self.keyframes[-1].index, self.keyframes[-1].state
         self._window = None
         self._measurements = None
@@ -278,10 +266,9 @@ class Estimator:
             self.keyframes[0].state = make_state(level_rotation(up), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
         for before, keyframe in zip(self.keyframes[:-1], self.keyframes[1:], strict=True):
             if keyframe.state is None and keyframe.at_rest:
-                keyframe.state = _hold(before.state)
+                keyframe.state = hold(before.state)
             elif keyframe.state is None:
-                measurements = preintegrate(keyframe.segment, before.state.bias, self.model.params)
-                keyframe.state = State(measurements.predict(before.state.nav, before.state.bias), before.state.bias)
+                keyframe.state = forward(before.state, keyframe.segment, self.model.params)
         self._fill_back(0)
 
     def online(self) -> Trajectory:
@@ -289,73 +276,27 @@ class Estimator:
         return self._trajectory([frame.online for frame in self.frames])
 
     def smoothed(self) -> Trajectory:
-        """T_odom_base at every frame after an adjustment of all key frames.
-
-        After a restart there are measurements that are not to be trusted, and the online path is given.
-        """
+        """T_odom_base at every frame after an adjustment of all key frames; the online path where none can be made."""
         if self._window is None or len(self.keyframes) < 3 or "restarts" in self.info:
             return self.online()
-        states = [keyframe.state for keyframe in self.keyframes]
-        gate = self.settings.max_landmark_error_px
         try:
-            bundle = adjust(self.model, self.keyframes, states, (3 * gate, gate))
+            bundle, poses = smooth(self.model, self.keyframes, self.frames)
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             self.info["smoothing_failed"] = 1
             return self.online()
         if len(bundle.errors_px):
             self.info["smoothed_error_px"] = float(np.median(bundle.errors_px))
-        states = [read_state(bundle.values, keyframe.index) for keyframe in self.keyframes]
-        slips = [self._slip(k, states) for k in range(len(states) - 1)]
-        poses = []
-        for frame in self.frames:
-            pose = self._forward(states[frame.keyframe], frame.since)
-            if frame.keyframe < len(slips):
-                # What the measurements of the whole interval miss at its end is spread evenly over it.
-                share = frame.since.duration / max(self.keyframes[frame.keyframe + 1].segment.duration, 1e-9)
-                turn, shift = slips[frame.keyframe]
-                pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
-                pose[:3, 3] += share * shift
-            poses.append(pose)
         return self._with_covariances(self._trajectory(poses), bundle)
 
     def _with_covariances(self, trajectory: Trajectory, bundle: Bundle) -> Trajectory:
         """The smoothed trajectory with what is known of its covariances: here nothing."""
         return trajectory
 
-    def _slip(self, k: int, states: list[State]) -> tuple[Array, Array]:
-        """What is missing from key frame k, moved on by the inertial measurements, to key frame k + 1."""
-        reached, wanted = self._forward(states[k], self.keyframes[k + 1].segment), states[k + 1].matrix
-        return Rotation.from_matrix(reached[:3, :3].T @ wanted[:3, :3]).as_rotvec(), wanted[:3, 3] - reached[:3, 3]
-
     def _trajectory(self, poses: list[Array]) -> Trajectory:
         stamps = np.array([frame.stamp_ns for frame in self.frames], dtype=np.int64)
         matrices = np.array(poses).reshape(-1, 4, 4) @ invert(self.imu.T_base_imu)
         quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat() if len(poses) else np.empty((0, 4))
         return Trajectory(stamps, matrices[:, :3, 3].copy(), quaternions)
-
-
-def _hold(state: State) -> State:
-    """The same pose, at rest."""
-    return State(gtsam.NavState(state.nav.pose(), np.zeros(3)), state.bias)
-
-
-def _coast(state: State, time: float) -> State:
-    """The state after a time (s) at the same velocity and attitude."""
-    pose = gtsam.Pose3(state.nav.attitude(), state.nav.position() + state.nav.velocity() * time)
-    return State(gtsam.NavState(pose, state.nav.velocity()), state.bias)
-
-
-def _states(start: Start, anchor: State | None) -> list[State]:
-    """States of a start; with an anchor, moved and turned about z so that the first has its position and heading."""
-    turn, shift = np.eye(3), np.zeros(3)
-    if anchor is not None:
-        now, wanted = start.rotations[0][:, 0], anchor.matrix[:3, 0]
-        angle = np.arctan2(wanted[1], wanted[0]) - np.arctan2(now[1], now[0])
-        turn, shift = Rotation.from_euler("z", angle).as_matrix(), anchor.matrix[:3, 3]
-    return [
-        make_state(turn @ rotation, turn @ position + shift, turn @ velocity, start.gyro_bias, start.accel_bias)
-        for rotation, position, velocity in zip(start.rotations, start.positions, start.velocities, strict=True)
-    ]
 
 
 def _scale_sigma(bundle: Bundle, keyframes: list[Keyframe]) -> float:

@@ -3,47 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, invert, transform
+from oysterbench.geometry import Array, invert
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.frontend import homogeneous
 from oysterbench_baselines.gtsam_vi.inertial import preintegrate, preintegration_params
-from oysterbench_baselines.gtsam_vi.initialisation import View
 from oysterbench_baselines.gtsam_vi.settings import Settings
-
-
-@dataclass(frozen=True)
-class State:
-    """Pose and velocity of the IMU in odom, and its biases."""
-
-    nav: gtsam.NavState
-    bias: gtsam.imuBias.ConstantBias
-
-    @property
-    def matrix(self) -> Array:
-        """T_odom_imu (4, 4)."""
-        return self.nav.pose().matrix()
-
-
-@dataclass
-class Keyframe:
-    """A key frame: its stamp, what it saw, the inertial measurements since the last key frame, its latest estimate;
-    and factors of other sensors, on its states, those of the key frame before it, and what the model shares."""
-
-    index: int
-    stamp_ns: int
-    view: View
-    segment: Segment
-    at_rest: bool
-    state: State | None = None
-    aiding: list[gtsam.NonlinearFactor] = field(default_factory=list)
+from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
 
 class Model:
@@ -149,24 +122,6 @@ class Model:
         local = np.einsum("...ij,...j->...i", cameras[..., :3, :3], points) + cameras[..., :3, 3]
         error = np.linalg.norm(local[:, :2] / np.maximum(local[:, 2:], 1e-6) - rays, axis=1) * self.focal
         return np.where(local[:, 2] > 0, error, np.inf)
-
-
-def make_state(rotation: Array, position: Array, velocity: Array, gyro_bias: Array, accel_bias: Array) -> State:
-    """State from a rotation (3, 3), position, velocity and biases (3,)."""
-    nav = gtsam.NavState(gtsam.Pose3(transform(rotation, position)), velocity)
-    return State(nav, gtsam.imuBias.ConstantBias(accel_bias, gyro_bias))
-
-
-def insert_state(values: gtsam.Values, index: int, state: State) -> None:
-    """Put a state into values under its keys."""
-    values.insert(X(index), state.nav.pose())
-    values.insert(V(index), state.nav.velocity())
-    values.insert(B(index), state.bias)
-
-
-def read_state(values: gtsam.Values, index: int) -> State:
-    """The state at its keys."""
-    return State(gtsam.NavState(values.atPose3(X(index)), values.atVector(V(index))), values.atConstantBias(B(index)))
 
 
 @dataclass(frozen=True)

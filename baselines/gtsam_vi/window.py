@@ -12,7 +12,8 @@ import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
 from oysterbench.geometry import Array
-from oysterbench_baselines.gtsam_vi.graph import Bundle, Keyframe, Model, State, insert_state, read_state
+from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
+from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
 
 class Window:

@@ -23,7 +23,7 @@ from oysterbench_baselines.gtsam_full.factors import (
     velocity_error,
     velocity_factor,
 )
-from oysterbench_baselines.gtsam_vi.graph import State, make_state
+from oysterbench_baselines.gtsam_vi.states import State, make_state
 
 GRAVITY = 9.80665
 TOLERANCE = 2e-4  # m/s, at 0.5 m/s: what inertial samples of 100 Hz and a lever arm of 12 cm leave

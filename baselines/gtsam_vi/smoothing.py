@@ -1,0 +1,42 @@
+"""The final smoothing: one adjustment of all key frames, and every frame between them."""
+
+from __future__ import annotations
+
+from scipy.spatial.transform import Rotation
+
+from oysterbench.geometry import Array
+from oysterbench_baselines.common.inertial import Segment
+from oysterbench_baselines.gtsam_vi.graph import Bundle, Model, adjust
+from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, forward, read_state
+
+
+def smooth(model: Model, keyframes: list[Keyframe], frames: list[Frame]) -> tuple[Bundle, list[Array]]:
+    """The adjusted key frames, and T_odom_imu (4, 4) of every frame; RuntimeError where they cannot be solved for."""
+    gate = model.settings.max_landmark_error_px
+    bundle = adjust(model, keyframes, [keyframe.state for keyframe in keyframes], (3 * gate, gate))
+    states = [read_state(bundle.values, keyframe.index) for keyframe in keyframes]
+    return bundle, between(model, keyframes, states, frames)
+
+
+def between(model: Model, keyframes: list[Keyframe], states: list[State], frames: list[Frame]) -> list[Array]:
+    """T_odom_imu (4, 4) of every frame from the states of the key frames and the inertial measurements.
+
+    What the measurements of a whole interval miss at its end is spread evenly over it.
+    """
+    slips = [_slip(model, *pair, k.segment) for *pair, k in zip(states, states[1:], keyframes[1:], strict=False)]
+    poses = []
+    for frame in frames:
+        pose = forward(states[frame.keyframe], frame.since, model.params).matrix
+        if frame.keyframe < len(slips):
+            share = frame.since.duration / max(keyframes[frame.keyframe + 1].segment.duration, 1e-9)
+            turn, shift = slips[frame.keyframe]
+            pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
+            pose[:3, 3] += share * shift
+        poses.append(pose)
+    return poses
+
+
+def _slip(model: Model, before: State, after: State, segment: Segment) -> tuple[Array, Array]:
+    """What is missing from the state before a segment, moved on by it, to the state after."""
+    reached, wanted = forward(before, segment, model.params).matrix, after.matrix
+    return Rotation.from_matrix(reached[:3, :3].T @ wanted[:3, :3]).as_rotvec(), wanted[:3, 3] - reached[:3, 3]

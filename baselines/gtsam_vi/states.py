@@ -1,0 +1,119 @@
+"""What is estimated, and when: states, the key frames that have one each, and the frames between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, V, X
+from scipy.spatial.transform import Rotation
+
+from oysterbench.geometry import Array, transform
+from oysterbench_baselines.common.inertial import Segment
+from oysterbench_baselines.gtsam_vi.inertial import integrate, preintegrate
+from oysterbench_baselines.gtsam_vi.initialisation import Start, View
+
+
+@dataclass(frozen=True)
+class State:
+    """Pose and velocity of the IMU in odom, and its biases."""
+
+    nav: gtsam.NavState
+    bias: gtsam.imuBias.ConstantBias
+
+    @property
+    def matrix(self) -> Array:
+        """T_odom_imu (4, 4)."""
+        return self.nav.pose().matrix()
+
+
+@dataclass
+class Keyframe:
+    """A key frame: its stamp, what it saw, the inertial measurements since the last key frame, its latest estimate;
+    and factors of other sensors, on its states, those of the key frame before it, and what the model shares.
+
+    trusted: False where the measurements that lead to it have led the estimator astray.
+    """
+
+    index: int
+    stamp_ns: int
+    view: View
+    segment: Segment
+    at_rest: bool
+    state: State | None = None
+    aiding: list[gtsam.NonlinearFactor] = field(default_factory=list)
+    trusted: bool = True
+
+
+@dataclass
+class Frame:
+    """A frame: the key frame before it (or itself), the measurements since, and the pose that was known at once, with
+    its covariance (6, 6) as of a `Trajectory`, both of the IMU."""
+
+    stamp_ns: int
+    keyframe: int
+    since: Segment
+    online: Array | None = None  # T_odom_imu
+    covariance: Array | None = None
+
+
+def make_state(rotation: Array, position: Array, velocity: Array, gyro_bias: Array, accel_bias: Array) -> State:
+    """State from a rotation (3, 3), position, velocity and biases (3,)."""
+    nav = gtsam.NavState(gtsam.Pose3(transform(rotation, position)), velocity)
+    return State(nav, gtsam.imuBias.ConstantBias(accel_bias, gyro_bias))
+
+
+def insert_state(values: gtsam.Values, index: int, state: State) -> None:
+    """Put a state into values under its keys."""
+    values.insert(X(index), state.nav.pose())
+    values.insert(V(index), state.nav.velocity())
+    values.insert(B(index), state.bias)
+
+
+def read_state(values: gtsam.Values, index: int) -> State:
+    """The state at its keys."""
+    return State(gtsam.NavState(values.atPose3(X(index)), values.atVector(V(index))), values.atConstantBias(B(index)))
+
+
+def states_of(start: Start, anchor: State | None) -> list[State]:
+    """States of a start; with an anchor, moved and turned about z so that the first has its position and heading."""
+    turn, shift = np.eye(3), np.zeros(3)
+    if anchor is not None:
+        now, wanted = start.rotations[0][:, 0], anchor.matrix[:3, 0]
+        angle = np.arctan2(wanted[1], wanted[0]) - np.arctan2(now[1], now[0])
+        turn, shift = Rotation.from_euler("z", angle).as_matrix(), anchor.matrix[:3, 3]
+    return [
+        make_state(turn @ rotation, turn @ position + shift, turn @ velocity, start.gyro_bias, start.accel_bias)
+        for rotation, position, velocity in zip(start.rotations, start.positions, start.velocities, strict=True)
+    ]
+
+
+def hold(state: State) -> State:
+    """The same pose, at rest."""
+    return State(gtsam.NavState(state.nav.pose(), np.zeros(3)), state.bias)
+
+
+def coast(state: State, time: float) -> State:
+    """The state after a time (s) at the same velocity and attitude."""
+    pose = gtsam.Pose3(state.nav.attitude(), state.nav.position() + state.nav.velocity() * time)
+    return State(gtsam.NavState(pose, state.nav.velocity()), state.bias)
+
+
+def forward(state: State, segment: Segment, params: gtsam.PreintegrationCombinedParams) -> State:
+    """The state after a segment."""
+    return State(preintegrate(segment, state.bias, params).predict(state.nav, state.bias), state.bias)
+
+
+def backward(state: State, segment: Segment, gravity: float) -> State:
+    """The state at the beginning of a segment from that at its end."""
+    bias = state.bias
+    part = integrate([segment], bias.gyroscope())
+    time = part.time[-1]
+    down = np.array([0.0, 0.0, -gravity])
+    rotation = state.nav.attitude().matrix() @ part.rotation[-1].T
+    gained = part.velocity[-1] - part.velocity_rate[-1] @ bias.accelerometer()
+    moved = part.position[-1] - part.position_rate[-1] @ bias.accelerometer()
+    velocity = state.nav.velocity() - down * time - rotation @ gained
+    position = state.nav.position() - velocity * time - 0.5 * down * time**2 - rotation @ moved
+    return make_state(rotation, position, velocity, bias.gyroscope(), bias.accelerometer())
