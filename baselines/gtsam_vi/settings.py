@@ -65,6 +65,40 @@ class Settings:
     # Final smoothing.
     smoothing_iterations: int = 15
 
+    # Places.
+    loops: bool = True  # look for places seen before; False leaves odometry
+    place_step_m: float = 0.12  # from one place to the next: a tenth of what a picture shows at 1 m
+    place_turn_deg: float = 10.0  # or turned by this
+    place_landmarks: int = 15  # fewer do not tell the lie of the ground
+    place_corners: int = 500
+    place_fast_threshold: int = 7  # grey levels, low for turbid water; the best corners are taken anyway
+    place_view_px: int = 400  # side of the ground view
+    place_coarseness: float = 2.0  # size of its pixels, in pixels of the picture in the middle of it
+    place_words: int = 8  # words of a descriptor
+    place_word_bits: int = 14  # two descriptors of one corner, 25 bits apart, share a word in 9 cases of 10
+
+    # Loops.
+    loop_min_s: float = 8.0  # since the place was seen; sooner, tracks and window know it all
+    loop_candidates: int = 3  # a place is compared with
+    loop_prior_sigmas: float = 4.0  # of odometry's own uncertainty
+    drift_position: float = 0.012  # m per square root of m
+    drift_heading: float = 0.0015  # rad per square root of s
+    match_bits: int = 72  # between descriptors of one corner; of two, 128 on average
+    match_ratio: float = 0.9
+    align_share: float = 0.05  # of the distance: by how much corners may miss each other on the ground
+    align_trials: int = 400
+    align_inliers: int = 8
+    loop_window_px: int = 21  # side of the patch by which a landmark is found again
+    loop_search_px: float = 25.0  # from where the alignment says
+    loop_inliers: int = 15
+    loop_share: float = 0.3  # of the landmarks that should be in the picture
+    loop_spread: float = 0.08  # of the picture's height, across the narrow side of where they are
+    loop_pixel_sigma: float = 1.5  # of a landmark found again from another side
+    loop_cauchy: float = 2.0  # sigmas; beyond, a loop loses weight
+    loop_heading_floor: float = 0.002  # rad, 1 sigma: of landmarks and window, added to each loop
+    loop_floor_m: float = 0.01  # likewise
+    loop_iterations: int = 2
+
     # Divergence.
     max_speed: float = 8.0  # m/s; beyond any vehicle meant here
     max_bias_sigmas: float = 8.0  # of the turn-on bias
