@@ -15,9 +15,9 @@ from oysterbench.errors import ResultError
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Comparison, Sample, Standing, Summary, compare, rank, summarise
-from oysterbench.results import ResultRecord, comparable_key, method_key, plain, samples
+from oysterbench.results import ResultRecord, comparable_key, method_key, plain, samples, weights_of
 
-PRIMARY = {"slam": "score"}
+PRIMARY = {"slam": "score", "segmentation": "iou", "detection": "ap_mask"}
 """Track -> the metric that ranks."""
 
 
@@ -37,6 +37,16 @@ class Entry:
         """Values of a metric on some sequences."""
         found = samples(self.records, key)
         return {name: found[name] for name in sequences if name in found}
+
+    def weights(self, key: str, sequences: Iterable[str]) -> Sample | None:
+        """Weights of the same values in a mean; None where each sequence has one vote."""
+        found = weights_of(self.records, key)
+        return None if found is None else {name: found[name] for name in sequences if name in found}
+
+    def summary(self, key: str, sequences: Iterable[str]) -> Summary:
+        """Of a metric on some sequences."""
+        names = list(sequences)
+        return summarise(self.sample(key, names), self.weights(key, names))
 
 
 @dataclass(frozen=True)
@@ -120,11 +130,14 @@ class Board:
     @cached_property
     def standings(self) -> list[Row]:
         """Methods in the order of their places, those without a value last."""
-        ranking = rank({e.label: e.sample(self.metric, self.sequences) for e in self.entries}, self.better)
+        weights = {e.label: w for e in self.entries if (w := e.weights(self.metric, self.sequences)) is not None}
+        ranking = rank(
+            {e.label: e.sample(self.metric, self.sequences) for e in self.entries}, self.better, weights or None
+        )
         found = []
         for entry in self.entries:
             chosen = [record for record in entry.records if record.sequence in self.sequences]
-            summaries = {key: summarise(entry.sample(key, self.sequences)) for key in self.keys}
+            summaries = {key: entry.summary(key, self.sequences) for key in self.keys}
             failures = sum(record.failure is not None for record in chosen)
             found.append(Row(entry.label, ranking[entry.label], summaries, len(chosen), failures))
         return sorted(found, key=lambda row: row.standing.place or math.inf)
@@ -143,9 +156,13 @@ class Board:
         for condition, value, names in places:
             for i, a in enumerate(labels):
                 for b in labels[i + 1 :]:
-                    first, second = (order[label].sample(self.metric, names) for label in (a, b))
-                    found.append(Pair(a, b, condition, value, compare(first, second, self.better)))
+                    found.append(Pair(a, b, condition, value, self._compare(order[a], order[b], names)))
         return found
+
+    def _compare(self, a: Entry, b: Entry, names: Sequence[str]) -> Comparison:
+        of_a, of_b = (entry.weights(self.metric, names) for entry in (a, b))
+        weights = None if of_a is None or of_b is None else (of_a, of_b)
+        return compare(a.sample(self.metric, names), b.sample(self.metric, names), self.better, weights)
 
     def classes(self, condition: str) -> dict[str, tuple[str, ...]]:
         """Sequences by their class of a condition; empty where all are of one class or it is not known of all."""
@@ -158,7 +175,7 @@ class Board:
     def strata(self, condition: str) -> list[tuple[str, str, Summary]]:
         """Class, method and summary of the ranking metric, where there are several classes."""
         return [
-            (value, row.label, summarise(self._entry(row.label).sample(self.metric, names)))
+            (value, row.label, self._entry(row.label).summary(self.metric, names))
             for value, names in self.classes(condition).items()
             for row in self.standings
         ]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.errors import ResultError
-from oysterbench.evaluate.metrics import SLAM_FAILED
+from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.files import write_atomically
 from oysterbench.version import VERSION
@@ -95,9 +95,7 @@ class ResultRecord:
             object.__setattr__(self, key, dict(getattr(self, key)))
         object.__setattr__(self, "notes", tuple(self.notes))
         if self.failure is not None:
-            object.__setattr__(
-                self, "metrics", {**self.metrics, **(SLAM_FAILED if self.track == "slam" else {"coverage": 0.0})}
-            )
+            object.__setattr__(self, "metrics", {**self.metrics, **FAILED.get(self.track, {"coverage": 0.0})})
         for key, value in self.metrics.items():
             if math.isinf(value):
                 raise ResultError(f"metric {key!r} of {self.method} on {self.sequence}: expected a number, got {value}")
@@ -220,6 +218,25 @@ def samples(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]]
     return values
 
 
+def weights_of(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]] | None:
+    """Weights of a metric's values in a mean over sequences, shaped like `samples`; None where each has one vote.
+
+    Raises ResultError where a record has a value, and not its weight.
+    """
+    metric = find_metric(key)
+    if metric is None or not metric.weight:
+        return None
+    values, weights = samples(records, key), samples(records, metric.weight)
+    for name, found in values.items():
+        for value, weight in zip(found, weights[name], strict=True):
+            if not math.isnan(value) and math.isnan(weight):
+                raise ResultError(
+                    f"a result of {records[0].method} on {name} has {key}, but not {metric.weight}, by which it counts "
+                    "in the mean; evaluate again with this version of oysterbench"
+                )
+    return weights
+
+
 def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
     """For each track, split and method the mean of each metric over sequences, with its statistics.
 
@@ -236,7 +253,8 @@ def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
 def _aggregate_group(group: list[ResultRecord]) -> dict[str, Any]:
     first = group[0]
     summaries = {
-        key: summarise(samples(group, key)) for key in dict.fromkeys(key for record in group for key in record.metrics)
+        key: summarise(samples(group, key), weights_of(group, key))
+        for key in dict.fromkeys(key for record in group for key in record.metrics)
     }
     reasons: dict[str, str] = {}
     for key, summary in summaries.items():

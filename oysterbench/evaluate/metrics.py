@@ -3,24 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
-
-@dataclass(frozen=True)
-class Metric:
-    """One number of a result.
-
-    unit:       as written behind the number; empty where it has none
-    better:     the direction of improvement; empty for what describes the sequence or the run
-    definition: one sentence
-    short:      heading of a table's column
-    """
-
-    unit: str
-    better: Literal["lower", "higher", ""]
-    definition: str
-    short: str = ""
+from oysterbench.evaluate.metric import Metric
+from oysterbench.evaluate.segmentation.metrics import SEGMENTATION, find_segmentation
 
 
 def _consistency(part: str, freedom: int, of: str) -> dict[str, Metric]:
@@ -282,19 +268,26 @@ _WRITTEN = {"percent": "%", "frames": "poses"}
 
 def find_metric(key: str) -> Metric | None:
     """The metric of that key; those over another time, path, angle or share than the listed are found as well."""
-    if key in SLAM:
-        return SLAM[key]
+    for known in (SLAM, SEGMENTATION):
+        if key in known:
+            return known[key]
+    if (of_images := find_segmentation(key)) is not None:
+        return of_images
     for pattern, (defining, number) in _VARIED.items():
         match = re.fullmatch(pattern, key)
-        if match and (known := SLAM.get(defining.format("", "", match[3] if match.re.groups > 2 else ""))):
+        if match and (defined := SLAM.get(defining.format("", "", match[3] if match.re.groups > 2 else ""))):
             mine = f"{match[1]} {_WRITTEN.get(match[2], match[2])}"
             if mine == "1 poses":
                 mine = "1 pose"
             return replace(
-                known, definition=known.definition.replace(number, mine), short=known.short.replace(number, mine)
+                defined, definition=defined.definition.replace(number, mine), short=defined.short.replace(number, mine)
             )
     return None
 
 
-SLAM_FAILED = {"score": 0.0, "coverage": 0.0}
-"""What a run without a scored estimate is worth: it answers nothing, and its errors do not exist."""
+FAILED = {
+    "slam": {"score": 0.0, "coverage": 0.0},
+    "segmentation": {"iou": 0.0},
+    "detection": {"ap_mask": 0.0},
+}
+"""Track -> what a run without a scored estimate is worth: it answers nothing, and its errors do not exist."""

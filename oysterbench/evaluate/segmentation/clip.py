@@ -1,0 +1,134 @@
+"""Scoring the images of a clip one by one: only counts and a line per image are kept."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.errors import LabelError
+from oysterbench.evaluate.segmentation.images import EstimateImage, TruthImage, check_pair
+from oysterbench.evaluate.segmentation.measures import measure
+from oysterbench.evaluate.segmentation.settings import SegmentationSettings
+from oysterbench.evaluate.segmentation.tally import Tally, add, tally_image
+from oysterbench.evaluate.segmentation.thresholds import STEPS, ThresholdCurve, curve, histogram
+
+IMAGE_METRICS = ("iou", "boundary_iou", "precision", "recall", "dice", "cover", "cover_error")
+"""Of a line per image."""
+
+
+@dataclass(frozen=True)
+class ImageScore:
+    """One image: its name, its metrics (`IMAGE_METRICS`; IoU and Dice are NaN where all is ignored), its counts."""
+
+    name: str
+    metrics: Mapping[str, float]
+    tally: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class ClipResult:
+    """What scoring a clip, or a whole data set, gives.
+
+    metrics:   values by keys of `SEGMENTATION`; NaN where there is no sample, with the reason in `reasons`
+    tally:     the counts that they are of
+    histogram: (2, STEPS) of a method that gives probabilities (`thresholds.histogram`); None of others
+    images:    a line each, in the order in which they were scored
+    """
+
+    metrics: Mapping[str, float]
+    reasons: Mapping[str, str]
+    tally: Tally
+    histogram: NDArray[np.int64] | None
+    images: tuple[ImageScore, ...]
+    settings: SegmentationSettings
+
+    @property
+    def curve(self) -> ThresholdCurve | None:
+        """Precision, recall and IoU over thresholds, of a method that gives probabilities."""
+        return None if self.histogram is None else curve(self.histogram)
+
+
+class ClipScorer:
+    """Takes image after image, and gives the result of them all."""
+
+    def __init__(self, settings: SegmentationSettings | None = None) -> None:
+        self.settings = settings or SegmentationSettings()
+        self._tally: Tally = {}
+        self._histogram = np.zeros((2, STEPS), np.int64)
+        self._images: list[ImageScore] = []
+        self._kinds: set[str] = set()
+
+    def add(self, truth: TruthImage, estimate: EstimateImage) -> ImageScore:
+        """Score one image. Raises LabelError where truth and estimate are not of one image and size."""
+        check_pair(truth, estimate)
+        oyster = np.ascontiguousarray(estimate.mask(self.settings.threshold))
+        tally = tally_image(truth, estimate, oyster, self.settings)
+        if estimate.probability is not None:
+            asked = None if truth.ignore is None else ~truth.ignore
+            self._histogram += histogram(estimate.probability, truth.oyster, asked)
+        self._kinds.add(
+            "probabilities"
+            if estimate.probability is not None
+            else "masks"
+            if estimate.oyster is not None
+            else "classes"
+        )
+        if len(self._kinds) > 1:
+            raise LabelError(f"{truth.name}: expected estimates of one kind, got {' and '.join(sorted(self._kinds))}")
+        self._tally = add([self._tally, tally])
+        values, _ = measure(tally)
+        if not tally["scored_images"]:
+            values |= dict.fromkeys(("iou", "dice", "boundary_iou"), float("nan"))
+        score = ImageScore(truth.name, {key: values[key] for key in IMAGE_METRICS}, tally)
+        self._images.append(score)
+        return score
+
+    def result(self) -> ClipResult:
+        """Of all images so far. Raises LabelError where there is none."""
+        if not self._images:
+            raise LabelError("expected at least one image to score, got none")
+        counts = self._histogram if "probabilities" in self._kinds else None
+        return finish(self._tally, counts, tuple(self._images), self.settings)
+
+
+def finish(
+    tally: Tally, counts: NDArray[np.int64] | None, images: tuple[ImageScore, ...], settings: SegmentationSettings
+) -> ClipResult:
+    """The result of counts."""
+    metrics, reasons = measure(tally)
+    if counts is not None:
+        metrics["best_iou"], metrics["best_threshold"] = curve(counts).best
+    return ClipResult({**metrics, **weights(tally)}, reasons, tally, counts, images, settings)
+
+
+def join(results: list[ClipResult]) -> ClipResult:
+    """The result over several clips: that of their counts, added."""
+    histograms = [result.histogram for result in results if result.histogram is not None]
+    counts = np.sum(histograms, axis=0) if len(histograms) == len(results) else None
+    images = tuple(image for result in results for image in result.images)
+    return finish(add([result.tally for result in results]), counts, images, results[0].settings)
+
+
+def weights(tally: Mapping[str, float]) -> dict[str, float]:
+    """The denominators: by them clips count in a mean (`Metric.weight`)."""
+    hit, extra, missed = (tally[f"{name}_px"] for name in ("true_positive", "false_positive", "false_negative"))
+    found = {key: tally[key] for key in ("images", "scored_images", "empty_images", "empty_px", "ignored_px")}
+    found |= {
+        "union_px": hit + extra + missed,
+        "truth_px": hit + missed,
+        "estimate_px": hit + extra,
+        "dice_px": 2 * hit + extra + missed,
+        "asked_px": hit + extra + missed + tally["true_negative_px"],
+        "boundary_union_px": tally["boundary_union_px"],
+    }
+    for key, value in tally.items():
+        if key.startswith("range_") and key.endswith("_true_positive_px"):
+            name = key.removeprefix("range_").removesuffix("_true_positive_px")
+            others = sum(tally[f"range_{name}_{part}_px"] for part in ("false_positive", "false_negative"))
+            found[f"weight_iou_range_{name}_px"] = value + others
+        elif key.startswith(("area_", "height_")) and key.endswith("_truth_px"):
+            found[f"weight_recall_{key.removesuffix('_truth_px')}_px"] = value
+    return found

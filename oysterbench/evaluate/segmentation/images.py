@@ -1,0 +1,109 @@
+"""What the evaluator is given of one image: its truth, and what a method says of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.errors import LabelError
+from oysterbench.recipe import CLASSES
+
+OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
+"""Number of the class in class images."""
+
+
+@dataclass(frozen=True)
+class TruthImage:
+    """The truth of one image.
+
+    name:       unique in its clip
+    classes:    (H, W) uint8, numbers of `recipe.CLASSES`; of a mask of oysters alone, only their number counts
+    named:      whether classes other than oyster are told apart
+    ignore:     (H, W) bool, pixels that nobody is asked about; None where there is none
+    depth_m:    (H, W) float32, m along the optical axis, 0 = none; None where it is not known
+    instances:  (H, W) uint16, which oyster (or other thing) a pixel shows, 0 = none; None where it is not known
+    heights_mm: shell height of each instance by its number (N,), NaN where it has none; None where it is not known
+    """
+
+    name: str
+    classes: NDArray[np.uint8]
+    named: bool = True
+    ignore: NDArray[np.bool_] | None = None
+    depth_m: NDArray[np.float32] | None = None
+    instances: NDArray[np.uint16] | None = None
+    heights_mm: NDArray[np.float64] | None = None
+
+    @property
+    def oyster(self) -> NDArray[np.bool_]:
+        """(H, W) where there is an oyster."""
+        return self.classes == OYSTER
+
+
+@dataclass(frozen=True)
+class EstimateImage:
+    """What is said of one image, one of three: (H, W) bool, where there is an oyster; (H, W) float, the probability of
+    it; or (H, W) uint8, numbers of `recipe.CLASSES`."""
+
+    name: str
+    oyster: NDArray[np.bool_] | None = None
+    probability: NDArray[np.floating[Any]] | None = None
+    classes: NDArray[np.uint8] | None = None
+
+    def __post_init__(self) -> None:
+        given = [a for a in (self.oyster, self.probability, self.classes) if a is not None]
+        if len(given) != 1:
+            raise LabelError(f"{self.name}: expected one of oyster, probability and classes, got {len(given)}")
+        if given[0].ndim != 2:
+            raise LabelError(f"{self.name}: expected an array (H, W), got one of shape {given[0].shape}")
+        if self.probability is not None:
+            self._check_probability(self.probability)
+        if self.classes is not None:
+            self._check_classes(self.classes)
+
+    def _check_probability(self, values: NDArray[np.floating[Any]]) -> None:
+        if not np.issubdtype(values.dtype, np.floating):
+            raise LabelError(f"{self.name}: expected probabilities as floating point numbers, got {values.dtype}")
+        low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+        if not (low >= 0.0 and high <= 1.0):  # NaN fails as well
+            raise LabelError(
+                f"{self.name}: expected probabilities from 0 to 1, got {low:g} to {high:g}; logits are to be put "
+                "through a sigmoid first"
+            )
+
+    def _check_classes(self, values: NDArray[np.uint8]) -> None:
+        unknown = sorted(set(np.unique(values).tolist()) - set(CLASSES))
+        if unknown:
+            known = ", ".join(f"{number} {name}" for number, name in CLASSES.items())
+            raise LabelError(f"{self.name}: unknown class {unknown[0]}; known classes: {known}")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W)."""
+        for array in (self.oyster, self.probability, self.classes):
+            if array is not None:
+                return array.shape
+        raise AssertionError("checked when it was made")
+
+    def mask(self, threshold: float) -> NDArray[np.bool_]:
+        """(H, W) where it says that there is an oyster."""
+        if self.oyster is not None:
+            return self.oyster
+        if self.probability is not None:
+            return self.probability >= threshold
+        assert self.classes is not None
+        return self.classes == OYSTER
+
+
+def check_pair(truth: TruthImage, estimate: EstimateImage) -> None:
+    """Refuse an estimate of another image, or of another size."""
+    if truth.name != estimate.name:
+        raise LabelError(f"expected the estimate of image {truth.name}, got that of {estimate.name}")
+    if truth.classes.shape != estimate.shape:
+        (h, w), (eh, ew) = truth.classes.shape, estimate.shape
+        raise LabelError(
+            f"{truth.name}: expected an estimate of the truth's size, {w} x {h}, got {ew} x {eh}; bring probabilities "
+            "to that size (bilinear) before they become a mask"
+        )

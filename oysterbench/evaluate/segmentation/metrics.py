@@ -1,0 +1,130 @@
+"""What is measured of masks: name, unit, direction and definition of every metric."""
+
+from __future__ import annotations
+
+import re
+
+from oysterbench.evaluate.metric import Metric
+from oysterbench.recipe import CLASSES
+
+SEGMENTATION: dict[str, Metric] = {
+    "iou": Metric(
+        "",
+        "higher",
+        "Intersection over union (0 to 1) of the class oyster over the whole data set: all pixels that are oyster in "
+        "truth and estimate, by all that are in either; the background has no part in it. 1 where neither has any.",
+        "IoU",
+        "union_px",
+    ),
+    "image_iou": Metric(
+        "",
+        "higher",
+        "Mean over images of their IoU of the class oyster, each image one vote: 1 where neither truth nor estimate "
+        "has an oyster, 0 where the truth has none and the estimate has.",
+        "IoU by image",
+        "scored_images",
+    ),
+    "boundary_iou": Metric(
+        "",
+        "higher",
+        "Boundary IoU (Cheng et al. 2021) over the data set: intersection over union of the masks' inner borders, deep "
+        "by 2 % of the image's diagonal.",
+        "Boundary IoU",
+        "boundary_union_px",
+    ),
+    "precision": Metric(
+        "", "higher", "Share (0 to 1) of the pixels called oyster that are.", "Precision", "estimate_px"
+    ),
+    "recall": Metric("", "higher", "Share (0 to 1) of the oysters' pixels that are called so.", "Recall", "truth_px"),
+    "dice": Metric(
+        "",
+        "higher",
+        "Twice the intersection by the sum of both areas, over the data set (F1 of the pixels).",
+        "Dice",
+        "dice_px",
+    ),
+    "image_dice": Metric("", "higher", "Mean over images of their Dice.", "Dice by image", "scored_images"),
+    "miou": Metric(
+        "",
+        "higher",
+        "Mean over all classes that truth or estimate has of their IoU; only where the estimate names classes.",
+        "mIoU",
+    ),
+    "empty_false_positive_rate": Metric(
+        "",
+        "lower",
+        "Share (0 to 1) of the pixels of images without any oyster that are called oyster.",
+        "False on empty",
+        "empty_px",
+    ),
+    "empty_images_called": Metric(
+        "",
+        "lower",
+        "Share (0 to 1) of the images without any oyster in which some pixel is called oyster.",
+        "Empty images called",
+        "empty_images",
+    ),
+    "cover": Metric("", "", "Share (0 to 1) of the pixels that are oyster in truth.", "Cover", "asked_px"),
+    "cover_error": Metric(
+        "",
+        "",
+        "Share of the pixels called oyster less the share that is: above 0 where too much is called oyster.",
+        "Cover error",
+        "asked_px",
+    ),
+    "best_iou": Metric(
+        "",
+        "higher",
+        "Greatest IoU over thresholds in steps of 1/256, chosen with the truth in sight: what the best threshold would "
+        "give, not what is reached.",
+        "Best IoU",
+    ),
+    "best_threshold": Metric("", "", "The threshold of best_iou.", "Best threshold"),
+    "images": Metric("", "", "Number of images.", "Images"),
+    "scored_images": Metric("", "", "Number of images of which not all is ignored.", "Scored images"),
+    "empty_images": Metric("", "", "Number of images without any oyster.", "Empty images"),
+    "union_px": Metric("px", "", "Pixels that are oyster in truth or estimate.", "Union"),
+    "truth_px": Metric("px", "", "Pixels that are oyster in truth.", "Truth"),
+    "estimate_px": Metric("px", "", "Pixels that are called oyster.", "Estimate"),
+    "dice_px": Metric("px", "", "Pixels of truth and of estimate, added.", "Both"),
+    "boundary_union_px": Metric("px", "", "Pixels of the border of truth or estimate.", "Border"),
+    "asked_px": Metric("px", "", "Pixels that are not ignored.", "Asked"),
+    "ignored_px": Metric("px", "", "Pixels that are ignored.", "Ignored"),
+    "empty_px": Metric("px", "", "Pixels of images without any oyster.", "Empty"),
+}
+"""Metrics of the segmentation track by their key."""
+
+_STRATA = {
+    r"iou_range_([\w.]+)": (
+        "higher",
+        "IoU of the class oyster where the seabed is {} away along the optical axis.",
+        "m",
+    ),
+    r"recall_height_([\w.]+)": ("higher", "Recall of the pixels of oysters whose shell is {} high.", "mm"),
+    r"recall_area_([\w.]+)": ("higher", "Recall of the pixels of oysters of which {} are visible.", "px"),
+}
+
+
+def find_segmentation(key: str) -> Metric | None:
+    """Metrics of single classes, and of classes of range and size."""
+    for pattern, (_, definition, unit) in _STRATA.items():
+        if match := re.fullmatch(pattern, key):
+            name = class_text(match[1], unit)
+            short = ("IoU, " if key.startswith("iou") else "Recall, ") + name
+            return Metric("", "higher", definition.format(name), short, f"weight_{key}_px")
+    if match := re.fullmatch(r"iou_(\w+)", key):
+        if match[1] in CLASSES.values():
+            return Metric("", "higher", f"IoU of the class {match[1]} over the data set.", f"IoU, {match[1]}")
+    if match := re.fullmatch(r"weight_(.+)_px", key):
+        return Metric("px", "", f"Pixels that {match[1]} is taken over.", f"Pixels of {match[1]}")
+    return None
+
+
+def class_text(name: str, unit: str) -> str:
+    """The name of a class as a text: `0.6to0.9m` is "0.6 to 0.9 m"."""
+    plain = name.removesuffix(unit)
+    if plain.startswith("below_"):
+        return f"below {plain[6:]} {unit}"
+    if plain.startswith("from_"):
+        return f"{plain[5:]} {unit} and more"
+    return f"{plain.replace('to', ' to ')} {unit}"

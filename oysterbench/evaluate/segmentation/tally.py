@@ -1,0 +1,142 @@
+"""What is counted of one image. Counts are sums: those of a clip or a data set are the sums of their images'."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.evaluate.segmentation.boundary import boundary_depth, inner_boundary
+from oysterbench.evaluate.segmentation.images import EstimateImage, TruthImage
+from oysterbench.evaluate.segmentation.settings import SegmentationSettings, class_names
+from oysterbench.recipe import CLASSES
+
+Tally = dict[str, float]
+"""Count -> number. Pixels end in `_px`; sums over images in `_sum`."""
+
+_PARTS = ("true_negative", "false_positive", "false_negative", "true_positive")
+"""By 2 * truth + estimate."""
+
+
+def tally_image(
+    truth: TruthImage, estimate: EstimateImage, oyster: NDArray[np.bool_], settings: SegmentationSettings
+) -> Tally:
+    """Everything that is counted of one image; oyster (H, W): where the estimate says that there is one."""
+    true = truth.oyster
+    asked = None if truth.ignore is None else ~truth.ignore
+    codes = true.view(np.uint8) * np.uint8(2) + oyster.view(np.uint8)
+    counts = _histogram(codes, asked, 4)
+    tally: Tally = {f"{name}_px": count for name, count in zip(_PARTS, counts, strict=True)}
+    tally["ignored_px"] = 0 if truth.ignore is None else int(truth.ignore.sum())
+    tally["images"] = 1
+    tally |= _by_image(tally)
+    tally |= _tally_boundary(true, oyster, asked, settings.boundary_share)
+    if estimate.classes is not None and truth.named:
+        tally |= _tally_classes(truth.classes, estimate.classes, asked)
+    if truth.depth_m is not None:
+        tally |= _tally_range(codes, truth.depth_m, asked, settings.range_m)
+    if truth.instances is not None:
+        tally |= _tally_size(truth, oyster, asked, settings)
+    return tally
+
+
+def _histogram(values: NDArray[Any], asked: NDArray[np.bool_] | None, n: int) -> list[int]:
+    return np.bincount(values.ravel() if asked is None else values[asked], minlength=n).tolist()
+
+
+def _by_image(tally: Mapping[str, float]) -> Tally:
+    """The part of one image in means over images, and in what is asked of images without oysters."""
+    hit, extra, missed = (tally[f"{name}_px"] for name in ("true_positive", "false_positive", "false_negative"))
+    asked = hit + extra + missed + tally["true_negative_px"]
+    empty = asked > 0 and hit + missed == 0
+    union = hit + extra + missed
+    return {
+        "scored_images": int(asked > 0),
+        "image_iou_sum": 0.0 if not asked else hit / union if union else 1.0,
+        "image_dice_sum": 0.0 if not asked else 2 * hit / (union + hit) if union else 1.0,
+        "empty_images": int(empty),
+        "empty_images_called": int(empty and extra > 0),
+        "empty_px": asked if empty else 0,
+        "empty_called_px": extra if empty else 0,
+    }
+
+
+def _tally_boundary(
+    true: NDArray[np.bool_], oyster: NDArray[np.bool_], asked: NDArray[np.bool_] | None, share: float
+) -> Tally:
+    depth = boundary_depth(true.shape, share)
+    a, b = inner_boundary(true, depth), inner_boundary(oyster, depth)
+    both, either = a & b, a | b
+    if asked is not None:
+        both, either = both & asked, either & asked
+    return {
+        "boundary_intersection_px": np.count_nonzero(both),
+        "boundary_union_px": np.count_nonzero(either),
+    }
+
+
+def _tally_classes(true: NDArray[np.uint8], classes: NDArray[np.uint8], asked: NDArray[np.bool_] | None) -> Tally:
+    n = max(CLASSES) + 1
+    confusion = np.array(_histogram(true * np.uint8(n) + classes, asked, n * n)).reshape(n, n)
+    tally: Tally = {}
+    for number, name in CLASSES.items():
+        tally[f"class_{name}_intersection_px"] = int(confusion[number, number])
+        tally[f"class_{name}_union_px"] = int(confusion[number].sum() + confusion[:, number].sum()) - int(
+            confusion[number, number]
+        )
+    return tally
+
+
+def _tally_range(
+    codes: NDArray[np.uint8], depth_m: NDArray[np.float32], asked: NDArray[np.bool_] | None, edges: tuple[float, ...]
+) -> Tally:
+    names = class_names(edges, "m")
+    far = np.zeros(codes.shape, np.uint8)
+    for edge in edges:
+        far += depth_m >= edge
+    known = depth_m > 0 if asked is None else (depth_m > 0) & asked
+    counts = np.array(_histogram(far * np.uint8(4) + codes, known, 4 * len(names))).reshape(-1, 4)
+    return {
+        f"range_{name}_{part}_px": int(count)
+        for name, row in zip(names, counts, strict=True)
+        for part, count in zip(_PARTS[1:], row[1:], strict=True)
+    }
+
+
+def _tally_size(
+    truth: TruthImage, oyster: NDArray[np.bool_], asked: NDArray[np.bool_] | None, settings: SegmentationSettings
+) -> Tally:
+    """Pixels of truth by the size of their oyster, and how many of them are found. False positives have no size."""
+    assert truth.instances is not None
+    where = truth.oyster if asked is None else truth.oyster & asked
+    numbers = truth.instances[where]
+    n = int(numbers.max(initial=0)) + 1
+    total = np.bincount(numbers, minlength=n)
+    found = np.bincount(numbers[oyster[where]], minlength=n)
+    total[0] = found[0] = 0
+    tally: Tally = {}
+    sizes = [("area", settings.area_px, "px", total.astype(float))]
+    if truth.heights_mm is not None:
+        heights = np.full(n, np.nan)
+        m = min(n, len(truth.heights_mm))
+        heights[:m] = truth.heights_mm[:m]
+        sizes.append(("height", settings.height_mm, "mm", heights))
+    for key, edges, unit, size in sizes:
+        known = (total > 0) & ~np.isnan(size)
+        of_class = np.searchsorted(edges, size[known], side="right")
+        names = class_names(edges, unit)
+        for part, pixels in (("truth", total), ("found", found)):
+            sums = np.bincount(of_class, weights=pixels[known], minlength=len(names))
+            tally |= {f"{key}_{name}_{part}_px": int(value) for name, value in zip(names, sums, strict=True)}
+    return tally
+
+
+def add(tallies: list[Tally]) -> Tally:
+    """Sums, over all that have a count."""
+    total: Tally = {}
+    for tally in tallies:
+        for key, value in tally.items():
+            total[key] = total.get(key, 0) + value
+    return total
