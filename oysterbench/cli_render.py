@@ -98,7 +98,7 @@ def _preview(split: SplitRecipe, names: tuple[str, ...], folder: Path) -> dict[s
     for sequence in [split.find_sequence(name) for name in names] or split.sequence:
         with frames_bar(f"previewing {sequence.name}") as progress:
             picture = preview(split, sequence.name, progress)
-        files[sequence.name] = folder / f"{sequence.name}-preview.png"
+        files[sequence.name] = folder / f"{split.name}-{sequence.name}-preview.png"
         write_picture(files[sequence.name], picture)
     return files
 

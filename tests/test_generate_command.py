@@ -45,7 +45,7 @@ def test_an_unknown_sequence_is_named(recipe):
 def test_a_sheet_of_one_sequence_is_previewed(recipe):
     result = render(recipe, "--sequence", "tiny-02", "--preview")
     assert result.exit_code == 0, result.stderr
-    assert [path.name for path in (recipe.parent / "out").iterdir()] == ["tiny-02-preview.png"]
+    assert [path.name for path in (recipe.parent / "out").iterdir()] == ["tiny-tiny-02-preview.png"]
 
 
 def test_workers_and_a_scheduler_exclude_each_other(recipe):
