@@ -15,6 +15,7 @@ from typing import TypeVar
 from oysterbench.errors import HubError, IntegrityError
 from oysterbench.files import home, locked, write_atomically
 from oysterbench.hub.canonical import sha256
+from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.index import LARGEST, Index, Release, check_not_older, read_index
 from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, released_manifest
 from oysterbench.hub.part import Part
@@ -254,6 +255,7 @@ def _fetch(hub: Hub, step: Step, verify: bool, count: Callable[[int], None]) -> 
         if target.is_file() and _is_good(hub, target, entry, verify or step.state != "here", path):
             count(entry.size)
             path.unlink(missing_ok=True)
+            remove_drafts(path)
             return
         part = Part(path, entry)
         try:

@@ -1,8 +1,8 @@
 """A file that is not whole yet: it grows as a sparse `.part` beside its final name.
 
 The part is its own journal: what of it is right is found by hashing the pieces that are not holes, so nothing can come
-out of step with it, and a killed process costs at most the pieces that were under way, one for each connection. Two
-processes that write the same part write the same bytes.
+out of step with it. Only pieces whose hash is right are written to it, so that two processes that write the same part
+write the same bytes; the pieces under way are beside it (`draft`), for whoever goes on after a kill.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 from pathlib import Path
 
 from oysterbench.hub.canonical import sha256
+from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.manifest import FileEntry
 
 
@@ -62,6 +63,7 @@ class Part:
         except FileNotFoundError:  # another process was faster, with the same bytes
             if not (target.is_file() and target.stat().st_size == self.entry.size):
                 raise
+        remove_drafts(self.path)
         with contextlib.suppress(OSError):  # not every file system can
             folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY)
             try:

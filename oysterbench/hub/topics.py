@@ -16,6 +16,7 @@ from mcap.summary import Summary
 from oysterbench.errors import HubError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.download import Hub, Progress, check_space, part_path
+from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part
 from oysterbench.hub.transfer import Transfer
@@ -84,6 +85,7 @@ def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names
         part.close()
     if not kept:
         path.unlink(missing_ok=True)
+        remove_drafts(path)
 
 
 def _summary_start(path: Path, size: int) -> int:

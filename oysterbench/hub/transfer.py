@@ -9,9 +9,11 @@ import random
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 from oysterbench.errors import HubError, IntegrityError, NetworkError
 from oysterbench.hub.canonical import sha256
+from oysterbench.hub.draft import Draft, drafts_left
 from oysterbench.hub.part import Part
 from oysterbench.hub.sources import Body, Patience, Refusal, Setback, Source
 
@@ -103,6 +105,7 @@ class Transfer:
         self.stop = threading.Event()
         self._missing: set[int] = set()
         self._queue: deque[int] = deque()
+        self._left: dict[int, Path] = {}  # pieces of which a killed process left the beginning
         self._error: BaseException | None = None
 
     def fetch(self, pieces: Iterable[int]) -> None:
@@ -110,14 +113,18 @@ class Transfer:
 
         Raises IntegrityError or NetworkError when no mirror is left to ask; what was fetched stays in the part.
         """
+        left = drafts_left(self._part.path)
         for piece in pieces:
             if self._part.is_right(piece):
                 self._count(self.entry.length(piece))
+                if piece in left:
+                    left.pop(piece).unlink(missing_ok=True)
             else:
                 self._missing.add(piece)
         if not self._missing:
             return
         self._queue.extend(sorted(self._missing))
+        self._left = left
         parallel = any(mirror.source.parallel for mirror in self._mirrors)
         n = min(self._connections if parallel else 1, len(self._queue))
         workers = [threading.Thread(target=self._work, args=(k,), daemon=True) for k in range(n)]
@@ -138,7 +145,11 @@ class Transfer:
     def _work(self, number: int) -> None:
         descriptor = self._part.duplicate()
         try:
-            Connection(self, number, descriptor).run()
+            draft = Draft(self._part.path, self.entry)
+            try:
+                Connection(self, number, descriptor, draft).run()
+            finally:
+                draft.close()
         except BaseException as error:
             with self._lock:
                 self._error = self._error or error
@@ -149,15 +160,23 @@ class Transfer:
     # What connections share:
 
     def next_run(self) -> list[int]:
-        """Neighbouring pieces that nobody fetches yet; short runs towards the end, so that all end together."""
+        """Neighbouring pieces that nobody fetches yet; short runs towards the end, so that all end together. Only the
+        first may have a beginning that was left."""
         with self._lock:
             longest = max(1, min(RUN, len(self._queue) // (2 * self._connections)))
             run: list[int] = []
-            while self._queue and len(run) < longest and (not run or self._queue[0] == run[-1] + 1):
+            while self._queue and len(run) < longest:
+                if run and (self._queue[0] != run[-1] + 1 or self._queue[0] in self._left):
+                    break
                 piece = self._queue.popleft()
                 if piece in self._missing:
                     run.append(piece)
             return run
+
+    def take_left(self, piece: int) -> Path | None:
+        """The beginning of a piece that a killed process left, for whoever asks first."""
+        with self._lock:
+            return self._left.pop(piece, None)
 
     def give_back(self, run: list[int]) -> None:
         """Pieces that a connection could not fetch."""
@@ -191,12 +210,11 @@ class Transfer:
 class Connection:
     """One of the workers of a transfer: it asks one mirror at a time for one run of pieces at a time."""
 
-    def __init__(self, transfer: Transfer, number: int, descriptor: int) -> None:
+    def __init__(self, transfer: Transfer, number: int, descriptor: int, draft: Draft) -> None:
         self.t = transfer
         self._turn = number
         self._descriptor = descriptor
-        self._buffer = bytearray(min(transfer.entry.piece_size, transfer.entry.size))
-        self._filled = 0  # bytes of the first piece of the run that are in the buffer
+        self._draft = draft  # of the first piece of the run
         self._gained = 0  # bytes that the attempt under way brought nearer to the end
         self._attempts: Counter[Mirror] = Counter()  # in a row that brought nothing
         self._wrong: Counter[Mirror] = Counter()  # wrong pieces in a row
@@ -204,7 +222,9 @@ class Connection:
     def run(self) -> None:
         """Fetch until nothing is missing or nobody is left to ask."""
         while not self.t.stop.is_set() and (run := self.t.next_run()):
-            self._filled = 0
+            self._draft.begin(run[0])
+            if (left := self.t.take_left(run[0])) is not None:
+                self._draft.inherit(left)
             while run and not self.t.stop.is_set():
                 alive = self.t.alive()
                 if not alive:
@@ -223,7 +243,7 @@ class Connection:
     def _change_mirror(self) -> None:
         """A piece comes from one mirror, so that it is known who is to blame for it."""
         self._turn += 1
-        self._filled = 0
+        self._draft.clear()
 
     def _fall_back(self, mirror: Mirror, setback: Setback) -> None:
         """Decide what a failed attempt means: wait, ask another mirror, or never ask this one again."""
@@ -248,7 +268,7 @@ class Connection:
         if mirror.whole:
             self._sweep(mirror, run)
             return
-        start, end = self.t.entry.span(run[0])[0] + self._filled, self.t.entry.span(run[-1])[1]
+        start, end = self.t.entry.span(run[0])[0] + self._draft.filled, self.t.entry.span(run[-1])[1]
         with mirror.source.open(self.t.path, start, end) as body:
             if body.start != start:
                 mirror.whole = True
@@ -258,20 +278,22 @@ class Connection:
             while run:
                 self._take(mirror, reader, run[0])
                 del run[0]
+                if run:
+                    self._draft.begin(run[0])
 
     def _take(self, mirror: Mirror, reader: Reader, piece: int) -> None:
         """Read one piece to its end, and keep it; Setback if the answer ends before, or the piece is wrong."""
-        view = memoryview(self._buffer)[: self.t.entry.length(piece)]
-        while self._filled < len(view):
+        draft = self._draft
+        while draft.free:
             if self.t.stop.is_set():
                 raise Setback("stopped")
-            n = reader.take(view[self._filled :])
-            self._filled += n
+            n = reader.take(draft.free)
+            draft.add(n)
             self._gained += 0 if mirror.whole else n  # without ranges an attempt starts from nothing again
-        self._filled = 0
-        found = self.t.accept(piece, view, self._descriptor)
+        found, inherited = self.t.accept(piece, draft.there, self._descriptor), draft.inherited
+        draft.clear()
         if found is Found.WRONG:
-            self._wrong[mirror] += 1
+            self._wrong[mirror] += not inherited
             raise Setback(f"piece {piece} of {self.t.entry.name} has wrong bytes")
         self._wrong[mirror] = 0
         if found is Found.NEW:
@@ -280,7 +302,6 @@ class Connection:
 
     def _sweep(self, mirror: Mirror, run: list[int], body: Body | None = None) -> None:
         """Read the whole file from a mirror that ignores ranges, and keep what is missing; one connection at a time."""
-        self._filled = 0
         if not mirror.sweeping.acquire(blocking=False):
             body = None  # another connection sweeps already: let this answer go, and wait for that one
             mirror.sweeping.acquire()
@@ -292,8 +313,10 @@ class Connection:
                 for piece in range(len(self.t.entry.pieces)):
                     if not self.t.is_missing():
                         break
+                    self._draft.begin(piece, on_disk=False)  # the beginning of a piece is of no use here
                     self._take(mirror, reader, piece)
         finally:
-            self._filled = 0
             mirror.sweeping.release()
             run[:] = [piece for piece in run if self.t.is_missing(piece)]
+            if run:
+                self._draft.begin(run[0])

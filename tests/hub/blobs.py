@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from oysterbench.hub.canonical import sha256
+from oysterbench.hub.draft import Draft, drafts_left
 from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part
 from oysterbench.hub.sources import Patience, open_source
@@ -38,3 +39,23 @@ def fetch(
     finally:
         part.close()
     return mirrors
+
+
+def beginnings(part: Path, entry: FileEntry, data: bytes) -> tuple[int, bool]:
+    """Bytes that the next download need not fetch of the pieces under way, and whether some of them are wrong."""
+    begun, wrong = 0, False
+    opened = Part(part, entry)
+    for piece, left in drafts_left(part).items():
+        if opened.is_right(piece):  # killed between writing it and clearing the draft
+            continue
+        copy = left.read_bytes()
+        draft = Draft(part, entry)
+        draft.begin(piece, on_disk=False)
+        draft.inherit(left)
+        start = entry.span(piece)[0]
+        wrong |= bytes(draft.there) != data[start : start + draft.filled]
+        begun += draft.filled
+        draft.close()
+        left.write_bytes(copy)  # inheriting takes it away
+    opened.close()
+    return begun, wrong

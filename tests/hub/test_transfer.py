@@ -10,7 +10,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from blobs import CALM, IMPATIENT, blob, fetch
+from blobs import CALM, IMPATIENT, beginnings, blob, fetch
 from web import KINDS, Honest, misbehaving, serving
 
 from oysterbench.errors import HubError, IntegrityError, NetworkError
@@ -38,12 +38,14 @@ def attempt(kind, seed, folder):
         assert failure.exit_code in (3, 4)
         assert "the same command goes on from there" in str(failure)
         assert site.url in str(failure)
-        # What was kept is right: an honest server gives the rest.
-        kept = right_pieces(target.with_suffix(".part"))
+        # What was kept is right: an honest server gives the rest, and the beginnings again that the bad one faked.
+        part = target.with_suffix(".part")
+        rest = len(DATA) - sum(ENTRY.length(piece) for piece in right_pieces(part))
+        begun, faked = beginnings(part, ENTRY, DATA)
         with serving(Honest, {PATH: DATA}) as honest:
             fetch(ENTRY, target, [honest.url])
             asked = sum(end - start for _, start, end in honest.requests)
-        assert asked == len(DATA) - sum(ENTRY.length(piece) for piece in kept)
+        assert asked == rest - begun if not faked else asked > rest - begun
     assert target.read_bytes() == DATA
     return failure is None
 
@@ -224,9 +226,10 @@ def test_a_full_disk_ends_the_download_and_what_is_there_stays(tmp_path, monkeyp
     write, written = os.pwrite, []
 
     def pwrite(handle, data, offset):
-        if len(written) == 5:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        written.append(offset)
+        if os.fstat(handle).st_size == len(DATA):  # the part, and not a draft
+            if len(written) == 5:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            written.append(offset)
         return write(handle, data, offset)
 
     monkeypatch.setattr(os, "pwrite", pwrite)
@@ -235,7 +238,8 @@ def test_a_full_disk_ends_the_download_and_what_is_there_stays(tmp_path, monkeyp
     monkeypatch.undo()
     assert not (tmp_path / "file").exists()
     assert len(right_pieces(tmp_path / "file.part")) == 5
+    begun, _ = beginnings(tmp_path / "file.part", ENTRY, DATA)
     with serving(Honest, {PATH: DATA}) as site:
         fetch(ENTRY, tmp_path / "file", [site.url])
-    assert site.sent == len(DATA) - 5 * ENTRY.piece_size
+    assert site.sent == len(DATA) - 5 * ENTRY.piece_size - begun
     assert (tmp_path / "file").read_bytes() == DATA
