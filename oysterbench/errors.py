@@ -29,6 +29,10 @@ class ResultError(OysterbenchError):
     """A result file is unreadable or its records are not what this version writes."""
 
 
+class LabelError(OysterbenchError):
+    """Images, masks, boxes or annotations are absent, damaged, or do not belong together."""
+
+
 class HubError(OysterbenchError):
     """A hub, an index or a manifest is not what it should be, or a request to one cannot be met."""
 

@@ -35,6 +35,7 @@ MAY_IMPORT = {
     "generate": GROUND | {"calibration", "render", "sequence", "stage", "recording", "salt", "scheduling"},
     "gallery": GROUND | {"stage"},
     "methods": GROUND | {"sequence"},
+    "labelled": GROUND | {"sequence"},
     "evaluate": GROUND,
     "conditions": GROUND | {"render"},
     "results": GROUND | {"evaluate"},
