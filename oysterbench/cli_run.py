@@ -27,6 +27,10 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.argument("names", metavar="[METHOD]...", nargs=-1)
 @click.option("--command", "template", metavar="TEXT", help="Another program: its command line, with placeholders.")
 @click.option("--poses-of", metavar="FRAME", help="Whose poses it writes: base, imu, camera, or a camera's name.")
+@click.option("--set", "options", multiple=True, metavar="KEY=VALUE", help="An option of each METHOD; repeatable.")
+@click.option(
+    "--ablate", multiple=True, metavar="KEY=VALUE", help="Run each METHOD once more, with this option; repeatable."
+)
 @click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.")
 @click.option("--on", "places", multiple=True, type=click.Path(path_type=Path), help="A sequence of your own instead.")
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
@@ -50,6 +54,8 @@ def run_command(
     names: tuple[str, ...],
     template: str | None,
     poses_of: str | None,
+    options: tuple[str, ...],
+    ablate: tuple[str, ...],
     split_name: str | None,
     places: tuple[Path, ...],
     sequences: tuple[str, ...],
@@ -71,9 +77,12 @@ def run_command(
       oysterbench run my_slam:MySlam --split slam-mini --runs 5 --out results/mine
       oysterbench run my_slam --command "./my_slam {euroc} {out}" --split slam-val
       oysterbench run orb3 --command "./orb3.sh {euroc} {out}" --split slam-val --timeout 900 --jobs 1
-      oysterbench run gtsam_vi --on V1_01_easy --align se3
+      oysterbench run gtsam_vi --on V1_01_easy --align se3 --out results/euroc
+      oysterbench run gtsam_vi --ablate max_tracks=70 --ablate clahe_clip=0.01 --split slam-val
 
     METHOD is the name of an installed method or module:Class; with --command it is only a name for the program.
+    Options of a method are the parameters and settings that its class has; a variant is a method of its own in the
+    tables, named with them, and can be asked for by that name: gtsam_vi[max_tracks=70].
     The program is given the sequence without the truth, and must leave poses at {out}, as TUM or in any format that
     `oysterbench eval --estimate` reads.
 
@@ -97,6 +106,8 @@ def run_command(
         raise click.UsageError(f"--command runs one program: expected one name for it at most, got {', '.join(names)}")
     if template is None and poses_of is not None:
         raise click.UsageError("--poses-of is for --command: a method of Python answers with the poses of base_link")
+    if template is not None and (options or ablate):
+        raise click.UsageError("--set and --ablate are for methods of Python: a program takes options in its --command")
     if places and sequences:
         raise click.UsageError("--sequence chooses from a split; with --on every sequence that is named is taken")
 
@@ -111,7 +122,7 @@ def run_command(
     # Everything that can be wrong with the request is found before anything is rendered.
     chosen = settings()
     entrants: list[Entrant] = (
-        [PythonMethod(name) for name in dict.fromkeys(names)]
+        [PythonMethod(name) for name in _variants(names, options, ablate)]
         if template is None
         else [Command(template, names[0] if names else "", poses_of or "")]
     )
@@ -146,6 +157,17 @@ def run_command(
         say(f"written: {path}")
     if any(run.record.failure is not None for run in runs) or any(each.failure is not None for each in unscored):
         sys.exit(OysterbenchError.exit_code)
+
+
+def _variants(names: tuple[str, ...], options: tuple[str, ...], ablate: tuple[str, ...]) -> list[str]:
+    """The methods with their options, each followed by its variants; each once."""
+    from oysterbench.methods.options import split_commas, with_options
+
+    found = []
+    for name in names:
+        base = with_options(name, options)
+        found += [base, *(with_options(base, split_commas(each)) for each in ablate)]
+    return list(dict.fromkeys(found))
 
 
 def say(text: str) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 import numpy as np
 import pytest
 
 import oysterbench
 from oysterbench.errors import MethodError
 from oysterbench.methods import Estimate, LandmarkMap, Method, find_method, method_names, run_method
+from oysterbench.methods.options import with_options
 from oysterbench.trajectory import Trajectory
 
 
@@ -59,6 +62,71 @@ def test_an_exception_of_a_method_becomes_one_line(tiny_file):
 def test_a_method_that_reaches_for_the_truth_is_stopped(tiny_file):
     with pytest.raises(MethodError, match="a method does not see the truth"):
         run_method(Peeks(), oysterbench.open(tiny_file))
+
+
+# Variants
+
+
+@dataclass(frozen=True)
+class Inner:
+    floor_m: float = 0.5
+
+
+@dataclass(frozen=True)
+class Settings:
+    tracks: int = 140
+    loops: bool = True
+    grid: tuple[int, int] = (5, 4)
+    start: Inner = field(default_factory=Inner)
+
+
+class Optional(Still):
+    """Has a parameter of its own and settings."""
+
+    name = "optional"
+
+    def __init__(self, output: str = "smoothed", camera: str | None = None, settings: Settings | None = None):
+        self.output, self.camera, self.settings = output, camera, settings or Settings()
+
+
+HERE = f"{__name__}:Optional"
+
+
+def test_a_variant_has_its_options_and_a_name_that_says_them():
+    method = find_method(f"{HERE}[loops=false, grid=[8,6],start.floor_m=2,output=online,camera=7]")
+    assert method.settings == Settings(loops=False, grid=(8, 6), start=Inner(2.0))
+    assert (method.output, method.camera) == ("online", 7)
+    assert method.name == "optional[loops=false,grid=8-6,start.floor_m=2,output=online,camera=7]"
+    assert find_method(HERE).name == "optional"
+    assert with_options(f"{HERE}[loops=false]", ["loops=true", "tracks=9"]) == f"{HERE}[loops=true,tracks=9]"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            "loop=false",
+            "has no option 'loop'; its options: output, camera, tracks, loops, grid, start.floor_m",
+        ),
+        ("loops=0", "option 'loops' of method 'test_methods:Optional': expected true or false, such as true, got '0'"),
+        ("tracks=9.5", "expected a whole number, such as 140, got '9.5'"),
+        ("start.floor_m=deep", "expected a number, such as 0.5, got 'deep'"),
+        ("grid=8", "expected a list, such as [5,4], got '8'"),
+        ("loops", "expected key=value, got 'loops'"),
+        ("loops=true,loops=false", "'loops' is given twice"),
+        ("start=1", "has no option 'start'"),
+    ],
+)
+def test_an_option_that_a_method_does_not_have_is_named_with_those_it_has(options, message):
+    with pytest.raises(MethodError) as caught:
+        find_method(f"{HERE}[{options}]")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_method_without_options_says_so():
+    with pytest.raises(MethodError, match=r"has no option 'loops'; it has none"):
+        find_method(f"{__name__}:Still[loops=false]")
 
 
 # What an estimate may hold

@@ -141,6 +141,7 @@ def test_a_split_is_rendered_and_run_on(tmp_path):
             "expected one name for it at most, got a, b",
         ),
         (("a", "--split", "slam-mini", "--poses-of", "imu"), "a method of Python answers with the poses of base_link"),
+        (("--split", "slam-mini", "--command", "x {euroc} {out}", "--set", "a=1"), "are for methods of Python"),
         (("a", "--on", "x.mcap"), "--on needs --out"),
         (("a", "--on", "x.mcap", "--out", "o", "--sequence", "s"), "--sequence chooses from a split"),
     ],
@@ -149,6 +150,29 @@ def test_a_request_that_contradicts_itself_is_a_usage_error(arguments, message):
     done = run(*arguments)
     assert done.returncode == 2
     assert message in done.stderr
+
+
+def test_variants_of_a_method_stand_in_one_table(dive_file, tmp_path):
+    arguments = ("dead_reckoning", "--set", "imu_inflation=2", "--ablate", "start.level_s=0.5", "--on", dive_file)
+    done = run(*arguments, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    plain, ablated = read_results(tmp_path / "out/results.json")
+    assert plain.method == "dead_reckoning[imu_inflation=2]"
+    assert ablated.method == "dead_reckoning[imu_inflation=2,start.level_s=0.5]"
+    assert (plain.method_settings, ablated.method_settings) == (
+        {"imu_inflation": 2.0},
+        {"imu_inflation": 2.0, "start.level_s": 0.5},
+    )
+    assert ablated.info["settings"]["start"]["level_s"] == 0.5
+    assert plain.metrics["ate_rmse_m"] != ablated.metrics["ate_rmse_m"]
+    assert "[imu_inflation=2" in done.stdout
+
+
+def test_an_unknown_option_is_one_line_with_the_known_ones(home):
+    done = run("dead_reckoning", "--ablate", "loops=false", "--split", "slam-mini")
+    assert done.returncode == 1
+    assert "method 'dead_reckoning' has no option 'loops'; its options: imu_inflation, start.level_s" in done.stderr
+    assert not home.exists()
 
 
 def test_an_unknown_method_is_named_before_anything_is_rendered(home):

@@ -18,7 +18,7 @@ from string import Formatter
 from typing import Any
 
 from oysterbench.errors import MethodError, TrajectoryError
-from oysterbench.methods.finding import find_method, versions_of
+from oysterbench.methods.finding import find_variant, versions_of
 from oysterbench.methods.inputs import FORMS, POSES_OF, frame_pose, kitti_stamps
 from oysterbench.methods.method import seed_of
 from oysterbench.methods.worker import ANSWER, ESTIMATE
@@ -90,20 +90,25 @@ class Entrant(ABC):
 
 
 class PythonMethod(Entrant):
-    """A method by the name of an entry point or as `module:Class`, run by `worker`."""
+    """A method by the name of an entry point or as `module:Class`, with or without options, run by `worker`."""
 
     def __init__(self, reference: str, track: str = "slam") -> None:
         """Raises MethodError where it cannot be found, or is of another track."""
-        method = find_method(reference)
+        method, self._options = find_variant(reference)
         if method.track != track:
             raise MethodError(f"method {reference!r} is of the track {method.track!r}; expected one of {track!r}")
         self.reference = reference
-        self.name = check_name(method.name)
+        check_name(method.name.partition("[")[0])
+        self.name = method.name
         self._first_seed = seed_of(method)
 
     @property
     def identity(self) -> dict[str, Any]:
         return {"method": self.reference, "versions": versions_of(self.reference)}
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        return dict(self._options)
 
     def versions(self) -> dict[str, str]:
         found = {"python": sys.version.split()[0], "oysterbench": VERSION, **versions_of(self.reference)}

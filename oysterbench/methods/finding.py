@@ -6,9 +6,11 @@ import os
 import sys
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 from oysterbench.errors import MethodError
 from oysterbench.methods.method import Method
+from oysterbench.methods.options import configure, split_variant, variant_name
 
 ENTRY_POINTS = "oysterbench.methods"
 
@@ -20,13 +22,20 @@ def method_names(track: str | None = None) -> list[str]:
 
 
 def find_method(reference: str) -> Method:
-    """A new object of the installed method of that name, or of the class `module:Class`.
+    """A new object of the installed method of that name, or of the class `module:Class`, with options in brackets.
 
-    A module is looked for where Python looks for it, and in the working folder.
+    A module is looked for where Python looks for it, and in the working folder. For the brackets see `options`; the
+    name of the method has them, too.
     """
+    return find_variant(reference)[0]
+
+
+def find_variant(reference: str) -> tuple[Method, dict[str, Any]]:
+    """The method, as of `find_method`, and the values of its options."""
+    reference, options = split_variant(reference)
     try:
         kind = _load_class(reference) if ":" in reference else _load_point(reference)
-        method = kind()
+        method, values = configure(kind, options, reference)
     except MethodError:
         raise
     except ImportError as error:
@@ -36,12 +45,14 @@ def find_method(reference: str) -> Method:
         raise MethodError(f"method {reference!r} cannot be loaded: {type(error).__name__}: {error}") from error
     if isinstance(method, type) or not isinstance(method, Method):
         raise MethodError(f"method {reference!r}: expected an object with name, track and run, got {type(method)}")
-    return method
+    if options:
+        method.name = variant_name(method.name, options)
+    return method, values
 
 
 def versions_of(reference: str) -> dict[str, str]:
     """Name and version of the package that an entry point comes from; of a class, nothing is known."""
-    point = _points().get(reference)
+    point = _points().get(split_variant(reference)[0])
     return {} if point is None or point.dist is None else {point.dist.name: point.dist.version}
 
 

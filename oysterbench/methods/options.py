@@ -1,0 +1,168 @@
+"""Variants of a method: `gtsam_vi[max_tracks=80,output=online]` is the method with other options than its own.
+
+An option is a parameter of the method's class, or, where its object has `settings`, a dataclass, a field of that; the
+field of a field is written with a dot, as in `dead_reckoning[start.level_s=2]`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from oysterbench.errors import MethodError
+
+VARIANT = re.compile(r"(?P<method>[^\[\]]+)\[(?P<options>.*)\]", re.DOTALL)
+UNPLAIN = re.compile(r"[^A-Za-z0-9_.+=,-]+")
+"""Characters that do not belong into the name of a file."""
+
+
+def split_variant(reference: str) -> tuple[str, dict[str, str]]:
+    """The method of a reference, and its options as they were written. Raises MethodError for another shape.
+
+    >>> split_variant("gtsam_vi[max_tracks=80,grid=[5,4]]")
+    ('gtsam_vi', {'max_tracks': '80', 'grid': '[5,4]'})
+    """
+    found = VARIANT.fullmatch(reference)
+    if found is None:
+        return reference, {}
+    return found["method"], read_options(split_commas(found["options"]))
+
+
+def split_commas(text: str) -> list[str]:
+    """The parts between the commas that no bracket encloses."""
+    parts, depth = [""], 0
+    for character in text:
+        depth += (character in "[{") - (character in "]}")
+        if character == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return parts
+
+
+def read_options(words: Iterable[str]) -> dict[str, str]:
+    """Key -> text of each `key=value`. Raises MethodError for another shape, or a key that is there twice."""
+    options: dict[str, str] = {}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals or not key.strip() or not value.strip():
+            raise MethodError(f"option of a method: expected key=value, got {word!r}")
+        if key.strip() in options:
+            raise MethodError(f"option of a method: {key.strip()!r} is given twice")
+        options[key.strip()] = value.strip()
+    return options
+
+
+def with_options(reference: str, more: Iterable[str]) -> str:
+    """The reference with more options, `key=value` each; they take the place of those it has of the same key.
+
+    >>> with_options("gtsam_vi[output=online]", ["max_tracks=80"])
+    'gtsam_vi[output=online,max_tracks=80]'
+    """
+    method, options = split_variant(reference)
+    options |= read_options(more)
+    return f"{method}[{','.join(f'{key}={value}' for key, value in options.items())}]" if options else method
+
+
+def variant_name(name: str, options: Mapping[str, str]) -> str:
+    """Name of a variant, in tables and of its folder: that of the method with the options behind it.
+
+    >>> variant_name("gtsam_vi", {"grid": "[5, 4]"})
+    'gtsam_vi[grid=5-4]'
+    """
+    if not options:
+        return name
+    written = ",".join(
+        f"{key}={UNPLAIN.sub('-', value.replace(',', ' ')).strip('-')}" for key, value in options.items()
+    )
+    return f"{name}[{written}]"
+
+
+def configure(kind: Callable[..., Any], options: Mapping[str, str], reference: str) -> tuple[Any, dict[str, Any]]:
+    """A new object of a method's class with options, and the options' values.
+
+    Raises MethodError where the method has no such option, or one of another type.
+    """
+    method = kind()
+    if not options:
+        return method, {}
+    settings = getattr(method, "settings", None)
+    if not dataclasses.is_dataclass(settings) or isinstance(settings, type):
+        settings = None
+    parameters = {
+        key: parameter.default
+        for key, parameter in inspect.signature(kind).parameters.items()
+        if key != "settings" and parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
+    }
+    known = {**parameters, **(fields_of(settings) if settings is not None else {}), **parameters}
+    arguments: dict[str, Any] = {}
+    values: dict[str, Any] = {}
+    for key, text in options.items():
+        if key not in known:
+            listed = f"its options: {', '.join(known)}" if known else "it has none"
+            raise MethodError(f"method {reference!r} has no option {key!r}; {listed}")
+        values[key] = read_value(text, known[key], f"option {key!r} of method {reference!r}")
+        if key in parameters:
+            arguments[key] = values[key]
+        else:
+            settings = replaced(settings, key.split("."), values[key])
+    if len(arguments) < len(values):
+        arguments["settings"] = settings
+    return kind(**arguments), values
+
+
+def fields_of(settings: Any, prefix: str = "") -> dict[str, Any]:
+    """Field -> value of a dataclass's object; those of nested ones with a dot."""
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if dataclasses.is_dataclass(value):
+            found |= fields_of(value, f"{prefix}{field.name}.")
+        else:
+            found[f"{prefix}{field.name}"] = value
+    return found
+
+
+def replaced(settings: Any, path: list[str], value: Any) -> Any:
+    """The dataclass's object with another value at a path of fields."""
+    first, *rest = path
+    return dataclasses.replace(settings, **{first: replaced(getattr(settings, first), rest, value) if rest else value})
+
+
+def read_value(text: str, default: Any, what: str) -> Any:
+    """A value as TOML writes it, bare words being texts, of the type that the default has; of any where it has none."""
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text
+    if default is None or default is inspect.Parameter.empty:
+        return value
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if isinstance(default, tuple) and isinstance(value, list):
+        value = tuple(value)
+        item = default[0] if default else None
+        if isinstance(item, float):
+            value = tuple(float(each) if type(each) is int else each for each in value)
+        if item is None or all(type(each) is type(item) for each in value):
+            return value
+    elif isinstance(default, str) and not isinstance(value, str):
+        return text  # a word that happens to be a number
+    elif type(value) is type(default):
+        return value
+    raise MethodError(f"{what}: expected {_expected(default)}, such as {_written(default)}, got {text!r}")
+
+
+def _expected(default: Any) -> str:
+    kinds: dict[type, str] = {bool: "true or false", int: "a whole number", float: "a number", tuple: "a list"}
+    return kinds.get(type(default), f"a value of type {type(default).__name__}")
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{','.join(map(_written, value))}]"
+    return str(value).lower() if isinstance(value, bool) else str(value)
