@@ -90,7 +90,7 @@ def measure(matched: Matched, settings: SlamSettings, measures: Measures) -> Rec
     _answers(matched, float(path_m[-1]), measures)
     _alignment(matched.fit, settings, measures)
     if matched.met.estimate.covariances is not None:
-        _consistency(matched, matched.met.estimate.covariances, measures)
+        _consistency(matched, settings, measures)
     return curve
 
 
@@ -286,12 +286,11 @@ def _alignment(fit: Alignment, settings: SlamSettings, measures: Measures) -> No
             measures[key] = value
 
 
-def _consistency(matched: Matched, covariances: Array, measures: Measures) -> None:
+def _consistency(matched: Matched, settings: SlamSettings, measures: Measures) -> None:
     """NEES where the estimate says how sure it is."""
     parts = ("position", "rotation", "pose")
-    difference = matched.aligned.positions - matched.met.truth.positions
     try:
-        found = nees(difference, matched.absolute.turn, covariances, matched.fit.similarity)
+        found = nees(matched.met.truth, matched.met.estimate, settings.align, matched.fit.similarity)
     except ValueError as error:
         for part in parts:
             names = ("", "_low", "_high")

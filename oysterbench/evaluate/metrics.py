@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+from oysterbench.evaluate.detection.metrics import DETECTION
 from oysterbench.evaluate.metric import Metric
 from oysterbench.evaluate.segmentation.metrics import SEGMENTATION, find_segmentation
 
@@ -17,7 +18,8 @@ def _consistency(part: str, freedom: int, of: str) -> dict[str, Metric]:
             "",
             "",
             f"Mean normalised estimation error squared, e^T C^-1 e, of the {of} with the estimate's covariance: "
-            f"{freedom} where the covariances are right, more where they promise too much.",
+            f"{freedom} where the covariances are right, more where they promise too much. Aligned by the first "
+            "matched pose, in the freedom of the alignment, and not over the whole path.",
             f"NEES {part}",
         ),
         f"nees_{part}_low": Metric("", "", f"Lower {band}", f"NEES {part}, low"),
@@ -268,7 +270,7 @@ _WRITTEN = {"percent": "%", "frames": "poses"}
 
 def find_metric(key: str) -> Metric | None:
     """The metric of that key; those over another time, path, angle or share than the listed are found as well."""
-    for known in (SLAM, SEGMENTATION):
+    for known in (SLAM, SEGMENTATION, DETECTION):
         if key in known:
             return known[key]
     if (of_images := find_segmentation(key)) is not None:

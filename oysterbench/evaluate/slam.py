@@ -22,7 +22,7 @@ from oysterbench.trajectory import Trajectory
 
 __all__ = ["EVALUATOR", "METRICS", "SlamResult", "SlamSettings", "score"]
 
-EVALUATOR = "slam 2"
+EVALUATOR = "slam 3"
 """Name and version of this evaluator; the version rises whenever a number may change."""
 
 

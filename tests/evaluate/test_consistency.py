@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from dives import survey
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
+from oysterbench.evaluate.consistency import nees
 from oysterbench.evaluate.slam import SlamSettings, score
+from oysterbench.geometry import IDENTITY
 from oysterbench.streams import stream
 from oysterbench.trajectory import Trajectory
 
@@ -17,13 +20,18 @@ PARTS = {"position": 3, "rotation": 3, "pose": 6}
 
 
 def with_covariances(
-    promise: float = 1.0, turn: Rotation | None = None, scale: float = 1.0
+    promise: float = 1.0, turn: Rotation | None = None, scale: float = 1.0, exact_first: bool = False
 ) -> tuple[Trajectory, Trajectory]:
-    """A truth and an estimate whose errors have a covariance; it says promise^2 times that. Estimate's own world."""
+    """A truth and an estimate whose errors have a covariance; it says promise^2 times that. Estimate's own world.
+
+    Errors are independent; exact_first: but for the first, which is none.
+    """
     truth = survey(duration_s=60)
     n = len(truth)
     rng = stream(11, b"", "consistency")
     root = np.tril(rng.normal(0, 1, (n, 6, 6)) * 0.2 + np.eye(6)) * np.array([0.05] * 3 + [0.01] * 3)[:, None]
+    if exact_first:
+        root[0] *= 1e-6
     errors = np.einsum("nij,nj->ni", root, rng.normal(0, 1, (n, 6)))
     covariances = promise**2 * root @ np.swapaxes(root, 1, 2)
     positions = truth.positions + errors[:, :3]
@@ -55,15 +63,110 @@ def test_an_overconfident_estimate_is_told_by_both(part):
     assert metrics[f"within_3sigma_{part}"] < 0.8
 
 
-@pytest.mark.parametrize("align", ["se3", "sim3"])
+@pytest.mark.parametrize("align", ["origin", "posyaw", "se3", "sim3"])
 def test_covariances_turn_and_scale_with_the_alignment(align):
-    turn = Rotation.from_euler("xyz", [1.0, 0.5, 2.0])
+    turn = Rotation.from_euler("z" if align == "posyaw" else "xyz", [1.0] if align == "posyaw" else [1.0, 0.5, 2.0])
     metrics = score(
-        *with_covariances(turn=turn, scale=2.5 if align == "sim3" else 1.0), SlamSettings(align=align)
+        *with_covariances(turn=turn, scale=2.5 if align == "sim3" else 1.0, exact_first=True), SlamSettings(align=align)
     ).metrics
     assert metrics["scale"] == pytest.approx(2.5 if align == "sim3" else 1.0, rel=0.01)
     for part, freedom in PARTS.items():
         assert metrics[f"nees_{part}"] == pytest.approx(freedom, rel=0.05)
+
+
+def drifting(rng: np.random.Generator, promise: float = 1.0, start: float = 0.0) -> tuple[Trajectory, Trajectory]:
+    """A truth and odometry of it, whose errors walk from an exact start: by 3 mm and 2 mrad (yaw 4) a root second.
+
+    Each step errs in the world's axes, and what the attitude errs turns the way that is left. It says promise^2 times
+    the covariance that follows. Its world lies and points somewhere. start: 1 sigma, m and rad, by which its first
+    pose, and with it all of the path, is off that world's, in position and yaw, and says so.
+    """
+    truth = survey(duration_s=60, rate_hz=10)
+    n, steps = len(truth), np.diff(truth.positions, axis=0)
+    root = np.array([0.003] * 3 + [0.002, 0.002, 0.004]) * np.sqrt(0.1)
+    errors, covariances = np.zeros((n, 6)), np.zeros((n, 6, 6))
+    covariances[0] = np.diag([1e-9**2] * 6)
+    off = np.array([start] * 3 + [0.0, 0.0, start])
+    errors[0] = off * rng.normal(size=6)
+    covariances[0] += np.diag(off**2)
+    for k, step in enumerate(steps, start=1):
+        change = np.eye(6)
+        change[:3, 3:] = [[0, step[2], -step[1]], [-step[2], 0, step[0]], [step[1], -step[0], 0]]
+        errors[k] = change @ errors[k - 1] + root * rng.normal(size=6)
+        covariances[k] = change @ covariances[k - 1] @ change.T + np.diag(root**2)
+    yaw = Rotation.from_euler("z", rng.uniform(-3, 3))
+    both = np.kron(np.eye(2), yaw.as_matrix())
+    attitudes = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_quat(truth.quaternions)
+    estimate = Trajectory(
+        truth.stamps_ns,
+        yaw.apply(truth.positions + errors[:, :3]) + rng.uniform(-5, 5, 3),
+        (yaw * attitudes).as_quat(),
+        promise**2 * both @ covariances @ both.T,
+    )
+    return truth, estimate
+
+
+RUNS = 40
+
+
+def last_of(align: str, promise: float = 1.0, start: float = 0.0) -> np.ndarray:
+    """NEES (RUNS,) of the last pose of independent estimates."""
+    rng = stream(12, b"", "drift")
+    values = []
+    for _ in range(RUNS):
+        truth, estimate = drifting(rng, promise, start)
+        values.append(nees(truth, estimate, align, IDENTITY)["pose"].values[-1])
+    return np.array(values)
+
+
+def band(freedom: int) -> tuple[float, float]:
+    low, high = chi2.ppf([0.0005, 0.9995], freedom * RUNS) / RUNS
+    return float(low), float(high)
+
+
+@pytest.mark.parametrize("align", ["posyaw", "origin"])
+def test_odometry_that_drifts_as_it_says_has_six_at_its_end(align):
+    """By the first pose. Chi-square over independent runs: within one run errors at different stamps are not."""
+    low, high = band(6)
+    assert low < last_of(align).mean() < high
+
+
+@pytest.mark.parametrize("promise", [0.7, 1.4])
+def test_odometry_that_drifts_more_or_less_than_it_says_is_told(promise):
+    low, high = band(6)
+    mean = last_of("posyaw", promise).mean()
+    assert mean > high if promise < 1 else mean < low
+    assert mean == pytest.approx(6 / promise**2, rel=0.25)
+
+
+def test_what_the_first_pose_errs_moves_all_others_and_is_counted_where_it_says_so():
+    """An estimate in a world that it knows to 5 cm and 0.05 rad: taking its first pose for exact puts that into all the
+    others, as much as was taken out; it is added, as if it were independent, so that it is too modest, never too sure.
+    """
+    start = last_of("posyaw", start=0.05)
+    assert start.mean() < band(6)[1]
+    assert start.mean() > 0.3
+    independent = with_covariances()
+    for part, freedom in PARTS.items():
+        value = nees(*independent, "origin", IDENTITY)[part]
+        # All 3000 samples share the error of the first pose, which is as large as theirs.
+        assert 0.4 * freedom < value.mean < 2.2 * freedom
+        assert len(value.values) == len(independent[0]) - 1
+
+
+def test_an_alignment_over_the_whole_path_would_blame_the_first_poses_for_what_the_last_ones_err():
+    truth, estimate = drifting(stream(13, b"", "drift"))
+    ours = score(truth, estimate, SlamSettings(align="posyaw"))
+    values = nees(truth, estimate, "posyaw", IDENTITY)["pose"]
+    assert ours.metrics["nees_pose"] == pytest.approx(values.mean, rel=1e-12)
+    fitted = replace(
+        estimate,
+        positions=ours.alignment.apply(estimate.positions),
+        quaternions=ours.alignment.rotate(estimate.quaternions),
+    )
+    early = nees(truth, fitted, "none", IDENTITY)["pose"].values[:20]
+    assert early.mean() > 100
+    assert values.values[:20].mean() < 20
 
 
 def test_nees_equals_its_definition_by_inverse_matrices():
