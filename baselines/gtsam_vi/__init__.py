@@ -1,6 +1,6 @@
-"""Monocular visual-inertial odometry on GTSAM."""
+"""Visual-inertial odometry on GTSAM, with one camera or two."""
 
-from oysterbench_baselines.gtsam_vi.method import GtsamVi
+from oysterbench_baselines.gtsam_vi.method import GtsamVi, GtsamViStereo
 from oysterbench_baselines.gtsam_vi.settings import Settings
 
-__all__ = ["GtsamVi", "Settings"]
+__all__ = ["GtsamVi", "GtsamViStereo", "Settings"]

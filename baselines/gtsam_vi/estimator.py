@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import gtsam
@@ -34,20 +35,27 @@ from oysterbench_baselines.gtsam_vi.states import (
 )
 from oysterbench_baselines.gtsam_vi.window import Window
 
+Right = Callable[[], Array]
+"""Looks for the tracks of a frame in the second camera's picture."""
+
 
 @dataclass
 class Estimator:
-    """Takes frames of tracks, with the inertial measurements before each, in time order."""
+    """Takes frames of tracks, with the inertial measurements before each, in time order.
+
+    right: a second camera that sees what the first sees.
+    """
 
     camera: CameraCalibration
     imu: ImuCalibration
     settings: Settings
+    right: CameraCalibration | None = None
     keyframes: list[Keyframe] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     info: dict[str, float | int | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.model = Model(self.camera, self.imu, self.settings)
+        self.model = Model(self.camera, self.imu, self.settings, self.right)
         self._window: Window | None = None
         self._since: list[Segment] = []
         self._measurements: gtsam.PreintegratedCombinedMeasurements | None = None
@@ -62,8 +70,13 @@ class Estimator:
         """Latest estimate (3,) rad/s; zero before there is one."""
         return self.keyframes[-1].state.bias.gyroscope() if self._window else np.zeros(3)
 
-    def add_frame(self, stamp_ns: int, segment: Segment, ids: NDArray[np.int64], rays: Array) -> None:
-        """The next frame: measurements since the last one, and tracks: ids (N,) and undistorted rays (N, 2)."""
+    def add_frame(
+        self, stamp_ns: int, segment: Segment, ids: NDArray[np.int64], rays: Array, right: Right | None = None
+    ) -> None:
+        """The next frame: measurements since the last one, and tracks: ids (N,) and undistorted rays (N, 2).
+
+        right: gives rays (N, 2) of the second camera to the same, NaN where it does not see them; only key frames ask.
+        """
         order = np.argsort(ids, kind="stable")
         view = View(np.asarray(ids, dtype=np.int64)[order], np.asarray(rays, dtype=float)[order])
         if self.keyframes:
@@ -72,6 +85,8 @@ class Estimator:
             extend(self._measurements, segment)
         predicted = self._predict()
         if self._is_keyframe(view):
+            if right is not None:
+                view = View(view.ids, view.rays, right()[order])
             self._add_keyframe(stamp_ns, view, predicted)
             predicted = self.keyframes[-1].state if self._window else None
         frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since))
@@ -158,17 +173,22 @@ class Estimator:
         settings = self.settings
         stretch = self.keyframes[self._first :][-settings.init_max_keyframes :]
         now = (stretch[-1].stamp_ns - self.keyframes[0].stamp_ns) * 1e-9
-        moving = sum(k.segment.duration for k in stretch[1:] if not k.at_rest)
-        if len(stretch) < settings.init_min_keyframes or moving < settings.init_min_s or now < self._next_attempt_s:
+        counts = np.unique(np.concatenate([k.view.sights()[0] for k in stretch]), return_counts=True)[1]
+        if np.count_nonzero(counts >= settings.min_views) < settings.init_min_tracks or now < self._next_attempt_s:
             return
-        counts = np.unique(np.concatenate([k.view.ids for k in stretch]), return_counts=True)[1]
-        if np.count_nonzero(counts >= settings.min_views) < settings.init_min_tracks:
+        metric = _seen_twice(stretch[-1].view) >= settings.init_min_tracks
+        if metric:
+            least, least_s = settings.init_stereo_keyframes, settings.init_stereo_s
+        else:
+            least, least_s = settings.init_min_keyframes, settings.init_min_s
+        elapsed = sum(k.segment.duration for k in stretch[1:] if metric or not k.at_rest)
+        if len(stretch) < least or elapsed < least_s:
             return
         self._next_attempt_s = now + settings.init_retry_s
         start = closed_form_start(
             [k.view for k in stretch],
             [k.segment for k in stretch[1:]],
-            self.model.T_imu_cam,
+            self.model.T_imu_cams,
             self.imu.gravity,
             self.model.gyro_turn_on,
             self.model.accel_turn_on,
@@ -181,11 +201,14 @@ class Estimator:
             return
         if len(bundle.landmarks) < settings.init_min_tracks:
             return
-        sigma = _scale_sigma(bundle, stretch)
         error = float(np.median(bundle.errors_px))
-        if not sigma <= max_scale_sigma or not error <= settings.init_max_error_px:
+        if not error <= settings.init_max_error_px:
             return
-        self.info["init_scale_sigma"] = sigma
+        if not metric:
+            sigma = _scale_sigma(bundle, stretch)
+            if not sigma <= max_scale_sigma:
+                return
+            self.info["init_scale_sigma"] = sigma
         self.info["init_error_px"] = error
         for keyframe in stretch[1:] if self._anchor else stretch:
             keyframe.state = read_state(bundle.values, keyframe.index)
@@ -297,6 +320,11 @@ class Estimator:
         matrices = np.array(poses).reshape(-1, 4, 4) @ invert(self.imu.T_base_imu)
         quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat() if len(poses) else np.empty((0, 4))
         return Trajectory(stamps, matrices[:, :3, 3].copy(), quaternions)
+
+
+def _seen_twice(view: View) -> int:
+    """Number of tracks that both cameras see."""
+    return 0 if view.right is None else int(np.isfinite(view.right[:, 0]).sum())
 
 
 def _scale_sigma(bundle: Bundle, keyframes: list[Keyframe]) -> float:

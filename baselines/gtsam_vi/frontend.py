@@ -31,6 +31,15 @@ def undistort(pixels: Array, calibration: CameraCalibration) -> Array:
     return cv2.undistortPoints(points, calibration.matrix, calibration.distortion).reshape(-1, 2)
 
 
+def distort(rays: Array, calibration: CameraCalibration) -> Array:
+    """Pixels (N, 2) of rays (N, 2) at depth 1."""
+    if len(rays) == 0:
+        return np.empty((0, 2))
+    points = homogeneous(rays).reshape(-1, 1, 3)
+    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), calibration.matrix, calibration.distortion)
+    return np.asarray(pixels.reshape(-1, 2), dtype=float)
+
+
 def homogeneous(rays: Array) -> Array:
     """(N, 3) directions (x, y, 1) of normalised coordinates (N, 2)."""
     return np.column_stack([rays, np.ones(len(rays))])
@@ -69,13 +78,13 @@ def epipolar_inliers(
 class FrontEnd:
     """Tracks corners through the frames of one camera."""
 
-    def __init__(self, calibration: CameraCalibration, settings: Settings) -> None:
+    def __init__(self, calibration: CameraCalibration, settings: Settings, seed: int = 0) -> None:
         self.calibration = calibration
         self.settings = settings
         self._focal = float(calibration.matrix[0, 0] + calibration.matrix[1, 1]) / 2
         self._clahe = cv2.createCLAHE(settings.clahe_clip, (settings.clahe_tiles, settings.clahe_tiles))
-        self._generator = stream(0, b"", "gtsam_vi", "epipolar")
-        self._last: NDArray[np.uint8] | None = None
+        self._generator = stream(seed, b"", "gtsam_vi", "epipolar")
+        self.image: NDArray[np.uint8] | None = None  # (H, W), the latest, equalised
         self._next_id = 0
         self._tracks = Tracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
 
@@ -84,45 +93,29 @@ class FrontEnd:
 
         pixels (H, W, 3) RGB or (H, W) grey, uint8. R_before_now (3, 3): rotation of the camera since the last frame.
         """
-        grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-        equalised = self._clahe.apply(grey)
-        if self._last is not None and len(self._tracks.ids):
-            self._tracks = self._follow(equalised, R_before_now)
-        self._last = equalised
-        self._tracks = self._replenish(equalised)
+        image = self.equalise(pixels)
+        if self.image is not None and len(self._tracks.ids):
+            self._tracks = self._follow(self.image, image, R_before_now)
+        self.image = image
+        self._tracks = self._replenish(image)
         return self._tracks
 
-    def _follow(self, image: NDArray[np.uint8], R_before_now: Array) -> Tracks:
+    def equalise(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """A picture (H, W, 3) RGB or (H, W) as corners are looked for in it: grey, with its local contrast evened."""
+        grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+        return np.asarray(self._clahe.apply(grey), dtype=np.uint8)
+
+    def _follow(self, last: NDArray[np.uint8], image: NDArray[np.uint8], R_before_now: Array) -> Tracks:
         """The last frame's tracks in this one: Lucas-Kanade forth and back, then the epipolar check."""
         settings, tracks = self.settings, self._tracks
-        start = tracks.pixels.astype(np.float32)
-        guess = self._predict(tracks, R_before_now).astype(np.float32)
-        size = (settings.flow_window_px, settings.flow_window_px)
-        criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
-        flow = {"winSize": size, "maxLevel": settings.flow_levels, "criteria": criteria}
-        flow["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
-        end, found, _ = cv2.calcOpticalFlowPyrLK(self._last, image, start, guess.copy(), **flow)
-        # Back from where the forward pass ended, with the prediction's own error as the guess, not the answer.
-        back_guess = (end - (guess - start)).astype(np.float32)
-        back, found_back, _ = cv2.calcOpticalFlowPyrLK(image, self._last, end, back_guess, **flow)
-        good = (found.ravel() == 1) & (found_back.ravel() == 1)
-        good &= np.linalg.norm(back - start, axis=1) < settings.backward_error_px
-        good &= (end[:, 0] >= 1) & (end[:, 0] < self.calibration.width - 1)
-        good &= (end[:, 1] >= 1) & (end[:, 1] < self.calibration.height - 1)
-        ids, before, now = tracks.ids[good], tracks.rays[good], end[good].astype(np.float64)
+        turned = homogeneous(tracks.rays) @ R_before_now  # where the rotation alone would take them
+        guess = distort(turned[:, :2] / np.maximum(turned[:, 2:], 0.1), self.calibration)
+        end, good = follow(last, image, tracks.pixels, guess, settings)
+        ids, before, now = tracks.ids[good], tracks.rays[good], end[good]
         rays = undistort(now, self.calibration)
         tolerance = settings.epipolar_error_px / self._focal
         keep = epipolar_inliers(before, rays, R_before_now.T, tolerance, settings.epipolar_trials, self._generator)
         return Tracks(ids[keep], now[keep], rays[keep])
-
-    def _predict(self, tracks: Tracks, R_before_now: Array) -> Array:
-        """Where the rotation alone would take the tracks: (N, 2) px."""
-        turned = homogeneous(tracks.rays) @ R_before_now
-        turned[:, 2] = np.maximum(turned[:, 2], 0.1)
-        points, _ = cv2.projectPoints(
-            turned.reshape(-1, 1, 3), np.zeros(3), np.zeros(3), self.calibration.matrix, self.calibration.distortion
-        )
-        return points.reshape(-1, 2)
 
     def _replenish(self, image: NDArray[np.uint8]) -> Tracks:
         """New corners where there are few tracks."""
@@ -138,6 +131,28 @@ class FrontEnd:
             np.concatenate([tracks.pixels, pixels]),
             np.concatenate([tracks.rays, undistort(pixels, self.calibration)]),
         )
+
+
+def follow(
+    before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array, settings: Settings
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Where the patches at pixels (N, 2) of one grey image are in another, by Lucas and Kanade, begun at guess (N, 2).
+
+    Gives pixels (N, 2), and of which (N,) the way back leads where it began, all within the image.
+    """
+    start, begun = pixels.astype(np.float32), guess.astype(np.float32)
+    size = (settings.flow_window_px, settings.flow_window_px)
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
+    flow = {"winSize": size, "maxLevel": settings.flow_levels, "criteria": criteria}
+    flow["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
+    end, found, _ = cv2.calcOpticalFlowPyrLK(before, after, start, begun.copy(), **flow)
+    # Back from where the forward pass ended, with the prediction's own error as the guess, not the answer.
+    back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, end, end - (begun - start), **flow)
+    height, width = after.shape
+    good = (found.ravel() == 1) & (found_back.ravel() == 1)
+    good &= np.linalg.norm(back - start, axis=1) < settings.backward_error_px
+    good &= (end[:, 0] >= 1) & (end[:, 0] < width - 1) & (end[:, 1] >= 1) & (end[:, 1] < height - 1)
+    return end.astype(np.float64), good
 
 
 def find_corners(image: NDArray[np.uint8], taken: Array, settings: Settings) -> Array:

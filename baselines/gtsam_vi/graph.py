@@ -20,17 +20,25 @@ from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state,
 
 
 class Model:
-    """Noise models, calibrations and the factors made of them."""
+    """Noise models, calibrations and the factors made of them. right: a second camera, which sees the same."""
 
-    def __init__(self, camera: CameraCalibration, imu: ImuCalibration, settings: Settings) -> None:
+    def __init__(
+        self,
+        camera: CameraCalibration,
+        imu: ImuCalibration,
+        settings: Settings,
+        right: CameraCalibration | None = None,
+    ) -> None:
         self.settings = settings
         self.imu = imu
         self.focal = float(camera.matrix[0, 0] + camera.matrix[1, 1]) / 2
-        self.T_imu_cam = invert(imu.T_base_imu) @ camera.T_base_cam
+        cameras = [camera] if right is None else [camera, right]
+        self.T_imu_cams = np.array([invert(imu.T_base_imu) @ c.T_base_cam for c in cameras])
+        self.T_imu_cam = self.T_imu_cams[0]
         self.params = preintegration_params(imu, settings)
         # Rays at depth 1 are pixels of a camera with unit focal length; the front end has dealt with distortion.
         self._unit_camera = gtsam.Cal3_S2()
-        self._sensor = gtsam.Pose3(self.T_imu_cam)
+        self._sensors = [gtsam.Pose3(T_imu_cam) for T_imu_cam in self.T_imu_cams]
         pixel = gtsam.noiseModel.Isotropic.Sigma(2, settings.pixel_sigma_px / self.focal)
         huber = gtsam.noiseModel.mEstimator.Huber.Create(settings.huber)
         self._pixel = gtsam.noiseModel.Robust.Create(huber, pixel)
@@ -39,10 +47,10 @@ class Model:
         self.gyro_turn_on = max(imu.gyro_turn_on, 1e-4)
         self.accel_turn_on = max(imu.accel_turn_on, 1e-3)
 
-    def projection(self, keyframe: int, landmark: int, ray: Array) -> gtsam.NonlinearFactor:
+    def projection(self, keyframe: int, landmark: int, ray: Array, camera: int = 0) -> gtsam.NonlinearFactor:
         """A landmark seen along `ray` (2,) at depth 1. Behind the camera it has no gradient, and raises nothing."""
         return gtsam.GenericProjectionFactorCal3_S2(
-            ray, self._pixel, X(keyframe), L(landmark), self._unit_camera, False, False, self._sensor
+            ray, self._pixel, X(keyframe), L(landmark), self._unit_camera, False, False, self._sensors[camera]
         )
 
     def inertial(
@@ -82,16 +90,23 @@ class Model:
         ]
 
     def triangulate(
-        self, track: NDArray[np.int64], rays: Array, T_odom_imu: Array, max_error_px: float
+        self,
+        track: NDArray[np.int64],
+        rays: Array,
+        T_odom_imu: Array,
+        max_error_px: float,
+        camera: NDArray[np.intp] | None = None,
     ) -> tuple[NDArray[np.int64], Array]:
         """Ids (L,) and points (L, 3) of the tracks that make good landmarks.
 
-        track (M,), rays (M, 2) and T_odom_imu (M, 4, 4): one row a view. The point minimises the distances from its
-        rays, weighted by inverse depth; it must have parallax, lie before every view and project near every ray.
+        track (M,), rays (M, 2), T_odom_imu (M, 4, 4) and camera (M,), the first by default: one row a view. The point
+        minimises the distances from its rays, weighted by inverse depth; it must have parallax, lie before every view
+        and project near every ray.
         """
         settings = self.settings
         order = np.argsort(track, kind="stable")
-        track, rays, cameras = track[order], rays[order], T_odom_imu[order] @ self.T_imu_cam
+        T_imu_cams = self.T_imu_cam if camera is None else self.T_imu_cams[camera[order]]
+        track, rays, cameras = track[order], rays[order], T_odom_imu[order] @ T_imu_cams
         if len(track) == 0:
             return track, np.empty((0, 3))
         ids, starts, row = np.unique(track, return_index=True, return_inverse=True)
@@ -116,9 +131,10 @@ class Model:
         good &= np.maximum.reduceat(error, starts) < max_error_px
         return ids[good], points[good]
 
-    def errors_px(self, T_odom_imu: Array, points: Array, rays: Array) -> Array:
-        """Reprojection errors (N,) px of points (N, 3) seen along rays (N, 2) from poses (4, 4) or (N, 4, 4)."""
-        cameras = invert(T_odom_imu @ self.T_imu_cam)
+    def errors_px(self, T_odom_imu: Array, points: Array, rays: Array, camera: int | NDArray[np.intp] = 0) -> Array:
+        """Reprojection errors (N,) px of points (N, 3) seen along rays (N, 2) from poses (4, 4) or (N, 4, 4) by a
+        camera, or one each (N,)."""
+        cameras = invert(T_odom_imu @ self.T_imu_cams[camera])
         local = np.einsum("...ij,...j->...i", cameras[..., :3, :3], points) + cameras[..., :3, 3]
         error = np.linalg.norm(local[:, :2] / np.maximum(local[:, 2:], 1e-6) - rays, axis=1) * self.focal
         return np.where(local[:, 2] > 0, error, np.inf)
@@ -140,13 +156,13 @@ def adjust(model: Model, keyframes: list[Keyframe], states: list[State], gates_p
     Landmarks are triangulated anew and adjusted once for each gate on their reprojection error: wide first, while the
     states are rough.
     """
-    track = np.concatenate([k.view.ids for k in keyframes])
-    rays = np.concatenate([k.view.rays for k in keyframes])
-    row = np.concatenate([np.full(len(k.view.ids), n) for n, k in enumerate(keyframes)])
+    sights = [k.view.sights() for k in keyframes]
+    row = np.concatenate([np.full(len(ids), n) for n, (ids, _, _) in enumerate(sights)])
+    track, rays, camera = (np.concatenate(part) for part in zip(*sights, strict=True))
     first = keyframes[0].index
     for gate in gates_px:
         poses = np.array([state.matrix for state in states])
-        ids, points = model.triangulate(track, rays, poses[row], gate)
+        ids, points = model.triangulate(track, rays, poses[row], gate, camera)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for factor in model.start_priors(first, states[0]):
             graph.push_back(factor)
@@ -167,12 +183,12 @@ def adjust(model: Model, keyframes: list[Keyframe], states: list[State], gates_p
             values.insert(L(int(landmark)), point)
         seen = np.flatnonzero(np.isin(track, ids))
         for m in seen:
-            graph.push_back(model.projection(first + int(row[m]), int(track[m]), rays[m]))
+            graph.push_back(model.projection(first + int(row[m]), int(track[m]), rays[m], int(camera[m])))
         values = _optimise(graph, values, model.settings.smoothing_iterations)
         states = [read_state(values, k.index) for k in keyframes]
     poses = np.array([state.matrix for state in states])
     points = np.array([values.atPoint3(L(int(i))) for i in ids]).reshape(-1, 3)
-    errors = model.errors_px(poses[row[seen]], points[np.searchsorted(ids, track[seen])], rays[seen])
+    errors = model.errors_px(poses[row[seen]], points[np.searchsorted(ids, track[seen])], rays[seen], camera[seen])
     return Bundle(graph, values, ids, errors)
 
 

@@ -27,10 +27,22 @@ from oysterbench_baselines.gtsam_vi.inertial import Integral, integrate
 
 @dataclass(frozen=True)
 class View:
-    """What a key frame saw: ids (N,) int64, sorted, and rays (N, 2) at depth 1."""
+    """What a key frame saw: ids (N,) int64, sorted, and rays (N, 2) at depth 1.
+
+    right: rays (N, 2) of a second camera to the same, NaN where it does not see them; None without one.
+    """
 
     ids: NDArray[np.int64]
     rays: Array
+    right: Array | None = None
+
+    def sights(self) -> tuple[NDArray[np.int64], Array, NDArray[np.intp]]:
+        """All of it, a row each: ids (M,), rays (M, 2), and the camera (M,), 0 or 1."""
+        if self.right is None:
+            return self.ids, self.rays, np.zeros(len(self.ids), dtype=np.intp)
+        both = np.isfinite(self.right[:, 0])
+        camera = np.repeat([0, 1], [len(self.ids), int(both.sum())])
+        return np.concatenate([self.ids, self.ids[both]]), np.concatenate([self.rays, self.right[both]]), camera
 
 
 @dataclass(frozen=True)
@@ -50,16 +62,19 @@ class Start:
 def closed_form_start(
     views: list[View],
     segments: list[Segment],
-    T_imu_cam: Array,
+    T_imu_cams: Array,
     gravity: float,
     gyro_turn_on: float,
     accel_turn_on: float,
     ray_sigma: float,
 ) -> Start:
-    """Initial states from K views and the K - 1 inertial segments between them; ray_sigma: noise at depth 1."""
-    gyro_bias = estimate_gyro_bias(views, segments, T_imu_cam[:3, :3], gyro_turn_on, ray_sigma)
+    """Initial states from K views and the K - 1 inertial segments between them.
+
+    T_imu_cams (C, 4, 4): of one camera or two. ray_sigma: noise at depth 1.
+    """
+    gyro_bias = estimate_gyro_bias(views, segments, T_imu_cams[0, :3, :3], gyro_turn_on, ray_sigma)
     integral = integrate(segments, gyro_bias)
-    velocity, down, accel_bias = align(views, integral, T_imu_cam, gravity, accel_turn_on, ray_sigma)
+    velocity, down, accel_bias = align(views, integral, T_imu_cams, gravity, accel_turn_on, ray_sigma)
     time = integral.time[:, None]
     positions = velocity * time + 0.5 * down * time**2 + integral.position - integral.position_rate @ accel_bias
     velocities = velocity + down * time + integral.velocity - integral.velocity_rate @ accel_bias
@@ -135,15 +150,16 @@ def _pairs(
 
 
 def align(
-    views: list[View], integral: Integral, T_imu_cam: Array, gravity: float, accel_turn_on: float, ray_sigma: float
+    views: list[View], integral: Integral, T_imu_cams: Array, gravity: float, accel_turn_on: float, ray_sigma: float
 ) -> tuple[Array, Array, Array]:
     """Velocity (3,) at the first view, gravity vector (3,) and accelerometer bias (3,), in the first IMU frame.
 
     Minimises the sum over views of |(I - u u^T)(X - c)|^2 / (sigma d)^2, u the ray, c the camera's position, which is
     linear in the unknowns, X the landmark, eliminated, d its depth; plus the prior on the bias.
     """
-    frame, track, directions = _observations(views, integral, T_imu_cam[:3, :3])
-    centres, derivative = _camera_positions(integral, T_imu_cam[:3, 3])
+    frame, track, camera, directions = _observations(views, integral, T_imu_cams[:, :3, :3])
+    place, derivative = _camera_positions(integral, T_imu_cams[:, :3, 3])
+    centres = place[camera, frame]
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]  # (M, 3, 3)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(track)) + 1])
     track_of = np.cumsum(np.concatenate([[0], np.diff(track) != 0]))
@@ -155,13 +171,11 @@ def align(
     trust = np.ones(len(directions))
     for _ in range(4):
         weight = trust / (ray_sigma * depth) ** 2
-        normal, right, landmarks = _normal_equations(
-            across, weight, centres[frame], derivative[frame], starts, track_of
-        )
+        normal, right, landmarks = _normal_equations(across, weight, centres, derivative[frame], starts, track_of)
         normal[6:, 6:] += np.eye(3) / accel_turn_on**2
         x = _solve_on_sphere(normal, right, x, gravity)
         points = landmarks(x)[track_of]
-        offset = points - (derivative[frame] @ x + centres[frame])
+        offset = points - (derivative[frame] @ x + centres)
         depth = np.clip(np.einsum("mi,mi->m", offset, directions), 0.3, 30.0)
         error = np.linalg.norm((across @ offset[:, :, None])[..., 0], axis=1) / (ray_sigma * depth)
         # Cauchy's weight, by the worst view of a track: one that slides is wrong in all its views.
@@ -170,26 +184,30 @@ def align(
     return x[:3], x[3:6], x[6:]
 
 
-def _observations(views: list[View], integral: Integral, R_imu_cam: Array) -> tuple[Array, Array, Array]:
-    """Frame (M,), id (M,), unit direction (M, 3) in the first IMU frame, of all views of tracks seen thrice, by id."""
-    frame = np.concatenate([np.full(len(view.ids), k) for k, view in enumerate(views)])
-    ids = np.concatenate([view.ids for view in views])
-    units = [_unit(homogeneous(view.rays)) @ (integral.rotation[k] @ R_imu_cam).T for k, view in enumerate(views)]
-    directions = np.concatenate(units)
+def _observations(
+    views: list[View], integral: Integral, R_imu_cams: Array
+) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.intp], Array]:
+    """Frame (M,), id (M,), camera (M,), unit direction (M, 3) in the first IMU frame, of all views of tracks that have
+    three, by id."""
+    sights = [view.sights() for view in views]
+    frame = np.concatenate([np.full(len(ids), k) for k, (ids, _, _) in enumerate(sights)])
+    ids, rays, camera = (np.concatenate(part) for part in zip(*sights, strict=True))
+    rotations = integral.rotation[frame] @ R_imu_cams[camera]
+    directions = (rotations @ _unit(homogeneous(rays))[:, :, None])[..., 0]
     _, inverse, count = np.unique(ids, return_inverse=True, return_counts=True)
     order = np.argsort(ids, kind="stable")
     order = order[count[inverse[order]] >= 3]
-    return frame[order], ids[order], directions[order]
+    return frame[order], ids[order], camera[order], directions[order]
 
 
-def _camera_positions(integral: Integral, lever: Array) -> tuple[Array, Array]:
-    """c = derivative @ (v, g, b_a) + centres, for every view: (K, 3) and (K, 3, 9)."""
+def _camera_positions(integral: Integral, levers: Array) -> tuple[Array, Array]:
+    """c = derivative @ (v, g, b_a) + centre, of cameras at levers (C, 3) in every view: (C, K, 3) and (K, 3, 9)."""
     k = len(integral.time)
     derivative = np.zeros((k, 3, 9))
     derivative[:, :, 0:3] = np.eye(3) * integral.time[:, None, None]
     derivative[:, :, 3:6] = np.eye(3) * 0.5 * integral.time[:, None, None] ** 2
     derivative[:, :, 6:9] = -integral.position_rate
-    return integral.position + integral.rotation @ lever, derivative
+    return np.array([integral.position + integral.rotation @ lever for lever in levers]), derivative
 
 
 def _normal_equations(

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import Literal
 
 from oysterbench.errors import MethodError
+from oysterbench.geometry import Array
 from oysterbench.methods import Estimate
+from oysterbench.samples import Image
 from oysterbench.sequence.types import ImuSample, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer, relative_rotation
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
+from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, Tracks
 from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs, second_camera
 
 
 class GtsamVi:
-    """Monocular visual-inertial odometry on GTSAM: KLT tracks, preintegrated inertial factors, a fixed-lag smoother.
+    """Visual-inertial odometry on GTSAM: KLT tracks, preintegrated inertial factors, a fixed-lag smoother.
 
     output: "smoothed" gives the poses after an adjustment of the whole path, "online" those known at each frame.
-    camera: name of the camera; the first one by default.
+    camera: name of the camera; the first one by default. stereo: use a second camera beside it as well.
+    seed: of the random samples in the epipolar check.
     """
 
     name = "gtsam_vi"
@@ -29,34 +34,78 @@ class GtsamVi:
         output: Literal["smoothed", "online"] = "smoothed",
         camera: str | None = None,
         settings: Settings | None = None,
+        stereo: bool = False,
+        seed: int = 0,
     ) -> None:
         if output not in ("smoothed", "online"):
-            raise MethodError(f"gtsam_vi: expected output 'smoothed' or 'online', got {output!r}")
+            raise MethodError(f"{self.name}: expected output 'smoothed' or 'online', got {output!r}")
         self.output = output
         self.camera = camera
         self.settings = settings or Settings()
+        self.stereo = stereo
+        self.seed = seed
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base at the camera's stamps."""
-        camera = self.camera or next(iter(sequence.cameras), "")
-        if camera not in sequence.cameras:
-            raise MethodError(
-                f"gtsam_vi: sequence {sequence.name} has no camera {camera!r}; cameras: "
-                f"{', '.join(sequence.cameras) or 'none'}"
-            )
-        front_end = FrontEnd(sequence.cameras[camera], self.settings)
-        estimator = Estimator(sequence.cameras[camera], sequence.imu_calibration, self.settings)
+        camera, second = self._cameras(sequence)
+        front_end = FrontEnd(sequence.cameras[camera], self.settings, self.seed)
+        right = None if second is None else sequence.cameras[second]
+        matcher = None if right is None else StereoMatcher(sequence.cameras[camera], right, self.settings)
+        estimator = Estimator(sequence.cameras[camera], sequence.imu_calibration, self.settings, right)
         R_imu_cam = estimator.model.T_imu_cam[:3, :3]
         samples = SampleBuffer()
-        for item in sequence.stream(camera):
+        cameras = [camera] if second is None else [camera, second]
+        for item in pairs(sequence.stream(*cameras), camera, second, self.settings.stereo_stamp_s):
             if isinstance(item, ImuSample):
                 samples.add(item)
                 continue
-            segment = samples.cut(item.stamp_ns)
+            image, other = item
+            segment = samples.cut(image.stamp_ns)
             turn = R_imu_cam.T @ relative_rotation(segment, estimator.gyro_bias) @ R_imu_cam
-            tracks = front_end.track(item.pixels, turn)
-            estimator.add_frame(item.stamp_ns, segment, tracks.ids, tracks.rays)
+            tracks = front_end.track(image.pixels, turn)
+            match = None
+            if matcher is not None and other is not None:
+                match = partial(_match, matcher, front_end, tracks, other)
+            estimator.add_frame(image.stamp_ns, segment, tracks.ids, tracks.rays, match)
         estimator.finish()
         trajectory = estimator.online() if self.output == "online" else estimator.smoothed()
-        info = {"trajectory": self.output, "camera": camera, **estimator.info}
+        info = {"trajectory": self.output, "cameras": cameras, **estimator.info}
         return Estimate(trajectory, {**info, "settings": dataclasses.asdict(self.settings)})
+
+    def _cameras(self, sequence: Sequence) -> tuple[str, str | None]:
+        """Names of the camera, and of the second."""
+        camera = self.camera or next(iter(sequence.cameras), "")
+        if camera not in sequence.cameras:
+            raise MethodError(
+                f"{self.name}: sequence {sequence.name} has no camera {camera!r}; cameras: "
+                f"{', '.join(sequence.cameras) or 'none'}"
+            )
+        if not self.stereo:
+            return camera, None
+        second = second_camera(sequence, camera, self.settings)
+        if second is None:
+            raise MethodError(
+                f"{self.name}: sequence {sequence.name} has no second camera that looks where {camera!r} looks; "
+                f"cameras: {', '.join(sequence.cameras)}; with one camera run gtsam_vi"
+            )
+        return camera, second
+
+
+class GtsamViStereo(GtsamVi):
+    """The same with the second camera of a stereo pair."""
+
+    name = "gtsam_vi_stereo"
+
+    def __init__(
+        self,
+        output: Literal["smoothed", "online"] = "smoothed",
+        camera: str | None = None,
+        settings: Settings | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(output, camera, settings, True, seed)
+
+
+def _match(matcher: StereoMatcher, front_end: FrontEnd, tracks: Tracks, other: Image) -> Array:
+    assert front_end.image is not None
+    return matcher.match(front_end.image, front_end.equalise(other.pixels), tracks)

@@ -23,6 +23,13 @@ class Settings:
     epipolar_error_px: float = 1.5  # of verified tracks, at a known rotation
     epipolar_trials: int = 64  # two-point hypotheses: 1e-6 chance to miss with half of the tracks wrong
 
+    # Second camera.
+    stereo_min_base_m: float = 0.01
+    stereo_max_angle_deg: float = 45.0  # between the axes; beyond, patches look too different
+    stereo_stamp_s: float = 1e-3  # frames so near in time were taken together
+    stereo_depths_m: tuple[float, ...] = (1.0, 2.0, 0.5, 5.0)  # tried first
+    stereo_error_px: float = 1.0  # from the epipolar line
+
     # Key frames.
     keyframe_parallax_px: float = 22.0  # median flow without its rotational part
     keyframe_shared: float = 0.55  # share of the last key frame's tracks that must be left
@@ -54,6 +61,8 @@ class Settings:
     init_min_tracks: int = 15
     init_gates_px: tuple[float, ...] = (30.0, 6.0, 3.0)  # of landmarks, from rough states to adjusted ones
     init_retry_s: float = 0.5
+    init_stereo_s: float = 0.5  # with two cameras the scale is known at once, and this much finds up
+    init_stereo_keyframes: int = 3
     init_scale_sigma: float = 0.03  # accepted 1-sigma uncertainty of scale
     init_relaxed_scale_sigma: float = 1.0  # at the end of the sequence: a rough scale beats dead reckoning
     init_max_error_px: float = 2.0  # median reprojection error of an accepted window
@@ -98,6 +107,7 @@ class Settings:
     loop_heading_floor: float = 0.002  # rad, 1 sigma: of landmarks and window, added to each loop
     loop_floor_m: float = 0.01  # likewise
     loop_iterations: int = 2
+    merge_px: float = 1.5  # a landmark found again this near a track is that track
 
     # Divergence.
     max_speed: float = 8.0  # m/s; beyond any vehicle meant here

@@ -7,6 +7,8 @@ among them, so that no measurement is used twice and none is dropped.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
@@ -14,6 +16,14 @@ from gtsam.symbol_shorthand import B, L, V, X
 from oysterbench.geometry import Array
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
+
+
+class Sight(NamedTuple):
+    """A landmark seen: by which camera, along which ray (2,) at depth 1, in which key frame."""
+
+    keyframe: int
+    camera: int
+    ray: Array
 
 
 class Window:
@@ -27,7 +37,7 @@ class Window:
         params.setRelativeErrorTol(1e-3)
         # The smoother's clock counts key frames: at rest they are seconds apart, in motion a tenth of one.
         self._smoother = gtsam.BatchFixedLagSmoother(float(settings.lag_keyframes), params)
-        self._observations: dict[int, list[tuple[int, Array]]] = {}
+        self._observations: dict[int, list[Sight]] = {}
         self._landmarks = {int(i) for i in bundle.landmarks}
         self._rejected: set[int] = set()
         for keyframe in keyframes:
@@ -39,7 +49,7 @@ class Window:
             for key in (X, V, B):
                 stamps[key(keyframe.index)] = float(keyframe.index)
         for landmark in self._landmarks:
-            stamps[L(landmark)] = float(self._observations[landmark][-1][0])
+            stamps[L(landmark)] = float(self._observations[landmark][-1].keyframe)
         stamps |= dict.fromkeys(model.shared(), float(last))
         self._smoother.update(bundle.graph, bundle.values, stamps)
         self._read(keyframes, last)
@@ -63,8 +73,9 @@ class Window:
         self._see_first(keyframes, graph, values, stamps)
         self._smoother.update(graph, values, stamps)
         self._read(keyframes, k)
-        self._landmarks = {i for i in self._landmarks if self._observations[i][-1][0] > k - self._lag}
-        self._observations = {i: o for i, o in self._observations.items() if o[-1][0] > k - self._lag}
+        self._landmarks = {i for i in self._landmarks if self._observations[i][-1].keyframe > k - self._lag}
+        self._observations = {i: o for i, o in self._observations.items() if o[-1].keyframe > k - self._lag}
+        self._rejected &= self._observations.keys()
 
     def joint(self, keys: list[int]) -> tuple[gtsam.Values, gtsam.JointMarginal]:
         """The estimate, and the joint covariance of some of its variables."""
@@ -76,29 +87,30 @@ class Window:
         return self.model.settings.lag_keyframes
 
     def _remember(self, keyframe: Keyframe) -> None:
-        for landmark, ray in zip(keyframe.view.ids, keyframe.view.rays, strict=True):
-            self._observations.setdefault(int(landmark), []).append((keyframe.index, ray))
+        for landmark, ray, camera in zip(*keyframe.view.sights(), strict=True):
+            self._observations.setdefault(int(landmark), []).append(Sight(keyframe.index, int(camera), ray))
 
     def _see_again(self, keyframe: Keyframe, graph: gtsam.NonlinearFactorGraph, stamps: dict[int, float]) -> None:
         """Views of landmarks in the window; those far from the prediction have slid off their point."""
         settings = self.model.settings
-        known = [n for n, i in enumerate(keyframe.view.ids) if int(i) in self._landmarks]
+        ids, rays, cameras = keyframe.view.sights()
+        known = [n for n, i in enumerate(ids) if int(i) in self._landmarks]
         if not known:
             self.lost_share = 0.0
             return
-        points = np.array([self._points[int(i)] for i in keyframe.view.ids[known]])
-        errors = self.model.errors_px(keyframe.state.matrix, points, keyframe.view.rays[known])
+        points = np.array([self._points[int(i)] for i in ids[known]])
+        errors = self.model.errors_px(keyframe.state.matrix, points, rays[known], cameras[known])
         # The prediction may be off as a whole, after a long time without tracks: judge against the crowd.
         limit = settings.max_slide_px + 2.0 * float(np.median(errors))
         self.lost_share = float(np.mean(errors > settings.max_slide_px))
-        for n, error in zip(known, errors, strict=True):
-            landmark = int(keyframe.view.ids[n])
-            if error > limit:
-                self._rejected.add(landmark)
-                self._landmarks.discard(landmark)
-                continue
-            graph.push_back(self.model.projection(keyframe.index, landmark, keyframe.view.rays[n]))
-            stamps[L(landmark)] = float(keyframe.index)
+        slid = {int(ids[n]) for n, error in zip(known, errors, strict=True) if error > limit}
+        self._rejected |= slid
+        self._landmarks -= slid
+        for n in known:
+            landmark = int(ids[n])
+            if landmark not in slid:
+                graph.push_back(self.model.projection(keyframe.index, landmark, rays[n], int(cameras[n])))
+                stamps[L(landmark)] = float(keyframe.index)
 
     def _see_first(
         self,
@@ -110,31 +122,34 @@ class Window:
         """Tracks that have come to have parallax become landmarks, with all their views in the window."""
         last = keyframes[-1].index
         oldest = max(keyframes[0].index, last - self._lag + 1)
-        track, index, rays = [], [], []
+        track: list[int] = []
+        sights: list[Sight] = []
         for i in keyframes[-1].view.ids:
             landmark = int(i)
             if landmark in self._landmarks or landmark in self._rejected:
                 continue
-            views = [(k, ray) for k, ray in self._observations[landmark] if k >= oldest]
-            if len(views) < self.model.settings.min_views:
-                continue
-            track += [landmark] * len(views)
-            index += [k for k, _ in views]
-            rays += [ray for _, ray in views]
+            seen = [sight for sight in self._observations[landmark] if sight.keyframe >= oldest]
+            # The epipolar check of a pair of cameras is the third view's.
+            if len(seen) >= self.model.settings.min_views or any(sight.camera for sight in seen):
+                track += [landmark] * len(seen)
+                sights += seen
         if not track:
             return
-        poses = {k: keyframes[k - keyframes[0].index].state.matrix for k in set(index)}
-        rows = np.array(track, dtype=np.int64)
+        poses = {k: keyframes[k - keyframes[0].index].state.matrix for k in {sight.keyframe for sight in sights}}
         ids, points = self.model.triangulate(
-            rows, np.array(rays), np.array([poses[k] for k in index]), self.model.settings.max_landmark_error_px
+            np.array(track, dtype=np.int64),
+            np.array([sight.ray for sight in sights]),
+            np.array([poses[sight.keyframe] for sight in sights]),
+            self.model.settings.max_landmark_error_px,
+            np.array([sight.camera for sight in sights]),
         )
         for landmark, point in zip(ids, points, strict=True):
             values.insert(L(int(landmark)), point)
             stamps[L(int(landmark))] = float(last)
             self._landmarks.add(int(landmark))
-        for landmark, k, ray in zip(track, index, rays, strict=True):
+        for landmark, sight in zip(track, sights, strict=True):
             if landmark in self._landmarks:
-                graph.push_back(self.model.projection(k, landmark, ray))
+                graph.push_back(self.model.projection(sight.keyframe, landmark, sight.ray, sight.camera))
 
     def _read(self, keyframes: list[Keyframe], last: int) -> None:
         """Write the smoother's estimate into the key frames."""

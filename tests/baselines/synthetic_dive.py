@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -25,7 +26,7 @@ def survey_pose(t: Array) -> Array:
     yaw = along + np.pi / 2 + np.radians(4) * np.sin(2 * np.pi * 0.13 * t)
     pitch = np.radians(3) * np.sin(2 * np.pi * 0.23 * t + 0.7)
     roll = np.radians(3) * np.sin(2 * np.pi * 0.31 * t + 0.2)
-    return _poses(radius * np.cos(along), radius * np.sin(along), z, yaw, pitch, roll)
+    return poses_of(radius * np.cos(along), radius * np.sin(along), z, yaw, pitch, roll)
 
 
 def resting_start_pose(t: Array) -> Array:
@@ -34,7 +35,7 @@ def resting_start_pose(t: Array) -> Array:
     return survey_pose(moving**2 / (moving + 1.5))
 
 
-def _poses(x: Array, y: Array, z: Array, yaw: Array, pitch: Array, roll: Array) -> Array:
+def poses_of(x: Array, y: Array, z: Array, yaw: Array, pitch: Array, roll: Array) -> Array:
     poses = np.zeros((len(x), 4, 4))
     poses[:, :3, :3] = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])).as_matrix()
     poses[:, :3, 3] = np.column_stack([x, y, z])
@@ -50,6 +51,12 @@ def camera_calibration() -> CameraCalibration:
     return CameraCalibration(640, 480, 20.0, matrix, np.zeros(4), transform(tilt @ optical, [0.18, 0, -0.02]))
 
 
+def right_calibration() -> CameraCalibration:
+    """A second camera, 12 cm to the right of the first."""
+    first = camera_calibration()
+    return dataclasses.replace(first, T_base_cam=first.T_base_cam @ transform(np.eye(3), [0.12, 0, 0]))
+
+
 def imu_calibration() -> ImuCalibration:
     """The unit of the rig bluerov2."""
     return ImuCalibration(
@@ -59,7 +66,10 @@ def imu_calibration() -> ImuCalibration:
 
 @dataclass(frozen=True)
 class Dive:
-    """stamps_ns (F,) of the frames; tracks: per frame ids (N,) and pixels (N, 2); truth T_map_base at the frames."""
+    """stamps_ns (F,) of the frames; tracks: per frame ids (N,) and pixels (N, 2); truth T_map_base at the frames.
+
+    right: per frame pixels (N, 2) of the same in `right_calibration()`'s picture, NaN outside it.
+    """
 
     camera: CameraCalibration
     inertial: ImuCalibration
@@ -67,6 +77,7 @@ class Dive:
     stamps_ns: np.ndarray
     tracks: list[tuple[np.ndarray, Array]]
     truth: Trajectory
+    right: list[Array]
 
     def stream(self) -> Iterator[ImuSample | tuple[int, np.ndarray, Array]]:
         """Samples and frames in time order, samples first at one stamp."""
@@ -100,9 +111,26 @@ def make_dive(
     poses = pose(times)
     points = generator.uniform([-7, -7, 0], [7, 7, 1], size=(6000, 3))
     points[:, 2] = -4.0 + 0.15 * np.sin(1.3 * points[:, 0]) * np.cos(1.7 * points[:, 1]) + 0.12 * points[:, 2] ** 2
-    tracks = list(_track(points, poses, times, camera, pixel_noise, blind, outliers, generator, most))
+    seen = list(_follow(points, poses, times, camera, pixel_noise, blind, outliers, generator, most))
+    tracks = [(ids, pixels) for ids, pixels, _ in seen]
+    noise = np.random.default_rng(seed + 1000)  # of its own: one camera sees the same with and without a second
+    right = [
+        _seen_by(right_calibration(), points[rows], T_map_base, pixel_noise, noise)
+        for T_map_base, (_, _, rows) in zip(poses, seen, strict=True)
+    ]
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-    return Dive(camera, inertial, samples, stamps, tracks, Trajectory(stamps, poses[:, :3, 3].copy(), quaternions))
+    truth = Trajectory(stamps, poses[:, :3, 3].copy(), quaternions)
+    return Dive(camera, inertial, samples, stamps, tracks, truth, right)
+
+
+def _seen_by(camera: CameraCalibration, points: Array, T_map_base: Array, noise: float, generator) -> Array:
+    """Noisy pixels (N, 2) of points (N, 3); NaN where they are not in the picture."""
+    seen = points @ invert(T_map_base @ camera.T_base_cam)[:3, :3].T + invert(T_map_base @ camera.T_base_cam)[:3, 3]
+    pixels = (seen / np.maximum(seen[:, 2:], 1e-3) @ camera.matrix.T)[:, :2]
+    pixels += generator.normal(size=pixels.shape) * noise
+    inside = (pixels > 5).all(axis=1) & (pixels < [camera.width - 6, camera.height - 6]).all(axis=1)
+    inside &= seen[:, 2] > 0.3
+    return np.where(inside[:, None], pixels, np.nan)
 
 
 def inertial_samples(
@@ -134,8 +162,14 @@ def inertial_samples(
     return [ImuSample(int(s), g, f) for s, g, f in zip(stamps, gyro, force, strict=True)]
 
 
-def _track(points, poses, times, camera, pixel_noise, blind, outliers, generator, most, life_s=2.5):
-    """Per frame, ids and noisy pixels of the points followed: white noise, a slow drift, loss after a random time."""
+def _track(*arguments, **keywords):
+    """Per frame, ids and noisy pixels of the points followed."""
+    return ((ids, pixels) for ids, pixels, _ in _follow(*arguments, **keywords))
+
+
+def _follow(points, poses, times, camera, pixel_noise, blind, outliers, generator, most, life_s=2.5):
+    """Per frame, ids, noisy pixels and rows of the points followed: white noise, a slow drift, loss after a random
+    time."""
     live: dict[int, list] = {}  # point -> [track id, drift, slide]
     next_id = 0
     for t, T_map_base in zip(times, poses, strict=True):
@@ -152,10 +186,12 @@ def _track(points, poses, times, camera, pixel_noise, blind, outliers, generator
             slide = generator.normal(size=2) * 2.0 if generator.random() < outliers else np.zeros(2)
             live[p] = [next_id, np.zeros(2), slide]
             next_id += 1
-        ids, rows = [], []
+        ids, rows, which = [], [], []
         for p, state in live.items():
+            which.append(p)
             state[1] = state[1] + generator.normal(size=2) * 0.02 + state[2]
             ids.append(state[0])
             rows.append(pixels[p, :2] + state[1] + generator.normal(size=2) * pixel_noise)
         order = np.argsort(ids)
-        yield np.array(ids, dtype=np.int64)[order], np.array(rows).reshape(-1, 2)[order]
+        points_of = np.array(which, dtype=np.int64)
+        yield np.array(ids, dtype=np.int64)[order], np.array(rows).reshape(-1, 2)[order], points_of[order]

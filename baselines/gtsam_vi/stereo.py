@@ -1,0 +1,132 @@
+"""A second camera: which one, frames that were taken together, and the tracked corners found in its picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array, invert
+from oysterbench.samples import Image
+from oysterbench.sequence.types import CameraCalibration, ImuSample, Sequence
+from oysterbench_baselines.gtsam_vi.frontend import Tracks, distort, follow, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.settings import Settings
+
+
+def second_camera(sequence: Sequence, first: str, settings: Settings) -> str | None:
+    """A camera beside the first that looks where it looks; None if there is none."""
+    T_first_base = invert(sequence.cameras[first].T_base_cam)
+    for name, camera in sequence.cameras.items():
+        T_first_second = T_first_base @ camera.T_base_cam
+        angle = np.degrees(np.arccos(np.clip(T_first_second[2, 2], -1, 1)))
+        base = float(np.linalg.norm(T_first_second[:3, 3]))
+        if name != first and settings.stereo_min_base_m < base and angle < settings.stereo_max_angle_deg:
+            return name
+    return None
+
+
+def pairs(
+    stream: Iterator[ImuSample | Image], first: str, second: str | None, tolerance_s: float
+) -> Iterator[ImuSample | tuple[Image, Image | None]]:
+    """The stream with each frame of the first camera, and that of the second taken with it where there is one."""
+    waiting: Image | None = None  # of the first camera
+    other: Image | None = None  # the latest of the second
+    tolerance = tolerance_s * 1e9
+    for item in stream:
+        if waiting is not None and item.stamp_ns - waiting.stamp_ns > tolerance:
+            yield waiting, None
+            waiting = None
+        if isinstance(item, ImuSample):
+            yield item
+        elif item.camera == first:
+            if waiting is not None:  # two of the first camera within the tolerance
+                yield waiting, None
+            if second is None or (other is not None and item.stamp_ns - other.stamp_ns <= tolerance):
+                yield item, other
+                waiting = None
+            else:
+                waiting = item
+        elif waiting is not None:
+            yield waiting, item
+            waiting = None
+        else:
+            other = item
+    if waiting is not None:
+        yield waiting, None
+
+
+class StereoMatcher:
+    """Finds the corners of the first camera's picture in that of the second.
+
+    Lucas-Kanade, begun where the corner would be at the depth it had in the last pair, or, of a new one, on the plane
+    that fits those depths: a reef is flat to first order, and inverse depth is linear in the picture of a plane.
+    """
+
+    def __init__(self, first: CameraCalibration, second: CameraCalibration, settings: Settings) -> None:
+        self.second = second
+        self.settings = settings
+        self._T_second_first = invert(second.T_base_cam) @ first.T_base_cam
+        self._focal = float(second.matrix[0, 0] + second.matrix[1, 1]) / 2
+        self._known: dict[int, float] = {}  # inverse depth, 1/m, of tracks in the last pair
+        self._plane: Array | None = None  # inverse depth = plane @ (x, y, 1), of the last pair
+
+    def match(self, first: NDArray[np.uint8], second: NDArray[np.uint8], tracks: Tracks) -> Array:
+        """Rays (N, 2) of the second camera at depth 1 to the tracks; NaN where it does not see them.
+
+        first, second (H, W): both pictures as the front end equalised them.
+        """
+        found = np.full((len(tracks.ids), 2), np.nan)
+        if len(tracks.ids) == 0:
+            return found
+        best, inverse = np.zeros(len(tracks.ids), dtype=bool), np.zeros(len(tracks.ids))
+        for guess in self._guesses(tracks):
+            end, good = follow(first, second, tracks.pixels, self._project(tracks.rays, guess), self.settings)
+            rays = undistort(end, self.second)
+            depths, error = self._triangulate(tracks.rays, rays)
+            good &= error < self.settings.stereo_error_px
+            good &= (depths > 1 / self.settings.max_depth_m) & (depths < 1 / self.settings.min_depth_m)
+            if good.sum() > best.sum():
+                best, inverse = good, depths
+                found[:] = np.nan
+                found[good] = rays[good]
+        self._known = dict(zip(tracks.ids[best].tolist(), inverse[best].tolist(), strict=True))
+        self._plane = _fit_plane(tracks.rays[best], inverse[best])
+        return found
+
+    def _guesses(self, tracks: Tracks) -> list[Array]:
+        """Inverse depths (N,) to begin at: one set once there is a plane, several while there is none."""
+        if self._plane is None:
+            return [np.full(len(tracks.ids), 1 / depth) for depth in self.settings.stereo_depths_m]
+        limits = 1 / self.settings.max_depth_m, 1 / (2 * self.settings.min_depth_m)
+        on_plane = np.clip(homogeneous(tracks.rays) @ self._plane, *limits)
+        return [np.array([self._known.get(int(i), p) for i, p in zip(tracks.ids, on_plane, strict=True)])]
+
+    def _project(self, rays: Array, inverse: Array) -> Array:
+        """Pixels (N, 2) in the second camera of rays (N, 2) of the first at inverse depths (N,)."""
+        seen = homogeneous(rays) @ self._T_second_first[:3, :3].T + inverse[:, None] * self._T_second_first[:3, 3]
+        return distort(seen[:, :2] / np.maximum(seen[:, 2:], 0.1), self.second)
+
+    def _triangulate(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Inverse depths (N,) along rays of the first camera, and distances (N,) px from their epipolar lines."""
+        turned = homogeneous(first) @ self._T_second_first[:3, :3].T
+        base = self._T_second_first[:3, 3]
+        # (turned + inverse base) projects to `second`: two equations, linear in the inverse depth.
+        slope = base[:2] - second * base[2]
+        offset = second * turned[:, 2:] - turned[:, :2]
+        length = np.maximum(np.einsum("ni,ni->n", slope, slope), 1e-18)
+        inverse = np.einsum("ni,ni->n", slope, offset) / length
+        away = offset[:, 0] * slope[:, 1] - offset[:, 1] * slope[:, 0]
+        depth = np.maximum(turned[:, 2] + inverse * base[2], 1e-6)
+        return inverse, np.abs(away) / np.sqrt(length) / depth * self._focal
+
+
+def _fit_plane(rays: Array, inverse: Array) -> Array | None:
+    """(3,) of inverse depth = plane @ (x, y, 1), by least squares without the worst fifth; None from too few."""
+    if len(rays) < 10:
+        return None
+    places = homogeneous(rays)
+    plane = np.linalg.lstsq(places, inverse, rcond=None)[0]
+    error = np.abs(places @ plane - inverse)
+    kept = error <= np.quantile(error, 0.8)
+    return np.linalg.lstsq(places[kept], inverse[kept], rcond=None)[0]

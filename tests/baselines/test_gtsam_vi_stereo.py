@@ -1,0 +1,149 @@
+"""What a second camera adds to the visual-inertial baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import pytest
+import synthetic_dive as dive
+
+from oysterbench.errors import MethodError
+from oysterbench.geometry import Array, align_yaw, invert
+from oysterbench.samples import Image
+from oysterbench.sequence.types import ImuSample
+from oysterbench.trajectory import Trajectory
+from oysterbench_baselines.common.inertial import SampleBuffer
+from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo, Settings
+from oysterbench_baselines.gtsam_vi.estimator import Estimator
+from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs
+
+
+def estimate(measured: dive.Dive, blind_right: bool = False) -> Estimator:
+    """Everything behind the front end, run on the tracks of both cameras."""
+    camera = dive.right_calibration()
+    estimator = Estimator(measured.camera, measured.inertial, Settings(), camera)
+    samples, frame = SampleBuffer(), 0
+    for item in measured.stream():
+        if isinstance(item, ImuSample):
+            samples.add(item)
+            continue
+        stamp, ids, pixels = item
+        right = np.full((len(ids), 2), np.nan) if blind_right else undistort(measured.right[frame], camera)
+        rays = undistort(pixels, measured.camera)
+        estimator.add_frame(stamp, samples.cut(stamp), ids, rays, lambda right=right: right)
+        frame += 1
+    estimator.finish()
+    return estimator
+
+
+def position_error(truth: Trajectory, trajectory: Trajectory) -> float:
+    """RMSE (m) after alignment in yaw and translation; never in scale."""
+    known = truth.at(trajectory.stamps_ns)
+    aligned = align_yaw(known.positions, trajectory.positions).apply(trajectory.positions)
+    return float(np.sqrt(np.mean(np.sum((aligned - known.positions) ** 2, axis=1))))
+
+
+def transect_pose(t: Array) -> Array:
+    """Straight ahead at 0.4 m/s without the least sway: one camera cannot tell its scale."""
+    return dive.poses_of(0.4 * t, 0 * t, -3 + 0 * t, 0 * t, 0 * t, 0 * t)
+
+
+def test_a_steady_straight_transect_has_its_length():
+    measured = dive.make_dive(0, duration_s=10.0, pose=transect_pose)
+    estimator = estimate(measured)
+    assert estimator.info["init_s"] < 1.5
+    for trajectory in (estimator.online(), estimator.smoothed()):
+        assert np.linalg.norm(trajectory.positions[-1] - trajectory.positions[0]) == pytest.approx(4.0, abs=0.02)
+
+
+def test_it_starts_at_rest_and_holds_its_place():
+    measured = dive.make_dive(1, duration_s=4.0, pose=lambda t: dive.survey_pose(0 * t))
+    estimator = estimate(measured)
+    assert estimator.info["initialised"] == 1
+    positions = estimator.online().positions
+    assert np.abs(positions - positions[0]).max() < 0.02
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_dive_is_recovered_to_a_thousandth_of_its_path(seed):
+    measured = dive.make_dive(seed)
+    estimator = estimate(measured)
+    for trajectory in (estimator.online(), estimator.smoothed()):
+        assert position_error(measured.truth, trajectory) < 0.001 * measured.truth.path_length
+
+
+def test_a_second_camera_that_sees_nothing_leaves_the_first_to_do_it():
+    measured = dive.make_dive(0)
+    assert position_error(measured.truth, estimate(measured, blind_right=True).smoothed()) < 0.003 * 10.0
+
+
+class Bottom:
+    """Pictures of a textured plane, by homography, seen by a camera of the synthetic dive."""
+
+    def __init__(self, seed: int = 0) -> None:
+        noise = np.random.default_rng(seed).normal(size=(1400, 1400)).astype(np.float32)
+        texture = cv2.GaussianBlur(noise, (0, 0), 1.5) * 2 + cv2.GaussianBlur(noise, (0, 0), 5) * 4
+        self.texture = np.clip(110 + 40 * texture, 0, 255).astype(np.uint8)
+
+    def seen(self, calibration, T_map_base: Array) -> np.ndarray:
+        """(480, 640) grey. Texels of 1 cm, the first at x = y = -7 m, 4 m under the surface."""
+        on_plane = np.array([[0.01, 0, -7], [0, 0.01, -7], [0, 0, -4], [0, 0, 1]])
+        homography = calibration.matrix @ (invert(T_map_base @ calibration.T_base_cam) @ on_plane)[:3]
+        return cv2.warpPerspective(self.texture, homography, (calibration.width, calibration.height))
+
+
+def test_corners_are_found_in_the_second_picture_to_a_fraction_of_a_pixel():
+    first, second, bottom, settings = dive.camera_calibration(), dive.right_calibration(), Bottom(), Settings()
+    pose = dive.survey_pose(np.array([1.0]))[0]
+    front_end, matcher = FrontEnd(first, settings), StereoMatcher(first, second, settings)
+    tracks = front_end.track(bottom.seen(first, pose), np.eye(3))
+    T_map_first = pose @ first.T_base_cam
+    directions = homogeneous(tracks.rays) @ T_map_first[:3, :3].T
+    points = T_map_first[:3, 3] + directions * ((-4 - T_map_first[2, 3]) / directions[:, 2])[:, None]
+    seen = (points - (pose @ second.T_base_cam)[:3, 3]) @ (pose @ second.T_base_cam)[:3, :3]
+    expected = seen[:, :2] / seen[:, 2:]
+    inside = (np.abs(expected @ np.diag([second.matrix[0, 0], second.matrix[1, 1]])) < [300, 220]).all(axis=1)
+    for _ in range(2):  # without and with the depths of the last pair
+        found = matcher.match(front_end.image, front_end.equalise(bottom.seen(second, pose)), tracks)
+        matched = np.isfinite(found[:, 0])
+        assert matched[inside].mean() > 0.8
+        error = np.linalg.norm(found - expected, axis=1)[matched] * second.matrix[0, 0]
+        assert np.median(error) < 0.25
+        assert np.quantile(error, 0.95) < 1.0  # along the epipolar line nothing tells a wrong one
+
+
+def test_another_picture_has_no_matches():
+    first, second, settings = dive.camera_calibration(), dive.right_calibration(), Settings()
+    pose = dive.survey_pose(np.array([1.0]))[0]
+    front_end, matcher = FrontEnd(first, settings), StereoMatcher(first, second, settings)
+    tracks = front_end.track(Bottom(0).seen(first, pose), np.eye(3))
+    found = matcher.match(front_end.image, front_end.equalise(Bottom(7).seen(second, pose)), tracks)
+    assert np.isfinite(found[:, 0]).mean() < 0.05
+
+
+def item(camera: str, ms: int) -> Image:
+    return Image(ms * 1_000_000, camera, np.zeros((2, 2), dtype=np.uint8))
+
+
+def test_frames_are_paired_by_their_stamps_in_whichever_order_they_come():
+    sample = ImuSample(15_000_000, np.zeros(3), np.zeros(3))
+    order: Iterator = iter(
+        [item("l", 0), item("r", 0), sample, item("r", 20), item("l", 20), item("l", 40), item("l", 60)]
+    )
+    found = list(pairs(order, "l", "r", 1e-3))
+    assert [type(row) for row in found] == [tuple, ImuSample, tuple, tuple, tuple]
+    frames = [row for row in found if isinstance(row, tuple)]
+    assert [(a.stamp_ns // 1_000_000, b and b.stamp_ns // 1_000_000) for a, b in frames] == [
+        (0, 0), (20, 20), (40, None), (60, None),
+    ]  # fmt: skip
+
+
+def test_without_a_second_camera_it_says_so():
+    from test_gtsam_vi import FlatBottom
+
+    with pytest.raises(MethodError, match=r"gtsam_vi_stereo: .*no second camera.*run gtsam_vi"):
+        GtsamViStereo().run(FlatBottom(0.1).for_method())
+    assert GtsamVi(stereo=True).stereo
