@@ -69,13 +69,7 @@ class ClipScorer:
         if estimate.probability is not None:
             asked = None if truth.ignore is None else ~truth.ignore
             self._histogram += histogram(estimate.probability, truth.oyster, asked)
-        self._kinds.add(
-            "probabilities"
-            if estimate.probability is not None
-            else "masks"
-            if estimate.oyster is not None
-            else "classes"
-        )
+        self._kinds.add(estimate.kind)
         if len(self._kinds) > 1:
             raise LabelError(f"{truth.name}: expected estimates of one kind, got {' and '.join(sorted(self._kinds))}")
         self._tally = add([self._tally, tally])

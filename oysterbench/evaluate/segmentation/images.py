@@ -26,6 +26,7 @@ class TruthImage:
     depth_m:    (H, W) float32, m along the optical axis, 0 = none; None where it is not known
     instances:  (H, W) uint16, which oyster (or other thing) a pixel shows, 0 = none; None where it is not known
     heights_mm: shell height of each instance by its number (N,), NaN where it has none; None where it is not known
+    footprint_m2: how much of the seabed, seen from above, is in the image; None where it is not known
     """
 
     name: str
@@ -35,6 +36,7 @@ class TruthImage:
     depth_m: NDArray[np.float32] | None = None
     instances: NDArray[np.uint16] | None = None
     heights_mm: NDArray[np.float64] | None = None
+    footprint_m2: float | None = None
 
     @property
     def oyster(self) -> NDArray[np.bool_]:
@@ -78,6 +80,11 @@ class EstimateImage:
         if unknown:
             known = ", ".join(f"{number} {name}" for number, name in CLASSES.items())
             raise LabelError(f"{self.name}: unknown class {unknown[0]}; known classes: {known}")
+
+    @property
+    def kind(self) -> str:
+        """What is given, in a word."""
+        return "probabilities" if self.probability is not None else "masks" if self.oyster is not None else "classes"
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -95,26 +95,21 @@ SEGMENTATION: dict[str, Metric] = {
 """Metrics of the segmentation track by their key."""
 
 _STRATA = {
-    r"iou_range_([\w.]+)": (
-        "higher",
-        "IoU of the class oyster where the seabed is {} away along the optical axis.",
-        "m",
-    ),
-    r"recall_height_([\w.]+)": ("higher", "Recall of the pixels of oysters whose shell is {} high.", "mm"),
-    r"recall_area_([\w.]+)": ("higher", "Recall of the pixels of oysters of which {} are visible.", "px"),
+    r"iou_range_([\w.]+)": ("IoU of the class oyster where what is seen is {} away along the optical axis.", "m"),
+    r"recall_height_([\w.]+)": ("Recall of the pixels of oysters whose shell is {} high.", "mm"),
+    r"recall_area_([\w.]+)": ("Recall of the pixels of oysters of which {} are visible.", "px"),
 }
 
 
 def find_segmentation(key: str) -> Metric | None:
     """Metrics of single classes, and of classes of range and size."""
-    for pattern, (_, definition, unit) in _STRATA.items():
+    for pattern, (definition, unit) in _STRATA.items():
         if match := re.fullmatch(pattern, key):
             name = class_text(match[1], unit)
             short = ("IoU, " if key.startswith("iou") else "Recall, ") + name
             return Metric("", "higher", definition.format(name), short, f"weight_{key}_px")
-    if match := re.fullmatch(r"iou_(\w+)", key):
-        if match[1] in CLASSES.values():
-            return Metric("", "higher", f"IoU of the class {match[1]} over the data set.", f"IoU, {match[1]}")
+    if (match := re.fullmatch(r"iou_(\w+)", key)) and match[1] in CLASSES.values():
+        return Metric("", "higher", f"IoU of the class {match[1]} over the data set.", f"IoU, {match[1]}")
     if match := re.fullmatch(r"weight_(.+)_px", key):
         return Metric("px", "", f"Pixels that {match[1]} is taken over.", f"Pixels of {match[1]}")
     return None

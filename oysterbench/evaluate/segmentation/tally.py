@@ -72,8 +72,8 @@ def _tally_boundary(
     if asked is not None:
         both, either = both & asked, either & asked
     return {
-        "boundary_intersection_px": np.count_nonzero(both),
-        "boundary_union_px": np.count_nonzero(either),
+        "boundary_intersection_px": int(np.count_nonzero(both)),
+        "boundary_union_px": int(np.count_nonzero(either)),
     }
 
 

@@ -1,0 +1,146 @@
+"""Scoring the oysters of a clip, and of a data set of clips."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oysterbench.errors import LabelError
+from oysterbench.evaluate.detection.counting import ImageCount, count, count_metrics
+from oysterbench.evaluate.detection.instances import ImageInstances
+from oysterbench.evaluate.detection.matching import Kind, Matches, match
+from oysterbench.evaluate.detection.panoptic import PanopticCounts, panoptic
+from oysterbench.evaluate.detection.precision import PrecisionCurve, average_precision, join
+from oysterbench.evaluate.detection.settings import DetectionSettings
+from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
+from oysterbench.geometry import Array
+
+NO_TRUTH = "there is no such oyster in the truth"
+NO_MASKS = "the estimate has boxes, and no masks"
+NOTHING = "there is neither an oyster nor an estimate of one"
+NO_MATCH = "no estimate matches an oyster"
+RESAMPLES = 1000  # for the interval of AP: each is a curve of its own
+
+
+@dataclass(frozen=True)
+class DetectionClip:
+    """What scoring a clip gives: metrics by keys of `DETECTION`, NaN with a reason; and what they are made of.
+
+    matches: by kind ("box", "mask") and the names of `matching.AREAS`; curve: precision (101,) of masks, or boxes
+    where there are no masks, at the overlap 0.5 and the recalls of `precision.RECALLS`
+    """
+
+    metrics: Mapping[str, float]
+    reasons: Mapping[str, str]
+    matches: Mapping[str, Mapping[str, Matches]]
+    counts: tuple[ImageCount, ...]
+    panoptic: PanopticCounts | None
+    curve: Array
+    settings: DetectionSettings
+
+
+class DetectionScorer:
+    """Takes image after image of a clip; run lengths and numbers are kept, no pixels."""
+
+    def __init__(self, settings: DetectionSettings | None = None) -> None:
+        self.settings = settings or DetectionSettings()
+        self._truths: list[ImageInstances] = []
+        self._estimates: list[ImageInstances] = []
+
+    def add(self, truth: ImageInstances, estimate: ImageInstances) -> None:
+        """Take an image. Raises LabelError where both are not of one image and size, or scores are not numbers."""
+        if truth.name != estimate.name:
+            raise LabelError(f"expected the estimate of image {truth.name}, got that of {estimate.name}")
+        if (truth.height, truth.width) != (estimate.height, estimate.width):
+            raise LabelError(
+                f"{truth.name}: expected an estimate of the truth's size, {truth.width} x {truth.height}, got "
+                f"{estimate.width} x {estimate.height}"
+            )
+        for k, one in enumerate(estimate.instances):
+            if not math.isfinite(one.score):
+                raise LabelError(f"{truth.name}: instance {k}: expected a score, got {one.score}")
+        self._truths.append(truth)
+        self._estimates.append(estimate)
+
+    def result(self) -> DetectionClip:
+        """Of all images so far. Raises LabelError where there is none."""
+        if not self._truths:
+            raise LabelError("expected at least one image to score, got none")
+        said = [one for image in self._estimates for one in image.instances]
+        masks = all(one.mask is not None for one in said) and all(
+            one.mask is not None for image in self._truths for one in image.instances
+        )
+        kinds: tuple[Kind, ...] = ("mask", "box") if masks else ("box",)
+        most = self.settings.max_detections
+        matches: dict[str, Mapping[str, Matches]] = {
+            kind: match(self._truths, self._estimates, kind, most) for kind in kinds
+        }
+        pairs = list(zip(self._truths, self._estimates, strict=True))
+        threshold = self.settings.threshold
+        quality = sum((panoptic(*pair, threshold) for pair in pairs), PanopticCounts()) if masks else None
+        return finish(matches, tuple(count(*pair, threshold) for pair in pairs), quality, self.settings)
+
+
+def finish(
+    matches: Mapping[str, Mapping[str, Matches]],
+    counts: tuple[ImageCount, ...],
+    quality: PanopticCounts | None,
+    settings: DetectionSettings,
+) -> DetectionClip:
+    """The result of matches and counts."""
+    metrics: dict[str, float] = {}
+    reasons: dict[str, str] = {}
+    curve = np.full(101, np.nan)
+    for kind in ("mask", "box"):
+        if kind not in matches:
+            missing = [*(f"ap{part}_{kind}" for part in ("", "50", "75", "_small", "_medium", "_large")), f"ar_{kind}"]
+            metrics |= dict.fromkeys(missing, math.nan)
+            reasons |= dict.fromkeys(missing, NO_MASKS)
+            continue
+        for area, found in matches[kind].items():
+            precision, recall = PrecisionCurve([found]).at()
+            if area == "all":
+                metrics[f"ap_{kind}"] = average_precision(precision)
+                metrics[f"ap50_{kind}"] = average_precision(precision, 0.5)
+                metrics[f"ap75_{kind}"] = average_precision(precision, 0.75)
+                metrics[f"ar_{kind}"] = float(recall.mean())
+                curve = precision[0] if np.isnan(curve).all() else curve
+            else:
+                metrics[f"ap_{area}_{kind}"] = average_precision(precision)
+    for key, value in metrics.items():
+        if math.isnan(value):
+            reasons.setdefault(key, NO_TRUTH)
+    of_counts, why = count_metrics(counts)
+    names = ("pq", "sq", "rq")
+    values = quality.quality if quality is not None else (math.nan,) * 3
+    for key, value in zip(names, values, strict=True):
+        if math.isnan(value):
+            why[key] = NO_MASKS if quality is None else NO_MATCH if key == "sq" and values[0] == 0 else NOTHING
+    metrics |= {**dict(zip(names, values, strict=True)), **of_counts, "images": float(len(counts))}
+    return DetectionClip(metrics, {**reasons, **why}, matches, counts, quality, curve, settings)
+
+
+def over_clips(clips: Sequence[DetectionClip]) -> tuple[DetectionClip, dict[str, Interval]]:
+    """The result over all clips, and intervals of AP by resampling clips, each with all its images."""
+    kinds = [kind for kind in ("mask", "box") if all(kind in clip.matches for clip in clips)]
+    matches = {
+        kind: {area: join([clip.matches[kind][area] for clip in clips]) for area in clips[0].matches[kind]}
+        for kind in kinds
+    }
+    parts = [clip.panoptic for clip in clips if clip.panoptic is not None]
+    quality = sum(parts, PanopticCounts()) if len(parts) == len(clips) else None
+    counts = tuple(one for clip in clips for one in clip.counts)
+    whole = finish(matches, counts, quality, clips[0].settings)
+    return whole, {f"ap_{kind}": _interval([clip.matches[kind]["all"] for clip in clips]) for kind in kinds}
+
+
+def _interval(clips: Sequence[Matches]) -> Interval:
+    drawn = resample_counts(len(clips))
+    if drawn is None:
+        return Interval(math.nan, math.nan, too_few(len(clips), "clip"))
+    curve = PrecisionCurve(clips)
+    values = np.array([average_precision(curve.at(times)[0]) for times in drawn[:RESAMPLES]])
+    return resampled_interval(values, len(clips))

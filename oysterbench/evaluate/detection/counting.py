@@ -1,0 +1,70 @@
+"""How many oysters there are: counts of images and clips against the truth's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oysterbench.evaluate.detection.instances import ImageInstances, mask_tools
+
+NO_FOOTPRINT = "it is not known how much of the seabed the images show"
+
+
+@dataclass(frozen=True)
+class ImageCount:
+    """Of one image: true and estimated number of oysters, and the seabed that it shows in m^2, NaN if unknown."""
+
+    name: str
+    truth: int
+    estimate: int
+    footprint_m2: float
+
+    @property
+    def error(self) -> int:
+        """Above 0 where there are too many."""
+        return self.estimate - self.truth
+
+
+def count(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> ImageCount:
+    """Estimates from a score on, without those that lie on crowd regions by more than half."""
+    crowds = [one for one in truth.instances if one.crowd]
+    said = [one for one in estimate.instances if one.score >= threshold]
+    if crowds and said:
+        tools = mask_tools()
+        boxes = any(one.mask is None for one in (*said, *crowds))
+        parts = [np.array([one.box for one in said])] if boxes else [[one.mask for one in said]]
+        regions = np.array([one.box for one in crowds]) if boxes else [tools.merge([one.mask for one in crowds])]
+        share = tools.iou(parts[0], regions, [True] * len(regions)).max(axis=1)
+        said = [one for one, on_crowd in zip(said, share, strict=True) if on_crowd <= 0.5]
+    footprint = math.nan if truth.footprint_m2 is None else truth.footprint_m2
+    return ImageCount(truth.name, len(truth.instances) - len(crowds), len(said), footprint)
+
+
+def count_metrics(counts: Sequence[ImageCount]) -> tuple[dict[str, float], dict[str, str]]:
+    """Metrics of a clip, and reasons for those that are NaN."""
+    errors = np.array([each.error for each in counts], dtype=float)
+    areas = np.array([each.footprint_m2 for each in counts])
+    metrics = {
+        "count_mae": float(np.abs(errors).mean()),
+        "count_rmse": float(np.sqrt((errors**2).mean())),
+        "count_bias": float(errors.mean()),
+        "count_truth": float(sum(each.truth for each in counts)),
+        "count_estimate": float(sum(each.estimate for each in counts)),
+    }
+    metrics["count_error"] = metrics["count_estimate"] - metrics["count_truth"]
+    known = ~np.isnan(areas) & (areas > 0)
+    if not known.any():
+        return {**metrics, "density_error_per_m2": math.nan, "density_mae_per_m2": math.nan}, {
+            "density_error_per_m2": NO_FOOTPRINT,
+            "density_mae_per_m2": NO_FOOTPRINT,
+        }
+    density = errors[known] / areas[known]
+    metrics["density_error_per_m2"] = float(errors[known].sum() / areas[known].sum())
+    metrics["density_mae_per_m2"] = float(np.abs(density).mean())
+    metrics["density_truth_per_m2"] = float(
+        sum(each.truth for each, k in zip(counts, known, strict=True) if k) / areas[known].sum()
+    )
+    return metrics, {}

@@ -1,0 +1,97 @@
+"""Single oysters in an image: the truth's, and what a method says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.errors import LabelError
+
+Runs = Mapping[str, Any]
+"""A mask as run lengths: `size` [H, W] and compressed `counts`, as pycocotools has them."""
+
+
+def mask_tools() -> Any:
+    """pycocotools' functions on masks. Raises LabelError where it is not installed."""
+    try:
+        from pycocotools import mask
+    except ImportError:
+        raise LabelError(
+            "single oysters are matched by pycocotools, which is not installed: pip install 'oysterbench[score]'"
+        ) from None
+    return mask
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One oyster.
+
+    box:   x, y, width, height in px
+    mask:  None where only the box is known
+    area:  px, by which COCO calls it small, medium or large
+    score: of an estimate, greater is surer; NaN of the truth
+    crowd: of the truth: a region that is to be ignored
+    """
+
+    box: tuple[float, float, float, float]
+    mask: Runs | None
+    area: float
+    score: float = math.nan
+    crowd: bool = False
+
+
+@dataclass(frozen=True)
+class ImageInstances:
+    """The oysters of one image, H x W px; footprint_m2: how much of the seabed, seen from above, it shows."""
+
+    name: str
+    height: int
+    width: int
+    instances: tuple[Instance, ...]
+    footprint_m2: float | None = None
+
+
+def from_mask(mask: NDArray[np.bool_], score: float = math.nan, crowd: bool = False) -> Instance:
+    """An instance of a mask (H, W) that has at least a pixel."""
+    tools = mask_tools()
+    runs = tools.encode(np.asfortranarray(mask.view(np.uint8)))
+    x, y, width, height = (float(value) for value in tools.toBbox(runs))
+    return Instance((x, y, width, height), runs, float(tools.area(runs)), score, crowd)
+
+
+def from_planes(
+    name: str,
+    numbers: NDArray[np.integer],
+    ignore: NDArray[np.bool_] | None = None,
+    footprint_m2: float | None = None,
+    scores: Mapping[int, float] | None = None,
+) -> ImageInstances:
+    """The instances of a plane (H, W) of numbers, 0 for none; scores: by number; ignore (H, W) becomes a crowd region.
+
+    Each is cut out of its box before it is encoded, as encoding the whole plane for each takes most of the time.
+    """
+    found = []
+    height, width = numbers.shape
+    for number, (top, left, part) in pieces(numbers).items():
+        whole = np.zeros((height, width), dtype=bool)
+        whole[top : top + part.shape[0], left : left + part.shape[1]] = part
+        found.append(from_mask(whole, math.nan if scores is None else scores[number]))
+    if ignore is not None and ignore.any():
+        found.append(from_mask(ignore, crowd=True))
+    return ImageInstances(name, height, width, tuple(found), footprint_m2)
+
+
+def pieces(numbers: NDArray[np.integer]) -> dict[int, tuple[int, int, NDArray[np.bool_]]]:
+    """Top, left and mask of each number of a plane (H, W) but 0, the mask cut to its box."""
+    from scipy.ndimage import find_objects
+
+    found = {}
+    for k, box in enumerate(find_objects(numbers.astype(np.int32)), start=1):
+        if box is not None:
+            found[k] = (box[0].start, box[1].start, numbers[box] == k)
+    return found

@@ -1,0 +1,62 @@
+"""What is measured of single oysters: name, unit, direction and definition of every metric."""
+
+from __future__ import annotations
+
+from oysterbench.evaluate.metric import Metric
+
+_AP = "average precision of {}: the mean over 101 recalls and the overlaps (IoU) 0.50, 0.55, ... 0.95 (COCO)"
+
+
+def _of(kind: str, what: str) -> dict[str, Metric]:
+    ap = _AP.format(what)
+    found = {f"ap_{kind}": Metric("", "higher", f"{ap[0].upper()}{ap[1:]}.", f"AP {kind}")}
+    for percent in (50, 75):
+        found[f"ap{percent}_{kind}"] = Metric(
+            "", "higher", f"As ap_{kind}, at the overlap 0.{percent} alone.", f"AP{percent} {kind}"
+        )
+    for size, area in (("small", "below 32^2"), ("medium", "of 32^2 to 96^2"), ("large", "above 96^2")):
+        found[f"ap_{size}_{kind}"] = Metric("", "higher", f"As ap_{kind}, of oysters {area} px.", f"AP {size} {kind}")
+    found[f"ar_{kind}"] = Metric(
+        "",
+        "higher",
+        f"Average recall of {what}: the share of oysters found by the surest max_detections of each image, mean over "
+        "the overlaps.",
+        f"AR {kind}",
+    )
+    return found
+
+
+DETECTION: dict[str, Metric] = {
+    **_of("mask", "masks"),
+    **_of("box", "boxes"),
+    "pq": Metric(
+        "",
+        "higher",
+        "Panoptic quality (Kirillov et al. 2019) of the class oyster: segmentation times recognition quality.",
+        "PQ",
+    ),
+    "sq": Metric("", "higher", "Segmentation quality: mean overlap of the matches, those above 0.5.", "SQ"),
+    "rq": Metric("", "higher", "Recognition quality: matches by the mean number of truths and estimates (F1).", "RQ"),
+    "count_mae": Metric("", "lower", "Mean over images of the absolute error of the number of oysters.", "Count MAE"),
+    "count_rmse": Metric("", "lower", "Root mean square over images of that error.", "Count RMSE"),
+    "count_bias": Metric("", "", "Mean over images of that error: above 0 where too many are counted.", "Count bias"),
+    "count_error": Metric("", "", "Estimated less true number of oysters over all images of the clip.", "Clip count"),
+    "count_truth": Metric("", "", "True number of oysters over all images of the clip.", "True count"),
+    "count_estimate": Metric("", "", "Estimated number of oysters over all images of the clip.", "Estimated count"),
+    "density_error_per_m2": Metric(
+        "per m\N{SUPERSCRIPT TWO}",
+        "",
+        "Error of the number of oysters over all images by the seabed, seen from above, that they show.",
+        "Density error",
+    ),
+    "density_mae_per_m2": Metric(
+        "per m\N{SUPERSCRIPT TWO}",
+        "lower",
+        "Mean over images of the absolute error of oysters on a square metre of seabed.",
+        "Density MAE",
+    ),
+    "density_truth_per_m2": Metric(
+        "per m\N{SUPERSCRIPT TWO}", "", "True number of oysters by the seabed that the images show.", "Density"
+    ),
+}
+"""Metrics of the detection track by their key."""

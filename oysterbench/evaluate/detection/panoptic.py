@@ -1,0 +1,79 @@
+"""Panoptic quality (Kirillov et al. 2019) of the class oyster, and which estimates are asked about at all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools
+
+OVERLAP = 0.5
+"""More than this, and a pair is a match; it is then the only one (Kirillov et al. 2019, section 4.1)."""
+
+
+@dataclass(frozen=True)
+class PanopticCounts:
+    """Sums over images: matches, their overlaps added, estimates and truths without a match."""
+
+    matched: int = 0
+    overlap: float = 0.0
+    extra: int = 0
+    missed: int = 0
+
+    def __add__(self, other: PanopticCounts) -> PanopticCounts:
+        return PanopticCounts(
+            self.matched + other.matched,
+            self.overlap + other.overlap,
+            self.extra + other.extra,
+            self.missed + other.missed,
+        )
+
+    @property
+    def quality(self) -> tuple[float, float, float]:
+        """Panoptic, segmentation and recognition quality; NaN without any truth or estimate (or match, for the 2nd)."""
+        whole = self.matched + 0.5 * (self.extra + self.missed)
+        return (
+            self.overlap / whole if whole else np.nan,
+            self.overlap / self.matched if self.matched else np.nan,
+            self.matched / whole if whole else np.nan,
+        )
+
+
+def paint(image: ImageInstances, chosen: list[Instance]) -> NDArray[np.int32]:
+    """(H, W) numbers from 1 of the chosen instances; where several lie on a pixel it is of the last."""
+    tools = mask_tools()
+    plane = np.zeros((image.height, image.width), dtype=np.int32)
+    for number, instance in enumerate(chosen, start=1):
+        plane[tools.decode(instance.mask).view(bool)] = number
+    return plane
+
+
+def panoptic(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> PanopticCounts:
+    """Counts of an image. Segments may not overlap: a pixel is of the surest estimate, and of the smallest truth.
+
+    Pixels of crowd regions are void: out of the union, and an unmatched estimate that lies on them by more than half
+    is no error (section 4.2).
+    """
+    true = sorted((one for one in truth.instances if not one.crowd), key=lambda one: -one.area)
+    said = sorted((one for one in estimate.instances if one.score >= threshold), key=lambda one: one.score)
+    truths, estimates = paint(truth, true), paint(estimate, said)
+    void = paint(truth, [one for one in truth.instances if one.crowd]) > 0
+    void &= truths == 0
+    n = len(said) + 1
+    pairs = np.bincount((truths * n + estimates).ravel(), minlength=(len(true) + 1) * n).reshape(-1, n)
+    on_void = np.bincount(estimates[void], minlength=n)
+    of_truth, of_estimate = pairs.sum(axis=1)[:, None], pairs.sum(axis=0)
+    union = of_truth + of_estimate - pairs - on_void
+    overlap = np.where(union > 0, pairs / np.maximum(union, 1), 0.0)[1:, 1:]
+    matches = overlap > OVERLAP
+    hidden = of_estimate[1:] == 0  # behind surer ones: it says nothing of its own
+    excused = (on_void[1:] > 0.5 * of_estimate[1:]) | hidden
+    seen = of_truth[1:, 0] > 0
+    return PanopticCounts(
+        int(matches.sum()),
+        float(overlap[matches].sum()),
+        int((~matches.any(axis=0) & ~excused).sum()),
+        int((~matches.any(axis=1) & seen).sum()),
+    )
