@@ -98,6 +98,8 @@ class GtsamFull:
             if estimator.frames and item.stamp_ns <= last_ns:
                 continue  # its place has been taken
             estimator.add_frame(item.stamp_ns, Segment.join(since_frame), ids, rays)
+            if isinstance(item, Image):
+                estimator.look(front_end.image)
             last_ns, since_frame = item.stamp_ns, []
         if latest_ns > last_ns:  # to the very end
             segment = samples.cut(latest_ns)

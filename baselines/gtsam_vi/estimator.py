@@ -19,6 +19,7 @@ from oysterbench_baselines.gtsam_vi.frontend import homogeneous
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model, adjust
 from oysterbench_baselines.gtsam_vi.inertial import extend, preintegrate
 from oysterbench_baselines.gtsam_vi.initialisation import View, closed_form_start, level_rotation
+from oysterbench_baselines.gtsam_vi.loops import LoopCloser
 from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.smoothing import smooth
 from oysterbench_baselines.gtsam_vi.states import (
@@ -64,6 +65,7 @@ class Estimator:
         self._anchor: State | None = None  # its state, when there was a start before
         self._good: tuple[int, State] | None = None  # the last key frame at which all was well, and its state then
         self._bad_keyframes = 0
+        self.loops = LoopCloser(self.camera, self.model, self.settings) if self.settings.loops else None
 
     @property
     def gyro_bias(self) -> Array:
@@ -91,7 +93,16 @@ class Estimator:
             predicted = self.keyframes[-1].state if self._window else None
         frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since))
         frame.online = predicted.matrix if predicted else None
+        frame.correction = None if self.loops is None else self.loops.correction
         self.frames.append(frame)
+
+    def look(self, picture: NDArray[np.uint8]) -> None:
+        """The equalised picture (H, W) of the last frame: places are known again by those of key frames."""
+        if self.loops is None:
+            return
+        if self.frames[-1].stamp_ns == self.keyframes[-1].stamp_ns:
+            self.loops.add_keyframe(self.keyframes, picture)
+        self.frames[-1].correction = self.loops.correction
 
     def _predict(self) -> State | None:
         if self._window is None:
@@ -278,6 +289,8 @@ class Estimator:
             self._try_to_start(self.settings.init_relaxed_scale_sigma)
         self.info["keyframes"] = len(self.keyframes)
         self.info["initialised"] = int(self._window is not None)
+        if self.loops is not None:
+            self.info["places"], self.info["loops"] = len(self.loops.places), len(self.loops.loops)
         if self._window is None:
             self._reckon()
 
@@ -296,14 +309,15 @@ class Estimator:
 
     def online(self) -> Trajectory:
         """T_odom_base at every frame as it was known at that frame; before the start, as it was known at the start."""
-        return self._trajectory([frame.online for frame in self.frames])
+        return self._trajectory([f.online if f.correction is None else f.correction @ f.online for f in self.frames])
 
     def smoothed(self) -> Trajectory:
         """T_odom_base at every frame after an adjustment of all key frames; the online path where none can be made."""
         if self._window is None or len(self.keyframes) < 3 or "restarts" in self.info:
             return self.online()
+        keyframes = self.keyframes if self.loops is None else self.loops.joined(self.keyframes)
         try:
-            bundle, poses = smooth(self.model, self.keyframes, self.frames)
+            bundle, poses = smooth(self.model, keyframes, self.frames)
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             self.info["smoothing_failed"] = 1
             return self.online()

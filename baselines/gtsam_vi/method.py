@@ -67,6 +67,7 @@ class GtsamVi:
             if matcher is not None and other is not None:
                 match = partial(_match, matcher, front_end, tracks, other)
             estimator.add_frame(image.stamp_ns, segment, tracks.ids, tracks.rays, match)
+            estimator.look(front_end.image)
         estimator.finish()
         trajectory = estimator.online() if self.output == "online" else estimator.smoothed()
         info = {"trajectory": self.output, "cameras": cameras, **estimator.info}

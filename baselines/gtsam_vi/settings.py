@@ -98,6 +98,7 @@ class Settings:
     align_trials: int = 400
     align_inliers: int = 8
     loop_window_px: int = 21  # side of the patch by which a landmark is found again
+    loop_levels: int = 2  # of the pyramid above
     loop_search_px: float = 25.0  # from where the alignment says
     loop_inliers: int = 15
     loop_share: float = 0.3  # of the landmarks that should be in the picture

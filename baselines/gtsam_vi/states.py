@@ -49,13 +49,14 @@ class Keyframe:
 @dataclass
 class Frame:
     """A frame: the key frame before it (or itself), the measurements since, and the pose that was known at once, with
-    its covariance (6, 6) as of a `Trajectory`, both of the IMU."""
+    its covariance (6, 6) as of a `Trajectory`, both of the IMU; and what loops had taught by then of odom's place."""
 
     stamp_ns: int
     keyframe: int
     since: Segment
     online: Array | None = None  # T_odom_imu
     covariance: Array | None = None
+    correction: Array | None = None  # T_corrected_odom (4, 4), a turn about z and a shift
 
 
 def make_state(rotation: Array, position: Array, velocity: Array, gyro_bias: Array, accel_bias: Array) -> State:

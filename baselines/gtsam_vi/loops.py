@@ -1,0 +1,241 @@
+"""Loop closure: which places are seen again, whether it is true, and what follows from it.
+
+A loop has to pass, in this order: shared words; distance, by the odometry's own uncertainty; a rigid, level alignment
+of the matched corners in metres; and landmarks of the old place found again in the new picture by Lucas-Kanade, where
+that alignment says, to a fraction of a pixel, many and widely spread. What a self-similar reef repeats passes the
+first, not the last.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array, invert
+from oysterbench.sequence.types import CameraCalibration
+from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.merging import Loop, join
+from oysterbench_baselines.gtsam_vi.places import (
+    GroundViewer,
+    Index,
+    Place,
+    decode,
+    encode,
+    fit_ground,
+    heading_of,
+    heading_pose,
+    landmarks_of,
+    level_pose,
+)
+from oysterbench_baselines.gtsam_vi.posegraph import Drift, PoseGraph
+from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.states import Keyframe, State, make_state
+from oysterbench_baselines.gtsam_vi.verification import Verifier
+
+
+@dataclass
+class LoopCloser:
+    """Follows the estimator's key frames: makes places of them, looks for loops, keeps the pose graph."""
+
+    calibration: CameraCalibration
+    model: Model
+    settings: Settings
+    places: list[Place] = field(default_factory=list)
+    loops: list[Loop] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.viewer = GroundViewer(self.calibration, self.settings)
+        self.index = Index(self.settings)
+        self.verifier = Verifier(self.calibration, self.settings)
+        self.graph = PoseGraph(self.settings)
+        self._waiting: list[tuple[int, bytes]] = []  # key frames whose state is not known yet, with their pictures
+        self._settled = 0  # places in the pose graph: their key frames have left the window
+        self._centres: list[Array] = []  # of the ground view of each place, in its level frame
+        self._pending: list[Loop] = []  # found, not yet confirmed by a neighbour
+        self.seconds: dict[str, float] = {}  # processor time by part
+        self.tried = 0
+        self.restarts = 0
+
+    @property
+    def correction(self) -> Array:
+        """T_corrected_odom (4, 4) of what the window says now."""
+        return self.graph.correction
+
+    def add_keyframe(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> None:
+        """The newest key frame, its state already brought up to date, and its equalised picture (H, W) uint8."""
+        begin = time.process_time()
+        self._waiting.append((keyframes[-1].index, encode(picture)))
+        if keyframes[-1].state is None:
+            self._waiting = self._waiting[-self.settings.init_max_keyframes :]
+            return
+        self._settle(keyframes)
+        for k, stored in self._waiting:
+            if keyframes[k].state is None:
+                continue
+            place = self._make_place(keyframes, k, stored, picture if k == keyframes[-1].index else None)
+            if place is None:
+                continue
+            self.places.append(place)
+            self._centres.append(np.median(place.points, axis=0))
+            self._count("places", begin)
+            begin = time.process_time()
+            if k == keyframes[-1].index:
+                self._look(keyframes, picture)
+            self.index.add(place.descriptors)
+            self._count("search", begin)
+            begin = time.process_time()
+        self._waiting = []
+
+    def _count(self, part: str, begin: float) -> None:
+        self.seconds[part] = self.seconds.get(part, 0.0) + time.process_time() - begin
+
+    def _make_place(
+        self, keyframes: list[Keyframe], k: int, coded: bytes, picture: NDArray[np.uint8] | None
+    ) -> Place | None:
+        """A place, where the vehicle has moved on since the last one and there are landmarks."""
+        settings, pose = self.settings, keyframes[k].state.matrix
+        if self.places:
+            last = keyframes[self.places[-1].keyframe].state.matrix
+            moved = np.linalg.norm(pose[:3, 3] - last[:3, 3])
+            turned = np.arccos(np.clip((np.trace(last[:3, :3].T @ pose[:3, :3]) - 1) / 2, -1, 1))
+            if moved < settings.place_step_m and turned < np.radians(settings.place_turn_deg):
+                return None
+        ids, rays, points = landmarks_of(self.model, keyframes, k, settings.lag_keyframes)
+        if len(ids) < settings.place_landmarks:
+            return None
+        level = invert(level_pose(pose))
+        local = points @ level[:3, :3].T + level[:3, 3]
+        T_level_cam = level @ pose @ self.model.T_imu_cam
+        plane = fit_ground(local)
+        if picture is None:
+            picture = decode(coded)
+        descriptors, corners = self.viewer.describe(picture, rays, local, T_level_cam, plane)
+        return Place(k, T_level_cam, plane, ids, rays, local, descriptors, corners, coded)
+
+    def _settle(self, keyframes: list[Keyframe]) -> None:
+        """Places whose key frames have left the window: their last states, landmarks seen from both sides; nodes."""
+        settings = self.settings
+        while self._settled < len(self.places):
+            place = self.places[self._settled]
+            if place.keyframe > len(keyframes) - 1 - settings.lag_keyframes:
+                break
+            pose = keyframes[place.keyframe].state.matrix
+            level = level_pose(pose)
+            ids, rays, points = landmarks_of(self.model, keyframes, place.keyframe, settings.lag_keyframes)
+            if len(ids) >= settings.place_landmarks:
+                back = invert(level)
+                place.ids, place.rays, place.points = ids, rays, points @ back[:3, :3].T + back[:3, 3]
+                place.T_level_cam = back @ pose @ self.model.T_imu_cam
+                place.plane = fit_ground(place.points)
+            self.graph.add(level, self._drift(keyframes, self._settled))
+            self._settled += 1
+
+    def _drift(self, keyframes: list[Keyframe], n: int) -> Drift:
+        settings = self.settings
+        if n == 0:
+            return Drift(0.0, 0.0)
+        before, after = keyframes[self.places[n - 1].keyframe], keyframes[self.places[n].keyframe]
+        distance = float(np.linalg.norm(after.state.matrix[:3, 3] - before.state.matrix[:3, 3]))
+        duration = (after.stamp_ns - before.stamp_ns) * 1e-9
+        return Drift(settings.drift_heading**2 * duration, settings.drift_position**2 * (distance + 0.01 * duration))
+
+    def _look(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> None:
+        """Loops between the newest place and settled ones."""
+        settings = self.settings
+        now = len(self.places) - 1
+        place = self.places[now]
+        if self._settled < 2:
+            return
+        anchor = self._settled - 1  # the newest place in the graph; the newest of all hangs on it by the window
+        T_anchor_now = invert(self.graph.odometry[anchor]) @ level_pose(keyframes[place.keyframe].state.matrix)
+        T_odom_now = self.graph.poses[anchor] @ T_anchor_now
+        candidates = self._candidates(keyframes, now, anchor, T_odom_now)
+        for n in candidates:
+            loop = self._verify(n, now, anchor, T_odom_now, picture)
+            if loop is None:
+                continue
+            self.loops.append(loop)
+            T = loop.T_first_second @ invert(T_anchor_now)
+            covariance = loop.covariance + np.diag([settings.loop_heading_floor**2] + [settings.loop_floor_m**2] * 3)
+            self.graph.close(n, anchor, T, covariance)
+
+    def joined(self, keyframes: list[Keyframe]) -> list[Keyframe]:
+        """The key frames with what the loops have taught: states of the pose graph, merged tracks."""
+        if not self.loops:
+            return keyframes
+        corrected = [replace(k, state=_moved(k.state, self._correction_at(k.index))) for k in keyframes]
+        return join(corrected, self.places, self.loops, self.model, self.settings.merge_px)
+
+    def _correction_at(self, k: int) -> Array:
+        """T_corrected_odom (4, 4) at a key frame: between places, between theirs."""
+        places = [place.keyframe for place in self.places[: self._settled]]
+        after = int(np.searchsorted(places, k))
+        before = max(0, after - 1)
+        after = min(after, self._settled - 1)
+        first, second = (self.graph.poses[n] @ invert(self.graph.odometry[n]) for n in (before, after))
+        if before == after:
+            return first
+        share = (k - places[before]) / (places[after] - places[before])
+        # The difference of the two corrections, turned about the key frame itself: both leave it nearly where it is.
+        step = invert(first) @ second
+        heading = share * heading_of(step)
+        centre = self.graph.odometry[before][:3, 3]
+        end = step[:3, :3] @ centre + step[:3, 3] - centre
+        part = heading_pose(heading, np.zeros(3))
+        part[:3, 3] = centre + share * end - part[:3, :3] @ centre
+        return first @ part
+
+    def _candidates(self, keyframes: list[Keyframe], now: int, anchor: int, T_odom_now: Array) -> list[int]:
+        """Settled places, long enough ago, whose ground may be the one seen now; best by votes."""
+        settings = self.settings
+        stamp = keyframes[self.places[now].keyframe].stamp_ns
+        votes = self.index.votes(self.places[now].descriptors)[: anchor + 1]
+        here = T_odom_now[:3, :3] @ self._centres[now] + T_odom_now[:3, 3]
+        reach = 0.5 * settings.place_view_px * (self.viewer.resolution or 0.0)
+        good: list[int] = []
+        for n in np.argsort(-votes, kind="stable"):
+            n = int(n)
+            if votes[n] <= 0 or len(good) == settings.loop_candidates:
+                break
+            age = (stamp - keyframes[self.places[n].keyframe].stamp_ns) * 1e-9
+            if age < settings.loop_min_s:
+                continue
+            if any(abs(n - other) <= 2 for other in good):
+                continue
+            T = self.graph.poses[n]
+            apart = np.linalg.norm((T[:3, :3] @ self._centres[n] + T[:3, 3] - here)[:2])
+            sigma = self.graph.uncertainty(n, anchor)[1]
+            if apart > 1.5 * reach + settings.loop_prior_sigmas * sigma:
+                continue
+            good.append(n)
+        return good
+
+    def _verify(self, n: int, now: int, anchor: int, T_odom_now: Array, picture: NDArray[np.uint8]) -> Loop | None:
+        settings, first, second = self.settings, self.places[n], self.places[now]
+        self.tried += 1
+        T, agree = self.verifier.align(first, second)
+        if agree < settings.align_inliers:
+            return None
+        confirmed = self.verifier.confirm(first, second, T, picture)
+        if confirmed is None:
+            return None
+        T, covariance, index, pixels, rays = confirmed
+        # By how much it contradicts odometry.
+        heading_sigma, sigma = self.graph.uncertainty(n, anchor)
+        off = invert(invert(self.graph.poses[n]) @ T_odom_now) @ T
+        if abs(heading_of(off)) > settings.loop_prior_sigmas * (heading_sigma + settings.loop_heading_floor):
+            return None
+        if np.linalg.norm(off[:3, 3]) > settings.loop_prior_sigmas * (sigma + settings.loop_floor_m):
+            return None
+        return Loop(n, now, T, covariance, first.ids[index], pixels, rays)
+
+
+def _moved(state: State, T: Array) -> State:
+    """A state after a turn about z and a shift (4, 4)."""
+    pose = T @ state.matrix
+    bias = state.bias
+    velocity = T[:3, :3] @ state.nav.velocity()
+    return make_state(pose[:3, :3], pose[:3, 3], velocity, bias.gyroscope(), bias.accelerometer())

@@ -1,0 +1,258 @@
+"""Places: key frames seen again. Each is described by its ground view, so that it is known from any heading.
+
+A survey camera looks ahead and down, and a reef seen from the other side is another picture. What the attitude, the
+height over the bottom and the landmarks tell is therefore taken out first: the picture is laid on the ground, level,
+from above, at one scale. What is left of a heading is a rotation in the picture, which the descriptors do not see.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import chain
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from oysterbench.geometry import Array, invert, transform
+from oysterbench.sequence.types import CameraCalibration
+from oysterbench.streams import stream
+from oysterbench_baselines.gtsam_vi.frontend import distort, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.states import Keyframe
+
+GRID = 25
+"""Nodes per side at which a warp is computed exactly; between them it is linear, to 0.1 px."""
+JPEG_QUALITY = 85
+"""Of the pictures that are kept: 40 to 60 kB each, and no corner moves."""
+
+
+def level_pose(T_odom_imu: Array) -> Array:
+    """T_odom_level (4, 4): the same position, level, with the heading of the IMU's x axis."""
+    heading = np.arctan2(T_odom_imu[1, 0], T_odom_imu[0, 0])
+    return heading_pose(heading, T_odom_imu[:3, 3])
+
+
+def heading_pose(heading: float, position: Array) -> Array:
+    """(4, 4) pose of a level frame: turned about z by a heading (rad), at a position (3,) m."""
+    c, s = np.cos(heading), np.sin(heading)
+    return transform(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), position)
+
+
+def heading_of(T: Array) -> float:
+    """Heading (rad) of a level pose."""
+    return float(np.arctan2(T[1, 0], T[0, 0]))
+
+
+def encode(picture: NDArray[np.uint8]) -> bytes:
+    """A grey picture (H, W) as JPEG."""
+    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+
+
+def decode(coded: bytes) -> NDArray[np.uint8]:
+    """The picture (H, W) again."""
+    return np.asarray(cv2.imdecode(np.frombuffer(coded, dtype=np.uint8), cv2.IMREAD_GRAYSCALE), dtype=np.uint8)
+
+
+@dataclass
+class Place:
+    """What is kept of a key frame.
+
+    T_level_cam (4, 4): the camera in the level frame of the key frame (`level_pose`). plane (3,): the ground there,
+    z = plane @ (x, y, 1). ids (L,), rays (L, 2), points (L, 3): landmarks in it, with their points in the level frame.
+    descriptors (N, 32) uint8 and corners (N, 3) of the ground view: points in the level frame, depths interpolated
+    between landmarks. picture: the equalised grey frame as JPEG.
+    """
+
+    keyframe: int
+    T_level_cam: Array
+    plane: Array
+    ids: NDArray[np.int64]
+    rays: Array
+    points: Array
+    descriptors: NDArray[np.uint8]
+    corners: Array
+    picture: bytes
+
+    @property
+    def pixels(self) -> NDArray[np.uint8]:
+        """The picture (H, W)."""
+        return decode(self.picture)
+
+    @property
+    def size(self) -> int:
+        """Memory, bytes."""
+        arrays = (self.ids, self.rays, self.points, self.descriptors, self.corners)
+        return len(self.picture) + sum(array.nbytes for array in arrays)
+
+
+def landmarks_of(model: Model, keyframes: list[Keyframe], k: int, reach: int) -> tuple[NDArray[np.int64], Array, Array]:
+    """Ids (L,), rays (L, 2) and points (L, 3) in odom of the landmarks in key frame k, by `reach` frames each way."""
+    view = keyframes[k].view
+    around = [f for f in keyframes[max(0, k - reach) : k + reach + 1] if f.state is not None]
+    sights = [f.view.sights() for f in around]
+    poses = np.repeat([f.state.matrix for f in around], [len(seen[0]) for seen in sights], axis=0)
+    track, rays, camera = (np.concatenate(part) for part in zip(*sights, strict=True))
+    own = np.isin(track, view.ids)
+    limit = model.settings.max_landmark_error_px
+    ids, points = model.triangulate(track[own], rays[own], poses[own], limit, camera[own])
+    _, seen, found = np.intersect1d(view.ids, ids, assume_unique=True, return_indices=True)
+    return view.ids[seen], view.rays[seen], points[found]
+
+
+def fit_ground(points: Array) -> Array:
+    """plane (3,) with z = plane @ (x, y, 1) through points (L, 3), by iteratively reweighted least squares (Huber).
+
+    A weak prior holds it level where points on a line leave its slope open.
+    """
+    places = np.column_stack([points[:, :2], np.ones(len(points))])
+    weight = np.ones(len(points))
+    prior = np.diag([0.5, 0.5, 0.0])
+    for _ in range(5):
+        weighted = places * weight[:, None]
+        plane = np.linalg.solve(weighted.T @ places + prior, weighted.T @ points[:, 2])
+        residual = np.abs(points[:, 2] - places @ plane)
+        scale = 1.5 * np.median(residual) + 1e-6
+        weight = np.minimum(1.0, scale / np.maximum(residual, 1e-9))
+    return np.asarray(plane, dtype=float)
+
+
+def project(points: Array, T_level_cam: Array, calibration: CameraCalibration) -> tuple[Array, Array]:
+    """Pixels (N, 2), distorted, and depths (N,) of points (N, 3) in the level frame."""
+    T = invert(T_level_cam)
+    local = points @ T[:3, :3].T + T[:3, 3]
+    depth = local[:, 2].copy()
+    # Far outside the picture, a distortion's polynomial folds back into it.
+    local[:, 2] = np.maximum(local[:, 2], 0.05)
+    limit = (
+        1.2 * np.hypot(calibration.width, calibration.height) / (calibration.matrix[0, 0] + calibration.matrix[1, 1])
+    )
+    depth[np.linalg.norm(local[:, :2], axis=1) > limit * local[:, 2]] = -1.0
+    return distort(local[:, :2] / local[:, 2:], calibration), depth
+
+
+class GroundViewer:
+    """Lays pictures on the ground and describes them. All views have one scale, that of the first."""
+
+    def __init__(self, calibration: CameraCalibration, settings: Settings) -> None:
+        self.calibration = calibration
+        self.settings = settings
+        self.resolution: float | None = None  # m per pixel of the ground view
+        self._focal = float(calibration.matrix[0, 0] + calibration.matrix[1, 1]) / 2
+        self._orb = cv2.ORB.create(
+            nfeatures=settings.place_corners, nlevels=2, edgeThreshold=18, fastThreshold=settings.place_fast_threshold
+        )
+
+    def view(
+        self, picture: NDArray[np.uint8], place_points: Array, T_level_cam: Array, plane: Array
+    ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.float32]]:
+        """Ground view (S, S), mask of what the picture shows of it, and the pixels (S, S, 2) it was taken from.
+
+        place_points (L, 3): the landmarks around whose middle the view lies.
+        """
+        size = self.settings.place_view_px
+        if self.resolution is None:
+            depth = np.median(np.linalg.norm(place_points - T_level_cam[:3, 3], axis=1))
+            self.resolution = float(self.settings.place_coarseness * depth / self._focal)
+        centre = np.median(place_points[:, :2], axis=0)
+        steps = (np.linspace(0, size - 1, GRID) - (size - 1) / 2) * self.resolution
+        # Seen from above: x (ahead) up in the picture, y (left) to the left.
+        x, y = np.meshgrid(centre[0] - steps, centre[1] - steps, indexing="ij")
+        points = np.column_stack(
+            [x.ravel(), y.ravel(), np.column_stack([x.ravel(), y.ravel(), np.ones(x.size)]) @ plane]
+        )
+        pixels, depth = project(points, T_level_cam, self.calibration)
+        # Beyond this the ground is seen too coarsely to be laid on it at this scale.
+        pixels[(depth <= 0.05) | (depth > 2.5 * self.resolution * self._focal)] = -1e4
+        source = upsample(pixels.reshape(GRID, GRID, 2), size, size)
+        tile = warp(picture, source)
+        inside = (source[..., 0] >= 0) & (source[..., 0] <= self.calibration.width - 1)
+        inside &= (source[..., 1] >= 0) & (source[..., 1] <= self.calibration.height - 1)
+        mask = cv2.erode(inside.astype(np.uint8), np.ones((9, 9), dtype=np.uint8), borderValue=0)
+        return tile, np.asarray(mask, dtype=np.uint8), source
+
+    def describe(
+        self, picture: NDArray[np.uint8], rays: Array, points: Array, T_level_cam: Array, plane: Array
+    ) -> tuple[NDArray[np.uint8], Array]:
+        """Descriptors (N, 32) and points (N, 3) in the level frame of the corners of the ground view.
+
+        rays (L, 2), points (L, 3): the landmarks of the frame.
+        """
+        tile, mask, source = self.view(picture, points, T_level_cam, plane)
+        corners, found_descriptors = self._orb.detectAndCompute(tile, mask)
+        if len(corners) == 0:
+            return np.empty((0, 32), dtype=np.uint8), np.empty((0, 3))
+        descriptors = np.asarray(found_descriptors, dtype=np.uint8)
+        at = np.array([corner.pt for corner in corners]).round().astype(int)
+        found = undistort(source[at[:, 1], at[:, 0]].astype(float), self.calibration)
+        return descriptors, _lift(found, rays, points, T_level_cam)
+
+
+def _lift(rays: Array, known_rays: Array, known_points: Array, T_level_cam: Array) -> Array:
+    """Points (N, 3) along rays (N, 2): inverse depths of the nearest landmarks, weighted by nearness in the picture."""
+    T = invert(T_level_cam)
+    inverse_depth = 1.0 / np.maximum((known_points @ T[:3, :3].T + T[:3, 3])[:, 2], 0.05)
+    n = min(4, len(known_rays))
+    distance, nearest = cKDTree(known_rays).query(rays, k=n)
+    distance, nearest = distance.reshape(len(rays), n), nearest.reshape(len(rays), n)
+    weight = 1.0 / (distance + 0.02) ** 2
+    depth = weight.sum(axis=1) / (weight * inverse_depth[nearest]).sum(axis=1)
+    return homogeneous(rays) * depth[:, None] @ T_level_cam[:3, :3].T + T_level_cam[:3, 3]
+
+
+def upsample(nodes: Array, height: int, width: int) -> NDArray[np.float32]:
+    """Map (height, width, 2) from its values (G, G', 2) at evenly spaced nodes, the outer ones at the corners."""
+    rows = np.linspace(0, nodes.shape[0] - 1, height, dtype=np.float32)
+    columns = np.linspace(0, nodes.shape[1] - 1, width, dtype=np.float32)
+    x, y = np.meshgrid(columns, rows)
+    return np.asarray(cv2.remap(nodes.astype(np.float32), x, y, cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def warp(picture: NDArray[np.uint8], source: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """The picture (H, W) as it looks at the pixels (H', W', 2) that it is taken from; the edge goes on outside."""
+    # Without an edge there are no corners on it. The second map is empty: the first holds both coordinates.
+    border = cv2.BORDER_REPLICATE
+    return np.asarray(cv2.remap(picture, source, np.empty(0), cv2.INTER_LINEAR, borderMode=border), dtype=np.uint8)
+
+
+class Index:
+    """Inverted index of binary descriptors by locality-sensitive hashing (Indyk & Motwani 1998): words are some of a
+    descriptor's bits, so there is no vocabulary to learn or to ship. It forgets nothing and grows by 2 words a corner.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        generator = stream(0, b"", "gtsam_vi", "places")
+        bits, tables = settings.place_word_bits, settings.place_words
+        self._bits = np.array([generator.permutation(256)[:bits] for _ in range(tables)])
+        self._weights = 1 << np.arange(bits)
+        self._tables: list[dict[int, list[int]]] = [{} for _ in range(tables)]
+        self.count = 0
+
+    def _words(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """(tables, N) words."""
+        unpacked = np.unpackbits(descriptors, axis=1)
+        return np.stack([unpacked[:, bits] @ self._weights for bits in self._bits])
+
+    def add(self, descriptors: NDArray[np.uint8]) -> None:
+        """The next place."""
+        for table, words in zip(self._tables, self._words(descriptors), strict=True):
+            for word in set(words.tolist()):
+                table.setdefault(word, []).append(self.count)
+        self.count += 1
+
+    def votes(self, descriptors: NDArray[np.uint8]) -> Array:
+        """Votes (count,) for each place: shared words, each counting by the inverse of how many places have it."""
+        lists = [
+            found
+            for table, words in zip(self._tables, self._words(descriptors), strict=True)
+            for word in set(words.tolist())
+            if (found := table.get(word)) is not None
+        ]
+        if not lists:
+            return np.zeros(self.count)
+        lengths = np.array([len(found) for found in lists])
+        weight = np.repeat(np.log((self.count + 1) / lengths), lengths)
+        votes = np.bincount(np.fromiter(chain.from_iterable(lists), dtype=np.int64), weight, self.count)
+        return np.asarray(votes, dtype=float)
