@@ -69,7 +69,7 @@ class Draft:
         """So many bytes were put into `free`. A process that is killed on the way leaves what was there before."""
         start, self.filled = self.filled, self.filled + n
         if self._on_disk:
-            _write(self._file, self._view[start : self.filled], HEADER.size + start)
+            write_all(self._file, self._view[start : self.filled], HEADER.size + start)
             self._write_header()
 
     def clear(self) -> None:
@@ -84,10 +84,11 @@ class Draft:
             self._path.unlink(missing_ok=True)
 
     def _write_header(self) -> None:
-        _write(self._file, memoryview(HEADER.pack(self._piece, self.filled if self._on_disk else 0)), 0)
+        write_all(self._file, memoryview(HEADER.pack(self._piece, self.filled if self._on_disk else 0)), 0)
 
 
-def _write(file: int, data: memoryview, offset: int) -> None:
+def write_all(file: int, data: memoryview, offset: int) -> None:
+    """Write at a place of a file, however many calls it takes."""
     while data:
         n = os.pwrite(file, data, offset)
         offset, data = offset + n, data[n:]
