@@ -1,0 +1,96 @@
+"""Clouds: points in odom with colours, thinned, freed of what stands alone, and written as PLY."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from oysterbench.geometry import Array
+from oysterbench.mapping.settings import CloudSettings
+from oysterbench.ply import write_ply
+
+POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("observations", "<i4")]
+)
+"""A point in the file."""
+
+BATCH = 1_000_000  # points that wait to be sorted into the voxels: 56 MB
+
+
+@dataclass(frozen=True)
+class PointCloud:
+    """points (N, 3) float m in odom; colours (N, 3) uint8 RGB; observations (N,) int, measurements behind each."""
+
+    points: Array
+    colours: NDArray[np.uint8]
+    observations: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def select(self, index: NDArray[np.bool_]) -> PointCloud:
+        """The points at `index`."""
+        return PointCloud(self.points[index], self.colours[index], self.observations[index])
+
+    def write(self, path: str | os.PathLike[str], comment: str) -> None:
+        """As binary PLY: x, y, z (m, odom), red, green, blue, observations."""
+        rows = np.zeros(len(self), dtype=POINT)
+        rows["x"], rows["y"], rows["z"] = self.points.T
+        rows["red"], rows["green"], rows["blue"] = self.colours.T
+        rows["observations"] = self.observations
+        write_ply(path, rows, comment)
+
+
+class Voxels:
+    """Means of points and colours by voxel, of any number of points in the memory of the voxels."""
+
+    def __init__(self, edge_m: float) -> None:
+        self.edge_m = edge_m
+        self._keys = np.zeros(0, dtype=np.int64)
+        self._sums = np.zeros((0, 7))
+        self._waiting: list[Array] = []
+
+    def add(self, points: Array, colours: NDArray[np.uint8]) -> None:
+        """Points (N, 3) m, within 10 km of the origin at 1 cm, and their colours (N, 3)."""
+        self._waiting.append(np.column_stack([points, colours, np.ones(len(points))]))
+        if sum(map(len, self._waiting)) > BATCH:
+            self._merge()
+
+    def cloud(self) -> PointCloud:
+        """A point per voxel."""
+        self._merge()
+        counts = self._sums[:, 6]
+        means = self._sums[:, :6] / counts[:, None]
+        return PointCloud(means[:, :3], np.rint(means[:, 3:]).astype(np.uint8), counts.astype(np.int32))
+
+    def _merge(self) -> None:
+        fresh = np.concatenate([np.zeros((0, 7)), *self._waiting])
+        self._waiting = []
+        cells = np.floor(fresh[:, :3] / self.edge_m).astype(np.int64) + (1 << 20)
+        keys = np.concatenate([self._keys, (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]])
+        sums = np.concatenate([self._sums, fresh])
+        self._keys, rows = np.unique(keys, return_inverse=True)
+        summed = [np.bincount(rows, weights=sums[:, k], minlength=len(self._keys)) for k in range(7)]
+        self._sums = np.column_stack(summed)
+
+
+def thinned(parts: Iterable[tuple[Array, NDArray[np.uint8]]], edge_m: float) -> PointCloud:
+    """One point per voxel, at the mean of its points, from parts of points (N, 3) m and colours (N, 3)."""
+    voxels = Voxels(edge_m)
+    for points, colours in parts:
+        voxels.add(points, colours)
+    return voxels.cloud()
+
+
+def without_outliers(cloud: PointCloud, settings: CloudSettings) -> PointCloud:
+    """Without the points whose neighbours are farther than usual: statistical outlier removal (Rusu et al. 2008)."""
+    if len(cloud) <= settings.neighbours:
+        return cloud
+    distances, _ = cKDTree(cloud.points).query(cloud.points, k=settings.neighbours + 1)
+    mean = distances[:, 1:].mean(axis=1)
+    return cloud.select(mean <= mean.mean() + settings.max_spread * mean.std())

@@ -1,0 +1,105 @@
+"""A cloud from echoes along a path: ranges of a DVL's beams and of altimeters, and the fans of imaging sonars."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array, invert
+from oysterbench.mapping.cloud import PointCloud
+from oysterbench.mapping.settings import CloudSettings
+from oysterbench.mapping.views import Path, Pinhole
+from oysterbench.samples import SonarImage
+from oysterbench.sequence.calibration import SonarCalibration
+from oysterbench.sequence.types import Sequence
+
+UNSEEN = 128  # grey level of what no camera saw
+
+
+def heard_points(sequence: Sequence, path: Path, settings: CloudSettings) -> Iterator[Array]:
+    """Points (N, 3) m in odom, of one sample after the other, where the path is known."""
+    for stamps_and_points, T_base_sensor in _sources(sequence, settings):
+        for stamp_ns, points in stamps_and_points:
+            T_odom_base = path.at(stamp_ns)
+            if T_odom_base is not None and len(points):
+                T = T_odom_base @ T_base_sensor
+                yield points @ T[:3, :3].T + T[:3, 3]
+
+
+def _sources(sequence: Sequence, settings: CloudSettings) -> Iterator[tuple[Iterator[tuple[int, Array]], Array]]:
+    """What each sensor hears: stamps with points (N, 3) in its frame, and its pose on the vehicle."""
+    if sequence.dvl_calibration is not None:
+        beams = ((s.stamp_ns, (s.beam_directions * s.beam_ranges[:, None])[s.beam_valid]) for s in sequence.dvl())
+        yield beams, sequence.dvl_calibration.T_base_sensor
+    for name, altimeter in sequence.altimeters.items():
+        ranges = ((s.stamp_ns, np.array([[s.range, 0.0, 0.0]])) for s in sequence.ranges(name) if np.isfinite(s.range))
+        yield ranges, altimeter.T_base_sensor
+    for name, sonar in sequence.sonars.items():
+        points_of = _fan(sonar, settings)
+        yield ((ping.stamp_ns, points_of(ping)) for ping in sequence.sonar(name)), sonar.T_base_sensor
+
+
+def _fan(sonar: SonarCalibration, settings: CloudSettings) -> Callable[[SonarImage], Array]:
+    """Points (N, 3) m of a ping, in the sonar's frame: one on the leading edge of each beam's echo.
+
+    A fan tells no elevation. The first of a bottom that it meets from above is met by its lower edge, half of its
+    height below its middle; what stands up from the bottom is heard earlier, and so lies higher.
+    """
+    elevation = -sonar.vfov_rad / 2.0
+    directions = np.column_stack(
+        [
+            np.cos(elevation) * np.cos(sonar.azimuths_rad),
+            np.cos(elevation) * np.sin(sonar.azimuths_rad),
+            np.full(sonar.beams, np.sin(elevation)),
+        ]
+    )
+
+    def points(ping: SonarImage) -> Array:
+        heard = ping.pixels.astype(float)
+        heard[sonar.ranges_m < settings.near_m] = 0.0
+        strongest = heard.max(axis=0)
+        first = np.argmax(heard >= settings.echo_share * strongest, axis=0)
+        clear = strongest > settings.min_echo * np.maximum(np.median(heard, axis=0), 1.0)
+        return directions[clear] * sonar.ranges_m[first[clear], None]
+
+    return points
+
+
+def coloured(
+    cloud: PointCloud, sequence: Sequence, cameras: list[str], path: Path, settings: CloudSettings
+) -> PointCloud:
+    """The points with the colours of the frame that sees each from the least distance; grey where none does.
+
+    Nothing is hidden by anything here: points of echoes are too few to hide what lies behind them.
+    """
+    colours = np.full((len(cloud), 3), UNSEEN, dtype=np.uint8)
+    nearest = np.full(len(cloud), settings.far_m)
+    for camera in cameras:
+        pinhole = Pinhole(camera, sequence.cameras[camera], settings.width_px)
+        last_ns = -(2**62)
+        for image in sequence.images(camera):
+            T_odom_base = path.at(image.stamp_ns)
+            if T_odom_base is None or image.stamp_ns - last_ns < settings.colour_every_s * 1e9:
+                continue
+            last_ns = image.stamp_ns
+            view = pinhole.view(image, T_odom_base)
+            T_cam_odom = invert(view.T_odom_cam)
+            seen = cloud.points @ T_cam_odom[:3, :3].T + T_cam_odom[:3, 3]
+            closer = (seen[:, 2] > settings.near_m) & (seen[:, 2] < nearest)
+            rows = np.flatnonzero(closer)
+            u, v = _pixels(seen[rows], view.matrix)
+            height, width = view.grey.shape
+            shown = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+            rows = rows[shown]
+            colours[rows] = view.colours[v[shown], u[shown]]
+            nearest[rows] = seen[rows, 2]
+    return PointCloud(cloud.points, colours, cloud.observations)
+
+
+def _pixels(points: Array, matrix: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Columns and rows (N,) of points (N, 3) before the camera."""
+    projected = points @ matrix.T
+    columns, rows = np.rint(projected[:, :2] / projected[:, 2:]).astype(np.int64).T
+    return columns, rows

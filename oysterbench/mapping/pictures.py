@@ -1,0 +1,68 @@
+"""A cloud from the pictures of a camera along a path: from pairs where the rig has them, else from its own motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array
+from oysterbench.mapping.settings import CloudSettings
+from oysterbench.mapping.sweep import DepthMap, agreeing, sweep
+from oysterbench.mapping.views import Path, Pinhole, View, frames, partner
+from oysterbench.sequence.types import Sequence
+
+FIRST_DISTANCE_M = 1.0  # of the scene, as long as nothing is known of it
+
+
+def seen_points(
+    sequence: Sequence, camera: str, path: Path, settings: CloudSettings
+) -> Iterator[tuple[Array, NDArray[np.uint8]]]:
+    """Points (N, 3) m in odom and their colours (N, 3) uint8, of one view after the other.
+
+    Each point is there that the view before or the view after has at the same place.
+    """
+    latest: list[DepthMap] = []
+    for depths in depth_maps(sequence, camera, path, settings):
+        latest = [*latest[-2:], depths]
+        if len(latest) > 1:
+            middle = latest[-2]
+            yield agreeing(middle, [each for each in latest if each is not middle], settings.agreement).points()
+    if len(latest) > 1:
+        yield agreeing(latest[-1], latest[-2:-1], settings.agreement).points()
+
+
+def depth_maps(sequence: Sequence, camera: str, path: Path, settings: CloudSettings) -> Iterator[DepthMap]:
+    """Depths of views along a path."""
+    other = partner(sequence, camera, settings)
+    pinhole = Pinhole(camera, sequence.cameras[camera], settings.width_px)
+    second = None if other is None else Pinhole(other, sequence.cameras[other], settings.width_px)
+    distance_m = FIRST_DISTANCE_M
+    views: list[View] = []
+    moved = 0
+    for image, partner_image in frames(sequence, camera, other, settings):
+        T_odom_base = path.at(image.stamp_ns)
+        if T_odom_base is None:
+            views.clear()  # what lies before a gap has moved by nobody knows how much
+            continue
+        place = (T_odom_base @ pinhole.T_base_cam)[:3, 3]
+        if views and float(np.linalg.norm(place - views[-1].T_odom_cam[:3, 3])) < settings.step_share * distance_m:
+            continue
+        views.append(pinhole.view(image, T_odom_base))
+        moved += 1
+        if moved % settings.every:
+            continue
+        if second is not None and partner_image is not None:
+            sources = [second.view(partner_image, T_odom_base)]
+            found = sweep(views[-1], sources, settings)
+            views = views[-1:]
+        else:
+            views = views[-5:]
+            if len(views) < 5:
+                continue
+            found = sweep(views[2], [views[0], views[4]], settings)
+        known = found.depth[np.isfinite(found.depth)]
+        if len(known) > 100:
+            distance_m = float(np.median(known))
+        yield found

@@ -1,0 +1,118 @@
+"""Depth of a view from others at known poses: a plane sweep (Collins, CVPR 1996) over normalised cross-correlation.
+
+Correlation does not see gain and offset, and so neither the veil of turbid water nor a lamp that moves with the camera.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.geometry import Array, invert
+from oysterbench.mapping.settings import CloudSettings
+from oysterbench.mapping.views import View
+
+Picture = NDArray[np.float32]
+PEAK = 3  # planes to each side of the best that are its own peak
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """depth (H, W) float m along the optical axis of a view; NaN where it is not known."""
+
+    view: View
+    depth: Array
+
+    def points(self) -> tuple[Array, NDArray[np.uint8]]:
+        """In odom, m (N, 3), of the pixels with depth, and their colours (N, 3) uint8."""
+        rows, columns = np.nonzero(np.isfinite(self.depth))
+        T = self.view.T_odom_cam
+        points = _rays(self.view, rows, columns) * self.depth[rows, columns, None]
+        return points @ T[:3, :3].T + T[:3, 3], self.view.colours[rows, columns]
+
+
+def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> DepthMap:
+    """Depth of each pixel whose patch the sources show, at one depth better than at any other."""
+    relative = [invert(source.T_odom_cam) @ view.T_odom_cam for source in sources]
+    base = max(float(np.linalg.norm(T[:3, 3])) for T in relative)
+    span = 1.0 / settings.near_m - 1.0 / settings.far_m
+    wanted = int(np.ceil(view.matrix[0, 0] * base * span / settings.plane_px)) + 1
+    inverse_depths = np.linspace(
+        1.0 / settings.far_m, 1.0 / settings.near_m, int(np.clip(wanted, 16, settings.max_planes))
+    )
+
+    window = (settings.window_px, settings.window_px)
+    size = view.grey.shape[::-1]
+    inverse_matrix = np.linalg.inv(view.matrix)
+    floor = settings.noise_grey**2
+    mean: Any = cv2.blur(view.grey, window)
+    deviation = _deviation(view.grey, mean, window, floor)
+    scores = np.full((len(inverse_depths), *view.grey.shape), -1.0, dtype=np.float32)
+    for k, inverse_depth in enumerate(inverse_depths):
+        for source, T in zip(sources, relative, strict=True):
+            plane = T[:3, :3] + np.outer(T[:3, 3], [0.0, 0.0, inverse_depth])
+            homography = source.matrix @ plane @ inverse_matrix
+            # Outside it is black, without texture, and correlates with nothing.
+            warped: Any = cv2.warpPerspective(
+                source.grey, homography, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderValue=0.0
+            )
+            other_mean: Any = cv2.blur(warped, window)
+            covariance: Any = cv2.blur(view.grey * warped, window) - mean * other_mean
+            correlation = covariance / (deviation * _deviation(warped, other_mean, window, floor))
+            # What hides a point from one side leaves it to the other: the best source counts.
+            np.maximum(scores[k], correlation, out=scores[k])
+    return DepthMap(view, _peaks(scores, inverse_depths, settings))
+
+
+def _deviation(grey: Picture, mean: Any, window: tuple[int, int], floor: float) -> Picture:
+    """(H, W) standard deviation of the patch about each pixel, noise of variance `floor` included."""
+    return np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0.0) + floor)
+
+
+def _peaks(scores: Picture, inverse_depths: Array, settings: CloudSettings) -> Array:
+    """(H, W) depth, m, at the peaks of scores (planes, H, W), refined by a parabola; NaN where none stands out."""
+    best = scores.argmax(axis=0)
+    at_best = np.take_along_axis(scores, best[None], axis=0)[0]
+    inner = np.clip(best, 1, len(scores) - 2)
+    low, middle, high = (np.take_along_axis(scores, inner[None] + d, axis=0)[0] for d in (-1, 0, 1))
+    bend = low - 2.0 * middle + high
+    shift = np.where(bend < 0, 0.5 * (low - high) / np.where(bend < 0, bend, 1.0), 0.0)
+    step = inverse_depths[1] - inverse_depths[0]
+    depth = 1.0 / (inverse_depths[inner] + np.clip(shift, -0.5, 0.5) * step)
+    elsewhere = np.abs(np.arange(len(scores))[:, None, None] - best) > PEAK
+    second = np.where(elsewhere, scores, -1.0).max(axis=0)
+    good = (at_best > settings.min_correlation) & (at_best - second > settings.min_lead) & (best == inner)
+    edge = settings.window_px // 2
+    good[:edge], good[-edge:], good[:, :edge], good[:, -edge:] = False, False, False, False
+    return np.where(good, depth, np.nan)
+
+
+def agreeing(depths: DepthMap, others: Sequence[DepthMap], share: float) -> DepthMap:
+    """The pixels whose points at least one of the other views sees at the same place, to a share of their distance."""
+    rows, columns = np.nonzero(np.isfinite(depths.depth))
+    points, _ = depths.points()
+    agreed = np.zeros(len(points), dtype=bool)
+    for other in others:
+        T = invert(other.view.T_odom_cam)
+        seen = points @ T[:3, :3].T + T[:3, 3]
+        front = seen[:, 2] > 1e-3
+        pixels = seen @ other.view.matrix.T
+        u, v = np.rint(pixels[:, :2] / np.where(front, pixels[:, 2], 1.0)[:, None]).astype(int).T
+        height, width = other.depth.shape
+        front &= (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        there = other.depth[np.where(front, v, 0), np.where(front, u, 0)]
+        agreed |= front & (np.abs(there - seen[:, 2]) < share * seen[:, 2])
+    kept = np.full_like(depths.depth, np.nan)
+    kept[rows[agreed], columns[agreed]] = depths.depth[rows[agreed], columns[agreed]]
+    return DepthMap(depths.view, kept)
+
+
+def _rays(view: View, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
+    """(N, 3), z = 1, in the optical frame."""
+    pixels = np.column_stack([columns, rows, np.ones(len(rows))])
+    return pixels @ np.linalg.inv(view.matrix).T

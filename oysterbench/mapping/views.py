@@ -1,0 +1,109 @@
+"""Views: pictures of a pinhole, reduced and undistorted, with the poses of their camera along a path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.errors import SequenceError
+from oysterbench.geometry import Array, invert
+from oysterbench.mapping.settings import CloudSettings
+from oysterbench.samples import Image
+from oysterbench.sequence.calibration import CameraCalibration
+from oysterbench.sequence.export.parts import undistorting_maps
+from oysterbench.sequence.types import Sequence
+from oysterbench.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture: colours (H, W, 3) uint8 RGB, matrix (3, 3) of the pinhole that took it, T_odom_cam (4, 4)."""
+
+    stamp_ns: int
+    colours: NDArray[np.uint8]
+    matrix: Array
+    T_odom_cam: Array
+
+    @cached_property
+    def grey(self) -> NDArray[np.float32]:
+        """(H, W) float32."""
+        return cv2.cvtColor(self.colours, cv2.COLOR_RGB2GRAY).astype(np.float32)
+
+
+class Pinhole:
+    """Turns the pictures of a camera into those of a pinhole of at most so many columns."""
+
+    def __init__(self, name: str, camera: CameraCalibration, width_px: int) -> None:
+        if camera.port_m is not None:
+            raise SequenceError(
+                f"{name} looks through a flat port, and so its rays do not meet in a point: expected a camera that is "
+                "calibrated in water"
+            )
+        self.T_base_cam = camera.T_base_cam
+        self._maps = undistorting_maps(camera, camera.matrix)
+        scale = min(1.0, width_px / camera.width)
+        self._size = (round(camera.width * scale), round(camera.height * scale))
+        sx, sy = self._size[0] / camera.width, self._size[1] / camera.height
+        # A pixel's centre has whole numbers: its left edge, at -0.5, stays one.
+        self.matrix = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1.0]]) @ camera.matrix
+
+    def view(self, image: Image, T_odom_base: Array) -> View:
+        """Of an image, at a pose of base_link."""
+        pixels = image.pixels
+        if self._maps is not None:
+            pixels = cv2.remap(pixels, *self._maps, cv2.INTER_LINEAR)
+        if self._size != pixels.shape[1::-1]:
+            pixels = cv2.resize(pixels, self._size, interpolation=cv2.INTER_AREA)
+        return View(image.stamp_ns, pixels, self.matrix, T_odom_base @ self.T_base_cam)
+
+
+class Path:
+    """Poses of base_link (4, 4) at any stamp that a trajectory answers."""
+
+    def __init__(self, trajectory: Trajectory, max_gap_s: float) -> None:
+        self.trajectory, self._max_gap_ns = trajectory, max_gap_s * 1e9
+
+    def at(self, stamp_ns: int) -> Array | None:
+        """T_odom_base, interpolated; None outside the path and in its gaps."""
+        stamps = self.trajectory.stamps_ns
+        after = int(np.searchsorted(stamps, stamp_ns))
+        if after < len(stamps) and stamps[after] == stamp_ns:
+            return self.trajectory.select(slice(after, after + 1)).matrices[0]
+        if after in (0, len(stamps)) or stamps[after] - stamps[after - 1] > self._max_gap_ns:
+            return None
+        return self.trajectory.select(slice(after - 1, after + 1)).at(np.array([stamp_ns])).matrices[0]
+
+
+def partner(sequence: Sequence, camera: str, settings: CloudSettings) -> str | None:
+    """A camera that sees much of what `camera` sees, from beside it and at its stamps; None if there is none."""
+    T_cam_base = invert(sequence.cameras[camera].T_base_cam)
+    for name, other in sequence.cameras.items():
+        T = T_cam_base @ other.T_base_cam
+        angle = np.degrees(np.arccos(np.clip(T[2, 2], -1.0, 1.0)))
+        same_rate = other.rate_hz == sequence.cameras[camera].rate_hz
+        apart = 0.01 < float(np.linalg.norm(T[:3, 3])) < settings.max_base_m
+        if name != camera and same_rate and apart and angle < settings.max_axes_deg:
+            return name
+    return None
+
+
+def frames(
+    sequence: Sequence, camera: str, other: str | None, settings: CloudSettings
+) -> Iterator[tuple[Image, Image | None]]:
+    """Frames of a camera, each with that of the other one at its stamp; of a pair, only whole ones."""
+    if other is None:
+        yield from ((image, None) for image in sequence.images(camera))
+        return
+    tolerance = settings.pair_tolerance_s * 1e9
+    partners = sequence.images(other)
+    second = next(partners, None)
+    for image in sequence.images(camera):
+        while second is not None and second.stamp_ns < image.stamp_ns - tolerance:
+            second = next(partners, None)
+        if second is not None and second.stamp_ns <= image.stamp_ns + tolerance:
+            yield image, second
