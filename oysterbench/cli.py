@@ -12,6 +12,7 @@ import click
 
 from oysterbench.cli_compare import compare_command
 from oysterbench.cli_hub import COMMANDS as HUB_COMMANDS
+from oysterbench.cli_map import map_command
 from oysterbench.cli_outputs import Outputs, output_options, print_rich
 from oysterbench.cli_reading import Reading, reading_options
 from oysterbench.cli_render import frames_bar, render, render_files
@@ -76,13 +77,14 @@ def main() -> None:
       oysterbench download slam-mini                from a hub, or rendered where none is set
       oysterbench info mini-01.mcap
       oysterbench export mini-01.mcap --format euroc --out mini-01
+      oysterbench map mini-01.mcap poses.tum --out mini-01.ply
       oysterbench view mini-01.mcap                 one page to look through it
       oysterbench gallery                           waters, lights, reefs and views on one sheet
       oysterbench oyster --seed 7 --out oyster.glb
     """
 
 
-for _command in (run_command, compare_command, render, splits, *HUB_COMMANDS):
+for _command in (run_command, compare_command, map_command, render, splits, *HUB_COMMANDS):
     main.add_command(_command)
 
 
