@@ -35,6 +35,8 @@ MAY_IMPORT = {
     "generate": GROUND | {"calibration", "render", "sequence", "stage", "recording", "salt", "scheduling"},
     "gallery": GROUND | {"stage"},
     "methods": GROUND | {"sequence"},
+    "mapping": GROUND | {"sequence"},
+    "cli_map": GROUND | {"mapping", "sequence"},
     "labelled": GROUND | {"sequence"},
     "evaluate": GROUND,
     "answers": GROUND | {"sequence", "labelled", "evaluate"},
@@ -63,6 +65,7 @@ MAY_IMPORT = {
     "cli": GROUND
     | {
         "cli_compare",
+        "cli_map",
         "cli_outputs",
         "cli_hub",
         "cli_splits",
