@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from oysterbench.report import SlamRun
+    from oysterbench.report import DatasetRow, ImageRun, SlamRun
 
 TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs", "md": "tables in Markdown"}
 """Forms of text, by their suffix."""
@@ -32,10 +32,18 @@ class Outputs:
         """Whether stdout is taken by one of them."""
         return self.as_json or Path("-") in self.texts.values()
 
-    def write(self, runs: Sequence[SlamRun], folder: Path | None = None) -> list[Path]:
-        """Write all files that were asked for, those of a folder in all forms; returns what was written."""
+    def write(
+        self,
+        runs: Sequence[SlamRun] | Sequence[ImageRun],
+        folder: Path | None = None,
+        data_set: Sequence[DatasetRow] = (),
+    ) -> list[Path]:
+        """Write all files that were asked for, those of a folder in all forms; returns what was written.
+
+        data_set: of tracks of images, each method over all clips together.
+        """
         from oysterbench.files import write_atomically
-        from oysterbench.report import csv_text, latex_text, markdown_text, write_html_report
+        from oysterbench.report import csv_text, dataset_tables, latex_text, markdown_text, write_html_report
 
         makers = {"csv": csv_text, "tex": latex_text, "md": markdown_text}
         records = [run.record for run in runs]
@@ -45,13 +53,13 @@ class Outputs:
             places += [(form, folder / f"results.{form}") for form in TEXTS]
             reports.append(folder / "report.html")
         for form, path in places:
-            text = makers[form](records)
+            text = makers[form](records, dataset_tables(data_set))
             if path == Path("-"):
                 click.echo(text, nl=False)
             else:
                 write_atomically(path, text.encode())
         for path in reports:
-            write_html_report(path, runs, command=shlex.join(["oysterbench", *sys.argv[1:]]))
+            write_html_report(path, runs, shlex.join(["oysterbench", *sys.argv[1:]]), data_set=data_set)
         return [*(path for _, path in places if path != Path("-")), *reports]
 
 

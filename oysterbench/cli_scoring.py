@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -69,19 +70,31 @@ OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
 """Setting of the evaluator -> the option's name, and what click is told of it. What is not given keeps its default."""
 
 
+@dataclass(frozen=True)
+class Scoring:
+    """What was given; called, it makes the evaluator's settings."""
+
+    values: dict[str, Any]
+
+    @property
+    def given(self) -> list[str]:
+        """The options, by name."""
+        return [OPTIONS[key][0] for key in self.values]
+
+    def __call__(self) -> SlamSettings:
+        from oysterbench.evaluate.slam import SlamSettings
+
+        return SlamSettings(**self.values)
+
+
 def scoring_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the options, and the argument `settings`: a function that makes the evaluator's settings."""
+    """Give a command the options, and the argument `settings` (`Scoring`)."""
 
     @functools.wraps(command)
     def wrapped(**values: Any) -> Any:
         given = {key: value for key in OPTIONS if (value := values.pop(key)) not in (None, ())}
 
-        def settings() -> SlamSettings:
-            from oysterbench.evaluate.slam import SlamSettings
-
-            return SlamSettings(**given)
-
-        return command(settings=settings, **values)
+        return command(settings=Scoring(given), **values)
 
     for key, (name, about) in reversed(OPTIONS.items()):
         wrapped = click.option(name, key, **about)(wrapped)

@@ -161,6 +161,13 @@ def recall_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str)
     return _drawing(bent, x_axis, y_axis, title, x_label, y_label, "", "")
 
 
+def share_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
+    """Curves of shares over shares or thresholds, both from 0 to 1."""
+    x_axis = Axis(0.0, 1.0, LEFT, LEFT + INNER)
+    y_axis = Axis(0.0, 1.0, TOP + 190.0, TOP, 40.0)
+    return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, "", "")
+
+
 def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, top: float | None = None) -> str:
     """Points, not lines: one for each sequence and method; from zero up to `top`.
 

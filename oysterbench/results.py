@@ -281,15 +281,17 @@ def _aggregate_group(group: list[ResultRecord]) -> dict[str, Any]:
     }
 
 
-def document(records: Iterable[ResultRecord]) -> dict[str, Any]:
-    """What `oysterbench eval --json` prints: all records and their aggregate."""
+def document(records: Iterable[ResultRecord], data_set: Any = None) -> dict[str, Any]:
+    """What `oysterbench eval --json` prints: all records and their aggregate; data_set: what is known over all
+    sequences together and cannot be made of the records, for tracks that have such a thing."""
     records = list(records)
-    return {"results": [record.to_dict() for record in records], "aggregate": aggregate(records)}
+    made = {"results": [record.to_dict() for record in records], "aggregate": aggregate(records)}
+    return made if data_set is None else {**made, "data_set": plain(data_set)}
 
 
-def write_results(path: str | os.PathLike[str], records: Iterable[ResultRecord]) -> None:
+def write_results(path: str | os.PathLike[str], records: Iterable[ResultRecord], data_set: Any = None) -> None:
     """Write `document(records)` as JSON, nothing half-written."""
-    write_atomically(path, (dump(document(records)) + "\n").encode())
+    write_atomically(path, (dump(document(records, data_set)) + "\n").encode())
 
 
 def read_results(path: str | os.PathLike[str]) -> list[ResultRecord]:

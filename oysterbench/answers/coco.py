@@ -41,6 +41,11 @@ class CocoFile:
         """Height and width of each image."""
         return {name: (height, width) for name, height, width in self.ids.values()}
 
+    @property
+    def boxes_alone(self) -> bool:
+        """Whether some item has no mask."""
+        return any(not item.get("segmentation") for rows in self.items.values() for _, item in rows)
+
     def instances(self, name: str, scored: bool) -> ImageInstances:
         """Its instances in an image; scored: as an estimate, in which every item has a score and is asked about."""
         height, width = self.sizes[name]

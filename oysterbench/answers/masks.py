@@ -72,7 +72,7 @@ class MaskFiles:
         """Integers whose meaning is to be guessed, or that are said to be probabilities."""
         greatest, most = int(values.max(initial=0)), np.iinfo(values.dtype).max
         if int(values.min(initial=0)) < 0 or values.dtype not in (np.uint8, np.uint16):
-            raise LabelError(f"{where}: expected 8 or 16 bits without a sign, got {values.dtype}; say --form")
+            raise LabelError(f"{where}: expected 8 or 16 bits without a sign, got {values.dtype}; say --estimate-kind")
         if self.form == "auto" and greatest == 1:
             self._zero_one = name
         elif greatest > 1:
@@ -80,7 +80,7 @@ class MaskFiles:
         if self._zero_one and self._probability:
             raise LabelError(
                 f"{self.place}: {self._zero_one} has 0 and 1 alone, as masks may, and {self._probability} greater "
-                f"numbers, as probability maps of {most} for 1 have; say which with --form mask or --form probability"
+                f"numbers, as probability maps of {most} for 1 have; --estimate-kind says which"
             )
         if self.form == "auto" and greatest == 1:
             return EstimateImage(name, probability=values.astype(np.float32))
@@ -100,8 +100,8 @@ def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
     if greatest > 0 and not ((values == 0) | (values == greatest)).all():
         found = [f"{number:g}" for number in np.unique(values)[:6]]
         raise LabelError(
-            f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; say --form probability "
-            "for probabilities, --form classes for numbers of classes"
+            f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; for probabilities "
+            "or numbers of classes, say --estimate-kind"
         )
     return values > 0
 

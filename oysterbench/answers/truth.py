@@ -6,6 +6,7 @@ import csv
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -54,9 +55,20 @@ class Clip:
         if self.coco is not None:
             return self.coco.instances(truth.name, scored=False)
         if truth.instances is None:
-            raise LabelError(f"{truth.name}: single oysters are not told apart in the truth, which is a mask")
+            raise LabelError(
+                f"{truth.name}: single oysters are not told apart in the truth, which is a mask; expected COCO "
+                "annotations, YOLO polygons, masks with instances/, or sequences"
+            )
         numbers = np.where(truth.oyster, truth.instances, 0)
         return from_planes(truth.name, numbers, truth.ignore, truth.footprint_m2)
+
+    def single(self) -> Iterator[tuple[ImageInstances, Seen | None]]:
+        """The single oysters of each image, and its truth and picture; None where the truth has boxes alone."""
+        if self.coco is not None and self.coco.boxes_alone:
+            yield from ((self.coco.instances(name, scored=False), None) for name in self.names)
+            return
+        for truth, pixels in self.images():
+            yield self.instances(truth), (truth, pixels)
 
 
 def sequence_clip(path: Path, conditions: Mapping[str, float | str] | None = None) -> Clip:
@@ -164,7 +176,7 @@ def _labelled_clips(place: Path) -> list[Clip]:
         Clip(
             clip,
             tuple(entry.name for entry in entries),
-            lambda entries=entries: images(entries),
+            partial(images, entries),
             _digest([path for entry in entries for path in entry.files]),
         )
         for clip, entries in groups.items()
@@ -184,17 +196,16 @@ def _coco_clips(path: Path) -> list[Clip]:
             yield TruthImage(name, classes, False, ignore if ignore.any() else None), None
 
     digest = _digest([path])
-    return [
-        Clip(clip, tuple(names), lambda names=names: images(names), digest, coco=file) for clip, names in groups.items()
-    ]
+    return [Clip(clip, tuple(names), partial(images, names), digest, coco=file) for clip, names in groups.items()]
 
 
 def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Clip]:
     files = {path.relative_to(place).with_suffix("").as_posix(): path for path in sorted(place.rglob("*.png"))}
     if not files:
+        got = "none of them" if place.exists() else "nothing of that name"
         raise LabelError(
-            f"{place}: expected the truth: masks as .png, a folder with images/ and labels/ or masks/, COCO annotations "
-            f"(.json) or sequences (.mcap), got {'none of them' if place.exists() else 'nothing of that name'}"
+            f"{place}: expected the truth: masks as .png, a folder with images/ and labels/ or masks/, COCO "
+            f"annotations (.json) or sequences (.mcap), got {got}"
         )
     listed = _manifest(place / "manifest.csv", files)
     groups: dict[str, list[str]] = {}
@@ -206,7 +217,7 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Cli
             yield _plain_truth(name, files[name], labels, ignore_value), None
 
     return [
-        Clip(clip, tuple(names), lambda names=names: images(names), _digest([files[name] for name in names]))
+        Clip(clip, tuple(names), partial(images, names), _digest([files[name] for name in names]))
         for clip, names in groups.items()
     ]
 

@@ -59,6 +59,37 @@ STANDING = (
 """Of the standings, beside rank, score and interval; errors relative to the path, as they are means over paths."""
 
 
+SEGMENTATION = (
+    Column("iou", "IoU", "", decimals=3, small=0.0),
+    Column("image_iou", "IoU", "by image", decimals=3, small=0.0),
+    Column("boundary_iou", "IoU", "border", decimals=3, small=0.0),
+    Column("precision", "prec", "", decimals=3, small=0.0),
+    Column("recall", "recall", "", decimals=3, small=0.0),
+    Column("dice", "Dice", "", decimals=3, small=0.0),
+    Column("empty_false_positive_rate", "false", "% empty", factor=100.0),
+)
+DETECTION = (
+    Column("ap_mask", "AP", "mask", decimals=3, small=0.0),
+    Column("ap50_mask", "AP50", "mask", decimals=3, small=0.0),
+    Column("ap_box", "AP", "box", decimals=3, small=0.0),
+    Column("ar_mask", "AR", "mask", decimals=3, small=0.0),
+    Column("pq", "PQ", "", decimals=3, small=0.0),
+    Column("count_mae", "count", "MAE", decimals=1, small=0.0),
+    Column("count_bias", "count", "bias", decimals=1, small=0.0),
+    Column("density_error_per_m2", "density", "err/m\N{SUPERSCRIPT TWO}", decimals=1, small=0.0),
+)
+
+OF_TRACK = {"slam": COLUMNS, "segmentation": SEGMENTATION, "detection": DETECTION}
+"""Track -> columns of its results."""
+
+STANDING_OF_TRACK = {"slam": STANDING, "segmentation": SEGMENTATION[1:], "detection": DETECTION[1:]}
+"""Track -> columns of its standings, beside the metric that ranks."""
+
+ERROR_OF_TRACK = {"slam": "ate_percent", "segmentation": "boundary_iou", "detection": "count_mae"}
+"""Track -> the metric that is shown beside the one that ranks, over conditions and over runs."""
+
+
 def find_column(key: str) -> Column:
     """The column of a metric."""
-    return next(column for column in (*COLUMNS, *STANDING) if column.key == key)
+    known = (*COLUMNS, *STANDING, *SEGMENTATION, *DETECTION)
+    return next(column for column in known if column.key == key)

@@ -53,13 +53,16 @@ _LATEX = {
 }
 
 
-def tables(records: Sequence[ResultRecord]) -> list[Table]:
-    """What every form shows: results by sequence, then the comparison where there is something to compare."""
-    return [*results_tables(records), *comparison_tables(records)]
+def tables(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> list[Table]:
+    """What every form shows: results by sequence, then the comparison where there is something to compare.
+
+    first: what a track shows before them.
+    """
+    return [*first, *results_tables(records), *comparison_tables(records)]
 
 
-def csv_text(records: Sequence[ResultRecord]) -> str:
-    """One line per run, all conditions and metrics, every digit; an empty field where there is no value."""
+def csv_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
+    """One line per run, all conditions and metrics, every digit; an empty field where there is no value. No tables."""
     conditions = [key for key in CONDITIONS if any(key in record.conditions for record in records)]
     conditions += sorted({key for record in records for key in record.conditions} - set(conditions))
     metrics = list(dict.fromkeys(key for record in records for key in record.metrics))
@@ -81,9 +84,9 @@ def _field(value: Any) -> str:
     return repr(float(value)) if isinstance(value, float) else str(value)
 
 
-def markdown_text(records: Sequence[ResultRecord]) -> str:
+def markdown_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
     """Tables as GitHub shows them, each with what stands below it."""
-    return "\n".join(_markdown(table) for table in tables(records))
+    return "\n".join(_markdown(table) for table in tables(records, first))
 
 
 def _markdown(table: Table) -> str:
@@ -108,9 +111,9 @@ def _markdown_text(text: str) -> str:
     return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", " ".join(text.split()))
 
 
-def latex_text(records: Sequence[ResultRecord]) -> str:
+def latex_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
     """Tables for a paper; \\usepackage{booktabs} is all that they need."""
-    return "\n".join(["% needs \\usepackage{booktabs}", *(_latex(table) for table in tables(records))])
+    return "\n".join(["% needs \\usepackage{booktabs}", *(_latex(table) for table in tables(records, first))])
 
 
 def _latex(table: Table) -> str:

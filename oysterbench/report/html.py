@@ -19,7 +19,8 @@ from oysterbench.evaluate.metrics import Metric, find_metric
 from oysterbench.files import write_atomically
 from oysterbench.page import STYLES, page
 from oysterbench.plots import Curve, point_swatch, scatter_plot
-from oysterbench.report.columns import COLUMNS, STANDING
+from oysterbench.report.columns import ERROR_OF_TRACK, OF_TRACK, STANDING_OF_TRACK
+from oysterbench.report.images import DatasetRow, ImageRun, curves_section, dataset_tables, samples_section
 from oysterbench.report.sequences import SlamRun, card, sequence_section
 from oysterbench.report.tables import (
     COMPLETE,
@@ -37,24 +38,36 @@ from oysterbench.results import ResultRecord
 
 ARROWS = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", "": ""}
 OPEN_SEQUENCES = 3  # more are folded away, all but the first
-ERROR = ("ate_percent",)  # shown over conditions beside the ranking metric; a failed run has none
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
 
 
+Runs = Sequence[SlamRun] | Sequence[ImageRun]
+
+TITLES = {"slam": "SLAM", "segmentation": "Segmentation", "detection": "Detection"}
+
+
 def write_html_report(
-    path: str | os.PathLike[str], runs: Sequence[SlamRun], command: str, title: str | None = None
+    path: str | os.PathLike[str],
+    runs: Runs,
+    command: str,
+    title: str | None = None,
+    data_set: Sequence[DatasetRow] = (),
 ) -> None:
     """Write `html_report` to a file, nothing half-written."""
-    write_atomically(path, html_report(runs, command, title).encode())
+    write_atomically(path, html_report(runs, command, title, data_set).encode())
 
 
-def html_report(runs: Sequence[SlamRun], command: str, title: str | None = None) -> str:
-    """Table, standings, trajectories, errors and recall, frames, definitions, and how it was all made."""
+def html_report(runs: Runs, command: str, title: str | None = None, data_set: Sequence[DatasetRow] = ()) -> str:
+    """Table, standings, trajectories, errors and recall, frames, definitions, and how it was all made.
+
+    Of tracks of images: the data set as a whole, curves and pictures in place of trajectories.
+    """
     records = [run.record for run in runs]
     splits = list(dict.fromkeys(record.split for record in records if record.split))
     sequences = list(dict.fromkeys(record.sequence for record in records))
     methods = list(dict.fromkeys(record.method for record in records))
-    title = title or f"SLAM on {', '.join(splits or sequences)}"
+    track = records[0].track if records else "slam"
+    title = title or f"{TITLES[track]} on {', '.join(splits or sequences)}"
     styles = {method: 1 + i % STYLES for i, method in enumerate(methods)}
     found = boards(records)
     parts = [
@@ -65,19 +78,25 @@ def html_report(runs: Sequence[SlamRun], command: str, title: str | None = None)
         else '<p class="lead">No runs.</p>',
         *(f'<p class="small">{escape(remark[0].upper() + remark[1:])}.</p>' for remark in remarks(found)),
     ]
+    for table in dataset_tables(data_set):
+        notes = "".join(f'<p class="small">{escape(note)}</p>' for note in table.notes)
+        parts.append(f"<h2>{escape(table.title)}</h2>{_table(table)}{notes}")
+    parts.append(curves_section(data_set, styles))
     standings = [_standings(board) for board in found if len(board.sequences) > 1]
     parts += [*standings, *(["<h2>By sequence</h2>"] if standings else []), _results(records)]
     parts += [f'<p class="small warn">{escape(remark)}</p>' for remark in failures_and_notes(records)]
+    slam = [run for run in runs if isinstance(run, SlamRun)]
     drawn = any(run.result is not None for run in runs)
     parts += [_board(board, styles, compared=len(board.sequences) > 1 or not drawn) for board in found]
-    for i, sequence in enumerate(sequences):
-        of_sequence = [run for run in runs if run.record.sequence == sequence]
+    parts.append(samples_section([run for run in runs if isinstance(run, ImageRun)]))
+    for i, sequence in enumerate(sequences if slam else ()):
+        of_sequence = [run for run in slam if run.record.sequence == sequence]
         failed = all(run.record.failure is not None for run in of_sequence)
         if failed or any(run.result is not None or run.frames for run in of_sequence):
             section = sequence_section(of_sequence, sequence, styles)
             many = len(sequences) > OPEN_SEQUENCES
             parts.append(_folded(f"Paths and errors on {sequence}", section, i == 0) if many else section)
-    if records and not drawn:
+    if slam and not drawn:
         parts.append('<p class="small">Paths are drawn in the report of each evaluation.</p>')
     parts += [_making(records, command), _definitions(records), f"<script>{_asset('report.js')}</script>"]
     return page(title, f"<style>{_asset('report.css')}</style>" + "\n".join(parts))
@@ -207,7 +226,10 @@ def _short(board: Board) -> str:
 def _over(board: Board, condition: str, values: Mapping[str, float], styles: Mapping[str, int]) -> str:
     """The ranking metric, and the error beside it, of every sequence over a condition."""
     cards = []
-    for key, top in ((board.metric, 1.0), *((key, None) for key in ERROR if key in board.keys)):
+    for key, top in (
+        (board.metric, 1.0),
+        *((key, None) for key in (ERROR_OF_TRACK[board.track],) if key in board.keys),
+    ):
         metric = find_metric(key)
         found = board.cells(key)
         curves = []
@@ -265,7 +287,9 @@ def _settings(values: Mapping[str, Any]) -> str:
 def _definitions(records: Sequence[ResultRecord]) -> str:
     """What the numbers mean: the metrics of the tables, then all others that were measured, folded away."""
     measured = {key for record in records for key in record.metrics}
-    shown = [key for key in dict.fromkeys(column.key for column in (*COLUMNS, *STANDING)) if key in measured]
+    track = records[0].track if records else "slam"
+    columns = (*OF_TRACK[track], *STANDING_OF_TRACK[track])
+    shown = [key for key in dict.fromkeys(column.key for column in columns) if key in measured]
     others = [key for record in records for key in record.metrics if key not in shown]
     folded = "".join(_definition(key, records) for key in dict.fromkeys(others))
     if folded:

@@ -12,7 +12,15 @@ from oysterbench.comparison import Board, Cell, boards, remarks
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import LEVEL, Interval
-from oysterbench.report.columns import ABSENT, COLUMNS, STANDING, Column, find_column
+from oysterbench.report.columns import (
+    ABSENT,
+    COLUMNS,
+    ERROR_OF_TRACK,
+    OF_TRACK,
+    STANDING_OF_TRACK,
+    Column,
+    find_column,
+)
 from oysterbench.results import ResultRecord, aggregate, comparable_key, method_key
 
 COMPLETE = 0.95
@@ -75,21 +83,28 @@ def rows(records: Sequence[ResultRecord]) -> list[Row]:
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
     for record in sorted(records, key=lambda record: order.index(record.sequence)):
         groups.setdefault((record.sequence, *method_key(record), *comparable_key(record)), []).append(record)
-    medians = [{column.key: median(group, column.key) for column in COLUMNS} for group in groups.values()]
+    columns = columns_of(records)
+    medians = [{column.key: median(group, column.key) for column in columns} for group in groups.values()]
     means = aggregate(records) if len(order) > 1 else []
-    best = _best([group[0].sequence for group in groups.values()], medians)
+    best = _best([group[0].sequence for group in groups.values()], medians, columns)
     values = [*medians, *(mean["metrics"] for mean in means)]
-    cells = list(zip(*(c.texts([of.get(c.key) for of in values]) for c in COLUMNS), strict=True))
+    cells = list(zip(*(c.texts([of.get(c.key) for of in values]) for c in columns), strict=True))
     found = []
     for group, of, texts in zip(groups.values(), medians, cells, strict=False):
         failures = sum(record.failure is not None for record in group)
         several = f" ({len(group)} runs{f', {failures} failed' if failures else ''})" if len(group) > 1 else ""
-        marked = tuple(of[c.key] == best.get((group[0].sequence, c.key), math.nan) for c in COLUMNS)
+        marked = tuple(of[c.key] == best.get((group[0].sequence, c.key), math.nan) for c in columns)
         found.append(Row(group[0].sequence, group[0].method + several, texts, marked, failed=failures == len(group)))
     for mean, texts in zip(means, cells[len(medians) :], strict=True):
         failed = f", {mean['failures']} failed" if mean["failures"] else ""
-        found.append(Row(f"mean of {mean['sequences']}{failed}", mean["method"], texts, mean=True))
+        unmarked = (False,) * len(columns)
+        found.append(Row(f"mean of {mean['sequences']}{failed}", mean["method"], texts, unmarked, mean=True))
     return found
+
+
+def columns_of(records: Sequence[ResultRecord]) -> tuple[Column, ...]:
+    """Of the track that the records are of."""
+    return OF_TRACK[records[0].track] if records else COLUMNS
 
 
 def median(records: Sequence[ResultRecord], key: str) -> float:
@@ -98,7 +113,9 @@ def median(records: Sequence[ResultRecord], key: str) -> float:
     return float(np.median(known)) if known else math.nan
 
 
-def _best(sequences: Sequence[str], medians: Sequence[dict[str, float]]) -> dict[tuple[str, str], float]:
+def _best(
+    sequences: Sequence[str], medians: Sequence[dict[str, float]], columns: Sequence[Column]
+) -> dict[tuple[str, str], float]:
     """Best value of each sequence and column, where methods were compared and the metric has a direction.
 
     Only runs that answer nearly as much as the most complete one compete: an error over the easy part is no record.
@@ -106,14 +123,15 @@ def _best(sequences: Sequence[str], medians: Sequence[dict[str, float]]) -> dict
     """
 
     def coverage(of: dict[str, float]) -> float:
-        return 1.0 if math.isnan(of["coverage"]) else of["coverage"]
+        covered = of.get("coverage", math.nan)
+        return 1.0 if math.isnan(covered) else covered
 
     most: dict[str, float] = {}
     for sequence, of in zip(sequences, medians, strict=True):
         most[sequence] = max(most.get(sequence, 0.0), coverage(of))
     values: dict[tuple[str, str], list[float]] = {}
     for sequence, of in zip(sequences, medians, strict=True):
-        for column in COLUMNS:
+        for column in columns:
             complete = column.key == "score" or coverage(of) >= COMPLETE * most[sequence]
             if complete and not math.isnan(of[column.key]):
                 values.setdefault((sequence, column.key), []).append(of[column.key])
@@ -170,7 +188,7 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
     headings = (
         Heading("sequence", number=False),
         Heading("method", number=False),
-        *(Heading(column.heading, column.unit, column.key) for column in COLUMNS),
+        *(Heading(column.heading, column.unit, column.key) for column in columns_of(records)),
     )
     lines = []
     for row in rows(records):
@@ -193,7 +211,7 @@ def standings_table(board: Board) -> Table:
     shown = [row.summaries.get(board.metric) for row in board.standings]
     texts = {
         column.key: column.texts([s.mean if (s := row.summaries.get(column.key)) else None for row in board.standings])
-        for column in (metric, *STANDING)
+        for column in (metric, *STANDING_OF_TRACK[board.track])
     }
     lines = []
     for i, (row, summary) in enumerate(zip(board.standings, shown, strict=True)):
@@ -208,7 +226,7 @@ def standings_table(board: Board) -> Table:
                     texts[metric.key][i],
                     interval_text(summary.interval, metric) if summary is not None else ABSENT,
                     spread,
-                    *(texts[column.key][i] for column in STANDING),
+                    *(texts[column.key][i] for column in STANDING_OF_TRACK[board.track]),
                     f"{row.failures} of {row.runs}",
                 )
             )
@@ -219,7 +237,7 @@ def standings_table(board: Board) -> Table:
         Heading(metric.heading, metric.unit, metric.key),
         Heading(f"{LEVEL:.0%}", "interval"),
         Heading("sequences", "from, to"),
-        *(Heading(column.heading, column.unit, column.key) for column in STANDING),
+        *(Heading(column.heading, column.unit, column.key) for column in STANDING_OF_TRACK[board.track]),
         Heading("failed", "runs"),
     )
     return Table(f"Standings on {board.name}", headings, tuple(lines), tuple(_reading(board)))
@@ -237,10 +255,14 @@ def _rank(board: Board, i: int) -> str:
 
 def _reading(board: Board) -> list[str]:
     n = len(board.sequences)
+    count = f"{n} sequence{'' if n == 1 else 's'}"
+    metric = find_metric(board.metric)
     said = [
-        f"Means over {n} sequence{'' if n == 1 else 's'}, each the mean of its runs; a failed run scores 0, and errors "
-        "are those of the runs that have one: read them beside coverage and failures."
+        f"Means over {count}, each the mean of its runs; a failed run scores 0, and errors are those of the runs "
+        "that have one: read them beside coverage and failures."
     ]
+    if metric is not None and metric.weight:
+        said = [f"{metric.short} is that of all pixels of {count} together; a failed run finds nothing."]
     if any(row.standing.rank is not None for row in board.standings):
         said.append(
             f"A rank is a range where methods cannot be told apart at {LEVEL:.0%}, by resampling the differences on "
@@ -317,7 +339,7 @@ def _bracketed(interval: Interval, column: Column) -> str:
 
 def runs_table(board: Board) -> Table:
     """Median and spread over the runs of each method on each sequence, where some have several."""
-    metric, drift, coverage = (find_column(key) for key in (board.metric, "ate_percent", "coverage"))
+    metric, drift, coverage = (find_column(key) for key in (board.metric, ERROR_OF_TRACK[board.track], "coverage"))
     cells = [cell for cell in board.cells() if cell.runs > 1]
     errors = {(cell.label, cell.sequence): cell for cell in board.cells(drift.key)}
     lines = []
