@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from oysterbench.cli_compare import compare_command
 from oysterbench.cli_hub import COMMANDS as HUB_COMMANDS
+from oysterbench.cli_imaging import TRACKS as IMAGE_TRACKS
+from oysterbench.cli_imaging import Imaging, evaluate_images, imaging_options
+from oysterbench.cli_learn import experiment, train
 from oysterbench.cli_map import map_command
 from oysterbench.cli_outputs import Outputs, output_options, print_rich
 from oysterbench.cli_reading import Reading, reading_options
 from oysterbench.cli_render import frames_bar, render, render_files
 from oysterbench.cli_run import run_command
-from oysterbench.cli_scoring import scoring_options
+from oysterbench.cli_scoring import Scoring, scoring_options
 from oysterbench.cli_splits import splits
 from oysterbench.errors import OysterbenchError
 from oysterbench.version import VERSION
 
-if TYPE_CHECKING:
-    from oysterbench.evaluate.slam import SlamSettings
-
-TRACKS = ("slam",)
+TRACKS = ("slam", *IMAGE_TRACKS)
 DEFAULT_SPLIT = {"slam": "slam-mini"}
 DEFAULT_METHODS = {"slam": ("gtsam_vi", "dead_reckoning")}
 ALIGNMENTS = ("none", "origin", "se3", "posyaw", "sim3")
@@ -72,6 +71,7 @@ def main() -> None:
       oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3
       oysterbench run my_slam --command "..."       run any program on a split, and score it
       oysterbench compare ours theirs               ranks, ties, and who is better where
+      oysterbench train unet --data seg-train       a method that learns
       oysterbench splits                            what can be rendered, and what is here
       oysterbench render slam-mini --workers 2
       oysterbench download slam-mini                from a hub, or rendered where none is set
@@ -84,18 +84,21 @@ def main() -> None:
     """
 
 
-for _command in (run_command, compare_command, map_command, render, splits, *HUB_COMMANDS):
+for _command in (run_command, compare_command, map_command, train, experiment, render, splits, *HUB_COMMANDS):
     main.add_command(_command)
 
 
 @main.command("eval", short_help="Run methods on a split and score them, or score two files.")
 @click.option("--track", type=click.Choice(TRACKS), required=True, help="What is evaluated.")
-@click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.  [default: slam-mini]")
+@click.option(
+    "--split", "split_name", help="A split's name or the path of a .toml recipe.  [default: slam-mini, seg-mini]"
+)
 @click.option("--method", "method_names", multiple=True, help="A method; repeatable.  [default: the track's baselines]")
-@click.option("--truth", type=click.Path(path_type=Path), help="Score files: the true trajectory.")
-@click.option("--estimate", type=click.Path(path_type=Path), help="Score files: the estimated trajectory.")
+@click.option("--truth", type=click.Path(path_type=Path), help="Score files: the true trajectory, or masks.")
+@click.option("--estimate", type=click.Path(path_type=Path), help="Score files: the estimated ones.")
 @reading_options
 @scoring_options
+@imaging_options
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of the results.  [default: under the home]"
 )
@@ -109,13 +112,14 @@ def eval_command(
     truth: Path | None,
     estimate: Path | None,
     reading: Reading,
-    settings: Callable[[], SlamSettings],
+    settings: Scoring,
+    imaging: Imaging,
     out: Path | None,
     workers: int | None,
     times: int | None,
     outputs: Outputs,
 ) -> None:
-    """Run methods on a split and score them, or score two trajectory files.
+    """Run methods on a split and score them, or score files: trajectories, masks, single oysters.
 
     \b
     Examples:
@@ -124,6 +128,9 @@ def eval_command(
       oysterbench eval --track slam --runs 5 --out five-runs
       oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3 --associate nearest
       oysterbench eval --track slam --truth truth.tum --estimate mine.tum --report mine.html --tex -
+      oysterbench eval --track segmentation --method my_net:MyNet --split seg-val
+      oysterbench eval --track segmentation --truth masks/ --estimate probabilities/ --threshold 0.4
+      oysterbench eval --track detection --truth instances.json --estimate results.json
 
     The split is rendered on first use. The folder of results has them as JSON, CSV, LaTeX, Markdown and as an HTML
     report. Run k of a method that draws random numbers has the method's seed + k.
@@ -136,6 +143,12 @@ def eval_command(
         raise click.UsageError(
             "--truth and --estimate score two files: --split, --method, --workers and --runs do not apply"
         )
+    if track in IMAGE_TRACKS:
+        if names := [*reading.given, *(["--runs"] if times else []), *settings.given]:
+            raise click.UsageError(f"{', '.join(names)}: of the track slam, not of {track}")
+        evaluate_images(track, split_name, method_names, truth, estimate, imaging, out, workers, outputs)
+        return
+    imaging.refuse(tuple(imaging.given), "of the tracks segmentation and detection")
 
     from oysterbench.results import document, dump, write_results
 

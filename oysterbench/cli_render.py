@@ -104,7 +104,7 @@ def _preview(split: SplitRecipe, names: tuple[str, ...], folder: Path) -> dict[s
 
 
 @contextmanager
-def frames_bar(title: str) -> Iterator[Progress]:
+def frames_bar(title: str, unit: str = "frames") -> Iterator[Progress]:
     """A progress bar on a terminal, else a line at every tenth or few minutes; both on stderr, with the time left.
 
     Nothing is shown before it is told of anything.
@@ -121,9 +121,9 @@ def frames_bar(title: str) -> Iterator[Progress]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield plain_progress(title)
+        yield plain_progress(title, unit)
         return
-    columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TextColumn("frames"))
+    columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
     with Progress(*columns, TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), console=console) as bar:
 
         def update(done: int, total: int) -> None:
@@ -134,7 +134,7 @@ def frames_bar(title: str) -> Iterator[Progress]:
         yield update
 
 
-def plain_progress(title: str) -> Progress:
+def plain_progress(title: str, unit: str = "frames") -> Progress:
     """Progress as lines on stderr: at every tenth, and every few minutes."""
     first, told, began, at = -1, -1, 0.0, 0.0
 
@@ -148,7 +148,7 @@ def plain_progress(title: str) -> Progress:
             return
         told, at = tenth, now
         left = f", {_time((now - began) * (total - done) / (done - first))} left" if first < done < total else ""
-        click.echo(f"{title}: {done} of {total} frames{left}", err=True)
+        click.echo(f"{title}: {done} of {total} {unit}{left}", err=True)
 
     return tell
 

@@ -1,0 +1,73 @@
+"""Augmentation: crops of images, turned, flipped and scaled at random, with other colours, blur and noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench_baselines.learning.samples import Floats, Sample, standardised
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """How far things are changed. In units of an image's own contrast: gain and shift of the brightness, tint: shift of
+    each channel by itself, noise. zoom: least and greatest. Chances: grey, of losing the colours; blur."""
+
+    crop: int = 128
+    zoom: tuple[float, float] = (0.75, 1.35)
+    gain: float = 0.25
+    shift: float = 0.3
+    tint: float = 0.15
+    noise: float = 0.1
+    grey: float = 0.15
+    blur: float = 0.25
+
+
+def augmented(
+    sample: Sample, settings: Augmentation, rng: np.random.Generator
+) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8]]:
+    """A crop: pixels (C, C, 3) float32, standardised, truth (C, C, 2) and known (C, C) uint8."""
+    matrix = _placement(sample.known.shape, settings, rng)
+    size = (settings.crop, settings.crop)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    # Beyond the image its mirror image: black would be a border to learn, and a known one is no worse than another.
+    mirror = cv2.BORDER_REFLECT_101
+    pixels = cv2.warpAffine(sample.pixels, matrix, size, flags=flags, borderMode=mirror)
+    truth = cv2.warpAffine(sample.truth, matrix, size, flags=flags, borderMode=mirror)
+    known = cv2.warpAffine(sample.known, matrix, size, flags=flags, borderMode=mirror)
+    values = _recoloured(
+        standardised(np.asarray(pixels, np.uint8), sample.mean, sample.contrast), sample.contrast, settings, rng
+    )
+    return values, np.asarray(truth, np.uint8), np.where(known == 255, 255, 0).astype(np.uint8)
+
+
+def _placement(shape: tuple[int, ...], settings: Augmentation, rng: np.random.Generator) -> Floats:
+    """(2, 3) from pixels of the crop to pixels of the image: any turn, mirrored half the time, about a place of the
+    image that keeps the crop inside it where it fits."""
+    height, width = shape
+    zoom = math.exp(rng.uniform(math.log(settings.zoom[0]), math.log(settings.zoom[1])))
+    angle = rng.uniform(0, 2 * math.pi)
+    flip = -1.0 if rng.random() < 0.5 else 1.0
+    cos, sin = math.cos(angle) / zoom, math.sin(angle) / zoom
+    turn = np.array([[cos * flip, -sin], [sin * flip, cos]])
+    reach = settings.crop / 2 / zoom
+    centre = [rng.uniform(min(reach, n / 2), max(n - reach, n / 2)) for n in (width, height)]
+    middle = (settings.crop - 1) / 2
+    offset = np.array(centre) - 0.5 - turn @ [middle, middle]
+    return np.column_stack([turn, offset]).astype(np.float32)
+
+
+def _recoloured(values: Floats, contrast: Floats, settings: Augmentation, rng: np.random.Generator) -> Floats:
+    if rng.random() < settings.blur:
+        values = np.asarray(cv2.GaussianBlur(values, (0, 0), rng.uniform(0.4, 1.5)), np.float32)
+    if rng.random() < settings.grey:
+        weights = contrast / contrast.sum()
+        values = np.repeat((values @ weights)[..., None], 3, axis=2)
+    gain = math.exp(rng.normal(0, settings.gain))
+    shift = rng.normal(0, settings.shift) + rng.normal(0, settings.tint, 3)
+    noise = rng.standard_normal(values.shape, dtype=np.float32) * np.float32(abs(rng.normal(0, settings.noise)))
+    return (values * np.float32(gain) + shift.astype(np.float32) + noise).astype(np.float32)

@@ -1,0 +1,72 @@
+"""Checkpoints: all that a training is, in one file that is there whole or not at all."""
+
+from __future__ import annotations
+
+import io
+import platform
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from oysterbench.errors import MethodError
+from oysterbench.files import write_atomically
+from oysterbench.version import VERSION
+
+FORMAT = "oysterbench-checkpoint/1"
+
+
+@dataclass
+class Checkpoint:
+    """A training, finished or not.
+
+    identity:  what decides the weights: settings, digests of the data, seed, threads, kind of device. A training goes
+               on only from a checkpoint of its own identity
+    network:   what the network is made from
+    weights, optimiser, random: their states after `step` steps; random: of torch's generators
+    losses:    of each step; versions: of what computed them; seconds: of the processor, so far
+    """
+
+    identity: dict[str, Any]
+    network: dict[str, Any]
+    weights: dict[str, Any]
+    optimiser: dict[str, Any]
+    random: dict[str, Any]
+    step: int
+    finished: bool
+    losses: list[float]
+    seconds: float
+    versions: dict[str, str] = field(default_factory=dict)
+
+    def write(self, path: Path) -> None:
+        """As one file. Values are tensors and plain ones only, so that reading it runs no code."""
+        data = io.BytesIO()
+        torch.save({"format": FORMAT, **asdict(self)}, data)
+        write_atomically(path, data.getvalue())
+
+
+def read_checkpoint(path: Path) -> Checkpoint:
+    """Raises MethodError where it is none."""
+    try:
+        values = torch.load(path, map_location="cpu", weights_only=True)
+        if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
+            raise ValueError(f"expected {FORMAT}")
+        return Checkpoint(**values)
+    except FileNotFoundError:
+        raise MethodError(f"{path}: no such checkpoint; `oysterbench train` makes one") from None
+    except Exception as error:
+        # torch raises whatever its unpickler meets in a file that is damaged or of another program
+        line = " ".join(str(error).split())[:120]
+        raise MethodError(f"{path}: not a checkpoint of this version ({line}); train again") from None
+
+
+def versions() -> dict[str, str]:
+    """Of what decides the last bits."""
+    return {
+        "oysterbench": VERSION,
+        "torch": str(torch.__version__),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }

@@ -1,0 +1,146 @@
+"""Labelled images as a network sees them: at its working scale, each by its own mean and contrast."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch.utils.data import Dataset
+
+from oysterbench.labelled import LabelledImage, LabelledSet
+
+CORE = 0.4
+"""Of an oyster's greatest distance from its border: what lies deeper is its core, by which touching oysters are told
+apart."""
+LEAST_CONTRAST = 1.0
+"""Grey levels, of 255, that the contrast of a channel is taken to be at least: a black picture stays black."""
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Sample:
+    """An image at the working scale, h x w.
+
+    pixels: (h, w, 3) uint8 RGB; mean, contrast: (3,) float32, of the whole image, per channel
+    truth:  (h, w, 2) uint8, share of a pixel, in 255ths, that is oyster, and that is core of one (`CORE`)
+    known:  (h, w) uint8, 255 where the truth may be used, 0 where it is to be ignored
+    """
+
+    name: str
+    clip: str
+    pixels: NDArray[np.uint8]
+    mean: Floats
+    contrast: Floats
+    truth: NDArray[np.uint8]
+    known: NDArray[np.uint8]
+
+
+def make_sample(image: LabelledImage, scale: float) -> Sample:
+    """A labelled image, reduced. Every small pixel is the mean of those that it covers, in picture and truth alike."""
+    pixels = shrink(image.pixels, scale)
+    truth = np.stack([image.oysters, cores(image.instances * image.oysters)], axis=-1).astype(np.uint8) * 255
+    known = shrink(np.where(image.ignore, 0, 255).astype(np.uint8), scale)
+    mean, contrast = statistics(pixels)
+    return Sample(
+        image.name,
+        image.clip,
+        pixels,
+        mean,
+        contrast,
+        shrink(truth, scale),
+        np.where(known == 255, 255, 0).astype(np.uint8),
+    )
+
+
+def shrink(values: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
+    """(H, W, ...) to the working scale, by areas."""
+    if scale == 1.0:
+        return values
+    height, width = values.shape[:2]
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def statistics(pixels: NDArray[np.uint8]) -> tuple[Floats, Floats]:
+    """(3,) mean and standard deviation of each channel: what water and exposure do first of all, and is taken out."""
+    values = pixels.reshape(-1, 3).astype(np.float64)
+    return values.mean(axis=0).astype(np.float32), np.maximum(values.std(axis=0), LEAST_CONTRAST).astype(np.float32)
+
+
+def cores(instances: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """(H, W) inner parts of instances (H, W)."""
+    found = np.zeros(instances.shape, dtype=bool)
+    if not instances.any():
+        return found
+    numbers, dense = np.unique(instances, return_inverse=True)
+    dense = dense.reshape(instances.shape).astype(np.int32) + (0 if numbers[0] == 0 else 1)
+    rows, columns = np.nonzero(dense)
+    labels = dense[rows, columns]
+    order = np.argsort(labels, kind="stable")
+    bounds = np.searchsorted(labels[order], np.arange(1, labels.max() + 2))
+    for number, (begin, end) in enumerate(pairwise(bounds), start=1):
+        own = order[begin:end]
+        top, left = rows[own].min(), columns[own].min()
+        box = (slice(top, rows[own].max() + 1), slice(left, columns[own].max() + 1))
+        # The frame of zeros: an oyster that the image cuts off has its border there, too.
+        mask = np.pad((dense[box] == number).astype(np.uint8), 1)
+        depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3)[1:-1, 1:-1]
+        found[box] |= depth > CORE * depth.max()
+    return found
+
+
+class LabelledDataset(Dataset):  # type: ignore[type-arg]
+    """Labelled images as a torch Dataset.
+
+    An item is (pixels (3, h, w), truth (2, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
+    channel; truth 0 to 1 for oyster and core of an oyster; known 1 where the truth may be used. Images are read once,
+    when they are first asked for, and kept at the working scale.
+    """
+
+    def __init__(self, labelled: LabelledSet, scale: float = 1.0) -> None:
+        self.labelled, self.scale = labelled, scale
+        self._samples: dict[int, Sample] = {}
+
+    def __len__(self) -> int:
+        return len(self.labelled)
+
+    def sample(self, index: int) -> Sample:
+        """An image as it is kept."""
+        if index not in self._samples:
+            self._samples[index] = make_sample(self.labelled[index], self.scale)
+        return self._samples[index]
+
+    def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        sample = self.sample(index)
+        return as_tensors(standardised(sample.pixels, sample.mean, sample.contrast), sample.truth, sample.known)
+
+    def load(self, progress: Callable[[int, int], None] = lambda done, total: None) -> LabelledDataset:
+        """Read all images now."""
+        for k in range(len(self)):
+            self.sample(k)
+            progress(k + 1, len(self))
+        return self
+
+
+def standardised(pixels: NDArray[np.uint8], mean: Floats, contrast: Floats) -> Floats:
+    """(h, w, 3) float32 of mean 0 and deviation 1, over the image that the statistics are of."""
+    return (pixels.astype(np.float32) - mean) / contrast
+
+
+def as_tensors(
+    pixels: Floats, truth: NDArray[np.uint8], known: NDArray[np.uint8]
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Planes first: (3, h, w), (2, h, w), (1, h, w) float32."""
+    return (
+        torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1))),
+        torch.from_numpy(np.ascontiguousarray(truth.transpose(2, 0, 1))).float() / 255,
+        torch.from_numpy(known[None] > 0).float(),
+    )

@@ -1,0 +1,82 @@
+"""`oysterbench experiment sim2real`."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import click
+
+
+@click.command("sim2real", short_help="What rendered images are worth on real ones.")
+@click.option("--real", required=True, metavar="PATH", help="Labelled real images, with manifest.csv: clip and split.")
+@click.option("--synthetic", "names", multiple=True, metavar="NAME=SPLIT|PATH", help="Synthetic images; repeatable.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
+@click.option("--sizes", default="5,10,20,40,all", show_default=True, help="Numbers of real training images.")
+@click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Trainings of each kind.")
+@click.option("--steps", type=click.IntRange(min=1), help="Of the optimiser, of each training.  [default: 400]")
+@click.option("--hold-out", multiple=True, metavar="CLIP", help="Test on this training clip instead; repeatable.")
+@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
+@click.option("--only-table", is_flag=True, help="Train nothing; sum up what is finished.")
+def command(
+    real: str,
+    names: tuple[str, ...],
+    out: Path | None,
+    sizes: str,
+    seeds: int,
+    steps: int | None,
+    hold_out: tuple[str, ...],
+    device: str,
+    only_table: bool,
+) -> None:
+    """Train on few and many real images, with and without synthetic ones, and test all on real clips of their own.
+
+    \b
+    Examples:
+      oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train
+      oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train \\
+        --synthetic colour=translated/colour --synthetic cut=translated/cut --out sim2real
+      oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train \\
+        --hold-out closeup-b --hold-out closeup-c --sizes 10    to choose settings: no look at the test clips
+
+    For each number of real images and each seed: real only, and real + each synthetic set; and each synthetic set
+    alone. Translated images are a folder with images/ and masks/, and instances/ where they are known. Each training
+    is a folder with its checkpoint, its answers and results.json. May be interrupted, even killed: the same command
+    goes on from there; started twice, both share the work. Training images that nearly are test images are named, and
+    left out.
+    """
+    from oysterbench.cli_labelled import open_data
+    from oysterbench.cli_render import frames_bar
+    from oysterbench.files import home
+    from oysterbench_baselines.sim2real.experiment import run
+    from oysterbench_baselines.sim2real.settings import Settings
+
+    sets = {}
+    for text in names:
+        name, equals, place = text.partition("=")
+        if not equals or not name.replace("-", "").replace("_", "").isalnum() or name == "real" or name in sets:
+            raise click.UsageError(f"--synthetic: expected NAME=SPLIT or NAME=PATH, each name once, got {text!r}")
+        sets[name] = open_data(place)
+    settings = Settings(sizes=_sizes(sizes), seeds=seeds)
+    if steps is not None:
+        settings = dataclasses.replace(settings, fit=dataclasses.replace(settings.fit, steps=steps))
+    run(
+        open_data(real),
+        sets,
+        settings,
+        out or home() / "experiments" / "sim2real",
+        hold_out=hold_out,
+        device=device,
+        train=not only_table,
+        bar=frames_bar,
+        say=lambda text: click.echo(text, err=True),
+        show=click.echo,
+    )
+
+
+def _sizes(text: str) -> tuple[int, ...]:
+    """Numbers of real images; 0 for all."""
+    words = [word.strip() for word in text.split(",")]
+    if not all(word == "all" or (word.isdecimal() and int(word) > 0) for word in words):
+        raise click.UsageError(f"--sizes: expected whole numbers from 1, and all, with commas, got {text!r}")
+    return tuple(dict.fromkeys(0 if word == "all" else int(word) for word in words))

@@ -1,0 +1,119 @@
+"""The experiment: its cells one by one, those that are finished already left as they are, and the table of all."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+from oysterbench.files import write_atomically
+from oysterbench.labelled import LabelledSet
+from oysterbench.results import ResultRecord, write_results
+from oysterbench_baselines.sim2real.data import Real, real_data
+from oysterbench_baselines.sim2real.report import HEADINGS, lines, markdown, report
+from oysterbench_baselines.sim2real.scoring import WHOLE, score
+from oysterbench_baselines.sim2real.settings import Settings, cells_of
+from oysterbench_baselines.sim2real.table import Row, table
+from oysterbench_baselines.sim2real.trivial import TRIVIAL
+from oysterbench_baselines.sim2real.work import RESULT, Bench, finished, records_of, run_cell
+
+Say = Callable[[str], None]
+Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
+"""A progress bar by its title and unit."""
+
+
+def run(
+    labelled: LabelledSet,
+    synthetic: Mapping[str, LabelledSet],
+    settings: Settings,
+    out: Path,
+    hold_out: tuple[str, ...],
+    device: str,
+    train: bool,
+    bar: Bar,
+    say: Say,
+    show: Say,
+) -> list[Row]:
+    """Run all cells that are not finished, and write table.md, report.html and results.json into `out`."""
+    with bar("looking for near duplicates", "images") as progress:
+        real = real_data(labelled, hold_out, progress)
+    remarks = list(_remarks(labelled, real))
+    for remark in remarks:
+        say(remark)
+    bench = Bench(real, synthetic, settings, device)
+    cells = [cell for cell in cells_of(tuple(synthetic), settings) if (cell.size or 0) <= len(real.train)]
+    records = _trivial(bench)
+    done = {cell: finished(bench, cell, out / "cells" / cell.folder) for cell in cells}
+    left = [cell for cell in cells if done[cell] is None]
+    if train and left:
+        total, steps = len(left) * settings.fit.steps, settings.fit.steps
+        with bar(f"{len(left)} of {len(cells)} trainings", "steps") as progress:
+            progress(0, total)
+            for k, cell in enumerate(left):
+                folder = out / "cells" / cell.folder
+                with _alone(folder) as mine:
+                    if not mine:
+                        continue
+                    done[cell] = run_cell(bench, cell, folder, lambda at, k=k: progress(k * steps + at, total))  # type: ignore[misc]
+                say(f"{folder.name}: {_said(done[cell] or [])}")
+                progress((k + 1) * steps, total)
+    for cell in cells:  # also what others have finished meanwhile
+        records += finished(bench, cell, out / "cells" / cell.folder) or []
+    rows = table(records, settings.block)
+    write_results(out / RESULT, records)
+    write_atomically(out / "table.md", markdown(rows).encode())
+    write_atomically(out / "report.html", report(rows, remarks).encode())
+    show(_aligned([HEADINGS, *lines(rows)]))
+    missing = sum(not (out / "cells" / cell.folder / RESULT).is_file() for cell in cells)
+    say(
+        f"{len(cells) - missing} of {len(cells)} trainings are finished"
+        + ("; the same command goes on" * bool(missing))
+    )
+    say(f"written: {out / 'report.html'}")
+    return rows
+
+
+def _trivial(bench: Bench) -> list[ResultRecord]:
+    records = []
+    for name, answer in TRIVIAL.items():
+        found = score(bench.truth, (answer(pixels) for pixels in bench.truth.pixels))
+        records += records_of(found, name, bench, None, {})
+    return records
+
+
+def _remarks(labelled: LabelledSet, real: Real) -> Iterator[str]:
+    """What a reader of the table should know of the data."""
+    yield (
+        f"{labelled.name}: {len(real.train)} images to train on ({', '.join(real.train.clips)}), {len(real.test)} to "
+        f"test on ({', '.join(real.test.clips)})"
+    )
+    for leak in real.leaks:
+        yield (
+            f"left out: training image {leak.one} shows what test image {leak.other} shows (correlation "
+            f"{leak.correlation:.2f})"
+        )
+
+
+def _said(records: list[ResultRecord]) -> str:
+    whole = next(record for record in records if record.sequence == WHOLE)
+    clips = ", ".join(f"{r.sequence} {r.metrics['iou']:.3f}" for r in records if r is not whole)
+    return f"IoU {whole.metrics['iou']:.3f} ({clips}), AP {whole.metrics['ap_mask']:.3f}"
+
+
+def _aligned(rows: list[tuple[str, ...]]) -> str:
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[bool]:
+    """Whether this process has the cell for itself; the system frees it when a process dies."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / ".lock", "w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            yield False
+            return
+        yield True

@@ -1,0 +1,87 @@
+"""What answers to the test images are worth: a line per image, a record per clip and one of all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.evaluate.detection import EVALUATOR as DETECTION_EVALUATOR
+from oysterbench.evaluate.detection import DetectionScorer, ImageInstances
+from oysterbench.evaluate.detection.clip import over_clips
+from oysterbench.evaluate.detection.instances import from_planes
+from oysterbench.evaluate.segmentation import EVALUATOR, ClipScorer, EstimateImage, TruthImage
+from oysterbench.evaluate.segmentation.clip import join
+from oysterbench.labelled import LabelledSet
+
+WHOLE = "all clips"
+"""Name of the record of all test images together."""
+
+EVALUATORS = f"{EVALUATOR}, {DETECTION_EVALUATOR}"
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Test images as the evaluators take them, read once for all cells."""
+
+    clips: tuple[str, ...]
+    masks: tuple[TruthImage, ...]
+    instances: tuple[ImageInstances, ...]
+    pixels: tuple[NDArray[np.uint8], ...]
+
+    @classmethod
+    def of(cls, labelled: LabelledSet) -> Truth:
+        """Of a set of labelled images."""
+        clips, masks, instances, pixels = [], [], [], []
+        for image in labelled:
+            clips.append(image.clip)
+            ignore = image.ignore if image.ignore.any() else None
+            masks.append(TruthImage(image.name, image.classes, named=False, ignore=ignore))
+            numbers = np.where(image.oysters, image.instances, 0)
+            instances.append(from_planes(image.name, numbers, ignore))
+            pixels.append(image.pixels)
+        return cls(tuple(clips), tuple(masks), tuple(instances), tuple(pixels))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """To one image: mask (H, W) bool; labels (H, W) int32 of oysters one by one, and the score of label k + 1."""
+
+    mask: NDArray[np.bool_]
+    labels: NDArray[np.int32]
+    scores: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Score:
+    """metrics: by clip, and of all of them (`WHOLE`); reasons of those that are NaN; images: a line for each."""
+
+    metrics: Mapping[str, Mapping[str, float]]
+    reasons: Mapping[str, Mapping[str, str]]
+    images: tuple[Mapping[str, Any], ...]
+
+
+def score(truth: Truth, answers: Iterable[Answer]) -> Score:
+    """Score answers, one for each image of the truth, in its order."""
+    masks = {clip: ClipScorer() for clip in dict.fromkeys(truth.clips)}
+    oysters = {clip: DetectionScorer() for clip in masks}
+    images: list[dict[str, Any]] = []
+    for clip, mask, instances, answer in zip(truth.clips, truth.masks, truth.instances, answers, strict=True):
+        found = masks[clip].add(mask, EstimateImage(mask.name, oyster=answer.mask))
+        scores = {k + 1: float(value) for k, value in enumerate(answer.scores)}
+        oysters[clip].add(instances, from_planes(mask.name, answer.labels, scores=scores))
+        tally = {key: found.tally[f"{key}_px"] for key in ("true_positive", "false_positive", "false_negative")}
+        counts = {"oysters": sum(not one.crowd for one in instances.instances), "found": len(answer.scores)}
+        images.append({"name": mask.name, "clip": clip, **tally, **counts})
+    of_masks = {clip: scorer.result() for clip, scorer in masks.items()}
+    of_oysters = {clip: scorer.result() for clip, scorer in oysters.items()}
+    of_masks[WHOLE] = join(list(of_masks.values()))
+    of_oysters[WHOLE] = over_clips(list(of_oysters.values()))[0]
+    return Score(
+        {clip: {**of_masks[clip].metrics, **of_oysters[clip].metrics} for clip in of_masks},
+        {clip: {**of_masks[clip].reasons, **of_oysters[clip].reasons} for clip in of_masks},
+        tuple(images),
+    )

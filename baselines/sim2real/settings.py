@@ -1,0 +1,66 @@
+"""What the experiment is: which trainings, and how each is done. The same number of steps for all of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from oysterbench_baselines.learning.augment import Augmentation
+from oysterbench_baselines.learning.loop import FitSettings
+from oysterbench_baselines.unet.network import NetworkSettings
+
+ALL = 0
+"""Size that stands for all real training images."""
+
+REAL = "real"
+"""Name of the variant that sees real images only."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """sizes:       numbers of real training images; `ALL` for all
+    seeds:       trainings of each kind; seed k draws the real images, the weights and the crops
+    batch:       crops of a step
+    mixed_share: of the steps, from the first, half of each batch is synthetic; from then on all of it is real
+    block:       neighbouring test images that are resampled together
+    """
+
+    sizes: tuple[int, ...] = (5, 10, 20, 40, ALL)
+    seeds: int = 3
+    batch: int = 8
+    mixed_share: float = 0.6
+    block: int = 8
+    network: NetworkSettings = field(default_factory=lambda: NetworkSettings(scale=0.4))
+    augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=96))
+    fit: FitSettings = field(default_factory=lambda: FitSettings(steps=400, warm_up=20, threads=1))
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One training. synthetic: name of the synthetic images, empty for none; size: real images, None for none."""
+
+    synthetic: str
+    size: int | None
+    seed: int
+
+    @property
+    def variant(self) -> str:
+        """In words, without its size and seed."""
+        if not self.synthetic:
+            return REAL
+        return f"{self.synthetic} only" if self.size is None else f"{REAL} + {self.synthetic}"
+
+    @property
+    def folder(self) -> str:
+        """Name of its folder."""
+        size = "none" if self.size is None else "all" if self.size == ALL else f"{self.size:03d}"
+        return f"{self.synthetic or REAL}-real-{size}-seed-{self.seed}"
+
+
+def cells_of(synthetic: tuple[str, ...], settings: Settings) -> list[Cell]:
+    """The trainings, seed by seed, so that an interrupted experiment has something of everything."""
+    found = []
+    for seed in range(settings.seeds):
+        found += [Cell(name, None, seed) for name in synthetic]
+        for size in settings.sizes:
+            found += [Cell(name, size, seed) for name in ("", *synthetic)]
+    return found

@@ -1,0 +1,190 @@
+"""One cell: train, answer, score, and leave what came of it in a folder of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oysterbench.errors import ResultError
+from oysterbench.files import write_atomically
+from oysterbench.labelled import LabelledSet
+from oysterbench.results import ResultRecord, read_results, write_results
+from oysterbench.streams import Streams
+from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
+from oysterbench_baselines.learning.loop import fit, pick_device
+from oysterbench_baselines.learning.samples import Floats, LabelledDataset
+from oysterbench_baselines.sim2real.data import Real, drawn
+from oysterbench_baselines.sim2real.scoring import EVALUATORS, WHOLE, Answer, Score, Truth, score
+from oysterbench_baselines.sim2real.settings import Cell, Settings
+from oysterbench_baselines.unet.instances import find_instances
+from oysterbench_baselines.unet.model import Model, described, enlarged, probability
+from oysterbench_baselines.unet.training import new_network
+
+RESULT, ANSWERS, CHECKPOINT = "results.json", "answers.npz", "checkpoint.pt"
+STEP = 0.1
+"""Of a logit, to which answers are kept: 2.5 % of a probability at most."""
+
+
+@dataclasses.dataclass
+class Bench:
+    """What all cells share. datasets: by name; images that several cells see are read once."""
+
+    real: Real
+    synthetic: Mapping[str, LabelledSet]
+    settings: Settings
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        self._datasets = {
+            name: LabelledDataset(labelled, self.settings.network.scale) for name, labelled in self.synthetic.items()
+        }
+        self._train = LabelledDataset(self.real.train, self.settings.network.scale)
+        self._place = {entry.name: k for k, entry in enumerate(self.real.train.entries)}
+        self._digests = {name: labelled.digest() for name, labelled in self.synthetic.items()}
+        self._test_digest = self.real.test.digest()
+        self._truth: Truth | None = None
+
+    @property
+    def truth(self) -> Truth:
+        """The test images, read when they are first needed."""
+        if self._truth is None:
+            self._truth = Truth.of(self.real.test)
+        return self._truth
+
+    def identity(self, cell: Cell) -> dict[str, Any]:
+        """What decides the weights of a cell, as plain values."""
+        plain = json.loads(json.dumps(dataclasses.asdict(self.settings)))
+        for key in ("sizes", "seeds", "block"):  # they say which cells there are, and how these are summed up
+            del plain[key]
+        chosen = [] if cell.size is None else [e.name for e in drawn(self.real.train, cell.size, cell.seed).entries]
+        data = {"synthetic": self._digests.get(cell.synthetic, ""), "test": self._test_digest}
+        return {
+            "method": "unet",
+            "cell": [cell.synthetic, cell.size, cell.seed],
+            "settings": plain,
+            "data": data,
+            "real": hashlib.sha256("\n".join(chosen).encode()).hexdigest(),
+            "device": pick_device(self.device).type,
+        }
+
+    def train(self, cell: Cell, folder: Path, progress: Callable[[int], None]) -> Model:
+        """The trained network of a cell, from its checkpoint where there is one."""
+        settings = self.settings
+        streams = Streams(cell.seed).at("sim2real")
+        first, last = self._mixtures(cell)
+        mixed_steps = round(settings.mixed_share * settings.fit.steps)
+        device = pick_device(self.device)
+        checkpoint = fit(
+            lambda: new_network(settings.network),
+            described(settings.network),
+            lambda step: make_batch(first if step < mixed_steps else last, settings.augmentation, streams, step),
+            settings.fit,
+            self.identity(cell),
+            folder / CHECKPOINT,
+            device,
+            initial_seed(streams),
+            lambda done, total, loss: progress(done),
+        )
+        return Model.of(checkpoint, device)
+
+    def _mixtures(self, cell: Cell) -> tuple[Mixture, Mixture]:
+        """Of the first steps, and of the last ones. Of one kind of images, both are of it."""
+        batch = self.settings.batch
+        synthetic = [self._datasets[cell.synthetic]] if cell.synthetic else []
+        if cell.size is None:
+            only = Mixture(synthetic, [batch])
+            return only, only
+        chosen = drawn(self.real.train, cell.size, cell.seed)
+        real = Subset(self._train, [self._place[entry.name] for entry in chosen.entries], chosen)
+        only = Mixture([real], [batch])
+        return (Mixture([*synthetic, real], [batch // 2, batch - batch // 2]) if synthetic else only), only
+
+    def answers(self, model: Model) -> Iterator[Floats]:
+        """(2, h, w) logits of each test image, at the working scale, to `STEP`."""
+        for pixels in self.truth.pixels:
+            yield np.clip(np.round(model.small_logits(pixels) / STEP), -127, 127).astype(np.int8)
+
+
+class Subset(LabelledDataset):
+    """Some images of a dataset, which keeps them."""
+
+    def __init__(self, whole: LabelledDataset, places: list[int], labelled: LabelledSet) -> None:
+        super().__init__(labelled, whole.scale)
+        self._whole, self._places = whole, places
+
+    def sample(self, index: int) -> Any:
+        return self._whole.sample(self._places[index])
+
+
+def run_cell(bench: Bench, cell: Cell, folder: Path, progress: Callable[[int], None]) -> list[ResultRecord]:
+    """The records of a cell: those in its folder, or new ones. Raises ResultError where these are of something else."""
+    known = finished(bench, cell, folder)
+    if known is not None:
+        return known
+    model = bench.train(cell, folder, progress)
+    kept = dict(zip(_names(bench.truth), bench.answers(model), strict=True))
+    data = io.BytesIO()
+    np.savez_compressed(data, **kept)
+    write_atomically(folder / ANSWERS, data.getvalue())
+    found = score(bench.truth, (read_answer(kept[name], mask.classes.shape) for name, mask in _pairs(bench.truth)))
+    records = records_of(found, cell.variant, bench, cell, bench.identity(cell))
+    write_results(folder / RESULT, records)
+    return records
+
+
+def finished(bench: Bench, cell: Cell, folder: Path) -> list[ResultRecord] | None:
+    """The records in a folder; None where there are none yet."""
+    if not (folder / RESULT).is_file():
+        return None
+    records = read_results(folder / RESULT)
+    if any(record.info.get("identity") != bench.identity(cell) for record in records):
+        raise ResultError(
+            f"{folder}: holds a cell of other data or settings; --out chooses another folder, or remove this one"
+        )
+    return records
+
+
+def read_answer(kept: Any, shape: tuple[int, ...]) -> Answer:
+    """What kept logits (2, h, w) say at the native size (H, W)."""
+    oyster, core = probability(enlarged(kept.astype(np.float32) * STEP, *shape))
+    found = find_instances(oyster, core)
+    return Answer(oyster > 0.5, found.labels, found.scores)
+
+
+def records_of(
+    found: Score, method: str, bench: Bench, cell: Cell | None, identity: Mapping[str, Any]
+) -> list[ResultRecord]:
+    """A record for each test clip, and one of all of them, which has a line per image."""
+    size = None if cell is None else cell.size
+    amount = len(bench.real.train) if size == 0 else size
+    return [
+        ResultRecord(
+            track="segmentation",
+            split=bench.real.test.name,
+            sequence=clip,
+            method=method,
+            method_settings={} if cell is None else {"real_images": amount or 0, "asked": size},
+            seed=None if cell is None else cell.seed,
+            run=0 if cell is None else cell.seed,
+            metrics=metrics,
+            reasons={key: text for key, text in found.reasons[clip].items() if key in metrics},
+            evaluator_version=EVALUATORS,
+            info={"identity": dict(identity), **({"images": list(found.images)} if clip == WHOLE else {})},
+        )
+        for clip, metrics in found.metrics.items()
+    ]
+
+
+def _names(truth: Truth) -> list[str]:
+    return [mask.name for mask in truth.masks]
+
+
+def _pairs(truth: Truth) -> Iterator[tuple[str, Any]]:
+    return ((mask.name, mask) for mask in truth.masks)

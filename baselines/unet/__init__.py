@@ -1,0 +1,1 @@
+"""A small U-Net: where oysters are, and one by one."""

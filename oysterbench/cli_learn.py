@@ -1,0 +1,55 @@
+"""The commands `train` and `experiment`: what is installed under their entry points. `cli` takes them in."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, entry_points
+
+import click
+
+from oysterbench.errors import MethodError
+
+
+class Installed(click.Group):
+    """A group whose commands are entry points; each is a click command, loaded when it is needed."""
+
+    def __init__(self, name: str, points: str, **settings: object) -> None:
+        super().__init__(name, **settings)  # type: ignore[arg-type]
+        self._points = points
+
+    def _found(self) -> dict[str, EntryPoint]:
+        return {point.name: point for point in entry_points(group=self._points)}
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        return sorted(self._found())
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        point = self._found().get(name)
+        if point is None:
+            return None
+        try:
+            command = point.load()
+        except ImportError as error:
+            raise MethodError(
+                f"{self.name} {name}: cannot be loaded: {error}; install what it needs, e.g. "
+                "pip install 'oysterbench[learn]'"
+            ) from None
+        if not isinstance(command, click.Command):
+            raise MethodError(f"{self.name} {name}: expected a click command, got {type(command)}")
+        return command
+
+
+train = Installed(
+    "train",
+    "oysterbench.train",
+    short_help="Train a method that learns.",
+    help="Train a method that learns, on labelled images. Methods bring their commands by the entry-point group "
+    "oysterbench.train.",
+)
+
+experiment = Installed(
+    "experiment",
+    "oysterbench.experiment",
+    short_help="Run an experiment over many trainings.",
+    help="Run an experiment: many trainings and their table, resumed where it was interrupted. Experiments are brought "
+    "by the entry-point group oysterbench.experiment.",
+)
