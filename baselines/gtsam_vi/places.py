@@ -212,9 +212,10 @@ def upsample(nodes: Array, height: int, width: int) -> NDArray[np.float32]:
 
 def warp(picture: NDArray[np.uint8], source: NDArray[np.float32]) -> NDArray[np.uint8]:
     """The picture (H, W) as it looks at the pixels (H', W', 2) that it is taken from; the edge goes on outside."""
-    # Without an edge there are no corners on it. The second map is empty: the first holds both coordinates.
-    border = cv2.BORDER_REPLICATE
-    return np.asarray(cv2.remap(picture, source, np.empty(0), cv2.INTER_LINEAR, borderMode=border), dtype=np.uint8)
+    # Without an edge there are no corners on it.
+    edge = cv2.BORDER_REPLICATE
+    seen = cv2.remap(picture, source, None, cv2.INTER_LINEAR, borderMode=edge)  # type: ignore[call-overload]
+    return np.asarray(seen, dtype=np.uint8)
 
 
 class Index:
