@@ -53,6 +53,8 @@ MAY_IMPORT = {
     "cli_outputs": {"files", "report"},
     "cli_run": GROUND
     | {"cli_outputs", "cli_render", "cli_scoring", "evaluate", "generate", "methods", "report", "results", "running"},
+    "cli_imaging": GROUND
+    | {"cli_outputs", "cli_render", "evaluate", "generate", "imaging", "methods", "report", "results"},
     "cli_compare": {"cli_outputs", "results", "comparison", "report"},
     "hub": GROUND | {"sequence", "page"},
     "cli_hub": GROUND | {"generate", "hub", "salt"},
@@ -66,6 +68,7 @@ MAY_IMPORT = {
     | {
         "cli_compare",
         "cli_map",
+        "cli_imaging",
         "cli_outputs",
         "cli_hub",
         "cli_splits",
