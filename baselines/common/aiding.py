@@ -30,7 +30,11 @@ class AidingSettings:
     dvl_scale_sigma: float = 0.003  # of 1: a DVL of the A50 class is sold as good to 1 %, the better model to 0.1 %
     dvl_misalignment_sigma_deg: float = 0.5  # per axis: what a mount is made and measured to
     dvl_noise_floor: float = 0.001  # m/s, 1 sigma of a beam, whatever the sample says
-    depth_sigma: float = 0.005  # m: waves and water currents press on the sensor beside its own noise
+    depth_sigma: float = 0.005  # m: what water currents press on the sensor beside its own noise
+    wave_sigma: float = 0.03  # m, of what waves press, before it has been seen
+    wave_memory_s: float = 10.0  # over which it is seen: two or three waves
+    wave_climb: float = 0.02  # m/s, 1 sigma of the vertical velocity, above which waves cannot be told from motion
+    wave_tau_s: float = 1.0  # readings closer than this err alike: a quarter of a wave
     depth_walk: float = 5e-4  # m/sqrt(s): the tide, taken as a walk: 6 cm in four hours, 1 cm in seven minutes
     field_sigma: float = 15e-6  # T, per axis, of the first field reading as the Earth's: what hard iron hides
     hard_iron_sigma: float = 10e-6  # T, per axis
@@ -92,15 +96,16 @@ class Aiding:
         self._stamps: dict[str, int] = {}
         self._in_a_row = dict.fromkeys(self.refused, 0)
         self._beam_variance = 0.0
+        self._waves = self.settings.wave_sigma**2  # m^2, variance of the height that waves press
+        self._off = 0.0  # m, by how much readings are off the prediction in the mean
 
-    def add(self, filter: InvariantFilter, sample: DvlSample | PressureSample | MagneticSample) -> None:
-        """Correct a filter that has been propagated to the sample's stamp."""
+    def add(self, filter: InvariantFilter, sample: DvlSample | PressureSample | MagneticSample) -> bool:
+        """Correct a filter that has been propagated to the sample's stamp; whether any of it was believed."""
         if isinstance(sample, DvlSample):
-            self._add_velocity(filter, sample)
-        elif isinstance(sample, PressureSample):
-            self._add_depth(filter, sample)
-        else:
-            self._add_field(filter, sample)
+            return self._add_velocity(filter, sample)
+        if isinstance(sample, PressureSample):
+            return self._add_depth(filter, sample)
+        return self._add_field(filter, sample)
 
     def rows(self, kind: str) -> slice | None:
         """The rows of a sensor's states in the filter's error; None before its first sample."""
@@ -115,15 +120,19 @@ class Aiding:
         """z (m) of the pressure sensor over the water's surface, by its reading."""
         return (self.atmosphere - sample.pressure) / self.weight
 
-    def height_variance(self, sample: PressureSample) -> float:
-        """Variance (m^2) of that, less what is constant."""
-        return sample.variance / self.weight**2 + self.settings.depth_sigma**2
+    def height_variance(self, sample: PressureSample, interval_s: float) -> float:
+        """Variance (m^2) of that, less what is constant, for readings that are so far apart.
+
+        Waves press alike on readings that follow each other: as white noise they must count for less.
+        """
+        alike = max(1.0, self.settings.wave_tau_s / max(interval_s, 1e-3))
+        return sample.variance / self.weight**2 + self.settings.depth_sigma**2 + self._waves * alike
 
     def set_height_offset(self, filter: InvariantFilter, offset: float) -> None:
         """Put another one in its place: when odom has been chosen anew."""
         filter.extra[self._rows["pressure"].start - CORE] = offset
 
-    def _add_velocity(self, filter: InvariantFilter, sample: DvlSample) -> None:
+    def _add_velocity(self, filter: InvariantFilter, sample: DvlSample) -> bool:
         """Along beam b: b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r), scale s and misalignment m of the DVL's axes.
 
         Linear in v, but not in v and the calibration together: the slopes by the calibration are taken at the velocity
@@ -133,7 +142,7 @@ class Aiding:
         """
         beams = dvl_rows(sample, self.settings.dvl_noise_floor)
         if beams is None:
-            return
+            return False
         directions, along, variances = beams
         if len(directions) >= 3:
             self._beam_variance = float(variances.max())
@@ -158,27 +167,37 @@ class Aiding:
         slope[:, GYRO_BIAS] = turn @ rotation.T @ cross(lever)
         slope[:, at.start] = then / (1.0 + calibration[0])
         slope[:, at.start + 1 : at.stop] = cross(then) @ left_jacobian(-calibration[1:])
-        self._update(filter, "dvl", residual, directions @ slope, variances)
+        return self._update(filter, "dvl", residual, directions @ slope, variances)
 
-    def _add_depth(self, filter: InvariantFilter, sample: PressureSample) -> None:
-        """z of the sensor in odom, and a constant: the depth at which odom lies, with the sensor's own offset."""
+    def _add_depth(self, filter: InvariantFilter, sample: PressureSample) -> bool:
+        """z of the sensor in odom, and a constant: the depth at which odom lies, with the sensor's own offset.
+
+        How much waves press is told by how far the readings scatter about the motion that is known otherwise.
+        """
         height = self.height(sample)
         place = filter.position + filter.rotation @ self.T_imu_pressure[:3, 3]
         if "pressure" not in self._rows:
             self._rows["pressure"] = filter.append(np.array([height - place[2]]), np.array([10.0]))
         at = self._rows["pressure"].start
-        elapsed = (sample.stamp_ns - self._stamps.get("pressure", sample.stamp_ns)) * 1e-9
+        elapsed = (sample.stamp_ns - self._stamps.get("pressure", sample.stamp_ns - 10**8)) * 1e-9
         self._stamps["pressure"] = sample.stamp_ns
         filter.covariance[at, at] += elapsed * self.settings.depth_walk**2
         slope = np.zeros((1, len(filter.covariance)))
         slope[0, POSITION] = [0.0, 0.0, 1.0]
         slope[0, ATTITUDE] = -cross(place)[2]
         slope[0, at] = 1.0
-        variance = self.height_variance(sample)
+        variance = self.height_variance(sample, elapsed)
         residual = np.array([height - place[2] - filter.extra[at - CORE]])
-        self._update(filter, "pressure", residual, slope, np.array([variance]))
+        climb = float(np.sqrt(filter.covariance[VELOCITY, VELOCITY][2, 2]))
+        believed = self._update(filter, "pressure", residual, slope, np.array([variance]))
+        if believed and climb < self.settings.wave_climb:
+            share = min(elapsed / self.settings.wave_memory_s, 1.0)
+            scatter = (residual.item() - self._off) ** 2 - self.settings.depth_sigma**2
+            self._off += share * (residual.item() - self._off)
+            self._waves += share * (max(scatter, 0.0) - self._waves)
+        return believed
 
-    def _add_field(self, filter: InvariantFilter, sample: MagneticSample) -> None:
+    def _add_field(self, filter: InvariantFilter, sample: MagneticSample) -> bool:
         """A R_mag_imu R^T f + h: field f in odom, hard iron h and soft iron A, none of which is known beforehand.
 
         With f free, one attitude says nothing; yaw is held by how the field turns against the vehicle.
@@ -186,7 +205,7 @@ class Aiding:
         settings = self.settings
         last = self._stamps.get("magnetometer")
         if last is not None and sample.stamp_ns - last < settings.magnetic_interval_s * 1e9:
-            return
+            return self._in_a_row["magnetometer"] == 0
         self._stamps["magnetometer"] = sample.stamp_ns
         to_sensor = self.T_imu_compass[:3, :3].T @ filter.rotation.T
         if "magnetometer" not in self._rows:
@@ -203,10 +222,10 @@ class Aiding:
         slope[:, at.start + 3 : at.start + 6] = np.eye(3)
         slope[:, at.start + 6 : at.stop] = np.kron(np.eye(3), local)
         variance = np.full(3, sample.variance + settings.magnetic_sigma**2)
-        self._update(filter, "magnetometer", sample.field - soft @ local - hard, slope, variance)
+        return self._update(filter, "magnetometer", sample.field - soft @ local - hard, slope, variance)
 
-    def _update(self, filter: InvariantFilter, kind: str, residual: Array, slope: Array, variances: Array) -> None:
-        """Correct by the rows that are as near to their prediction as their covariance says.
+    def _update(self, filter: InvariantFilter, kind: str, residual: Array, slope: Array, variances: Array) -> bool:
+        """Correct by the rows that are as near to their prediction as their covariance says; whether there were any.
 
         When all of a sensor is refused time and again it is the filter that is wrong: what the sensor measures is then
         as uncertain as it is off, and the sample counts.
@@ -223,3 +242,4 @@ class Aiding:
             near[:] = True
         if near.any():
             filter.update(residual[near], slope[near], np.diag(variances[near]))
+        return bool(near.any())

@@ -91,7 +91,8 @@ class AidedEstimator(Estimator):
 
     def add_sample(self, sample: DvlSample | PressureSample | MagneticSample) -> None:
         """A sample at the end of the last segment."""
-        self.aiding.add(self.filter, sample)
+        if not self.aiding.add(self.filter, sample):
+            return  # what the filter refuses as a lie is none in the window either
         if isinstance(sample, DvlSample) and self._parts:
             self._parts[-1] = (self._parts[-1][0], sample)
         elif isinstance(sample, PressureSample):
@@ -146,7 +147,7 @@ class AidedEstimator(Estimator):
             return
         delay = (stamp_ns - self._pressure.stamp_ns) * 1e-9
         height = self.aiding.height(self._pressure) + delay * self.filter.velocity[2]
-        variance = self.aiding.height_variance(self._pressure)
+        variance = self.aiding.height_variance(self._pressure, Segment.join(self._since).duration)
         if delay <= self.settings.keyframe_max_s:
             self._heights[k] = float(height), float(np.sqrt(variance + (0.02 * delay) ** 2))
 
