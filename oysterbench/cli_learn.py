@@ -42,14 +42,28 @@ train = Installed(
     "train",
     "oysterbench.train",
     short_help="Train a method that learns.",
-    help="Train a method that learns, on labelled images. Methods bring their commands by the entry-point group "
-    "oysterbench.train.",
+    help="""Train a method that learns, on labelled images.
+
+    \b
+    Examples:
+      oysterbench train unet --data seg-train
+      oysterbench train unet --help
+
+    Methods bring their commands by the entry-point group oysterbench.train.
+    """,
 )
 
 experiment = Installed(
     "experiment",
     "oysterbench.experiment",
     short_help="Run an experiment over many trainings.",
-    help="Run an experiment: many trainings and their table, resumed where it was interrupted. Experiments are brought "
-    "by the entry-point group oysterbench.experiment.",
+    help="""Run an experiment: many trainings and their table, resumed where it was interrupted.
+
+    \b
+    Examples:
+      oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train
+      oysterbench experiment sim2real --help
+
+    Experiments are brought by the entry-point group oysterbench.experiment.
+    """,
 )

@@ -15,7 +15,7 @@ from oysterbench_baselines.sim2real.report import HEADINGS, lines, markdown, rep
 from oysterbench_baselines.sim2real.scoring import WHOLE, score
 from oysterbench_baselines.sim2real.settings import Settings, cells_of
 from oysterbench_baselines.sim2real.table import Row, table
-from oysterbench_baselines.sim2real.trivial import TRIVIAL
+from oysterbench_baselines.sim2real.trivial import TRIVIAL, answers
 from oysterbench_baselines.sim2real.work import RESULT, Bench, finished, records_of, run_cell
 
 Say = Callable[[str], None]
@@ -76,9 +76,9 @@ def run(
 
 def _trivial(bench: Bench) -> list[ResultRecord]:
     records = []
-    for name, answer in TRIVIAL.items():
-        found = score(bench.truth, (answer(pixels) for pixels in bench.truth.pixels))
-        records += records_of(found, name, bench, None, {})
+    for method in TRIVIAL:
+        found = score(bench.truth, answers(method(), bench.truth))
+        records += records_of(found, method.name, bench, None, {})
     return records
 
 

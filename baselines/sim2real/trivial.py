@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
+from typing import Any
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from oysterbench_baselines.sim2real.scoring import Answer
+from oysterbench.methods.images import Picture
+from oysterbench_baselines.sim2real.scoring import Answer, Truth
+from oysterbench_baselines.threshold import All, Colour, Nothing
 
-
-def everything(pixels: NDArray[np.uint8]) -> Answer:
-    """All of it is one oyster."""
-    whole = np.ones(pixels.shape[:2], dtype=bool)
-    return Answer(whole, whole.astype(np.int32), np.ones(1))
+TRIVIAL = (All, Nothing, Colour)
+"""Methods that are rows of the table under their own names."""
 
 
-def nothing(pixels: NDArray[np.uint8]) -> Answer:
-    """There is no oyster."""
-    none = np.zeros(pixels.shape[:2], dtype=bool)
-    return Answer(none, none.astype(np.int32), np.empty(0))
-
-
-TRIVIAL: dict[str, Callable[[NDArray[np.uint8]], Answer]] = {"all": everything, "none": nothing}
-"""Rows of the table by their name."""
+def answers(method: Any, truth: Truth) -> Iterator[Answer]:
+    """Of a method of the track segmentation to the test images. What hangs together is one oyster."""
+    pictures = (Picture(mask.name, pixels) for mask, pixels in zip(truth.masks, truth.pixels, strict=True))
+    for said in method.run(pictures):
+        chance = np.asarray(said.oyster if said.probability is None else said.probability, dtype=np.float64)
+        mask = chance >= 0.5
+        count, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+        pixels = np.maximum(np.bincount(labels.ravel(), minlength=count), 1)
+        sums = np.bincount(labels.ravel(), weights=chance.ravel(), minlength=count)
+        yield Answer(mask, np.asarray(labels, np.int32), (sums / pixels)[1:])

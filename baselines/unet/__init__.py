@@ -1,1 +1,5 @@
-"""A small U-Net: where oysters are, and one by one."""
+"""A small U-Net: where oysters are, and which."""
+
+from oysterbench_baselines.unet.method import UNet, UNetInstances
+
+__all__ = ["UNet", "UNetInstances"]
