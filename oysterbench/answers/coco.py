@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from oysterbench.errors import LabelError
 from oysterbench.evaluate.detection import ImageInstances, Instance
-from oysterbench.evaluate.detection.instances import mask_tools
+from oysterbench.evaluate.detection.instances import mask_tools, numpy_2
 from oysterbench.evaluate.segmentation import EstimateImage
 from oysterbench.labelled.coco import segmentation_mask
 
@@ -174,8 +174,9 @@ def _score(where: str, item: Mapping[str, Any]) -> float:
 def _instance(where: str, item: Mapping[str, Any], height: int, width: int, scored: bool) -> Instance:
     runs = _runs(where, item["segmentation"], height, width) if item.get("segmentation") else None
     tools = mask_tools()
-    box = _box(where, item["bbox"]) if "bbox" in item else _box(where, tools.toBbox(runs).tolist())
-    area = float(tools.area(runs)) if runs is not None else box[2] * box[3]
+    with numpy_2():
+        box = _box(where, item["bbox"] if "bbox" in item else tools.toBbox(runs).tolist())
+        area = float(tools.area(runs)) if runs is not None else box[2] * box[3]
     if scored:
         return Instance(box, runs, area, _score(where, item))
     return Instance(box, runs, float(item.get("area", area)), crowd=bool(item.get("iscrowd")))
@@ -199,11 +200,13 @@ def _runs(where: str, segmentation: Any, height: int, width: int) -> Mapping[str
                 raise LabelError(f"{where}: expected polygons of three corners x y or more, got {count} numbers")
             if not all(isinstance(v, int | float) and math.isfinite(v) for v in polygon):
                 raise LabelError(f"{where}: expected the corners of polygons as numbers, got {polygon!s:.60}")
-        return tools.merge(tools.frPyObjects(segmentation, height, width))
+        with numpy_2():
+            return tools.merge(tools.frPyObjects(segmentation, height, width))
     if isinstance(segmentation, dict) and isinstance(segmentation.get("counts"), str | bytes):
         # pycocotools trusts the lengths; what does not add up would be read from beyond the image.
         segmentation_mask(segmentation, height, width, where)
         counts = segmentation["counts"]
         return {"size": [height, width], "counts": counts.encode() if isinstance(counts, str) else counts}
     segmentation_mask(segmentation, height, width, where)
-    return tools.frPyObjects(segmentation, height, width)
+    with numpy_2():
+        return tools.frPyObjects(segmentation, height, width)

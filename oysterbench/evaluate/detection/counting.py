@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oysterbench.evaluate.detection.instances import ImageInstances, mask_tools
+from oysterbench.evaluate.detection.instances import ImageInstances, mask_tools, numpy_2
 
 NO_FOOTPRINT = "it is not known how much of the seabed the images show"
 
@@ -35,9 +35,10 @@ def count(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> 
     if crowds and said:
         tools = mask_tools()
         boxes = any(one.mask is None for one in (*said, *crowds))
-        parts = [np.array([one.box for one in said])] if boxes else [[one.mask for one in said]]
-        regions = np.array([one.box for one in crowds]) if boxes else [tools.merge([one.mask for one in crowds])]
-        share = tools.iou(parts[0], regions, [True] * len(regions)).max(axis=1)
+        with numpy_2():
+            parts = np.array([one.box for one in said]) if boxes else [one.mask for one in said]
+            regions = np.array([one.box for one in crowds]) if boxes else [tools.merge([one.mask for one in crowds])]
+            share = tools.iou(parts, regions, [True] * len(regions)).max(axis=1)
         said = [one for one, on_crowd in zip(said, share, strict=True) if on_crowd <= 0.5]
     footprint = math.nan if truth.footprint_m2 is None else truth.footprint_m2
     return ImageCount(truth.name, len(truth.instances) - len(crowds), len(said), footprint)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +27,14 @@ def mask_tools() -> Any:
             "single oysters are matched by pycocotools, which is not installed: pip install 'oysterbench[score]'"
         ) from None
     return mask
+
+
+@contextmanager
+def numpy_2() -> Iterator[None]:
+    """pycocotools 2.0.11 hands its arrays to numpy in the way of numpy 1, which numpy 2 warns of, and does."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "__array__ implementation", DeprecationWarning)
+        yield
 
 
 @dataclass(frozen=True)
@@ -59,8 +69,9 @@ class ImageInstances:
 def from_mask(mask: NDArray[np.bool_], score: float = math.nan, crowd: bool = False) -> Instance:
     """An instance of a mask (H, W) that has at least a pixel."""
     tools = mask_tools()
-    runs = tools.encode(np.asfortranarray(mask.view(np.uint8)))
-    x, y, width, height = (float(value) for value in tools.toBbox(runs))
+    with numpy_2():
+        runs = tools.encode(np.asfortranarray(mask.view(np.uint8)))
+        x, y, width, height = (float(value) for value in tools.toBbox(runs))
     return Instance((x, y, width, height), runs, float(tools.area(runs)), score, crowd)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.errors import LabelError
-from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools
+from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools, numpy_2
 from oysterbench.geometry import Array
 
 Kind = Literal["box", "mask"]
@@ -47,7 +47,7 @@ def match(
     from pycocotools.cocoeval import COCOeval
 
     images = [{"id": k, "height": t.height, "width": t.width} for k, t in enumerate(truths, start=1)]
-    with contextlib.redirect_stdout(io.StringIO()):  # it tells of its progress
+    with contextlib.redirect_stdout(io.StringIO()), numpy_2():  # it tells of its progress
         sides = []
         for side in (truths, estimates):
             coco = COCO()

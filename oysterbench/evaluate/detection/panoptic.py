@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools
+from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools, numpy_2
 
 OVERLAP = 0.5
 """More than this, and a pair is a match; it is then the only one (Kirillov et al. 2019, section 4.1)."""
@@ -45,8 +45,9 @@ def paint(image: ImageInstances, chosen: list[Instance]) -> NDArray[np.int32]:
     """(H, W) numbers from 1 of the chosen instances; where several lie on a pixel it is of the last."""
     tools = mask_tools()
     plane = np.zeros((image.height, image.width), dtype=np.int32)
-    for number, instance in enumerate(chosen, start=1):
-        plane[tools.decode(instance.mask).view(bool)] = number
+    with numpy_2():
+        for number, instance in enumerate(chosen, start=1):
+            plane[tools.decode(instance.mask).view(bool)] = number
     return plane
 
 
