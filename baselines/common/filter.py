@@ -58,7 +58,7 @@ class InvariantFilter:
         self.extra = np.empty(0)
         self.covariance = np.zeros((CORE, CORE))
         self.rate = np.zeros(3)  # latest angular rate, rad/s, in the IMU frame, bias removed
-        self._noise = noise
+        self.noise = noise
         self._down = np.array([0.0, 0.0, -gravity])
 
     @property
@@ -90,7 +90,7 @@ class InvariantFilter:
         self.rate = rate
 
     def _propagate_covariance(self, dt: float, middle: Array) -> None:
-        noise, eye = self._noise, np.eye(3)
+        noise, eye = self.noise, np.eye(3)
         g, v, p = cross(self._down), cross(self.velocity), cross(self.position)
         step = np.eye(CORE)
         turned = dt * middle

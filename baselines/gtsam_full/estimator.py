@@ -9,23 +9,15 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, V, X
 from numpy.typing import NDArray
 
 from oysterbench.geometry import Array, invert
 from oysterbench.samples import DvlSample, MagneticSample, PressureSample
 from oysterbench.sequence.types import CameraCalibration, Sequence
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.aiding import Aiding
 from oysterbench_baselines.common.filter import (
-    ACCEL_BIAS,
-    ATTITUDE,
-    CORE,
-    GYRO_BIAS,
-    POSITION,
     VELOCITY,
     InertialNoise,
-    cross,
 )
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.common.start import start_filter
@@ -41,9 +33,9 @@ from oysterbench_baselines.gtsam_full.factors import (
 from oysterbench_baselines.gtsam_full.model import AidedModel
 from oysterbench_baselines.gtsam_full.settings import Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.graph import Bundle, adjust
+from oysterbench_baselines.gtsam_vi.graph import adjust
 from oysterbench_baselines.gtsam_vi.initialisation import View
-from oysterbench_baselines.gtsam_vi.states import State, make_state, read_state
+from oysterbench_baselines.gtsam_vi.states import State, read_state
 from oysterbench_baselines.gtsam_vi.window import Window
 
 FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
@@ -70,7 +62,6 @@ class AidedEstimator(Estimator):
         self.filter, self.info["started_at_rest"] = start_filter(*first, self.imu, noise, settings.start)
         self.aiding = Aiding(sequence, settings.aiding)
         self.model: AidedModel = AidedModel(camera, self.imu, settings, sequence.dvl_calibration is not None)
-        self.covariances: list[Array] = []  # (6, 6) of T_odom_base, one a frame, as known at that frame
         self._parts: list[tuple[Segment, DvlSample | None]] = []  # since the last key frame
         self._intervals: dict[int, list[tuple[Segment, DvlSample | None]]] = {}  # by the key frame that they lead to
         self._heights: dict[int, tuple[float, float]] = {}  # of the pressure sensor at a key frame, and 1 sigma, m
@@ -108,7 +99,7 @@ class AidedEstimator(Estimator):
         if self._sails or self._window is not None:
             self.frames[-1].online = pose
         place = (pose @ invert(self.imu.T_base_imu))[:3, 3]
-        self.covariances.append(self.filter.pose_covariance(place) + FLOOR)
+        self.frames[-1].covariance = self.filter.pose_covariance(place) + FLOOR
 
     @property
     def _sails(self) -> bool:
@@ -119,14 +110,8 @@ class AidedEstimator(Estimator):
     def gyro_bias(self) -> Array:
         return self.filter.gyro_bias
 
-    def _predict(self) -> State | None:
-        if self._window is None:
-            return None
-        return self._filter_state()
-
-    def _filter_state(self) -> State:
-        f = self.filter
-        return make_state(f.rotation, f.position, f.velocity, f.gyro_bias, f.accel_bias)
+    def _carry(self, segment: Segment) -> None:
+        """It has been carried on, sample by sample."""
 
     # Key frames.
 
@@ -136,10 +121,8 @@ class AidedEstimator(Estimator):
         self._note_height(k, stamp_ns)
         self._note_field(k, stamp_ns)
         super()._add_keyframe(stamp_ns, view, predicted)
-        self._measurements = None  # the filter predicts
         if self._window is not None:
             self._intervals.clear()  # all of them are in factors now
-            self._correct_filter(self._window, k)
 
     def _note_height(self, k: int, stamp_ns: int) -> None:
         """The depth reading, moved to the key frame at the filter's vertical speed."""
@@ -236,50 +219,16 @@ class AidedEstimator(Estimator):
 
     # The window's estimate, as the filter's state.
 
-    def _correct_filter(self, window: Window, k: int) -> None:
-        """The filter goes on from the window's estimate of key frame k, with its covariance."""
-        keys = [X(k), V(k), B(k), *self.model.shared()]
-        try:
-            values, joint = window.joint(keys)
-        except RuntimeError:  # GTSAM: the system of equations cannot be solved
-            return
-        state = read_state(values, k)
-        rotation, velocity = state.nav.attitude().matrix(), state.nav.velocity()
-        position = state.nav.position()
-        f = self.filter
+    def _calibrations(self) -> dict[int, tuple[slice, Array]]:
         rows: dict[int, tuple[slice, Array]] = {}
         for key, name, unit in (
             (DVL_KEY, "dvl", np.ones(4)),
             (COMPASS_KEY, "magnetometer", np.r_[[FIELD_UNIT] * 6, np.ones(9)]),
         ):
             at = self.aiding.rows(name)
-            if key in keys and at is not None:
-                rows[key] = at, np.diag(unit)
-                f.extra[at.start - CORE : at.stop - CORE] = unit * values.atVector(key)
-        # From GTSAM's tangent (rotation and position in the body's axes, accelerometer bias first) to the filter's.
-        n = len(f.covariance)
-        change = {key: np.zeros((n, size)) for key, size in ((X(k), 6), (V(k), 3), (B(k), 6))}
-        change[X(k)][ATTITUDE, :3] = rotation
-        change[X(k)][VELOCITY, :3] = cross(velocity) @ rotation
-        change[X(k)][POSITION, :3] = cross(position) @ rotation
-        change[X(k)][POSITION, 3:] = rotation
-        change[V(k)][VELOCITY] = np.eye(3)
-        change[B(k)][ACCEL_BIAS, :3] = change[B(k)][GYRO_BIAS, 3:] = np.eye(3)
-        for key, (at, unit) in rows.items():
-            change[key] = np.zeros((n, len(unit)))
-            change[key][at] = unit
-        covariance = np.zeros((n, n))
-        for first in change:
-            for second in change:
-                covariance += change[first] @ joint.at(first, second) @ change[second].T
-        kept = self.aiding.rows("pressure")
-        if kept is not None:
-            covariance[kept, kept] = f.covariance[kept, kept]
-        if not np.isfinite(covariance).all() or np.linalg.eigvalsh(covariance)[0] < -1e-9:
-            return
-        f.rotation, f.velocity, f.position = rotation, np.array(velocity), np.array(position)
-        f.gyro_bias, f.accel_bias = np.array(state.bias.gyroscope()), np.array(state.bias.accelerometer())
-        f.covariance = 0.5 * (covariance + covariance.T)
+            if key in self.model.shared() and at is not None:
+                rows[key] = at, unit
+        return rows
 
     # Failures.
 
@@ -289,7 +238,8 @@ class AidedEstimator(Estimator):
             super()._restart()
             return
         self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
-        self._window, self._measurements, self._bad_keyframes = None, None, 0
+        self._distrust()
+        self._window, self._bad_keyframes = None, 0
         self._first = self.keyframes[-1].index
         for keyframe in self.keyframes:
             if keyframe.state is None or not np.isfinite(keyframe.state.matrix).all():
@@ -300,7 +250,8 @@ class AidedEstimator(Estimator):
     def _hold_start(self) -> None:
         """A window that starts now knows the first state as well as the filter does."""
         f = self.filter
-        self.model.start = f.pose_covariance(f.position), f.covariance[VELOCITY, VELOCITY] + np.eye(3) * 1e-6
+        of_velocity = f.covariance[VELOCITY, VELOCITY] + np.eye(3) * 1e-6
+        self.model.starts[self._first] = f.pose_covariance(f.position), of_velocity
 
     # Results.
 
@@ -311,23 +262,3 @@ class AidedEstimator(Estimator):
         self.info["keyframes"] = len(self.keyframes)
         self.info["initialised"] = int(self._window is not None)
         self.info.update({f"refused_{kind}": n for kind, n in self.aiding.refused.items()})
-
-    def _with_covariances(self, trajectory: Trajectory, bundle: Bundle) -> Trajectory:
-        """Each frame with the covariance of the key frame before it: the one after holds it from the other side."""
-        marginals = gtsam.Marginals(bundle.graph, bundle.values)
-        lever = invert(self.imu.T_base_imu)[:3, 3]
-        found = []
-        for keyframe in self.keyframes:
-            rotation = bundle.values.atPose3(X(keyframe.index)).rotation().matrix()
-            change = np.zeros((6, 6))  # to x y z and rotations of base_link about odom's axes
-            change[:3, 3:] = change[3:, :3] = rotation
-            change[:3, :3] = -cross(rotation @ lever) @ rotation
-            found.append(change @ marginals.marginalCovariance(X(keyframe.index)) @ change.T + FLOOR)
-        covariances = np.array([found[frame.keyframe] for frame in self.frames])
-        return Trajectory(trajectory.stamps_ns, trajectory.positions, trajectory.quaternions, covariances)
-
-    def online(self) -> Trajectory:
-        trajectory = super().online()
-        return Trajectory(
-            trajectory.stamps_ns, trajectory.positions, trajectory.quaternions, np.array(self.covariances)
-        )

@@ -7,21 +7,32 @@ from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
+from gtsam.symbol_shorthand import B, V, X
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from oysterbench.geometry import Array, invert
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench.trajectory import Trajectory
+from oysterbench_baselines.common.filter import CORE, InertialNoise, InvariantFilter
 from oysterbench_baselines.common.inertial import Segment, relative_rotation
-from oysterbench_baselines.gtsam_vi.frontend import homogeneous
-from oysterbench_baselines.gtsam_vi.graph import Bundle, Model, adjust
-from oysterbench_baselines.gtsam_vi.inertial import extend, preintegrate
-from oysterbench_baselines.gtsam_vi.initialisation import View, closed_form_start, level_rotation
+from oysterbench_baselines.gtsam_vi.covariance import (
+    FLOOR,
+    anchored,
+    carry,
+    covariances_until,
+    filter_covariance,
+    filter_slopes,
+    pose_covariances,
+    set_state,
+)
+from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.initialisation import View, level_rotation
 from oysterbench_baselines.gtsam_vi.loops import LoopCloser
+from oysterbench_baselines.gtsam_vi.motion import at_rest, parallax
 from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.smoothing import smooth
+from oysterbench_baselines.gtsam_vi.starting import find_start, is_metric, is_worth_a_try, scale_sigma
 from oysterbench_baselines.gtsam_vi.states import (
     Frame,
     Keyframe,
@@ -32,7 +43,6 @@ from oysterbench_baselines.gtsam_vi.states import (
     hold,
     make_state,
     read_state,
-    states_of,
 )
 from oysterbench_baselines.gtsam_vi.window import Window
 
@@ -56,14 +66,17 @@ class Estimator:
     info: dict[str, float | int | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.filter = InvariantFilter(
+            np.eye(3), InertialNoise.of(self.imu, self.settings.imu_inflation), self.imu.gravity
+        )
         self.model = Model(self.camera, self.imu, self.settings, self.right)
         self._window: Window | None = None
         self._since: list[Segment] = []
-        self._measurements: gtsam.PreintegratedCombinedMeasurements | None = None
         self._next_attempt_s = 0.0
         self._first = 0  # key frame at which the search for a start begins
         self._anchor: State | None = None  # its state, when there was a start before
         self._good: tuple[int, State] | None = None  # the last key frame at which all was well, and its state then
+        self._anchor_covariance: Array | None = None  # (6, 6) of that pose
         self._bad_keyframes = 0
         self.loops = LoopCloser(self.camera, self.model, self.settings) if self.settings.loops else None
 
@@ -83,8 +96,8 @@ class Estimator:
         view = View(np.asarray(ids, dtype=np.int64)[order], np.asarray(rays, dtype=float)[order])
         if self.keyframes:
             self._since.append(segment)
-        if self._measurements is not None:
-            extend(self._measurements, segment)
+        if self._window is not None:
+            self._carry(segment)
         predicted = self._predict()
         if self._is_keyframe(view):
             if right is not None:
@@ -93,6 +106,9 @@ class Estimator:
             predicted = self.keyframes[-1].state if self._window else None
         frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since))
         frame.online = predicted.matrix if predicted else None
+        if self._window is not None:
+            place = (self.filter.pose @ invert(self.imu.T_base_imu))[:3, 3]
+            frame.covariance = self.filter.pose_covariance(place) + FLOOR
         frame.correction = None if self.loops is None else self.loops.correction
         self.frames.append(frame)
 
@@ -105,10 +121,42 @@ class Estimator:
         self.frames[-1].correction = self.loops.correction
 
     def _predict(self) -> State | None:
-        if self._window is None:
-            return None
-        last = self.keyframes[-1].state
-        return State(self._measurements.predict(last.nav, last.bias), last.bias)
+        return None if self._window is None else self._filter_state()
+
+    def _filter_state(self) -> State:
+        f = self.filter
+        return make_state(f.rotation, f.position, f.velocity, f.gyro_bias, f.accel_bias)
+
+    # The filter, which carries the window's estimate and its covariance from one key frame to the next.
+
+    def _carry(self, segment: Segment) -> None:
+        carry(self.filter, segment)
+
+    def _correct_filter(self, window: Window) -> None:
+        """The filter goes on from the window's estimate of the last key frame, with its covariance."""
+        k, calibrations = self.keyframes[-1].index, self._calibrations()
+        f, state = self.filter, self.keyframes[-1].state
+        set_state(f, state)
+        try:
+            values, joint = window.joint([X(k), V(k), B(k), *calibrations])
+        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+            return
+        slopes = filter_slopes(state, k, len(f.covariance))
+        for key, (rows, unit) in calibrations.items():
+            slopes[key] = np.zeros((len(f.covariance), len(unit)))
+            slopes[key][rows] = np.diag(unit)
+        covariance = filter_covariance(joint, slopes)
+        if covariance is None:
+            return
+        for key, (rows, unit) in calibrations.items():
+            f.extra[rows.start - CORE : rows.stop - CORE] = unit * values.atVector(key)
+        untold = np.setdiff1d(np.arange(len(covariance)), np.flatnonzero(np.hstack(list(slopes.values())).any(axis=1)))
+        covariance[np.ix_(untold, untold)] = f.covariance[np.ix_(untold, untold)]
+        f.covariance = covariance
+
+    def _calibrations(self) -> dict[int, tuple[slice, Array]]:
+        """Variables that filter and window share beside the state: rows of the filter's error, units (N,), by key."""
+        return {}
 
     # Key frames.
 
@@ -129,34 +177,13 @@ class Estimator:
         if len(shared) == 0:
             return False
         turn = self.model.T_imu_cam[:3, :3].T @ relative_rotation(since, self.gyro_bias) @ self.model.T_imu_cam[:3, :3]
-        return self._parallax(last.rays[in_last], view.rays[in_view], turn) >= settings.keyframe_parallax_px
-
-    def _parallax(self, before: Array, after: Array, R_before_after: Array) -> float:
-        """Median flow (px) between rays (N, 2) that a rotation does not explain."""
-        turned = homogeneous(before) @ R_before_after
-        flow = after - turned[:, :2] / np.maximum(turned[:, 2:], 0.1)
-        return float(np.median(np.linalg.norm(flow, axis=1))) * self.model.focal
-
-    def _at_rest(self, view: View, duration: float) -> bool:
-        """The picture has not moved since the last key frame.
-
-        Judged by the affine flow that fits all tracks: their own noise averages out in it, and motion in any direction
-        or about any axis shows.
-        """
-        last = self.keyframes[-1].view
-        shared, in_last, in_view = np.intersect1d(last.ids, view.ids, assume_unique=True, return_indices=True)
-        if len(shared) < self.settings.init_min_tracks or duration < self.settings.rest_s:
-            return False
-        flow = (view.rays[in_view] - last.rays[in_last]) * self.model.focal
-        length = np.linalg.norm(flow, axis=1)
-        calm = length <= 3 * np.median(length)
-        places = homogeneous(last.rays[in_last][calm])
-        fit = places @ np.linalg.lstsq(places, flow[calm], rcond=None)[0]
-        return float(np.sqrt(np.mean(np.sum(fit**2, axis=1)))) < self.settings.rest_px
+        return (
+            parallax(last.rays[in_last], view.rays[in_view], turn) * self.model.focal >= settings.keyframe_parallax_px
+        )
 
     def _add_keyframe(self, stamp_ns: int, view: View, predicted: State | None) -> None:
         segment = Segment.join(self._since)
-        rest = bool(self.keyframes) and self._at_rest(view, segment.duration)
+        rest = bool(self.keyframes) and at_rest(self.keyframes[-1].view, view, segment.duration, self.model)
         self.keyframes.append(Keyframe(len(self.keyframes), stamp_ns, view, segment, rest))
         self._since = []
         if self._window is not None:
@@ -171,7 +198,7 @@ class Estimator:
         else:
             self._try_to_start(self.settings.init_scale_sigma)
         if self._window is not None:
-            self._measurements = preintegrate(Segment.join([]), self.keyframes[-1].state.bias, self.model.params)
+            self._correct_filter(self._window)
 
     def _aiding_of(self, k: int, before: State) -> list[gtsam.NonlinearFactor]:
         """Factors of other sensors for key frame k, `before` the state one earlier: here none."""
@@ -181,52 +208,29 @@ class Estimator:
 
     def _try_to_start(self, max_scale_sigma: float) -> None:
         """Search the latest key frames for a start; accept it when its scale is well determined."""
-        settings = self.settings
-        stretch = self.keyframes[self._first :][-settings.init_max_keyframes :]
+        stretch = self.keyframes[self._first :][-self.settings.init_max_keyframes :]
         now = (stretch[-1].stamp_ns - self.keyframes[0].stamp_ns) * 1e-9
-        counts = np.unique(np.concatenate([k.view.sights()[0] for k in stretch]), return_counts=True)[1]
-        if np.count_nonzero(counts >= settings.min_views) < settings.init_min_tracks or now < self._next_attempt_s:
+        if now < self._next_attempt_s or not is_worth_a_try(stretch, self.settings):
             return
-        metric = _seen_twice(stretch[-1].view) >= settings.init_min_tracks
-        if metric:
-            least, least_s = settings.init_stereo_keyframes, settings.init_stereo_s
-        else:
-            least, least_s = settings.init_min_keyframes, settings.init_min_s
-        elapsed = sum(k.segment.duration for k in stretch[1:] if metric or not k.at_rest)
-        if len(stretch) < least or elapsed < least_s:
+        self._next_attempt_s = now + self.settings.init_retry_s
+        if self._anchor_covariance is not None:
+            self.model.starts[stretch[0].index] = anchored(self._anchor_covariance)
+        bundle = find_start(self.model, stretch, self._anchor, max_scale_sigma)
+        if bundle is None:
             return
-        self._next_attempt_s = now + settings.init_retry_s
-        start = closed_form_start(
-            [k.view for k in stretch],
-            [k.segment for k in stretch[1:]],
-            self.model.T_imu_cams,
-            self.imu.gravity,
-            self.model.gyro_turn_on,
-            self.model.accel_turn_on,
-            settings.pixel_sigma_px / self.model.focal,
-        )
-        states = states_of(start, self._anchor)
-        try:
-            bundle = adjust(self.model, stretch, states, settings.init_gates_px)
-        except RuntimeError:  # GTSAM: the system of equations cannot be solved
-            return
-        if len(bundle.landmarks) < settings.init_min_tracks:
-            return
-        error = float(np.median(bundle.errors_px))
-        if not error <= settings.init_max_error_px:
-            return
-        if not metric:
-            sigma = _scale_sigma(bundle, stretch)
-            if not sigma <= max_scale_sigma:
-                return
-            self.info["init_scale_sigma"] = sigma
-        self.info["init_error_px"] = error
+        if not is_metric(stretch, self.settings):
+            self.info["init_scale_sigma"] = scale_sigma(bundle, stretch)
+        self.info["init_error_px"] = float(np.median(bundle.errors_px))
         for keyframe in stretch[1:] if self._anchor else stretch:
             keyframe.state = read_state(bundle.values, keyframe.index)
         self.info["init_s"] = now
         self._window = Window(self.model, stretch, bundle)
         self._good = (self.keyframes[-1].index, self.keyframes[-1].state)
         self._fill_back(stretch[0].index)
+        known = covariances_until(bundle, self.keyframes, stretch, self.filter.noise, self.imu)
+        for frame in self.frames:
+            if frame.covariance is None:
+                frame.covariance = known[frame.keyframe]
 
     def _fill_back(self, index: int) -> None:
         """States of the key frames before `index`, back along the inertial measurements; poses of all frames."""
@@ -270,15 +274,31 @@ class Estimator:
         self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
         index, state = self._good
         stamp_ns = self.keyframes[index].stamp_ns
+        covariance = next(frame.covariance for frame in self.frames if frame.stamp_ns == stamp_ns)
         for keyframe in self.keyframes[index:]:
             keyframe.state = coast(state, (keyframe.stamp_ns - stamp_ns) * 1e-9)
         for frame in self.frames:
             if frame.stamp_ns > stamp_ns:
-                frame.online = coast(state, (frame.stamp_ns - stamp_ns) * 1e-9).matrix
+                time = (frame.stamp_ns - stamp_ns) * 1e-9
+                frame.online = coast(state, time).matrix
+                frame.covariance = self._coasted(covariance, time)
+        self._distrust()
         self._first, self._anchor = self.keyframes[-1].index, self.keyframes[-1].state
+        self._anchor_covariance = self._coasted(covariance, (self.keyframes[-1].stamp_ns - stamp_ns) * 1e-9)
         self._window = None
-        self._measurements = None
         self._bad_keyframes = 0
+
+    def _distrust(self) -> None:
+        """The measurements since the last good key frame take no part in the final smoothing."""
+        assert self._good is not None
+        for keyframe in self.keyframes[self._good[0] + 1 :]:
+            keyframe.trusted = False
+
+    def _coasted(self, covariance: Array, time: float) -> Array:
+        """Covariance (6, 6) of a pose after a time (s) of which nothing is known but what vehicles do."""
+        settings = self.settings
+        grown = np.repeat([settings.unknown_speed, settings.unknown_rate], 3) * time
+        return covariance + np.diag(grown**2)
 
     # Results.
 
@@ -309,11 +329,18 @@ class Estimator:
 
     def online(self) -> Trajectory:
         """T_odom_base at every frame as it was known at that frame; before the start, as it was known at the start."""
-        return self._trajectory([f.online if f.correction is None else f.correction @ f.online for f in self.frames])
+        poses, covariances = [], []
+        for frame in self.frames:
+            turn = np.eye(4) if frame.correction is None else frame.correction
+            poses.append(turn @ frame.online)
+            if frame.covariance is not None:
+                both = np.kron(np.eye(2), turn[:3, :3])
+                covariances.append(both @ frame.covariance @ both.T)
+        return self._trajectory(poses, covariances)
 
     def smoothed(self) -> Trajectory:
         """T_odom_base at every frame after an adjustment of all key frames; the online path where none can be made."""
-        if self._window is None or len(self.keyframes) < 3 or "restarts" in self.info:
+        if self._window is None or len(self.keyframes) < 3:
             return self.online()
         keyframes = self.keyframes if self.loops is None else self.loops.joined(self.keyframes)
         try:
@@ -323,36 +350,15 @@ class Estimator:
             return self.online()
         if len(bundle.errors_px):
             self.info["smoothed_error_px"] = float(np.median(bundle.errors_px))
-        return self._with_covariances(self._trajectory(poses), bundle)
+        lever = invert(self.imu.T_base_imu)[:3, 3]
+        # Each frame with the covariance of the key frame before it: the one after holds it from the other side.
+        known = pose_covariances(bundle, keyframes, lever)
+        return self._trajectory(poses, [known[frame.keyframe] for frame in self.frames])
 
-    def _with_covariances(self, trajectory: Trajectory, bundle: Bundle) -> Trajectory:
-        """The smoothed trajectory with what is known of its covariances: here nothing."""
-        return trajectory
-
-    def _trajectory(self, poses: list[Array]) -> Trajectory:
+    def _trajectory(self, poses: list[Array], covariances: list[Array]) -> Trajectory:
+        """T_odom_base from T_odom_imu; with covariances where every frame has one."""
         stamps = np.array([frame.stamp_ns for frame in self.frames], dtype=np.int64)
         matrices = np.array(poses).reshape(-1, 4, 4) @ invert(self.imu.T_base_imu)
         quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat() if len(poses) else np.empty((0, 4))
-        return Trajectory(stamps, matrices[:, :3, 3].copy(), quaternions)
-
-
-def _seen_twice(view: View) -> int:
-    """Number of tracks that both cameras see."""
-    return 0 if view.right is None else int(np.isfinite(view.right[:, 0]).sum())
-
-
-def _scale_sigma(bundle: Bundle, keyframes: list[Keyframe]) -> float:
-    """Relative 1-sigma uncertainty of scale: of the longest way from the first key frame, along it."""
-    positions = np.array([bundle.values.atPose3(X(k.index)).translation() for k in keyframes])
-    offsets = positions - positions[0]
-    far = int(np.argmax(np.linalg.norm(offsets, axis=1)))
-    length = float(np.linalg.norm(offsets[far]))
-    if length < 1e-3:
-        return float("inf")
-    try:
-        covariance = gtsam.Marginals(bundle.graph, bundle.values).marginalCovariance(X(keyframes[far].index))
-    except RuntimeError:
-        return float("inf")
-    # GTSAM states the translation in the axes of the pose itself.
-    along = bundle.values.atPose3(X(keyframes[far].index)).rotation().matrix().T @ offsets[far] / length
-    return float(np.sqrt(along @ covariance[3:, 3:] @ along)) / length
+        spread = np.array(covariances) if len(poses) and len(covariances) == len(poses) else None
+        return Trajectory(stamps, matrices[:, :3, 3].copy(), quaternions, spread)

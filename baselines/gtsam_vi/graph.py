@@ -18,9 +18,16 @@ from oysterbench_baselines.gtsam_vi.inertial import preintegrate, preintegration
 from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
+LEAST = np.array([1e-4] * 3 + [1e-4] * 3)
+"""rad and m, 1 sigma: what the start is held with where it is exact by definition."""
+
 
 class Model:
-    """Noise models, calibrations and the factors made of them. right: a second camera, which sees the same."""
+    """Noise models, calibrations and the factors made of them. right: a second camera, which sees the same.
+
+    starts: by the key frame at which a graph begins, covariances of its pose (6, 6) and velocity (3, 3) in odom's axes;
+    where there are none, nothing is known but the gauge.
+    """
 
     def __init__(
         self,
@@ -42,6 +49,7 @@ class Model:
         pixel = gtsam.noiseModel.Isotropic.Sigma(2, settings.pixel_sigma_px / self.focal)
         huber = gtsam.noiseModel.mEstimator.Huber.Create(settings.huber)
         self._pixel = gtsam.noiseModel.Robust.Create(huber, pixel)
+        self.starts: dict[int, tuple[Array, Array]] = {}
         self._rest = gtsam.noiseModel.Isotropic.Sigma(3, settings.rest_speed)
         # A file may say that the unit has no turn-on bias; a little is left, for what its model leaves out.
         self.gyro_turn_on = max(imu.gyro_turn_on, 1e-4)
@@ -60,6 +68,23 @@ class Model:
         measurements = preintegrate(segment, bias, self.params)
         return gtsam.CombinedImuFactor(X(before), V(before), X(after), V(after), B(before), B(after), measurements)
 
+    def step(
+        self, keyframe: Keyframe, before: State, state: State, bias: gtsam.imuBias.ConstantBias
+    ) -> list[gtsam.NonlinearFactor]:
+        """All that ties a key frame to the one before it, given the states of both."""
+        k, settings = keyframe.index, self.settings
+        if keyframe.trusted:
+            return [self.inertial(k - 1, k, keyframe.segment, bias), *keyframe.aiding]
+        time = max(keyframe.segment.duration, settings.keyframe_min_s)
+        moved = np.repeat([settings.unknown_rate, settings.unknown_speed], 3) * time
+        turn_on = np.array([self.accel_turn_on] * 3 + [self.gyro_turn_on] * 3)
+        diagonal = gtsam.noiseModel.Diagonal.Sigmas
+        return [
+            gtsam.BetweenFactorPose3(X(k - 1), X(k), before.nav.pose().between(state.nav.pose()), diagonal(moved)),
+            gtsam.PriorFactorVector(V(k), state.nav.velocity(), gtsam.noiseModel.Isotropic.Sigma(3, 2.0)),
+            gtsam.BetweenFactorConstantBias(B(k - 1), B(k), gtsam.imuBias.ConstantBias(), diagonal(turn_on)),
+        ]
+
     def rest(self, keyframe: int) -> gtsam.NonlinearFactor:
         """No velocity."""
         return gtsam.PriorFactorVector(V(keyframe), np.zeros(3), self._rest)
@@ -72,18 +97,28 @@ class Model:
         """What is known of them beforehand."""
         return []
 
+    def ground(
+        self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
+    ) -> list[gtsam.NonlinearFactor]:
+        """Factors between key frames and landmarks (L,) at points (L, 3) that other sensors have met: here none."""
+        return []
+
     def start_priors(self, keyframe: int, state: State) -> list[gtsam.NonlinearFactor]:
-        """Position and yaw, which nothing measures, held; roll, pitch and velocity free; bias as at turn-on."""
+        """What is known of the state at which a graph begins; of the first of all, that it is the origin and ahead."""
         rotation = state.nav.attitude().matrix()
-        # In the world's axes (roll and pitch, yaw), turned into those of the body, in which GTSAM states it.
-        sigmas = np.diag(np.array([0.5, 0.5, 1e-4]) ** 2)
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3] = rotation.T @ sigmas @ rotation
-        covariance[3:, 3:] = np.eye(3) * 1e-4**2
+        of_pose, of_velocity = self.starts.get(
+            keyframe, (np.diag([0.0] * 3 + [0.5**2] * 2 + [0.0]), np.eye(3) * 2.0**2)
+        )
+        # GTSAM states rotation before translation, both in the axes of the pose itself.
+        turn = np.zeros((6, 6))
+        turn[:3, 3:] = turn[3:, :3] = rotation.T
+        pose = turn @ of_pose @ turn.T + np.diag(LEAST**2)
         turn_on = np.array([self.accel_turn_on] * 3 + [self.gyro_turn_on] * 3)
         return [
-            gtsam.PriorFactorPose3(X(keyframe), state.nav.pose(), gtsam.noiseModel.Gaussian.Covariance(covariance)),
-            gtsam.PriorFactorVector(V(keyframe), state.nav.velocity(), gtsam.noiseModel.Isotropic.Sigma(3, 2.0)),
+            gtsam.PriorFactorPose3(X(keyframe), state.nav.pose(), gtsam.noiseModel.Gaussian.Covariance(pose)),
+            gtsam.PriorFactorVector(
+                V(keyframe), state.nav.velocity(), gtsam.noiseModel.Gaussian.Covariance(of_velocity)
+            ),
             gtsam.PriorFactorConstantBias(
                 B(keyframe), gtsam.imuBias.ConstantBias(), gtsam.noiseModel.Diagonal.Sigmas(turn_on)
             ),
@@ -174,8 +209,8 @@ def adjust(model: Model, keyframes: list[Keyframe], states: list[State], gates_p
             insert_state(values, keyframe.index, state)
             if keyframe.index > first:
                 # Integrated about one bias for all: the average, whose corrections are smallest.
-                graph.push_back(model.inertial(keyframe.index - 1, keyframe.index, keyframe.segment, states[-1].bias))
-                for factor in keyframe.aiding:
+                before = states[keyframe.index - first - 1]
+                for factor in model.step(keyframe, before, state, states[-1].bias):
                     graph.push_back(factor)
             if keyframe.at_rest:
                 graph.push_back(model.rest(keyframe.index))
@@ -184,6 +219,8 @@ def adjust(model: Model, keyframes: list[Keyframe], states: list[State], gates_p
         seen = np.flatnonzero(np.isin(track, ids))
         for m in seen:
             graph.push_back(model.projection(first + int(row[m]), int(track[m]), rays[m], int(camera[m])))
+        for factor in model.ground(keyframes, states, ids, points):
+            graph.push_back(factor)
         values = _optimise(graph, values, model.settings.smoothing_iterations)
         states = [read_state(values, k.index) for k in keyframes]
     poses = np.array([state.matrix for state in states])

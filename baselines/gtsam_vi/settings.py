@@ -100,8 +100,12 @@ class Settings:
     loop_window_px: int = 21  # side of the patch by which a landmark is found again
     loop_levels: int = 2  # of the pyramid above
     loop_search_px: float = 25.0  # from where the alignment says
-    loop_inliers: int = 15
-    loop_share: float = 0.3  # of the landmarks that should be in the picture
+    loop_inliers: int = 10
+    loop_share: float = 0.4  # of the landmarks that should be in the picture
+    loop_again_m: float = 0.02  # m and rad by which the alignment may be off: beyond, landmarks are looked for again
+    loop_strong: int = 30  # landmarks; with fewer, a loop between neighbouring places must say the same
+    loop_neighbours: int = 4  # places
+    loop_agree_m: float = 0.05  # m and rad
     loop_spread: float = 0.08  # of the picture's height, across the narrow side of where they are
     loop_pixel_sigma: float = 1.5  # of a landmark found again from another side
     loop_cauchy: float = 2.0  # sigmas; beyond, a loop loses weight
@@ -115,3 +119,5 @@ class Settings:
     max_bias_sigmas: float = 8.0  # of the turn-on bias
     max_lost_share: float = 0.7  # of the landmarks seen, farther than max_slide_px from their prediction
     max_bad_keyframes: int = 3  # with so many lost, one after the other, before the estimator starts anew
+    unknown_speed: float = 0.5  # m/s, 1 sigma, that is off while the measurements are not trusted
+    unknown_rate: float = 0.2  # rad/s

@@ -14,6 +14,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
 from oysterbench.geometry import Array
+from oysterbench_baselines.gtsam_vi.covariance import joint_covariance
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
@@ -77,10 +78,10 @@ class Window:
         self._observations = {i: o for i, o in self._observations.items() if o[-1].keyframe > k - self._lag}
         self._rejected &= self._observations.keys()
 
-    def joint(self, keys: list[int]) -> tuple[gtsam.Values, gtsam.JointMarginal]:
-        """The estimate, and the joint covariance of some of its variables."""
+    def joint(self, keys: list[int]) -> tuple[gtsam.Values, Array]:
+        """The estimate, and the joint covariance (N, N) of some of its variables, in the order of their keys."""
         values = self._smoother.calculateEstimate()
-        return values, gtsam.Marginals(self._smoother.getFactors(), values).jointMarginalCovariance(keys)
+        return values, joint_covariance(self._smoother.getFactors(), values, keys)
 
     @property
     def _lag(self) -> int:

@@ -1,0 +1,151 @@
+"""Covariances: from the tangents of GTSAM's variables to the errors of the filter, and to the poses of a trajectory.
+
+GTSAM states an error of a pose in the axes of the pose itself, rotation first: R = R^ Exp(a), p = p^ + R^ b. The filter
+(`common.filter`) has right-invariant errors about odom's axes, and a trajectory x y z and rotations about odom's axes.
+Positions are relative to the first pose, which is exact by definition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, V, X
+
+from oysterbench.geometry import Array, invert
+from oysterbench.sequence.types import ImuCalibration
+from oysterbench_baselines.common.filter import (
+    ACCEL_BIAS,
+    ATTITUDE,
+    CORE,
+    GYRO_BIAS,
+    POSITION,
+    VELOCITY,
+    InertialNoise,
+    InvariantFilter,
+    cross,
+)
+from oysterbench_baselines.common.inertial import Segment
+from oysterbench_baselines.gtsam_vi.graph import Bundle
+from oysterbench_baselines.gtsam_vi.states import Keyframe, State, read_state
+
+FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
+"""m^2 and rad^2 on every covariance of a pose: the first pose is exact by definition."""
+
+
+def filter_slopes(state: State, k: int, size: int = CORE) -> dict[int, Array]:
+    """The filter's error (size,) by GTSAM's tangents of the pose, velocity and biases of key frame k: by their keys."""
+    rotation, velocity, position = state.nav.attitude().matrix(), state.nav.velocity(), state.nav.position()
+    change = {key: np.zeros((size, columns)) for key, columns in ((X(k), 6), (V(k), 3), (B(k), 6))}
+    change[X(k)][ATTITUDE, :3] = rotation
+    change[X(k)][VELOCITY, :3] = cross(velocity) @ rotation
+    change[X(k)][POSITION, :3] = cross(position) @ rotation
+    change[X(k)][POSITION, 3:] = rotation
+    change[V(k)][VELOCITY] = np.eye(3)
+    change[B(k)][ACCEL_BIAS, :3] = change[B(k)][GYRO_BIAS, 3:] = np.eye(3)
+    return change
+
+
+def joint_covariance(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: list[int]) -> Array:
+    """Covariance (N, N) of some variables of a graph, in the order of their keys.
+
+    All others are eliminated once; what is left is the information of these. GTSAM's joint marginals eliminate twice.
+    RuntimeError where the equations cannot be solved.
+    """
+    linear = graph.linearize(values)
+    ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, keys)
+    others, last = gtsam.Ordering(), gtsam.Ordering()
+    for n in range(ordering.size() - len(keys)):
+        others.push_back(ordering.at(n))
+    for key in keys:
+        last.push_back(key)
+    information, _ = linear.eliminatePartialMultifrontal(others)[1].hessian(last)
+    try:
+        return np.linalg.inv(information)
+    except np.linalg.LinAlgError as error:
+        raise RuntimeError(str(error)) from None
+
+
+def filter_covariance(covariance: Array, slopes: Mapping[int, Array]) -> Array | None:
+    """Covariance (N, N) of the filter's error from the joint one of the variables by whose tangents slopes are; None
+    where it is not one."""
+    slope = np.hstack(list(slopes.values()))
+    found = slope @ covariance @ slope.T
+    if not np.isfinite(found).all() or np.linalg.eigvalsh(found)[0] < -1e-9:
+        return None
+    return 0.5 * (found + found.T)
+
+
+def set_state(to: InvariantFilter, state: State) -> None:
+    """Let the filter go on from a state; its covariance stays."""
+    to.rotation, to.velocity = state.nav.attitude().matrix(), np.array(state.nav.velocity())
+    to.position = np.array(state.nav.position())
+    to.gyro_bias, to.accel_bias = np.array(state.bias.gyroscope()), np.array(state.bias.accelerometer())
+
+
+def carry(filter: InvariantFilter, segment: Segment) -> None:
+    """The filter's state and covariance after a segment."""
+    for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
+        filter.propagate(dt, gyro, accel)
+
+
+def back(filter: InvariantFilter, segment: Segment) -> None:
+    """The filter's state and covariance before a segment.
+
+    The transition backwards is the one forwards with time reversed, but noise only ever adds.
+    """
+    noise, filter.noise = filter.noise, InertialNoise(0.0, 0.0, 0.0, 0.0)
+    for dt, gyro, accel in reversed(list(zip(segment.dt, segment.gyro, segment.accel, strict=True))):
+        filter.propagate(-dt, gyro, accel)
+    filter.noise = noise
+    time = segment.duration
+    grown = np.zeros(CORE)
+    grown[ATTITUDE] = noise.gyro**2 * time
+    grown[VELOCITY] = noise.accel**2 * time
+    grown[POSITION] = noise.accel**2 * time**3 / 3
+    filter.covariance[:CORE, :CORE] += np.diag(grown)
+
+
+def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array) -> list[Array]:
+    """(6, 6) of the pose of a frame fixed to the IMU at `lever` (3,) in it, at every key frame of a stretch."""
+    marginals, values = gtsam.Marginals(bundle.graph, bundle.values), bundle.values
+    found = []
+    for keyframe in keyframes:
+        rotation = values.atPose3(X(keyframe.index)).rotation().matrix()
+        change = np.zeros((6, 6))
+        change[:3, 3:] = change[3:, :3] = rotation
+        change[:3, :3] = -cross(rotation @ lever) @ rotation
+        found.append(change @ marginals.marginalCovariance(X(keyframe.index)) @ change.T + FLOOR)
+    return found
+
+
+def covariances_until(
+    bundle: Bundle, keyframes: list[Keyframe], stretch: list[Keyframe], noise: InertialNoise, imu: ImuCalibration
+) -> dict[int, Array]:
+    """(6, 6) of the pose of base_link at all key frames up to an adjusted stretch of them, by their index: in it its
+    own, and before it, back along the inertial measurements."""
+    T_imu_base = invert(imu.T_base_imu)
+    of_stretch = pose_covariances(bundle, stretch, T_imu_base[:3, 3])
+    known = {keyframe.index: covariance for keyframe, covariance in zip(stretch, of_stretch, strict=True)}
+    first = stretch[0].index
+    state = read_state(bundle.values, first)
+    filter = InvariantFilter(np.eye(3), noise, imu.gravity)
+    set_state(filter, state)
+    joint = joint_covariance(bundle.graph, bundle.values, [X(first), V(first), B(first)])
+    covariance = filter_covariance(joint, filter_slopes(state, first))
+    if covariance is not None:
+        filter.covariance = covariance
+    for k in range(first, 0, -1):
+        if not keyframes[k].at_rest:
+            back(filter, keyframes[k].segment)
+        known[k - 1] = filter.pose_covariance((filter.pose @ T_imu_base)[:3, 3]) + FLOOR
+    return known
+
+
+def anchored(covariance: Array) -> tuple[Array, Array]:
+    """What is known of a start after a failure, pose (6, 6) and velocity (3, 3): place and heading, but not up."""
+    pose = covariance.copy()
+    pose[3:5, :], pose[:, 3:5] = 0.0, 0.0
+    pose[3, 3] = pose[4, 4] = 0.5**2
+    return pose, np.eye(3) * 2.0**2
