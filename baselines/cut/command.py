@@ -1,0 +1,191 @@
+"""`oysterbench train cut`, `oysterbench translate cut` and the controls `translate reinhard` and `histogram`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from oysterbench.labelled import LabelledImage, LabelledSet
+
+SAMPLES = 4
+"""Rows of a sample sheet."""
+
+source_option = click.option("--source", required=True, metavar="SPLIT|PATH", help="Rendered images, with labels.")
+side_option = click.option(
+    "--side", help="Only targets of this side of their manifest.csv.  [default: train, where there are sides]"
+)
+clip_option = click.option(
+    "--clip", "clips", multiple=True, metavar="NAME", help="Only targets of this clip; repeatable: waters of one kind."
+)
+seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+
+
+@click.command("cut", short_help="Make rendered images look like real ones, without pairs.")
+@source_option
+@click.option("--target", required=True, metavar="PATH", help="Real images; their labels are not looked at.")
+@side_option
+@clip_option
+@click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder of the training.")
+@click.option("--method", default="fastcut", show_default=True, help="cut or fastcut.")
+@click.option("--size", default="small", show_default=True, help="small, for a processor; full, as published.")
+@click.option("--steps", type=click.IntRange(min=1), help="In place of the size's own.")
+@seed_option
+@click.option("--device", default="cpu", show_default=True, help="auto, cpu, cuda or cuda:N.")
+def train_command(
+    source: str,
+    target: str,
+    side: str | None,
+    clips: tuple[str, ...],
+    out: Path,
+    method: str,
+    size: str,
+    steps: int | None,
+    seed: int,
+    device: str,
+) -> None:
+    """Learn to translate rendered images into real ones: CUT and FastCUT (Park et al. 2020).
+
+    \b
+    Examples:
+      oysterbench train cut --source seg-closeup --target real-oysters --clip closeup-b --clip closeup-c --out cut
+      oysterbench train cut --source seg-train --target my-dives --method cut --size full --device auto --out cut-full
+      oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
+
+    Leaves checkpoint.pt, losses.csv, losses.png and samples/, a sheet for each time that it was kept. May be
+    interrupted, even killed: the same command goes on from the last checkpoint, to the same weights.
+    """
+    from oysterbench.cli_labelled import open_data
+    from oysterbench.cli_render import frames_bar
+    from oysterbench.gallery import write_picture
+    from oysterbench_baselines.cut.settings import settings_of
+    from oysterbench_baselines.cut.sheets import sample_sheet, write_curves
+    from oysterbench_baselines.cut.training import Trainer, curves, train
+    from oysterbench_baselines.cut.translation import generator_of, translate
+    from oysterbench_baselines.learning.checkpoint import Checkpoint
+    from oysterbench_baselines.learning.loop import pick_device
+
+    settings = settings_of(method, size, steps)
+    rendered, real = open_data(source), targets(open_data(target), side, clips)
+    samples = [rendered[k * len(rendered) // SAMPLES] for k in range(min(SAMPLES, len(rendered)))]
+    beside = [image.pixels for image in real]
+
+    def keep(trainer: Trainer, checkpoint: Checkpoint) -> None:
+        write_curves(checkpoint, out)
+        generator, _ = generator_of(checkpoint, str(out))
+        found = [translate(generator, settings, image.pixels) for image in samples]
+        write_picture(out / "samples" / f"{checkpoint.step:06d}.png", sample_sheet(samples, found, beside))
+
+    with frames_bar(f"training {method} on {len(rendered)} and {len(real)} images", "steps") as bar:
+        checkpoint = train(
+            rendered,
+            real,
+            settings,
+            out / "checkpoint.pt",
+            seed,
+            pick_device(device),
+            lambda done, total, losses: bar(done, total),
+            keep,
+        )
+    last = curves(checkpoint)[-100:].mean(axis=0)
+    click.echo(
+        f"{checkpoint.step} steps, looks {last[1]:.3f}, content {last[2]:.3f} over the last 100, "
+        f"{checkpoint.seconds:.0f} s of a processor",
+        err=True,
+    )
+    click.echo(out / "checkpoint.pt")
+
+
+@click.command("cut", short_help="By a trained generator.")
+@click.argument("checkpoint", type=click.Path(path_type=Path))
+@source_option
+@click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write.")
+def cut_command(checkpoint: Path, source: str, out: Path) -> None:
+    """Translate labelled images at their own size; their labels stay, and what that costs is measured and printed.
+
+    \b
+    Example:
+      oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
+    """
+    from oysterbench.cli_labelled import open_data
+    from oysterbench_baselines.cut.translation import load_generator, translated
+
+    generator, settings = load_generator(checkpoint)
+    _write(open_data(source), lambda images: translated(generator, settings, images), out)
+
+
+def _recolour(name: str) -> click.Command:
+    @click.command(name, short_help=f"By {name} colour transfer, image by image, without training.")
+    @source_option
+    @click.option("--target", required=True, metavar="PATH", help="Real images to take colours from.")
+    @side_option
+    @clip_option
+    @seed_option
+    @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write.")
+    def command(source: str, target: str, side: str | None, clips: tuple[str, ...], seed: int, out: Path) -> None:
+        from oysterbench.cli_labelled import open_data
+        from oysterbench_baselines.cut.colour import TRANSFERS, recoloured
+
+        models = targets(open_data(target), side, clips)
+        _write(open_data(source), lambda images: recoloured(images, models, TRANSFERS[name], seed), out)
+
+    command.help = f"""Give labelled images the colours of real ones ({name}): a clip, then one of its images, drawn for
+    each. No edge moves; the control that a learnt translation has to beat.
+
+    \b
+    Example:
+      oysterbench translate {name} --source seg-closeup --target real-oysters --clip closeup-b --out translated
+    """
+    return command
+
+
+histogram_command = _recolour("histogram")
+reinhard_command = _recolour("reinhard")
+
+
+def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> LabelledSet:
+    """The real images that may be looked at: those for training, where the set says which these are, and of some clips.
+
+    Raises LabelError for a side or a clip that is not there.
+    """
+    from oysterbench.errors import LabelError
+
+    if side is None and "train" in labelled.splits:
+        side = "train"
+    chosen = labelled if side is None else labelled.of_split(side)
+    for clip in clips:
+        if clip not in chosen.clips:
+            raise LabelError(f"--clip {clip}: {chosen.name} has the clips {', '.join(chosen.clips)}")
+    return chosen.where(lambda entry: not clips or entry.clip in clips)
+
+
+def _write(source: LabelledSet, change: Callable[[LabelledSet], Iterator[LabelledImage]], out: Path) -> None:
+    """Write what `change` makes of the images as a folder of masks, and say how far masks have drifted."""
+    import numpy as np
+
+    from oysterbench.cli_render import frames_bar
+    from oysterbench.labelled import write_folder
+    from oysterbench_baselines.cut.drift import Drift, mask_drift
+
+    drifts: list[Drift] = []
+
+    def measured() -> Iterator[LabelledImage]:
+        for before, after in zip(source, change(source), strict=True):
+            drifts.append(mask_drift(before.pixels, after.pixels, before.oysters))
+            yield after
+
+    with frames_bar(f"translating {source.name}", "images") as bar:
+        write_folder(measured(), out, progress=lambda done: bar(done, len(source)))
+    rows = np.array([(drift.edges, drift.kept, drift.flow, drift.offset) for drift in drifts], dtype=float)
+    known = rows[~np.isnan(rows).any(axis=1)]
+    if len(known):
+        edges, kept, flow, offset = np.median(known, axis=0)
+        click.echo(
+            f"mask drift, medians of {len(known)} images: edges correlate {edges:.2f}, {100 * kept:.0f} % of the "
+            f"strongest are kept, flow {flow:.1f} px, best offset {offset:.0f} px",
+            err=True,
+        )
+    click.echo(out)

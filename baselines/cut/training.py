@@ -1,0 +1,209 @@
+"""The training: a discriminator and a generator in turn, deterministic, resumable at any step."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from oysterbench.errors import MethodError
+from oysterbench.labelled import LabelledSet
+from oysterbench.streams import Streams
+from oysterbench_baselines.cut.losses import looks, patch_nce
+from oysterbench_baselines.cut.networks import Discriminator, Generator, Projections
+from oysterbench_baselines.cut.pictures import Picture, draw_crop, read_pictures
+from oysterbench_baselines.cut.settings import CutSettings
+from oysterbench_baselines.learning.batches import initial_seed
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint, versions
+from oysterbench_baselines.learning.loop import be_deterministic
+
+BETAS = (0.5, 0.999)  # of Adam
+KEEP_S = 60.0
+"""Between two checkpoints: what a kill costs at most."""
+TERMS = ("discriminator", "looks", "content", "identity")
+"""What is kept of each step: the discriminator's loss, and the generator's: to look real, to stay what it was, and to
+leave real pictures alone (0 where that is not asked for)."""
+
+Progress = Callable[[int, int, Mapping[str, float]], None]
+Keep = Callable[["Trainer", Checkpoint], None]
+
+
+@dataclass
+class Trainer:
+    """The networks and their optimisers; `step` is one turn of both."""
+
+    settings: CutSettings
+    streams: Streams
+    device: torch.device
+
+    def __post_init__(self) -> None:
+        torch.manual_seed(initial_seed(self.streams))
+        self.generator = Generator(self.settings).to(self.device)
+        self.discriminator = Discriminator(self.settings).to(self.device)
+        self.projections = Projections(self.generator, self.settings).to(self.device)
+        parts = self.parts()
+        rate = self.settings.learning_rate
+        self.optimisers = {key: torch.optim.Adam(part.parameters(), rate, BETAS) for key, part in parts.items()}
+
+    def parts(self) -> dict[str, torch.nn.Module]:
+        """The networks by name."""
+        return {
+            "generator": self.generator,
+            "discriminator": self.discriminator,
+            "projections": self.projections,
+        }
+
+    def step(self, source: torch.Tensor, target: torch.Tensor, number: int) -> list[float]:
+        """One turn on pictures (1, 3, h, w); the losses, by `TERMS`. Raises MethodError where one is not finite."""
+        for optimiser in self.optimisers.values():
+            optimiser.param_groups[0]["lr"] = self.settings.rate(number)
+        mirrored = self.settings.flip and self.streams.generator("mirror", number).random() < 0.5
+        given = source.flip(3) if mirrored else source
+        both = self.generator(torch.cat([given, target]) if self.settings.identity else given)
+        translated = both[:1]
+
+        self.discriminator.requires_grad_(True)
+        opposed = (looks(self.discriminator(translated.detach()), False) + looks(self.discriminator(target), True)) / 2
+        self._descend(opposed, "discriminator")
+
+        self.discriminator.requires_grad_(False)
+        real = looks(self.discriminator(translated), True)
+        content = self._content(translated.flip(3) if mirrored else translated, source, ("source", number), mirrored)
+        identity = torch.zeros(())
+        if self.settings.identity:
+            identity = self._content(both[1:], target, ("target", number))
+        share = 0.5 if self.settings.identity else 1.0
+        total = real + self.settings.nce_weight * share * (content + identity.to(content))
+        found = [float(value.detach()) for value in (opposed, real, content, identity)]
+        if not all(math.isfinite(value) for value in found):
+            terms = ", ".join(f"{name} {value:g}" for name, value in zip(TERMS, found, strict=True))
+            raise MethodError(f"the loss is not finite after {number} steps ({terms}); try a lower learning rate")
+        self._descend(total, "generator", "projections")
+        return found
+
+    def _descend(self, loss: torch.Tensor, *names: str) -> None:
+        for name in names:
+            self.optimisers[name].zero_grad(set_to_none=True)
+        loss.backward()
+        for name in names:
+            self.optimisers[name].step()
+
+    def _content(
+        self, translated: torch.Tensor, original: torch.Tensor, name: tuple[str, int], mirrored: bool = False
+    ) -> torch.Tensor:
+        """PatchNCE between a picture and its translation. Where the generator was given the mirrored one, features of
+        its translation are taken as they came, mirrored, and turned back."""
+        settings = self.settings
+        seen = self.generator.encode(translated.flip(3) if mirrored else translated, settings.layers)
+        if mirrored:
+            seen = {key: values.flip(3) for key, values in seen.items()}
+        with torch.no_grad():
+            keys = self.generator.encode(original, settings.layers)
+        places = {key: self._places(values.shape[2] * values.shape[3], (*name, key)) for key, values in keys.items()}
+        queries = self.projections(seen, places)
+        with torch.no_grad():
+            against = self.projections(keys, places)
+        return patch_nce(queries, against, settings.temperature)
+
+    def _places(self, count: int, name: tuple[str | int, ...]) -> torch.Tensor:
+        """(P,) places out of `count`, each at most once."""
+        chosen = self.streams.generator("places", *name).permutation(count)[: self.settings.patches]
+        return torch.from_numpy(chosen).to(self.device)
+
+    def state(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Of the networks, on the processor, and of their optimisers."""
+        weights = {
+            key: {name: value.detach().cpu() for name, value in part.state_dict().items()}
+            for key, part in self.parts().items()
+        }
+        return weights, {key: optimiser.state_dict() for key, optimiser in self.optimisers.items()}
+
+    def load(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint."""
+        for key, part in self.parts().items():
+            part.load_state_dict(checkpoint.weights[key])
+            self.optimisers[key].load_state_dict(checkpoint.optimiser[key])
+
+
+def train(
+    source: LabelledSet,
+    target: LabelledSet,
+    settings: CutSettings,
+    path: Path,
+    seed: int = 0,
+    device: torch.device | None = None,
+    progress: Progress = lambda done, total, losses: None,
+    keep: Keep = lambda trainer, checkpoint: None,
+    keep_s: float = KEEP_S,
+) -> Checkpoint:
+    """Learn to make pictures of `source` look like those of `target`, or go on where `path` was left.
+
+    keep is called whenever a checkpoint has been written. `losses` of the checkpoint are `TERMS` of step after step.
+    Raises LabelError for pictures that nothing can be learnt from, MethodError where `path` holds another training.
+    """
+    device = device or torch.device("cpu")
+    be_deterministic(settings.threads, device)
+    identity = {
+        "settings": plain(settings),
+        "source": source.digest(),
+        "target": target.digest(),
+        "seed": seed,
+        "device": device.type,
+    }
+    known = read_checkpoint(path) if path.is_file() else None
+    if known is not None and known.identity != identity:
+        differing = [key for key in identity if known.identity.get(key) != identity[key]]
+        raise MethodError(
+            f"{path}: holds another training: {', '.join(differing) or 'its kind'} differ; --out goes elsewhere"
+        )
+    if known is not None and known.finished:
+        return known
+    pictures = [read_pictures(side, settings.crop, settings.scale) for side in (source, target)]
+    streams = Streams(seed).at("cut")
+    trainer = Trainer(settings, streams, device)
+    state = known or Checkpoint(identity, plain(settings), {}, {}, {}, 0, False, [], 0.0, versions())
+    if known is not None:
+        trainer.load(known)
+    kept, cpu, before = time.monotonic(), time.process_time(), state.seconds
+
+    def write(finished: bool) -> None:
+        state.weights, state.optimiser = trainer.state()
+        state.finished, state.seconds = finished, before + time.process_time() - cpu
+        state.write(path)
+        keep(trainer, state)
+
+    for number in range(state.step, settings.steps):
+        crops = draw_pair(pictures, settings.crop, streams, number)
+        losses = trainer.step(*(crop.to(device) for crop in crops), number)
+        state.losses.extend(losses)
+        state.step = number + 1
+        progress(state.step, settings.steps, dict(zip(TERMS, losses, strict=True)))
+        if time.monotonic() - kept >= keep_s and state.step < settings.steps:
+            write(finished=False)
+            kept = time.monotonic()
+    write(finished=True)
+    return state
+
+
+def draw_pair(
+    pictures: Sequence[Sequence[Picture]], crop: int, streams: Streams, number: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """A crop of the source and one of the target: those of a step, whatever steps were done before."""
+    one, other = (draw_crop(side, crop, streams.generator("crop", number, k)) for k, side in enumerate(pictures))
+    return one, other
+
+
+def plain(settings: CutSettings) -> dict[str, Any]:
+    """Settings as a checkpoint holds them."""
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(settings).items()}
+
+
+def curves(checkpoint: Checkpoint) -> np.ndarray:
+    """(steps, TERMS) float64 losses of a training."""
+    return np.array(checkpoint.losses, dtype=float).reshape(-1, len(TERMS))

@@ -1,0 +1,64 @@
+"""A trained generator at work on whole pictures, at their own size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch.nn import functional
+
+from oysterbench.errors import MethodError
+from oysterbench.labelled import LabelledImage
+from oysterbench_baselines.cut.networks import Generator
+from oysterbench_baselines.cut.pictures import Picture, as_picture, as_tensor, shrunk
+from oysterbench_baselines.cut.settings import CutSettings
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+
+MULTIPLE = 4  # of px, that the generator's width and height are: it halves twice
+
+
+def load_generator(path: Path) -> tuple[Generator, CutSettings]:
+    """The generator of a checkpoint, finished or not. Raises MethodError where it is of another kind of training."""
+    return generator_of(read_checkpoint(path), str(path))
+
+
+def generator_of(checkpoint: Checkpoint, where: str) -> tuple[Generator, CutSettings]:
+    """The generator that a checkpoint holds."""
+    try:
+        settings = CutSettings(**{**checkpoint.network, "layers": tuple(checkpoint.network["layers"])})
+        generator = Generator(settings)
+        generator.load_state_dict(checkpoint.weights["generator"])
+    except (KeyError, TypeError, RuntimeError) as error:
+        line = " ".join(str(error).split())[:100]
+        raise MethodError(f"{where}: holds no translation ({line}); `oysterbench train cut` makes one") from None
+    return generator.eval(), settings
+
+
+def translate(generator: Generator, settings: CutSettings, picture: Picture) -> Picture:
+    """A picture (H, W, 3) uint8, translated at its own size.
+
+    Where the generator looks at pictures at a smaller scale, what it changes there is brought to full size and added:
+    edges stay as sharp as they were, and where they were.
+    """
+    small = shrunk(picture, settings.scale)
+    height, width = small.shape[:2]
+    values = as_tensor(small)
+    room = (0, -width % MULTIPLE, 0, -height % MULTIPLE)
+    with torch.inference_mode():
+        found = generator(functional.pad(values, room, mode="replicate"))[..., :height, :width]
+    if settings.scale == 1.0:
+        return as_picture(found)
+    change = (found - values)[0].numpy().transpose(1, 2, 0) * 127.5
+    size = (picture.shape[1], picture.shape[0])
+    grown = cv2.resize(np.ascontiguousarray(change), size, interpolation=cv2.INTER_LINEAR)
+    return np.clip(np.round(picture + grown), 0, 255).astype(np.uint8)
+
+
+def translated(generator: Generator, settings: CutSettings, images: Iterable[LabelledImage]) -> Iterator[LabelledImage]:
+    """Labelled images with other pixels; what is known of the pixels stays."""
+    for image in images:
+        yield replace(image, pixels=translate(generator, settings, image.pixels))
