@@ -54,7 +54,7 @@ class LoopCloser:
         self._waiting: list[tuple[int, bytes]] = []  # key frames whose state is not known yet, with their pictures
         self._settled = 0  # places in the pose graph: their key frames have left the window
         self._centres: list[Array] = []  # of the ground view of each place, in its level frame
-        self._pending: list[Loop] = []  # found, not yet confirmed by a neighbour
+        self._weak: list[Loop] = []  # those with few landmarks, which wait for a neighbour that says the same
         self.seconds: dict[str, float] = {}  # processor time by part
         self.tried = 0
         self.restarts = 0
@@ -157,6 +157,9 @@ class LoopCloser:
             loop = self._verify(n, now, anchor, T_odom_now, picture)
             if loop is None:
                 continue
+            if len(loop.ids) < settings.loop_strong and not self._has_neighbour(keyframes, loop):
+                self._weak.append(loop)
+                continue
             self.loops.append(loop)
             T = loop.T_first_second @ invert(T_anchor_now)
             covariance = loop.covariance + np.diag([settings.loop_heading_floor**2] + [settings.loop_floor_m**2] * 3)
@@ -187,6 +190,21 @@ class LoopCloser:
         part = heading_pose(heading, np.zeros(3))
         part[:3, 3] = centre + share * end - part[:3, :3] @ centre
         return first @ part
+
+    def _has_neighbour(self, keyframes: list[Keyframe], loop: Loop) -> bool:
+        """Whether another loop between neighbours of its places says the same, odometry being certain over so few."""
+        settings = self.settings
+        level = [level_pose(keyframes[self.places[n].keyframe].state.matrix) for n in (loop.first, loop.second)]
+        for other in [*self._weak, *self.loops][-4 * settings.loop_neighbours * settings.loop_candidates :]:
+            apart = max(abs(other.first - loop.first), abs(other.second - loop.second))
+            if apart > settings.loop_neighbours or other.second == loop.second:
+                continue
+            ends = [level_pose(keyframes[self.places[n].keyframe].state.matrix) for n in (other.first, other.second)]
+            predicted = invert(level[0]) @ ends[0] @ other.T_first_second @ invert(ends[1]) @ level[1]
+            off = invert(predicted) @ loop.T_first_second
+            if np.linalg.norm(off[:3, 3]) < settings.loop_agree_m and abs(heading_of(off)) < settings.loop_agree_m:
+                return True
+        return False
 
     def _candidates(self, keyframes: list[Keyframe], now: int, anchor: int, T_odom_now: Array) -> list[int]:
         """Settled places, long enough ago, whose ground may be the one seen now; best by votes."""

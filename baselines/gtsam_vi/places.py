@@ -8,7 +8,6 @@ from above, at one scale. What is left of a heading is a rotation in the picture
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import chain
 
 import cv2
 import numpy as np
@@ -219,41 +218,44 @@ def warp(picture: NDArray[np.uint8], source: NDArray[np.float32]) -> NDArray[np.
 
 
 class Index:
-    """Inverted index of binary descriptors by locality-sensitive hashing (Indyk & Motwani 1998): words are some of a
-    descriptor's bits, so there is no vocabulary to learn or to ship. It forgets nothing and grows by 2 words a corner.
+    """Which places share words with a picture, by locality-sensitive hashing (Indyk & Motwani 1998).
+
+    A word is some of a descriptor's bits, so there is no vocabulary to learn or to ship. A place is kept as its words,
+    4 bytes each; a query marks its own in a table and looks all others up in it.
     """
 
     def __init__(self, settings: Settings) -> None:
         generator = stream(0, b"", "gtsam_vi", "places")
-        bits, tables = settings.place_word_bits, settings.place_words
-        self._bits = np.array([generator.permutation(256)[:bits] for _ in range(tables)])
-        self._weights = 1 << np.arange(bits)
-        self._tables: list[dict[int, list[int]]] = [{} for _ in range(tables)]
+        bits = settings.place_word_bits
+        self._bits = np.array([generator.permutation(256)[:bits] for _ in range(settings.place_words)])
+        self._powers = 1 << np.arange(bits)
+        self._none = 1 << bits  # stands for a corner that is not there
+        self._places_with = np.zeros((len(self._bits), self._none + 1), dtype=np.int32)
+        self._words = np.empty((8, len(self._bits), settings.place_corners), dtype=np.int32)
         self.count = 0
 
-    def _words(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """(tables, N) words."""
+    def _words_of(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """(tables, N) words of descriptors (N, 32)."""
         unpacked = np.unpackbits(descriptors, axis=1)
-        return np.stack([unpacked[:, bits] @ self._weights for bits in self._bits])
+        return np.stack([unpacked[:, bits] @ self._powers for bits in self._bits])
 
     def add(self, descriptors: NDArray[np.uint8]) -> None:
         """The next place."""
-        for table, words in zip(self._tables, self._words(descriptors), strict=True):
-            for word in set(words.tolist()):
-                table.setdefault(word, []).append(self.count)
+        if self.count == len(self._words):
+            self._words = np.concatenate([self._words, np.empty_like(self._words)])
+        words = self._words_of(descriptors)[:, : self._words.shape[2]]
+        self._words[self.count] = self._none
+        self._words[self.count, :, : words.shape[1]] = words
+        for table, row in zip(self._places_with, words, strict=True):
+            table[np.unique(row)] += 1
         self.count += 1
 
     def votes(self, descriptors: NDArray[np.uint8]) -> Array:
-        """Votes (count,) for each place: shared words, each counting by the inverse of how many places have it."""
-        lists = [
-            found
-            for table, words in zip(self._tables, self._words(descriptors), strict=True)
-            for word in set(words.tolist())
-            if (found := table.get(word)) is not None
-        ]
-        if not lists:
-            return np.zeros(self.count)
-        lengths = np.array([len(found) for found in lists])
-        weight = np.repeat(np.log((self.count + 1) / lengths), lengths)
-        votes = np.bincount(np.fromiter(chain.from_iterable(lists), dtype=np.int64), weight, self.count)
-        return np.asarray(votes, dtype=float)
+        """Votes (count,) for each place: its corners that share a word, each counting the more the rarer the word."""
+        votes = np.zeros(self.count)
+        for t, words in enumerate(self._words_of(descriptors)):
+            weight = np.zeros(self._none + 1, dtype=np.float32)
+            words = words[self._places_with[t, words] > 0]
+            weight[words] = np.log((self.count + 1) / self._places_with[t, words])
+            votes += weight[self._words[: self.count, t]].sum(axis=1)
+        return votes

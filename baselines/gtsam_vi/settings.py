@@ -84,7 +84,7 @@ class Settings:
     place_view_px: int = 400  # side of the ground view
     place_coarseness: float = 2.0  # size of its pixels, in pixels of the picture in the middle of it
     place_words: int = 8  # words of a descriptor
-    place_word_bits: int = 14  # two descriptors of one corner, 25 bits apart, share a word in 9 cases of 10
+    place_word_bits: int = 18  # two descriptors of one corner, 25 bits apart, share a word in 3 cases of 4
 
     # Loops.
     loop_min_s: float = 8.0  # since the place was seen; sooner, tracks and window know it all
@@ -106,7 +106,7 @@ class Settings:
     loop_strong: int = 30  # landmarks; with fewer, a loop between neighbouring places must say the same
     loop_neighbours: int = 4  # places
     loop_agree_m: float = 0.05  # m and rad
-    loop_spread: float = 0.08  # of the picture's height, across the narrow side of where they are
+    loop_spread: float = 0.05  # of the picture's height, across the narrow side of where they are
     loop_pixel_sigma: float = 1.5  # of a landmark found again from another side
     loop_cauchy: float = 2.0  # sigmas; beyond, a loop loses weight
     loop_heading_floor: float = 0.002  # rad, 1 sigma: of landmarks and window, added to each loop

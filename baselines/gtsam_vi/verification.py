@@ -142,16 +142,17 @@ class Verifier:
         """T_first_second and covariance; indices of the first's landmarks that were found in the second picture, with
         their pixels and rays. None if they do not bear the alignment `T` out."""
         settings = self.settings
+        sigma = settings.loop_pixel_sigma / self.focal
+        there = first.pixels
         for _ in range(2):  # the second time from where the first has led
-            expected, pixels = self.track(first, second, T, picture)
-            if len(expected) < settings.loop_inliers:
-                return None
-            index, found = pixels
+            expected, index, found = self.track(first, there, second, T, picture)
             if len(index) < settings.loop_inliers:
                 return None
             rays = undistort(found, self.calibration)
-            sigma = settings.loop_pixel_sigma / self.focal
+            before = T
             T, covariance, inliers = refine(T, first.points[index], rays, second.T_level_cam, sigma, 3 * sigma)
+            if inliers.sum() >= settings.loop_share * len(expected) and _near(before, T, settings.loop_again_m):
+                break
         index, found, rays = index[inliers], found[inliers], rays[inliers]
         if len(index) < max(settings.loop_inliers, settings.loop_share * len(expected)):
             return None
@@ -161,12 +162,12 @@ class Verifier:
         return T, covariance, index, found, rays
 
     def track(
-        self, first: Place, second: Place, T: Array, picture: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], Array]]:
+        self, first: Place, there: NDArray[np.uint8], second: Place, T: Array, picture: NDArray[np.uint8]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
         """Landmarks of the first place that should be in the second's picture, and those found in it with pixels.
 
-        The first picture is laid on the ground and seen from the second camera; what remains for Lucas & Kanade is the
-        relief and the alignment's error.
+        The first picture (H, W) is laid on the ground and seen from the second camera; what remains for Lucas & Kanade
+        is the relief and the alignment's error.
         """
         settings, calibration = self.settings, self.calibration
         width, height = calibration.width, calibration.height
@@ -176,16 +177,16 @@ class Verifier:
         inside = (depth > settings.min_depth_m) & (goal > border).all(axis=1)
         inside &= (goal < np.array([width - border, height - border])).all(axis=1)
         expected = np.flatnonzero(inside)
-        empty = np.empty(0, dtype=np.int64), np.empty((0, 2))
+        nothing = np.empty(0, dtype=np.int64), np.empty((0, 2))
         if len(expected) < 3:
-            return expected, empty
+            return expected, *nothing
         # Where in the first picture the ground lies that a pixel of the second would see.
         x, y = np.meshgrid(np.linspace(0, width - 1, GRID), np.linspace(0, height - 1, GRID))
         nodes = undistort(np.column_stack([x.ravel(), y.ravel()]), calibration)
         ground = _on_ground(nodes, T_first_cam, first.plane)
         source, seen = project(ground, first.T_level_cam, calibration)
         source[(seen <= 0.05) | ~np.isfinite(ground).all(axis=1)] = -1e4
-        warped = warp(first.pixels, upsample(source.reshape(GRID, GRID, 2), height, width))
+        warped = warp(there, upsample(source.reshape(GRID, GRID, 2), height, width))
         # A landmark off the ground is elsewhere in the warped picture than in the second.
         on_ground = _on_ground(first.rays[expected], first.T_level_cam, first.plane)
         start, ahead = project(on_ground, T_first_cam, calibration)
@@ -193,11 +194,17 @@ class Verifier:
         usable &= (start < np.array([width - border, height - border])).all(axis=1)
         expected, start, goal = expected[usable], start[usable], goal[expected][usable]
         if len(expected) < 3:
-            return expected, empty
+            return expected, *nothing
         wide = replace(settings, flow_window_px=settings.loop_window_px, flow_levels=settings.loop_levels)
         end, good = follow(warped, picture, start, goal, wide)
         good &= np.linalg.norm(end - goal, axis=1) < settings.loop_search_px
-        return expected, (expected[good], end[good])
+        return expected, expected[good], end[good]
+
+
+def _near(one: Array, other: Array, limit: float) -> bool:
+    """Whether two alignments (4, 4) differ by less than `limit` (m) and as many radians."""
+    off = invert(one) @ other
+    return bool(np.linalg.norm(off[:3, 3]) < limit and abs(heading_of(off)) < limit)
 
 
 def _on_ground(rays: Array, T_level_cam: Array, plane: Array) -> Array:
