@@ -13,7 +13,7 @@ from oysterbench.cli_compare import compare_command
 from oysterbench.cli_hub import COMMANDS as HUB_COMMANDS
 from oysterbench.cli_imaging import TRACKS as IMAGE_TRACKS
 from oysterbench.cli_imaging import Imaging, evaluate_images, imaging_options
-from oysterbench.cli_learn import experiment, train
+from oysterbench.cli_learn import experiment, train, translate
 from oysterbench.cli_map import map_command
 from oysterbench.cli_outputs import Outputs, output_options, print_rich
 from oysterbench.cli_reading import Reading, reading_options
@@ -84,7 +84,17 @@ def main() -> None:
     """
 
 
-for _command in (run_command, compare_command, map_command, train, experiment, render, splits, *HUB_COMMANDS):
+for _command in (
+    run_command,
+    compare_command,
+    map_command,
+    train,
+    translate,
+    experiment,
+    render,
+    splits,
+    *HUB_COMMANDS,
+):
     main.add_command(_command)
 
 

@@ -1,4 +1,4 @@
-"""The commands `train` and `experiment`: what is installed under their entry points. `cli` takes them in."""
+"""Commands that are installed under entry points: `train`, `translate`, `experiment`. `cli` takes them in."""
 
 from __future__ import annotations
 
@@ -65,5 +65,21 @@ experiment = Installed(
       oysterbench experiment sim2real --help
 
     Experiments are brought by the entry-point group oysterbench.experiment.
+    """,
+)
+
+translate = Installed(
+    "translate",
+    "oysterbench.translate",
+    short_help="Make rendered images look like real ones.",
+    help="""Give labelled images another look; their labels stay.
+
+    \b
+    Examples:
+      oysterbench translate reinhard --source seg-closeup --target real-oysters --out translated/reinhard
+      oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated/cut
+      oysterbench translate cut --help
+
+    Translations are brought by the entry-point group oysterbench.translate.
     """,
 )
