@@ -231,7 +231,7 @@ def test_a_command_line_of_another_shape_is_refused_before_anything_runs(templat
 
 def test_braces_of_the_program_itself_are_doubled(tmp_path):
     entrant = Command("printf '{{%s}}' {euroc} {out}", "prints")
-    words = entrant.command(tmp_path / "x.mcap", tmp_path / "in", tmp_path, 0)
+    words = entrant.command(tmp_path / "in", tmp_path, 0)
     assert words[1:] == ["{%s}", str(tmp_path / "in"), str(tmp_path / "trajectory.tum")]
 
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from oysterbench.errors import MethodError, TrajectoryError
 from oysterbench.methods.finding import find_variant, versions_of
-from oysterbench.methods.inputs import FORMS, POSES_OF, frame_pose, kitti_stamps
+from oysterbench.methods.inputs import FORMS, POSES_OF, SENSORS, frame_pose, kitti_stamps
 from oysterbench.methods.method import seed_of
 from oysterbench.methods.worker import ANSWER, ESTIMATE
 from oysterbench.sequence import open_sequence
@@ -53,10 +53,10 @@ class Answer:
 
 
 class Entrant(ABC):
-    """Who is run. name: in tables and as a folder; form: what it is given (`inputs.FORMS`), None for the sequence."""
+    """Who is run. name: in tables and as a folder; form: what it is given (`inputs.FORMS` and `inputs.SENSORS`)."""
 
     name: str
-    form: str | None = None
+    form: str
 
     @property
     @abstractmethod
@@ -77,11 +77,11 @@ class Entrant(ABC):
         """Of run `number`, from 0; None for who takes none."""
 
     @abstractmethod
-    def command(self, sequence: Path, given: Path | None, folder: Path, number: int) -> list[str]:
+    def command(self, given: Path, folder: Path, number: int) -> list[str]:
         """The command of run `number`. given: the sequence in its form; folder: where the answer goes."""
 
     @abstractmethod
-    def answer(self, sequence: Path, given: Path | None, folder: Path) -> Answer:
+    def answer(self, sequence: Path, given: Path, folder: Path) -> Answer:
         """What it left in its folder. Raises MethodError, in one line, where that is not an estimate."""
 
     def said_failure(self, folder: Path) -> str | None:
@@ -90,7 +90,12 @@ class Entrant(ABC):
 
 
 class PythonMethod(Entrant):
-    """A method by the name of an entry point or as `module:Class`, with or without options, run by `worker`."""
+    """A method by the name of an entry point or as `module:Class`, with or without options, run by `worker`.
+
+    The worker opens a sequence from which the truth was cut: no attribute, however private, leads to it.
+    """
+
+    form = SENSORS
 
     def __init__(self, reference: str, track: str = "slam") -> None:
         """Raises MethodError where it cannot be found, or is of another track."""
@@ -122,12 +127,12 @@ class PythonMethod(Entrant):
     def seed(self, number: int) -> int | None:
         return None if self._first_seed is None else self._first_seed + number
 
-    def command(self, sequence: Path, given: Path | None, folder: Path, number: int) -> list[str]:
+    def command(self, given: Path, folder: Path, number: int) -> list[str]:
         seed = self.seed(number)
-        asked = [self.reference, str(sequence), str(folder), *([] if seed is None else [str(seed)])]
+        asked = [self.reference, str(given), str(folder), *([] if seed is None else [str(seed)])]
         return [sys.executable, "-m", "oysterbench.methods.worker", *asked]
 
-    def answer(self, sequence: Path, given: Path | None, folder: Path) -> Answer:
+    def answer(self, sequence: Path, given: Path, folder: Path) -> Answer:
         said = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
         trajectory = read_as_given(folder / ESTIMATE)
         return Answer(trajectory, **{key: said[key] for key in SAID})
@@ -171,7 +176,7 @@ class Command(Entrant):
             raise MethodError(f"--command {template!r}: no program {self._words[0]!r} that can be run")
         self.program = Path(program).absolute()  # not resolved: the name may decide what it does
         self.name = check_name(name or Path(self._words[0]).stem)
-        self.form: str = forms[0]
+        self.form = forms[0]
         self.poses_of = poses_of or POSES_OF[self.form]
         self._takes_seed = "seed" in asked
 
@@ -194,7 +199,7 @@ class Command(Entrant):
     def seed(self, number: int) -> int | None:
         return number if self._takes_seed else None
 
-    def command(self, sequence: Path, given: Path | None, folder: Path, number: int) -> list[str]:
+    def command(self, given: Path, folder: Path, number: int) -> list[str]:
         values: dict[str, str] = {self.form: str(given), "out": str(self.out(folder)), "seed": str(number)}
         return [str(self.program), *(word.format(**values) for word in self._words[1:])]
 
@@ -202,13 +207,13 @@ class Command(Entrant):
         """What is put in the place of {out}."""
         return folder / "trajectory.tum"
 
-    def answer(self, sequence: Path, given: Path | None, folder: Path) -> Answer:
+    def answer(self, sequence: Path, given: Path, folder: Path) -> Answer:
         out = self.out(folder)
         if not out.exists():
             raise MethodError("ended well, but left no trajectory at {out}")
         opened = open_sequence(sequence)
         T_base_frame = frame_pose(opened, self.poses_of, self.form)
-        if self.form != "kitti" or given is None:
+        if self.form != "kitti":
             return Answer(read_as_given(out, T_body_estimate=T_base_frame))
         stamps = kitti_stamps(opened, given)
         found = read_as_given(out, T_body_estimate=T_base_frame, times=stamps)

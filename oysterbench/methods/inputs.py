@@ -6,6 +6,7 @@ python -m oysterbench.methods.inputs SEQUENCE FORM OUT
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -26,13 +27,19 @@ FORMS = {
 }
 """Placeholder of a command line -> what is put in its place."""
 
+SENSORS = "sensors"
+"""Form of what a method of Python is given: a sequence as it was, file or folder, without the truth."""
+
 POSES_OF = {"euroc": "imu", "tum": "camera", "kitti": "camera", "mcap": "base"}
 """Whose poses the programs that read a form are taken to answer with: its body frame."""
 
 
 def write_input(path: Path, form: str, out: Path) -> None:
     """Write the sequence at `path` in a form, without the truth; `out` is there whole or not at all."""
-    if form == "mcap":
+    if form == SENSORS and path.is_dir():
+        _link_measurements(path, out)
+        return
+    if form in ("mcap", SENSORS):
         _write_measurements(path, out)
         return
     from oysterbench.sequence.export import export_sequence
@@ -55,6 +62,26 @@ def _write_measurements(path: Path, out: Path) -> None:
     except BaseException:
         os.unlink(temporary)
         raise
+
+
+def _link_measurements(path: Path, out: Path) -> None:
+    """The cameras and the inertial unit of an EuRoC folder: files of their own names, copied only between disks."""
+    temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
+    try:
+        for sensor in [*sorted((path / "mav0").glob("cam[0-9]")), path / "mav0" / "imu0"]:
+            shutil.copytree(sensor, temporary / "mav0" / sensor.name, copy_function=_link)
+        temporary.chmod(0o755)
+        os.replace(temporary, out)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(os.path.realpath(source), target)
+    except OSError:  # another disk, or one without links
+        shutil.copy(source, target)
 
 
 def frame_pose(sequence: Sequence, frame: str, form: str) -> Array:

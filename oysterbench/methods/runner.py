@@ -18,6 +18,7 @@ from threading import Lock
 from typing import Any
 
 from oysterbench.errors import MethodError
+from oysterbench.methods.inputs import SENSORS
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
 from oysterbench.methods.processes import Ended, Processes
 from oysterbench.methods.worker import ESTIMATE
@@ -133,7 +134,7 @@ def run_job(
     )
     try:
         given = inputs.of(job)
-        command += job.entrant.command(job.path.absolute(), given, folder.absolute(), job.number)
+        command += job.entrant.command(given, folder.absolute(), job.number)
         ended = processes.run(command, job.limit_s, folder)
         outcome = _with_cost(outcome, ended)
         outcome = _with_answer(outcome, job, given, folder, ended)
@@ -157,7 +158,7 @@ def _with_cost(outcome: Outcome, ended: Ended) -> Outcome:
     return replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
 
 
-def _with_answer(outcome: Outcome, job: Job, given: Path | None, folder: Path, ended: Ended) -> Outcome:
+def _with_answer(outcome: Outcome, job: Job, given: Path, folder: Path, ended: Ended) -> Outcome:
     if ended.failure is not None:
         said = job.entrant.said_failure(folder)
         return replace(outcome, failure=said or f"method {job.entrant.name!r} on {job.name}: {ended.failure}")
@@ -188,11 +189,9 @@ class Inputs:
         self._locks = {key: Lock() for key in self._wanted}
         self._count = Lock()
 
-    def of(self, job: Job) -> Path | None:
+    def of(self, job: Job) -> Path:
         """The sequence of a job in its form, made now if it is not there. MethodError where it cannot be."""
         form = job.entrant.form
-        if form is None:
-            return None
         place = self._place(job)
         with self._locks[form, job.path]:
             if not place.exists():
@@ -210,7 +209,7 @@ class Inputs:
         with self._count:
             self._wanted[key] -= 1
             last = self._wanted[key] == 0
-        if last and job.entrant.form is not None and not self._keep:
+        if last and not self._keep:
             shutil.rmtree(self._place(job).parent, ignore_errors=True)
 
     def clear(self) -> None:
@@ -219,9 +218,10 @@ class Inputs:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _place(self, job: Job) -> Path:
-        form = job.entrant.form or ""
+        form = job.entrant.form
         origin = hashlib.sha256(job.origin.encode()).hexdigest()[:8]
-        return self._folder / f"{job.name}-{form}-{origin}" / (f"{job.name}.mcap" if form == "mcap" else job.name)
+        is_file = form == "mcap" or (form == SENSORS and job.path.is_file())
+        return self._folder / f"{job.name}-{form}-{origin}" / (f"{job.name}.mcap" if is_file else job.name)
 
 
 def available_bytes() -> int:
