@@ -49,6 +49,7 @@ def hub_key(path: Path) -> None:
 @click.argument("split_name", metavar="SPLIT")
 @click.argument("tree", type=FOLDER, metavar="DIR")
 @click.option("--key", "key_file", type=FILE, required=True, help="Private key, from `oysterbench hub-key`.")
+@click.option("--old-key", "old_files", type=FILE, multiple=True, help="Key that came before; signs, too. Repeatable.")
 @click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home]")
 @click.option("--salt-file", type=FILE, help="Secret of a hidden split, to find its files under the home.")
 @click.option("--url", default="", help="Address that the tree will have, for the Croissant metadata.")
@@ -59,6 +60,7 @@ def publish(
     split_name: str,
     tree: Path,
     key_file: Path,
+    old_files: tuple[Path, ...],
     data: Path | None,
     salt_file: Path | None,
     url: str,
@@ -91,7 +93,7 @@ def publish(
             f"{split.name} is a hidden split: published as it is, everybody would have its truth; nothing was "
             "published: give --hidden and --truth-out"
         )
-    key = load_key(key_file)
+    key, old_keys = load_key(key_file), [load_key(file) for file in old_files]
     folder = data or split_folder(split, salt_for(split.name, split.hidden, salt_file))
     files = sequence_files(split, folder)
     check_made_by(files, split.name, split.version, digest(split), hidden)
@@ -103,13 +105,13 @@ def publish(
         "summary": split.summary,
     }
     if truth_out is not None:
-        manifest = publish_hidden(tree, truth_out, facts, files, key, url, say)
+        manifest = publish_hidden(tree, truth_out, facts, files, key, url, say, old_keys)
     else:
-        manifest = publish(tree, facts, files, key, digest(split), url, say)
+        manifest = publish(tree, facts, files, key, digest(split), url, say, old_keys)
     if as_json:
         click.echo(json.dumps({**_facts(manifest), "key": public_hex(key), "folder": str(tree)}, indent=2))
         return
-    say(f"{manifest.split} {manifest.version}: {len(manifest.files)} files, {manifest.size / 1e6:.1f} MB in {tree}")
+    say(f"{manifest.split} {manifest.version}: {_count(manifest)}, {manifest.size / 1e6:.1f} MB in {tree}")
     if manifest.commitment:
         say(f"commitment: {manifest.commitment}")
     say(f"public key: {public_hex(key)}")
@@ -262,7 +264,7 @@ def _render_instead(
 
 
 @click.command(short_help="Check what is on disk against its manifest.")
-@click.argument("what", nargs=-1, metavar="[SPLIT|FILE|HUB]...")
+@click.argument("what", nargs=-1, metavar="[SPLIT|FILE|FOLDER]...")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def verify(what: tuple[str, ...], as_json: bool) -> None:
     """Read files again and compare them with the manifest of their split; all that is here by default.
@@ -272,6 +274,7 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
       oysterbench verify
       oysterbench verify slam-val
       oysterbench verify data/mini-01.mcap
+      oysterbench verify data                   every sequence file of a folder
       oysterbench verify hub                    every file of a published tree
 
     Ends with 3 if anything is damaged or absent; `oysterbench download SPLIT --verify` repairs it.
@@ -293,6 +296,10 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
             f"{bad} of {len(found)} files are damaged or absent; `oysterbench download SPLIT --verify` "
             "fetches what is wrong again"
         )
+
+
+def _count(manifest: Manifest) -> str:
+    return "1 file" if len(manifest.files) == 1 else f"{len(manifest.files)} files"
 
 
 def _facts(manifest: Manifest) -> dict[str, Any]:

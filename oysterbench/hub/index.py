@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -52,8 +53,8 @@ class Index:
         splits.setdefault(split, {})[version] = release
         return Index(self.counter + 1, splits)
 
-    def signed_with(self, key: Ed25519PrivateKey) -> bytes:
-        """The index as a document with its signature."""
+    def signed_with(self, *keys: Ed25519PrivateKey) -> bytes:
+        """The index as a document with its signatures: of one key or, while users change keys, of several."""
         body = {
             "format": FORMAT,
             "counter": self.counter,
@@ -64,8 +65,8 @@ class Index:
                 for version, release in versions.items()
             ],
         }
-        signature = {"key": public_hex(key), "signature": sign(key, canonical(body))}
-        return json.dumps({"signed": body, "signatures": [signature]}, indent=1).encode() + b"\n"
+        signatures = [{"key": public_hex(key), "signature": sign(key, canonical(body))} for key in keys]
+        return json.dumps({"signed": body, "signatures": signatures}, indent=1).encode() + b"\n"
 
 
 def read_index(data: bytes, public: str, what: str) -> Index:
@@ -133,7 +134,16 @@ def check_not_older(index: Index, data: bytes, public: str, what: str) -> None:
             write_atomically(path, canonical(known))
 
 
-def read_own_index(folder: Path, key: Ed25519PrivateKey) -> Index:
-    """The index of a tree that is published to, or an empty one where there is none yet."""
+def read_own_index(folder: Path, *keys: Ed25519PrivateKey) -> Index:
+    """The index of a tree that is published to, or an empty one where there is none yet.
+
+    Raises IntegrityError where none of the keys signed it.
+    """
     path = folder / "index.json"
-    return read_index(path.read_bytes(), public_hex(key), str(path)) if path.is_file() else Index()
+    if not path.is_file():
+        return Index()
+    first, *others = (public_hex(key) for key in keys)
+    for public in others:
+        with contextlib.suppress(IntegrityError):
+            return read_index(path.read_bytes(), public, str(path))
+    return read_index(path.read_bytes(), first, str(path))

@@ -52,15 +52,17 @@ def middle_frame(path: Path) -> bytes | None:
     return data.tobytes() if done else None
 
 
-def index_page(index: Index) -> str:
-    """The page of an index; links and pictures are relative, so that it works from any address and from a folder."""
+def index_page(index: Index, public: str) -> str:
+    """The page of an index, signed with the key whose public half is given; links and pictures are relative, so that it
+    works from any address and from a folder."""
     cards = "\n".join(
         _card(name, version, release)
         for name, versions in sorted(index.splits.items())
         for version, release in reversed(versions.items())
     )
     total = sum(release.size for versions in index.splits.values() for release in versions.values())
-    lead = f"{len(index.splits)} splits, {human(total)}. Rendered data, licence CC BY 4.0."
+    splits = "1 split" if len(index.splits) == 1 else f"{len(index.splits)} splits"
+    lead = f"{splits}, {human(total)}. Rendered data, licence CC BY 4.0."
     return page(
         "oysterbench hub",
         f"""{STYLE}<h1>Oyster reefs for underwater robots</h1>
@@ -68,7 +70,13 @@ def index_page(index: Index) -> str:
 <div class="splits">
 {cards}
 </div>
-<p class="small">For programs: <a href="index.json">index.json</a>, signed.</p>""",
+<section class="card">
+<h2>Downloading from here</h2>
+<pre>export OYSTERBENCH_HUB=(the address of this page)
+export OYSTERBENCH_HUB_KEY={public}</pre>
+<p class="small">The key signs <a href="index.json">index.json</a>, which names every file by its hash. Before you trust
+it, compare it with what the hub's owner published elsewhere: a false page would name a false key.</p>
+</section>""",
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +20,7 @@ from oysterbench.hub.croissant import croissant
 from oysterbench.hub.index import Index, Release, read_own_index
 from oysterbench.hub.manifest import Manifest, build_manifest
 from oysterbench.hub.pages import index_page, pictures_of
+from oysterbench.hub.sign import public_hex
 from oysterbench.sequence.cut import cut_public, cut_truth
 from oysterbench.sequence.read import McapSequence
 
@@ -38,16 +39,18 @@ def publish(
     recipe_digest: str | None = None,
     url: str = "",
     announce: Announce = lambda text: None,
+    old_keys: Sequence[Ed25519PrivateKey] = (),
 ) -> Manifest:
     """Publish the sequence files (name -> path) of a split; facts: split, version, track, rig and summary.
 
-    Blobs go first, the signed index last: whoever reads the tree in between sees the old one. Raises HubError where
-    the version was released with other bytes.
+    Blobs go first, the signed index last: whoever reads the tree in between sees the old one. Keys that came before
+    sign the index, too, so that those who pin them go on. Raises HubError where the version was released with other
+    bytes.
     """
-    with _writing(tree, key) as index:
+    with _writing(tree, key, *old_keys) as index:
         announce(f"hashing {len(files)} sequences")
         manifest = build_manifest(facts, files, recipe_digest)
-        _release(tree, key, index, manifest, files, url, announce)
+        _release(tree, (key, *old_keys), index, manifest, files, url, announce)
     return manifest
 
 
@@ -59,6 +62,7 @@ def publish_hidden(
     key: Ed25519PrivateKey,
     url: str = "",
     announce: Announce = lambda text: None,
+    old_keys: Sequence[Ed25519PrivateKey] = (),
 ) -> Manifest:
     """Publish what may be seen of a hidden split, and write its truth package to a folder of its own.
 
@@ -69,7 +73,7 @@ def publish_hidden(
     if tree.resolve() in (package.resolve(), *package.resolve().parents):
         raise HubError(f"{truth}: expected a folder outside the tree {tree}, which everybody can read")
     package.mkdir(parents=True, exist_ok=True)
-    with _writing(tree, key) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
+    with _writing(tree, key, *old_keys) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
         shown, kept = {}, {}
         for name, path in files.items():
             announce(f"taking the truth out of {name}")
@@ -82,7 +86,7 @@ def publish_hidden(
         secret = build_manifest(facts, kept)
         write_atomically(package / "manifest.json", secret.data)
         manifest = build_manifest(facts, shown, commitment=secret.sha256)
-        _release(tree, key, index, manifest, shown, url, announce)
+        _release(tree, (key, *old_keys), index, manifest, shown, url, announce)
     return manifest
 
 
@@ -113,7 +117,7 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
 
 
 @contextmanager
-def _writing(tree: Path, key: Ed25519PrivateKey) -> Iterator[Index]:
+def _writing(tree: Path, *keys: Ed25519PrivateKey) -> Iterator[Index]:
     """Be the only one who writes to a tree, without what an interrupted publisher left."""
     tree.mkdir(parents=True, exist_ok=True)
     with locked(tree / ".lock"):
@@ -124,12 +128,12 @@ def _writing(tree: Path, key: Ed25519PrivateKey) -> Iterator[Index]:
                 left.rmdir()
             else:
                 left.unlink()
-        yield read_own_index(tree, key)
+        yield read_own_index(tree, *keys)
 
 
 def _release(
     tree: Path,
-    key: Ed25519PrivateKey,
+    keys: Sequence[Ed25519PrivateKey],
     index: Index,
     manifest: Manifest,
     files: Mapping[str, Path],
@@ -145,8 +149,8 @@ def _release(
             "the split's recipe"
         )
     for entry in manifest.files:
-        announce(f"publishing {entry.name}, {entry.size / 1e6:.1f} MB")
-        put_blob(tree, files[entry.sequence], entry.sha256)
+        new = put_blob(tree, files[entry.sequence], entry.sha256)
+        announce(f"{entry.name}, {entry.size / 1e6:.1f} MB: {'published' if new else 'was there already'}")
     _put(tree / "manifests" / f"{manifest.sha256}.json", manifest.data)
     if known is None:
         published = datetime.now(UTC).date().isoformat()
@@ -168,18 +172,18 @@ def _release(
             pictures=tuple(sha256(picture) for picture in pictures),
         )
         index = index.with_release(manifest.split, manifest.version, release)
-        write_atomically(tree / "index.json", index.signed_with(key))
-    _put(tree / "index.html", index_page(index).encode())
+    _put(tree / "index.json", index.signed_with(*keys))
+    _put(tree / "index.html", index_page(index, public_hex(keys[0])).encode())
 
 
-def put_blob(tree: Path, source: Path, digest: str) -> None:
-    """Copy a file into `blobs/`, under its hash, which is taken again on the way.
+def put_blob(tree: Path, source: Path, digest: str) -> bool:
+    """Copy a file into `blobs/`, under its hash, which is taken again on the way. False if it was there already.
 
     A blob that is there already is trusted by its size: it appeared whole. `oysterbench verify` reads it again.
     """
     path = tree / "blobs" / digest
     if path.is_file() and path.stat().st_size == source.stat().st_size:
-        return
+        return False
     whole = hashlib.sha256()
     with open(source, "rb") as original, _appearing(path) as copy:
         while data := original.read(COPY):
@@ -187,6 +191,7 @@ def put_blob(tree: Path, source: Path, digest: str) -> None:
             copy.write(data)
         if whole.hexdigest() != digest:
             raise HubError(f"{source} changed while it was published; nothing was released: run the same command again")
+    return True
 
 
 def _put(path: Path, data: bytes) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from oysterbench.errors import HubError, SequenceError
 from oysterbench.files import home
 from oysterbench.hub.canonical import parse, sha256
-from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, released_manifest
+from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest
 
 MANIFEST = "manifest.json"
 """Name of the manifest beside the files of a split."""
@@ -82,7 +82,8 @@ def kept_manifest(folder: Path) -> Manifest | None:
 
 
 def checks(name: str = "") -> Iterator[Check]:
-    """Check a file, the tree of a hub, the splits of a name (NAME or NAME@VERSION) that are here, or all that is here.
+    """Check a file, the tree of a hub, the splits of a name (NAME or NAME@VERSION) that are here, a folder, or all that
+    is here.
 
     Raises HubError where nothing has that name.
     """
@@ -92,7 +93,12 @@ def checks(name: str = "") -> Iterator[Check]:
     if name.endswith(".mcap") or Path(name).is_file():
         yield _check_alone(Path(name))
         return
+    if Path(name).is_dir() and name and not (NAME.fullmatch(name) and (home() / "splits" / name).is_dir()):
+        yield from _check_folder(Path(name))
+        return
     split, _, version = name.partition("@")
+    if name and not (NAME.fullmatch(split) and VERSION_NAME.fullmatch(version or "0")):
+        raise HubError(f"{name}: expected a split, a sequence file or a folder, got none of them")
     folders = sorted((home() / "splits").glob(f"{split or '*'}/{version}-*" if version else f"{split or '*'}/*"))
     found = [path for folder in folders if folder.is_dir() for path in _check_folder(folder)]
     if not found and name:

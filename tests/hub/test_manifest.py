@@ -10,7 +10,7 @@ import pytest
 from hand_made_dive import write_dive
 from trees import DIGEST, FACTS, write_sequence
 
-from oysterbench.errors import IntegrityError
+from oysterbench.errors import HubError, IntegrityError
 from oysterbench.hub.canonical import canonical, parse, sha256
 from oysterbench.hub.content import content_of
 from oysterbench.hub.manifest import build_manifest, describe_file, read_manifest, released_manifest
@@ -169,6 +169,9 @@ def test_verify_finds_the_manifest_of_a_file_beside_it_or_among_the_released(man
     alone = tmp_path / "dive-01.mcap"
     alone.write_bytes(file.read_bytes())
     assert [check.state for check in checks(str(alone))] == [UNKNOWN]
+    assert [check.path for check in checks(str(tmp_path))] == [alone]
+    with pytest.raises(HubError, match="expected a split, a sequence file or a folder"):
+        list(checks(str(tmp_path / "nowhere")))
     released = {("fake-val", "1.0"): manifest}
     monkeypatch.setattr("oysterbench.hub.verify.released_manifest", lambda *key: released.get(key))
     assert [check.state for check in checks(str(alone))] == [RIGHT]

@@ -31,6 +31,7 @@ from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.hub.index import read_index
 from oysterbench.hub.manifest import read_manifest
 from oysterbench.hub.publish import check_made_by
+from oysterbench.hub.sign import public_hex
 from oysterbench.hub.verify import ABSENT, DAMAGED, RIGHT, checks
 from oysterbench.sequence.file import read_attachments, read_messages
 
@@ -126,6 +127,22 @@ def test_a_tree_of_another_key_is_left_alone(tmp_path, files, key):
     with pytest.raises(HubError, match="not signed with the key"):
         publish_split(tmp_path / "tree", files, a_key(tmp_path)[0], version="2.0")
     assert tree_bytes(tmp_path / "tree") == before
+
+
+def test_an_old_key_and_a_new_one_sign_while_users_change_over(tmp_path, files, key_and_public):
+    """Only the signatures change: whoever saw the index under one key goes on under the other."""
+    (old, old_public), tree = key_and_public, tmp_path / "tree"
+    new, new_public = a_key(tmp_path)
+    publish_split(tree, files, old)
+    before = read_index((tree / "index.json").read_bytes(), old_public, "index")
+    publishing.publish(tree, FACTS, files, new, DIGEST, old_keys=[old])
+    for public in (old_public, new_public):
+        assert read_index((tree / "index.json").read_bytes(), public, "index") == before
+    assert new_public in (tree / "index.html").read_text()
+    publish_split(tree, files, new)  # and it ends with the new one alone
+    assert read_index((tree / "index.json").read_bytes(), new_public, "index") == before
+    with pytest.raises(HubError, match="not signed with the key"):
+        publish_split(tree, files, old)
 
 
 @pytest.mark.parametrize("step", range(6))
@@ -359,7 +376,13 @@ def test_the_page_shows_every_release_and_its_links_lead_somewhere(tmp_path, fil
     text = (tmp_path / "index.html").read_text()
     page.feed(text)
     assert "<script" not in text
-    for name in ("fake-val 1.0", "other 1.0", "oysterbench download other@1.0"):
+    for name in (
+        "fake-val 1.0",
+        "other 1.0",
+        "oysterbench download other@1.0",
+        f"HUB_KEY={public_hex(key)}",
+        "2 splits",
+    ):
         assert name in page.text
     assert len(page.found) == 2 * 4 + 1
     for link in page.found:
