@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.geometry import Array, invert
-from oysterbench.samples import DvlSample, MagneticSample, PressureSample
+from oysterbench.samples import DvlSample, MagneticSample, PressureSample, RangeSample
 from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.common.aiding import Aiding
 from oysterbench_baselines.common.filter import (
@@ -21,6 +21,7 @@ from oysterbench_baselines.common.filter import (
 )
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.common.start import start_filter
+from oysterbench_baselines.gtsam_full.echoes import Echo, altimeter_echo, beam_echoes
 from oysterbench_baselines.gtsam_full.factors import (
     COMPASS_KEY,
     DVL_KEY,
@@ -61,7 +62,10 @@ class AidedEstimator(Estimator):
         noise = InertialNoise.of(self.imu, settings.imu_inflation)
         self.filter, self.info["started_at_rest"] = start_filter(*first, self.imu, noise, settings.start)
         self.aiding = Aiding(sequence, settings.aiding)
-        self.model: AidedModel = AidedModel(camera, self.imu, settings, sequence.dvl_calibration is not None)
+        has_dvl = sequence.dvl_calibration is not None
+        self.model: AidedModel = AidedModel(camera, self.imu, settings, has_dvl, has_dvl or bool(sequence.altimeters))
+        self._altimeters = sequence.altimeters
+        self._ranges: dict[str, RangeSample | DvlSample] = {}  # the latest, by sensor
         self._parts: list[tuple[Segment, DvlSample | None]] = []  # since the last key frame
         self._intervals: dict[int, list[tuple[Segment, DvlSample | None]]] = {}  # by the key frame that they lead to
         self._heights: dict[int, tuple[float, float]] = {}  # of the pressure sensor at a key frame, and 1 sigma, m
@@ -80,10 +84,15 @@ class AidedEstimator(Estimator):
         if self.keyframes:
             self._parts.append((segment, None))
 
-    def add_sample(self, sample: DvlSample | PressureSample | MagneticSample) -> None:
+    def add_sample(self, sample: DvlSample | PressureSample | MagneticSample | RangeSample) -> None:
         """A sample at the end of the last segment."""
+        if isinstance(sample, RangeSample):
+            self._ranges[sample.sensor] = sample
+            return
         if not self.aiding.add(self.filter, sample):
             return  # what the filter refuses as a lie is none in the window either
+        if isinstance(sample, DvlSample):
+            self._ranges["dvl"] = sample
         if isinstance(sample, DvlSample) and self._parts:
             self._parts[-1] = (self._parts[-1][0], sample)
         elif isinstance(sample, PressureSample):
@@ -120,6 +129,7 @@ class AidedEstimator(Estimator):
         self._intervals[k], self._parts = self._parts, []
         self._note_height(k, stamp_ns)
         self._note_field(k, stamp_ns)
+        self._note_echoes(k, stamp_ns)
         super()._add_keyframe(stamp_ns, view, predicted)
         if self._window is not None:
             self._intervals.clear()  # all of them are in factors now
@@ -145,6 +155,24 @@ class AidedEstimator(Estimator):
         self._fields[k] = field, float(np.sqrt(own + (turned * np.linalg.norm(field)) ** 2))
         if self._first_field is None:
             self._first_field = field, k
+
+    def _note_echoes(self, k: int, stamp_ns: int) -> None:
+        """The ranges that were read a moment ago, as rays in the IMU's frame of the key frame."""
+        if not self.model.has_ranges:
+            return
+        f, of = self.filter, self.settings.echo
+        T_imu_base = invert(self.imu.T_base_imu)
+        echoes: list[Echo | None] = []
+        for name, sample in self._ranges.items():
+            delay = (stamp_ns - sample.stamp_ns) * 1e-9
+            moved = delay * f.rate, delay * f.rotation.T @ f.velocity
+            if delay > of.delay_s:
+                continue
+            if isinstance(sample, DvlSample):
+                echoes += beam_echoes(sample, self.aiding.T_imu_dvl, moved, of)
+            else:
+                echoes.append(altimeter_echo(sample, self._altimeters[name], T_imu_base, moved, of))
+        self.model.echoes[k] = [echo for echo in echoes if echo is not None]
 
     def _aiding_of(self, k: int, before: State) -> list[gtsam.NonlinearFactor]:
         """Factors of the interval that leads to key frame k, and of k itself; `before`: the state one earlier."""
@@ -250,8 +278,10 @@ class AidedEstimator(Estimator):
     def _hold_start(self) -> None:
         """A window that starts now knows the first state as well as the filter does."""
         f = self.filter
-        of_velocity = f.covariance[VELOCITY, VELOCITY] + np.eye(3) * 1e-6
-        self.model.starts[self._first] = f.pose_covariance(f.position), of_velocity
+        self.model.starts[self._first] = (
+            f.pose_covariance(f.position),
+            f.covariance[VELOCITY, VELOCITY] + np.eye(3) * 1e-6,
+        )
 
     # Results.
 

@@ -17,6 +17,7 @@ from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relativ
 from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
 from oysterbench_baselines.gtsam_full.settings import Settings
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
+from oysterbench_baselines.gtsam_vi.method import GtsamVi
 
 MISSING_PERIODS = 1.5
 """Of the camera, after which a frame counts as missing: the pose is given without it."""
@@ -24,11 +25,13 @@ NOTHING = (np.empty(0, dtype=np.int64), np.empty((0, 2)))
 """Ids and rays of a frame that nobody took."""
 
 
-class GtsamFull:
-    """gtsam_vi with DVL, pressure and magnetometer, each where the rig has it; it needs no pictures while it has a DVL.
+class GtsamFull(GtsamVi):
+    """gtsam_vi with DVL, pressure, magnetometer and altimeters, each where the rig has it.
+
+    It needs no pictures while it has a DVL.
 
     output: "online" gives each pose and covariance as known at its frame, "smoothed" those after an adjustment of the
-    whole path. camera: name of the camera; the first one by default.
+    whole path. camera: name of the camera; the first one by default. seed: of the random samples in the epipolar check.
     """
 
     name = "gtsam_full"
@@ -39,22 +42,15 @@ class GtsamFull:
         output: Literal["smoothed", "online"] = "smoothed",
         camera: str | None = None,
         settings: Settings | None = None,
+        seed: int = 0,
     ) -> None:
-        if output not in ("smoothed", "online"):
-            raise MethodError(f"gtsam_full: expected output 'smoothed' or 'online', got {output!r}")
-        self.output = output
-        self.camera = camera
-        self.settings = settings or Settings()
+        super().__init__(output, camera, seed=seed)
+        self.settings: Settings = settings or Settings()
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the camera's stamps, where frames are missing, and at the end."""
-        camera = self.camera or next(iter(sequence.cameras), "")
-        if camera not in sequence.cameras:
-            raise MethodError(
-                f"gtsam_full: sequence {sequence.name} has no camera {camera!r}; cameras: "
-                f"{', '.join(sequence.cameras) or 'none'}"
-            )
-        sensors = sensors_of(sequence)
+        camera, _ = self._cameras(sequence)
+        sensors = [*sensors_of(sequence), *sequence.altimeters]
         stream = sequence.stream(*sensors, camera)
         head = []
         for item in stream:
@@ -69,7 +65,7 @@ class GtsamFull:
             np.array([sample.gyro for sample in inertial]),
             np.array([sample.accel for sample in inertial]),
         )
-        front_end = FrontEnd(sequence.cameras[camera], self.settings)
+        front_end = FrontEnd(sequence.cameras[camera], self.settings, self.seed)
         estimator = AidedEstimator(sequence, sequence.cameras[camera], self.settings, first)
         R_imu_cam = estimator.model.T_imu_cam[:3, :3]
         patience_ns = MISSING_PERIODS / sequence.cameras[camera].rate_hz * 1e9

@@ -6,21 +6,35 @@ from collections.abc import Mapping
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from oysterbench.geometry import Array
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
+from oysterbench_baselines.gtsam_full.echoes import ECHO_KEY, Echo, echo_factor, find_ground
 from oysterbench_baselines.gtsam_full.factors import COMPASS_KEY, DVL_KEY, FIELD_UNIT
 from oysterbench_baselines.gtsam_full.settings import Settings
 from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.states import Keyframe, State
 
 
 class AidedModel(Model):
-    """earth: the Earth's field (3,) in odom as first read, FIELD_UNIT; None: no compass."""
+    """earth: the Earth's field (3,) in odom as first read, FIELD_UNIT; None: no compass. echoes: by key frame."""
 
-    def __init__(self, camera: CameraCalibration, imu: ImuCalibration, settings: Settings, has_dvl: bool) -> None:
+    def __init__(
+        self,
+        camera: CameraCalibration,
+        imu: ImuCalibration,
+        settings: Settings,
+        has_dvl: bool,
+        has_ranges: bool = False,
+    ) -> None:
         super().__init__(camera, imu, settings)
         self.aiding = settings.aiding
         self.has_dvl = has_dvl
+        self.has_ranges = has_ranges and settings.ranges
+        self.echo = settings.echo
+        self.echoes: dict[int, list[Echo]] = {}
         self.earth: Array | None = None
 
     def shared(self) -> Mapping[int, Array]:
@@ -29,6 +43,8 @@ class AidedModel(Model):
             values[DVL_KEY] = np.zeros(4)
         if self.earth is not None:
             values[COMPASS_KEY] = np.concatenate([self.earth, np.zeros(3), np.eye(3).ravel()])
+        if self.has_ranges:
+            values[ECHO_KEY] = np.zeros(2)
         return values
 
     def shared_priors(self) -> list[gtsam.NonlinearFactor]:
@@ -38,8 +54,22 @@ class AidedModel(Model):
         sigmas = {
             DVL_KEY: [aiding.dvl_scale_sigma, twist, twist, twist],
             COMPASS_KEY: iron + [aiding.soft_iron_sigma] * 9,
+            ECHO_KEY: [self.echo.offset_sigma] * 2,
         }
         return [
             gtsam.PriorFactorVector(key, mean, gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas[key])))
             for key, mean in self.shared().items()
         ]
+
+    def ground(
+        self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
+    ) -> list[gtsam.NonlinearFactor]:
+        if not self.has_ranges or len(ids) < self.echo.fewest:
+            return []
+        tree, factors = cKDTree(points), []
+        for keyframe, state in zip(keyframes, states, strict=True):
+            for echo in self.echoes.get(keyframe.index, ()):
+                ground = find_ground(echo, state.matrix, tree, ids, points, self.echo)
+                if ground is not None:
+                    factors.append(echo_factor(echo, ground, keyframe.index))
+        return factors

@@ -10,6 +10,21 @@ from oysterbench_baselines.gtsam_vi.settings import Settings as VisualInertialSe
 
 
 @dataclass(frozen=True)
+class EchoSettings:
+    """How ranges to the bottom count. The mounts' calibrations and the samples say nothing of noise."""
+
+    sigma: float = 0.02  # m, 1 sigma of a range
+    share: float = 0.01  # and of its length: speed of sound and beam patterns
+    offset_sigma: float = 0.03  # m, of what echoes and corners differ by in the mean: an oyster stands out by as much
+    radius: float = 0.25  # m, about the point met, in which landmarks are its ground; a wide beam has its footprint
+    fewest: int = 6  # landmarks: three make a plane, as many again say how rough it is
+    most: int = 12  # the nearest: more cost time, and say less of the point
+    width: float = 0.03  # m, rms across the longest spread of the landmarks: less is a line
+    steepest: float = 0.5  # cosine of the incidence
+    delay_s: float = 0.15  # a range older than this does not count for a key frame
+
+
+@dataclass(frozen=True)
 class Settings(VisualInertialSettings):
     """start_tilt_deg, start_s, start_keyframes: with a DVL the window begins once the filter's roll and pitch are this
     certain (1 sigma), but not before so many seconds and key frames: one key frame has no landmarks."""
@@ -20,4 +35,6 @@ class Settings(VisualInertialSettings):
     start_s: float = 1.5
     start_keyframes: int = 4
     aiding_huber: float = 3.0  # sigmas; beyond, a residual of a DVL or compass counts linearly
+    ranges: bool = True  # whether altimeters and the ranges of a DVL's beams are used
+    echo: EchoSettings = field(default_factory=EchoSettings)
     compass_delay_s: float = 0.06  # a reading older than this does not count for a key frame

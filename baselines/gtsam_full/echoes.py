@@ -1,0 +1,169 @@
+"""Ranges of an altimeter and of a DVL's beams, held against the bottom that the landmarks in their footprint make.
+
+Both look at ground that the camera has seen some seconds before. A range says how far the landmarks there are: it is
+the one measurement beside the DVL's velocity that knows a metre. How well it does so depends on what it is compared
+with: the first strong echo from a cone comes from what stands out, corners are found on edges, and between corners a
+rough reef is anything. So each echo counts as much as the landmarks under it are level, and what echoes and corners
+differ by in the mean is a variable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from oysterbench.geometry import Array
+from oysterbench.samples import DvlSample, RangeSample
+from oysterbench.sequence.types import AltimeterCalibration
+from oysterbench_baselines.common.filter import cross, rotation_exp
+from oysterbench_baselines.gtsam_full.settings import EchoSettings
+
+ECHO_KEY = gtsam.symbol("e", 0)
+"""By how much ranges are longer than those to the landmarks, m: of altimeters, of DVL beams; (2,)."""
+ALTIMETER, BEAM = 0, 1
+
+
+@dataclass(frozen=True)
+class Echo:
+    """A range (m) with its 1 sigma, along `axis` (3,) from `origin` (3,) m in the IMU's frame at a key frame.
+
+    half_beam: rad, about the axis, in which the bottom may lie that answers; kind: ALTIMETER or BEAM.
+    """
+
+    origin: Array
+    axis: Array
+    range: float
+    sigma: float
+    half_beam: float
+    kind: int
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The bottom where an echo meets it: a plane through landmarks.
+
+    ids (N,) of the landmarks; weights (N,), of sum 1, with which they make the point met; normal (3,) in odom; axis
+    (3,) of the ray that meets it, in the IMU's frame; sigma: m, of the range to it, all in.
+    """
+
+    ids: NDArray[np.int64]
+    weights: Array
+    normal: Array
+    axis: Array
+    sigma: float
+
+
+def altimeter_echo(
+    sample: RangeSample, mount: AltimeterCalibration, T_imu_base: Array, moved: tuple[Array, Array], of: EchoSettings
+) -> Echo | None:
+    """Of an altimeter; None where nothing answered. moved: see `_carried`."""
+    if not np.isfinite(sample.range):
+        return None
+    pose = T_imu_base @ mount.T_base_sensor
+    sigma = float(np.hypot(of.sigma, of.share * sample.range))
+    origin, axis = _carried(pose[:3, 3], pose[:3, 0], moved)
+    return Echo(origin, axis, float(sample.range), sigma, mount.beam_rad / 2, ALTIMETER)
+
+
+def beam_echoes(sample: DvlSample, T_imu_dvl: Array, moved: tuple[Array, Array], of: EchoSettings) -> list[Echo]:
+    """Of the beams of a DVL that have a range, each for itself."""
+    echoes = []
+    for direction, length, valid in zip(sample.beam_directions, sample.beam_ranges, sample.beam_valid, strict=True):
+        if valid and np.isfinite(length):
+            origin, axis = _carried(T_imu_dvl[:3, 3], T_imu_dvl[:3, :3] @ direction, moved)
+            sigma = float(np.hypot(of.sigma, of.share * length))
+            echoes.append(Echo(origin, axis, float(length), sigma, 0.0, BEAM))
+    return echoes
+
+
+def _carried(origin: Array, axis: Array, moved: tuple[Array, Array]) -> tuple[Array, Array]:
+    """A ray of a moment ago in the IMU's frame of now; moved: rotation vector (rad) and way (m), both (3,), since then,
+    in that frame."""
+    back = rotation_exp(-moved[0])
+    return back @ origin - moved[1], back @ axis
+
+
+def find_ground(
+    echo: Echo, T_odom_imu: Array, tree: cKDTree, ids: NDArray[np.int64], points: Array, of: EchoSettings
+) -> Ground | None:
+    """The plane that an echo meets: through landmarks (M,) at points (M, 3), found by their tree; None where there are
+    too few about it, where they are in a line or steep, or all to one side."""
+    rotation, origin = T_odom_imu[:3, :3], T_odom_imu[:3, :3] @ echo.origin + T_odom_imu[:3, 3]
+    reach = max(echo.range * np.tan(echo.half_beam), of.radius)
+    # Where a level bottom would be met; and then, for a wide beam, where the bottom that is there is.
+    ray = _nearest(rotation @ echo.axis, np.array([0.0, 0.0, -1.0]), echo.half_beam)
+    met = origin + echo.range * ray
+    for _ in range(2 if echo.half_beam else 1):
+        distances, near = tree.query(met, k=of.most, distance_upper_bound=reach)
+        near = np.sort(near[np.isfinite(distances)])
+        if len(near) < of.fewest:
+            return None
+        centre = points[near].mean(axis=0)
+        _, spread, axes = np.linalg.svd(points[near] - centre, full_matrices=False)
+        spread = spread / np.sqrt(len(near))
+        normal = axes[2] * -np.sign(axes[2] @ rotation @ echo.axis)
+        ray = _nearest(rotation @ echo.axis, -normal, echo.half_beam)
+        along = normal @ ray
+        if spread[1] < of.width or along > -of.steepest:
+            return None
+        met = origin + normal @ (centre - origin) / along * ray
+    flat, at = (points[near] - centre) @ axes[:2].T, axes[:2] @ (met - centre)
+    if np.any(np.abs(at) > 2 * spread[:2]):
+        return None
+    weights = 1.0 / len(near) + flat @ np.linalg.solve(flat.T @ flat, at)
+    # What a plane leaves of the landmarks it leaves of the ground between them, too.
+    return Ground(ids[near], weights, normal, rotation.T @ ray, float(np.hypot(echo.sigma, spread[2] / -along)))
+
+
+def _nearest(axis: Array, wanted: Array, limit: float) -> Array:
+    """The unit vector that is nearest to `wanted` within an angle (rad) of `axis`, both (3,) unit vectors."""
+    turn = np.cross(axis, wanted)
+    sine = float(np.linalg.norm(turn))
+    angle = float(np.arctan2(sine, axis @ wanted))
+    if angle <= limit:
+        return wanted
+    return rotation_exp(turn / max(sine, 1e-12) * limit) @ axis
+
+
+def echo_error(
+    echo: Echo, ground: Ground, pose: gtsam.Pose3, landmarks: Array, offsets: Array
+) -> tuple[float, tuple[Array, Array, Array]]:
+    """Predicted less measured range, m, and its derivatives by pose (6,), landmarks (N, 3) and offsets (2,).
+
+    With o the sensor, d the ray and q the point that the weights make of the landmarks, all in odom, n the normal:
+    n . (q - o) / n . d + offset - range. Weights and normal are held: what they change by is of second order in the
+    distance of the landmarks from the plane.
+    """
+    rotation = pose.rotation().matrix()
+    normal = ground.normal @ rotation  # in the IMU's frame
+    along = float(normal @ ground.axis)
+    gap = ground.normal @ (ground.weights @ landmarks - pose.translation()) - normal @ echo.origin
+    length = float(gap) / along
+    by_turn = (normal @ cross(echo.origin) + length * normal @ cross(ground.axis)) / along
+    by_offsets = np.zeros(2)
+    by_offsets[echo.kind] = 1.0
+    slopes = np.concatenate([by_turn, -normal / along]), np.outer(ground.weights, ground.normal / along), by_offsets
+    return length + float(offsets[echo.kind]) - echo.range, slopes
+
+
+def echo_factor(echo: Echo, ground: Ground, keyframe: int) -> gtsam.NonlinearFactor:
+    """On the pose of a key frame, the landmarks under it, and the offsets; by Cauchy's loss, as reefs have holes."""
+    keys = [X(keyframe), *(L(int(i)) for i in ground.ids), ECHO_KEY]
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        landmarks = np.array([values.atPoint3(key) for key in keys[1:-1]])
+        residual, slopes = echo_error(echo, ground, values.atPose3(keys[0]), landmarks, values.atVector(ECHO_KEY))
+        if jacobians is not None:
+            jacobians[0], jacobians[-1] = np.asfortranarray(slopes[0][None]), np.asfortranarray(slopes[2][None])
+            for n, slope in enumerate(slopes[1], start=1):
+                jacobians[n] = np.asfortranarray(slope[None])
+        return np.array([residual])
+
+    loss = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)
+    noise = gtsam.noiseModel.Robust.Create(loss, gtsam.noiseModel.Isotropic.Sigma(1, ground.sigma))
+    return gtsam.CustomFactor(noise, keys, error)
