@@ -27,6 +27,8 @@ from oysterbench.version import VERSION
 TRACKS = ("slam", *IMAGE_TRACKS)
 DEFAULT_SPLIT = {"slam": "slam-mini"}
 DEFAULT_METHODS = {"slam": ("gtsam_vi", "dead_reckoning")}
+"""On slam-mini, one camera and an inertial unit: gtsam_full has nothing there that gtsam_vi has not, and visual_only,
+which has no scale, cannot be scored as they are."""
 ALIGNMENTS = ("none", "origin", "se3", "posyaw", "sim3")
 FORMATS = ("euroc", "tum", "kitti", "coco", "kalibr", "ply")
 ASSOCIATIONS = ("interpolate", "nearest")
