@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 from pathlib import Path
+
+from urllib3.connection import HTTPConnection
 
 from oysterbench.hub import download as downloading
 from oysterbench.hub.download import Hub, download
@@ -11,6 +14,8 @@ from oysterbench.hub.download import Hub, download
 
 def main() -> None:
     url, key, folder, *options = sys.argv[1:]
+    # What the system holds when the process is killed says nothing about the process: it is kept small.
+    HTTPConnection.default_socket_options = [(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 14)]
     if "no-locks" in options:
 
         def no_lock(path: Path):

@@ -29,7 +29,7 @@ class Slow(Honest):
     pause = staticmethod(lambda: time.sleep(0.006))
 
     def setup(self):
-        self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 15)
+        self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 14)
         super().setup()
 
 
@@ -87,7 +87,8 @@ def kill_and_go_on(big, folder, fraction):
     assert target.read_bytes() == big.data
     assert {path.name for path in folder.iterdir() if path.suffix != ".lock"} == {target.name, "manifest.json"}
     assert blob_bytes == (0 if done else SIZE - kept)
-    return first_sent + blob_bytes - SIZE
+    documents = sum(len(data) for path, data in big.files.items() if path != big.blob)
+    return first_sent - documents + blob_bytes - SIZE
 
 
 def check_killed(big, tmp_path, fractions):
