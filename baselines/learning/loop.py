@@ -72,7 +72,6 @@ def fit(
     device: torch.device,
     first_seed: int,
     progress: Progress = lambda done, total, loss: None,
-    keep_s: float = KEEP_S,
 ) -> Checkpoint:
     """Train, or go on where `path` was left; the finished checkpoint, which is at `path` as well.
 
@@ -118,7 +117,7 @@ def fit(
         state.losses.append(value)
         state.step = step + 1
         progress(state.step, settings.steps, value)
-        if time.monotonic() - kept >= keep_s and state.step < settings.steps:
+        if time.monotonic() - kept >= KEEP_S and state.step < settings.steps:
             keep(finished=False)
             kept = time.monotonic()
     keep(finished=True)

@@ -37,7 +37,7 @@ def run(
 ) -> list[Row]:
     """Run all cells that are not finished, and write table.md, report.html and results.json into `out`."""
     with bar("looking for near duplicates", "images") as progress:
-        real = real_data(labelled, hold_out, progress)
+        real = real_data(labelled, hold_out, settings.alike, progress)
     remarks = list(_remarks(labelled, real))
     for remark in remarks:
         say(remark)

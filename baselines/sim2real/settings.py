@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from oysterbench.labelled.duplicates import ALIKE
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.loop import FitSettings
 from oysterbench_baselines.unet.network import NetworkSettings
@@ -22,6 +23,7 @@ class Settings:
     batch:       crops of a step
     mixed_share: of the steps, from the first, half of each batch is synthetic; from then on all of it is real
     block:       neighbouring test images that are resampled together
+    alike:       correlation with a test image from which a training image is left out
     """
 
     sizes: tuple[int, ...] = (5, 10, 20, 40, ALL)
@@ -29,6 +31,7 @@ class Settings:
     batch: int = 8
     mixed_share: float = 0.6
     block: int = 8
+    alike: float = ALIKE
     network: NetworkSettings = field(default_factory=lambda: NetworkSettings(scale=0.4))
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=96))
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=400, warm_up=20, threads=1))

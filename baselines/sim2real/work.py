@@ -61,7 +61,12 @@ class Bench:
     def identity(self, cell: Cell) -> dict[str, Any]:
         """What decides the weights of a cell, as plain values."""
         plain = json.loads(json.dumps(dataclasses.asdict(self.settings)))
-        for key in ("sizes", "seeds", "block"):  # they say which cells there are, and how these are summed up
+        for key in (
+            "sizes",
+            "seeds",
+            "block",
+            "alike",
+        ):  # they say which cells and images there are, and how all is summed up
             del plain[key]
         chosen = [] if cell.size is None else [e.name for e in drawn(self.real.train, cell.size, cell.seed).entries]
         data = {"synthetic": self._digests.get(cell.synthetic, ""), "test": self._test_digest}

@@ -1,0 +1,230 @@
+"""What trainings share: samples, augmentation, losses, and a loop that repeats and survives being killed."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
+
+from labelled_folders import image  # noqa: E402
+from small_trainings import SMALL, small_set  # noqa: E402
+
+from oysterbench.errors import LabelError, MethodError  # noqa: E402
+from oysterbench.labelled import LabelledSet  # noqa: E402
+from oysterbench.streams import Streams, stream  # noqa: E402
+from oysterbench_baselines.learning.augment import Augmentation, augmented  # noqa: E402
+from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: E402
+from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
+from oysterbench_baselines.learning.loop import FitSettings, pick_device  # noqa: E402
+from oysterbench_baselines.learning.losses import bce_dice  # noqa: E402
+from oysterbench_baselines.learning.samples import LabelledDataset, cores, make_sample  # noqa: E402
+from oysterbench_baselines.unet.training import train  # noqa: E402
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def labelled(tmp_path_factory):
+    return small_set(tmp_path_factory.mktemp("small") / "small", {"one": ("train", 3), "two": ("train", 3)})
+
+
+def same(one, other) -> bool:
+    """Whether two trainings have the same weights, to the bit."""
+    return one.weights.keys() == other.weights.keys() and all(
+        torch.equal(value, other.weights[key]) for key, value in one.weights.items()
+    )
+
+
+# Samples
+
+
+def test_an_item_of_the_dataset_is_standardised_and_has_the_truth_at_the_working_scale(labelled):
+    dataset = LabelledDataset(labelled, 0.5)
+    pixels, truth, known = dataset[1]
+    assert pixels.shape == (3, 32, 40)
+    assert truth.shape == (2, 32, 40)
+    assert torch.allclose(pixels.mean(dim=(1, 2)), torch.zeros(3), atol=1e-4)
+    assert torch.allclose(pixels.std(dim=(1, 2), correction=0), torch.ones(3), atol=1e-4)
+    cover = float(labelled[1].oysters.mean())
+    assert float(truth[0].mean()) == pytest.approx(cover, abs=0.003)
+    assert bool((known == 1).all())
+    assert len(list(torch.utils.data.DataLoader(dataset, batch_size=4))) == 2
+    with pytest.raises(IndexError):
+        dataset[6]
+
+
+def test_cores_lie_inside_each_oyster_and_do_not_touch_each_other():
+    numbers = np.zeros((40, 60), np.uint16)
+    numbers[5:25, 5:25], numbers[5:25, 25:45], numbers[30, 3] = 1, 2, 65535
+    found = cores(numbers)
+    assert not (found & (numbers == 0)).any()
+    for number in (1, 2, 65535):
+        assert found[numbers == number].any()
+    assert not found[5:25, 22:28].any()
+    assert not found[5:8].any()
+
+
+def test_an_oyster_that_the_image_cuts_off_has_its_border_there():
+    numbers = np.ones((20, 20), np.uint16)
+    found = cores(numbers)
+    assert found[10, 10]
+    assert not found[0].any()
+
+
+def test_pixels_that_are_ignored_are_neither_in_the_loss_nor_learnt_from():
+    logits = torch.randn(2, 2, 8, 8, requires_grad=True)
+    truth = torch.randint(0, 2, (2, 2, 8, 8)).float()
+    known = torch.ones(2, 1, 8, 8)
+    known[..., :3] = 0
+    loss = bce_dice(logits, truth, known)
+    changed = truth.clone()
+    changed[..., :3] = 1 - changed[..., :3]
+    assert torch.equal(loss, bce_dice(logits, changed, known))
+    loss.backward()
+    assert not logits.grad[..., :3].any()
+    assert logits.grad[..., 3:].all()
+
+
+def test_the_loss_is_that_of_its_formula():
+    logits, truth = torch.tensor([[[[2.0, -1.0]]]]), torch.tensor([[[[1.0, 0.0]]]])
+    p = 1 / (1 + np.exp([-2.0, 1.0]))
+    entropy = -(np.log(p[0]) + np.log(1 - p[1])) / 2
+    dice = (2 * p[0] + 1) / (p.sum() + 1 + 1)
+    assert float(bce_dice(logits, truth, torch.ones(1, 1, 1, 2))) == pytest.approx(entropy + 1 - dice, rel=1e-5)
+
+
+# Augmentation
+
+
+def test_pictures_and_truth_are_moved_alike():
+    """A picture that is its own mask stays so, whatever is done to both."""
+    one = image(3, height=64, width=80)
+    drawn = np.repeat(np.where(one.oysters, 220, 20).astype(np.uint8)[..., None], 3, axis=2)
+    sample = make_sample(dataclasses.replace(one, pixels=drawn), 1.0)
+    still = Augmentation(crop=32, gain=0, shift=0, tint=0, noise=0, grey=0, blur=0)
+    for k in range(20):
+        values, truth, known = augmented(sample, still, stream(k, b"", "test"))
+        assert values.shape == (32, 32, 3)
+        assert np.array_equal(known, np.full((32, 32), 255))
+        shown = (values[..., 0] * sample.contrast[0] + sample.mean[0] - 20) / 200
+        assert np.abs(shown - truth[..., 0] / 255).max() < 0.05
+
+
+def test_batches_depend_on_seed_and_step_alone(labelled):
+    mixture = Mixture([LabelledDataset(labelled, 0.5)], [4])
+    one = make_batch(mixture, SMALL.augmentation, Streams(7), 5)
+    make_batch(mixture, SMALL.augmentation, Streams(7), 4)
+    again = make_batch(mixture, SMALL.augmentation, Streams(7), 5)
+    assert all(torch.equal(a, b) for a, b in zip(one, again, strict=True))
+    for other in (make_batch(mixture, SMALL.augmentation, Streams(s), k) for s, k in ((7, 6), (8, 5))):
+        assert not torch.equal(one[0], other[0])
+
+
+# The loop
+
+
+def test_training_twice_with_a_seed_gives_the_same_weights_and_another_seed_others(labelled, tmp_path):
+    one, again = (train(labelled, tmp_path / f"{k}.pt", SMALL, 3, CPU) for k in range(2))
+    other = train(labelled, tmp_path / "other.pt", SMALL, 4, CPU)
+    assert same(one, again)
+    assert one.losses == again.losses
+    assert not same(one, other)
+
+
+def test_a_finished_training_is_read_and_not_done_again(labelled, tmp_path):
+    one = train(labelled, tmp_path / "a.pt", SMALL, 3, CPU)
+    steps = []
+    again = train(labelled, tmp_path / "a.pt", SMALL, 3, CPU, lambda done, total, loss: steps.append(done))
+    assert steps == []
+    assert same(one, again)
+
+
+def test_a_checkpoint_says_all_that_is_needed_to_repeat_it(labelled, tmp_path):
+    train(labelled, tmp_path / "a.pt", SMALL, 3, CPU)
+    known = read_checkpoint(tmp_path / "a.pt")
+    assert known.finished
+    assert known.identity["seed"] == 3
+    assert known.identity["data"] == {"small": labelled.digest()}
+    assert known.identity["settings"]["fit"]["threads"] == 1
+    assert known.network == {"kind": "unet", "depth": 3, "base": 4, "groups": 2, "scale": 0.5}
+    assert set(known.versions) == {"oysterbench", "torch", "numpy", "python"}
+    assert known.optimiser["state"]
+    assert known.random["cpu"].dtype == torch.uint8
+    assert len(known.losses) == known.step == 12
+
+
+def test_a_training_of_other_data_or_settings_is_not_gone_on_with(labelled, tmp_path):
+    train(labelled, tmp_path / "a.pt", SMALL, 3, CPU)
+    more = dataclasses.replace(SMALL, fit=dataclasses.replace(SMALL.fit, steps=13))
+    with pytest.raises(MethodError, match=r"a\.pt: holds a training with steps = 12, and steps = 13 is asked for"):
+        train(labelled, tmp_path / "a.pt", more, 3, CPU)
+    with pytest.raises(MethodError, match="holds a training with small = "):
+        train(labelled.where(lambda entry: entry.clip == "one"), tmp_path / "a.pt", SMALL, 3, CPU)
+
+
+def test_no_images_and_a_loss_that_is_no_number_are_named(labelled, tmp_path):
+    with pytest.raises(LabelError, match="expected images to train on, got none"):
+        train(LabelledSet("empty", []), tmp_path / "a.pt", SMALL, 3, CPU)
+    wild = dataclasses.replace(SMALL, fit=FitSettings(steps=30, warm_up=1, learning_rate=1e30, threads=1))
+    with pytest.raises(MethodError, match=r"the loss is (nan|inf) after"):
+        train(labelled, tmp_path / "a.pt", wild, 3, CPU)
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path):
+    (tmp_path / "a.pt").write_bytes(b"PK\x03\x04 and no more")
+    with pytest.raises(MethodError, match=r"a\.pt: not a checkpoint of this version"):
+        read_checkpoint(tmp_path / "a.pt")
+    with pytest.raises(MethodError, match="no such checkpoint; `oysterbench train` makes one"):
+        read_checkpoint(tmp_path / "b.pt")
+
+
+def test_a_device_that_is_not_there_is_named():
+    with pytest.raises(MethodError, match="expected auto, cpu, cuda"):
+        pick_device("abacus")
+    if not torch.cuda.is_available():
+        with pytest.raises(MethodError, match="sees no GPU; --device cpu"):
+            pick_device("cuda")
+
+
+KILLED = """
+import sys
+from pathlib import Path
+sys.path[:0] = sys.argv[3:]
+from small_trainings import SMALL
+import torch
+from oysterbench.labelled import open_labelled
+from oysterbench_baselines.learning import loop
+from oysterbench_baselines.unet.training import train
+loop.KEEP_S = 0.0
+train(open_labelled(sys.argv[1]), Path(sys.argv[2]), SMALL, 3, torch.device("cpu"),
+      lambda done, total, loss: print(done, flush=True))
+"""
+
+
+def test_a_training_that_is_killed_goes_on_to_the_same_weights(labelled, tmp_path):
+    wanted = train(labelled, tmp_path / "whole.pt", SMALL, 3, CPU)
+    here, path = Path(__file__).parent, tmp_path / "killed.pt"
+    folder = labelled.entries[0].files[0].parents[1]
+    words = [sys.executable, "-c", KILLED, folder, path, here, here.parent]
+    process = subprocess.Popen([*map(str, words)], stdout=subprocess.PIPE, text=True)
+    for line in process.stdout:
+        if int(line) == 7:
+            process.send_signal(signal.SIGKILL)
+            break
+    process.stdout.close()
+    assert process.wait() == -signal.SIGKILL
+    left = read_checkpoint(path)
+    assert not left.finished
+    assert 6 <= left.step < 12
+    steps = []
+    found = train(labelled, path, SMALL, 3, CPU, lambda done, total, loss: steps.append(done))
+    assert steps == list(range(left.step + 1, 13))
+    assert same(found, wanted)
+    assert found.losses == wanted.losses

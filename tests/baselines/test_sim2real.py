@@ -1,0 +1,227 @@
+"""The experiment: what is trained on what, that it goes on where it was stopped, and what its table says."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
+
+from small_trainings import SMALL, small_set  # noqa: E402
+
+from oysterbench.errors import LabelError, ResultError  # noqa: E402
+from oysterbench.evaluate.statistics import resample_counts  # noqa: E402
+from oysterbench.results import ResultRecord, read_results  # noqa: E402
+from oysterbench_baselines.sim2real import work  # noqa: E402
+from oysterbench_baselines.sim2real.data import drawn, real_data  # noqa: E402
+from oysterbench_baselines.sim2real.experiment import run  # noqa: E402
+from oysterbench_baselines.sim2real.report import lines, plot  # noqa: E402
+from oysterbench_baselines.sim2real.scoring import WHOLE, Truth, score  # noqa: E402
+from oysterbench_baselines.sim2real.settings import ALL, Cell, Settings, cells_of  # noqa: E402
+from oysterbench_baselines.sim2real.table import table  # noqa: E402
+from oysterbench_baselines.sim2real.trivial import TRIVIAL, answers  # noqa: E402
+from oysterbench_baselines.sim2real.work import Answer, Bench  # noqa: E402
+
+SETTINGS = Settings(
+    sizes=(2, ALL),
+    seeds=1,
+    batch=4,
+    block=2,
+    alike=0.99,  # these small pictures are all alike
+    network=SMALL.network,
+    augmentation=SMALL.augmentation,
+    fit=dataclasses.replace(SMALL.fit, steps=5),
+)
+CLIPS = {"a": ("train", 3), "b": ("train", 2), "c": ("test", 4), "d": ("test", 4)}
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory):
+    return small_set(tmp_path_factory.mktemp("real") / "real", CLIPS)
+
+
+@pytest.fixture(scope="module")
+def synthetic(tmp_path_factory):
+    return small_set(tmp_path_factory.mktemp("synthetic") / "made", {"s": ("", 4)}, first=50)
+
+
+def experiment(real, synthetic, out, settings=SETTINGS, said=None, **options):
+    """Run it; the rows of its table."""
+    said = [] if said is None else said
+    options = {"hold_out": (), "device": "cpu", "train": True, **options}
+    return run(
+        real,
+        synthetic,
+        settings,
+        out,
+        bar=lambda title, unit: contextlib.nullcontext(lambda done, total: None),
+        say=said.append,
+        show=said.append,
+        **options,
+    )
+
+
+# What is trained on what
+
+
+def test_cells_are_every_variant_at_every_size_and_each_synthetic_set_alone():
+    cells = cells_of(("rendered", "cut"), dataclasses.replace(SETTINGS, seeds=3))
+    assert len(cells) == len({cell.folder for cell in cells}) == 3 * (2 + 2 * 3)
+    assert {cell.variant for cell in cells} == {"rendered only", "cut only", "real", "real + rendered", "real + cut"}
+    assert [cell.seed for cell in cells] == sorted(cell.seed for cell in cells)
+
+
+def test_few_images_are_among_more_and_come_from_all_clips(real):
+    train = real.of_split("train")
+    for seed in range(5):
+        names = [{entry.name for entry in drawn(train, size, seed).entries} for size in (2, 3, 5)]
+        assert names[0] < names[1] < names[2]
+        assert {entry.clip for entry in drawn(train, 2, seed).entries} == {"a", "b"}
+    assert len({tuple(entry.name for entry in drawn(train, 2, seed).entries) for seed in range(20)}) > 1
+    assert len(drawn(train, ALL, 0)) == 5
+    with pytest.raises(LabelError, match="6 real images are asked for, but there are 5"):
+        drawn(train, 6, 0)
+
+
+def test_clips_held_out_are_tested_on_and_the_test_side_is_not_looked_at(real):
+    found = real_data(real, ("a",), 0.99)
+    assert (found.train.clips, found.test.clips) == (("b",), ("a",))
+    with pytest.raises(LabelError, match="--hold-out c: expected a clip of the training side: a, b"):
+        real_data(real, ("c",), 0.99)
+
+
+def test_a_training_image_that_is_a_test_image_under_another_name_is_left_out_and_named(tmp_path):
+    twice = small_set(tmp_path / "twice", CLIPS)
+    copy = (tmp_path / "twice" / "images" / "a-1.png").read_bytes()
+    (tmp_path / "twice" / "images" / "c-6.png").write_bytes(copy)
+    found = real_data(twice, (), 0.99)
+    assert ("a-1", "c-6") in {(leak.one, leak.other) for leak in found.leaks}
+    assert "a-1" not in {entry.name for entry in found.train.entries}
+    assert "a-0" in {entry.name for entry in found.train.entries}
+
+
+def test_mixed_batches_are_half_synthetic_and_then_all_real(real, synthetic):
+    bench = Bench(real_data(real, (), 0.99), {"made": synthetic}, SETTINGS, "cpu")
+    first, last = bench._mixtures(Cell("made", 2, 0))
+    assert [(dataset.labelled.name, count) for dataset, count in zip(first.datasets, first.counts, strict=True)] == [
+        ("made", 2),
+        ("real train", 2),
+    ]
+    assert (len(last.datasets), last.counts, len(last.datasets[0])) == (1, [4], 2)
+    alone = bench._mixtures(Cell("made", None, 0))[1]
+    assert (alone.datasets[0].labelled.name, alone.counts) == ("made", [4])
+
+
+# Running
+
+
+def test_it_leaves_a_result_for_each_cell_and_goes_on_where_it_was_stopped(real, synthetic, tmp_path, monkeypatch):
+    begun = []
+    original = work.fit
+
+    def stops(*arguments, **options):
+        begun.append(arguments[5].parent.name)
+        if len(begun) == 3:
+            raise KeyboardInterrupt
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(work, "fit", stops)
+    with pytest.raises(KeyboardInterrupt):
+        experiment(real, {"made": synthetic}, tmp_path)
+    said: list[str] = []
+    rows = experiment(real, {"made": synthetic}, tmp_path, said=said)
+    assert begun[2] == begun[3], "the one that was interrupted is done again"
+    assert len(begun) == 6, "those that were finished are not"
+    assert len(list((tmp_path / "cells").glob("*/results.json"))) == 5
+    assert "5 of 5 trainings are finished" in said
+    assert [(row.variant, row.images) for row in rows] == [
+        ("all", 0), ("none", 0), ("colour", 0), ("made only", 0),
+        ("real", 2), ("real + made", 2), ("real", 5), ("real + made", 5),
+    ]  # fmt: skip
+    records = read_results(tmp_path / "results.json")
+    assert {record.sequence for record in records} == {"c", "d", WHOLE}
+    assert "IoU of oysters" in (tmp_path / "report.html").read_text()
+    assert (tmp_path / "table.md").read_text().count("\n") == 10
+    again = experiment(real, {"made": synthetic}, tmp_path, train=False)
+    assert [row.iou for row in again] == [row.iou for row in rows]
+
+
+def test_a_folder_of_another_experiment_is_refused_by_its_cell(real, synthetic, tmp_path):
+    one = dataclasses.replace(SETTINGS, sizes=(2,))
+    experiment(real, {}, tmp_path, one)
+    more = dataclasses.replace(one, fit=dataclasses.replace(one.fit, steps=6))
+    with pytest.raises(ResultError, match="real-real-002-seed-0: holds a cell of other data or settings; --out"):
+        experiment(real, {}, tmp_path, more)
+    assert len(experiment(real, {"made": synthetic}, tmp_path, one)) == 6, "more variants are no other experiment"
+
+
+# Scores and the table
+
+
+def test_the_truth_itself_scores_1_and_trivial_answers_what_cover_and_nothing_are_worth(real):
+    test = real.of_split("test")
+    truth = Truth.of(test)
+    numbers = [np.unique(image.instances, return_inverse=True)[1].reshape(image.instances.shape) for image in test]
+    perfect = score(truth, (Answer(n > 0, n.astype(np.int32), np.ones(n.max())) for n in numbers))
+    assert {perfect.metrics[clip]["iou"] for clip in ("c", "d", WHOLE)} == {1.0}
+    assert perfect.metrics[WHOLE]["ap_mask"] == pytest.approx(1.0)
+    assert perfect.metrics[WHOLE]["count_mae"] == 0
+    cover = float(np.mean([image.oysters.mean() for image in test]))
+    found = {method.name: score(truth, answers(method(), truth)).metrics[WHOLE] for method in TRIVIAL}
+    assert found["all"]["iou"] == pytest.approx(cover)
+    assert found["none"]["iou"] == 0
+    assert found["colour"]["iou"] > found["all"]["iou"]
+
+
+def record(method: str, seed: int, size: int | None, pixels: list[tuple[int, int, int]]) -> ResultRecord:
+    """A cell whose images have true and false positives and misses, half of them in each of two clips."""
+    keys = ("true_positive", "false_positive", "false_negative")
+    images = [
+        {"name": f"{k}", "clip": "c" if k < len(pixels) / 2 else "d", **dict(zip(keys, row, strict=True))}
+        for k, row in enumerate(pixels)
+    ]
+    metrics = dict.fromkeys(("iou", "ap_mask", "ap50_mask", "count_mae", "count_bias", "boundary_iou"), 0.5)
+    return ResultRecord(
+        track="segmentation",
+        split="real test",
+        sequence=WHOLE,
+        method=method,
+        method_settings={"real_images": size or 0, "asked": size},
+        seed=seed,
+        run=seed,
+        metrics={**metrics, "precision": 0.5, "recall": 0.5},
+        info={"images": images},
+    )
+
+
+def test_rows_pool_pixels_average_seeds_and_pair_gains_over_the_same_images():
+    rng = np.random.default_rng(0)
+    base = [[tuple(int(v) for v in rng.integers(10, 90, 3)) for _ in range(16)] for _ in range(2)]
+    better = [[(tp + 5, fp, fn - 5) for tp, fp, fn in seed] for seed in base]
+    records = [record("real", k, 10, base[k]) for k in range(2)]
+    records += [record("real + made", k, 10, better[k]) for k in range(2)]
+    rows = {row.variant: row for row in table(records, block=2)}
+    pooled = [np.sum(seed, axis=0) for seed in base]
+    expected = np.mean([sums[0] / sums.sum() for sums in pooled])
+    assert rows["real"].iou == pytest.approx(expected)
+    assert rows["real"].interval.low < expected < rows["real"].interval.high
+    gain = rows["real + made"]
+    assert gain.gain == pytest.approx(rows["real + made"].iou - rows["real"].iou)
+    assert gain.gain_interval.low > 0, "better on each image is better, however much images differ"
+    assert rows["real"].gain is None
+    # The interval by hand: blocks of two images, drawn as often as the named stream says.
+    blocks = np.array(base).reshape(2, 8, 2, 3).sum(axis=2)
+    drawn_blocks = resample_counts(8)
+    values = np.mean([(drawn_blocks @ b[:, 0]) / (drawn_blocks @ b.sum(axis=1)) for b in blocks], axis=0)
+    assert np.quantile(values, 0.5) == pytest.approx(expected, abs=0.02)
+    assert rows["real"].interval.high - rows["real"].interval.low < 6 * values.std()
+
+
+def test_too_few_blocks_have_no_interval_and_the_table_says_none():
+    rows = table([record("real", 0, 5, [(10, 5, 5)] * 4)], block=2)
+    assert not rows[0].interval.known
+    assert lines(rows)[0][3] == "0.500"
+    assert plot(rows).startswith("<svg")

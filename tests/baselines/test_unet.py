@@ -1,0 +1,159 @@
+"""The U-Net: sizes, tiles, instances, and what a user sees where it was never trained."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
+
+from labelled_folders import image  # noqa: E402
+from small_trainings import SMALL, small_set  # noqa: E402
+
+from oysterbench.errors import MethodError  # noqa: E402
+from oysterbench.labelled import open_labelled  # noqa: E402
+from oysterbench.methods import find_method  # noqa: E402
+from oysterbench.methods.images import Picture  # noqa: E402
+from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
+from oysterbench_baselines.unet import UNet, UNetInstances, model  # noqa: E402
+from oysterbench_baselines.unet.instances import find_instances  # noqa: E402
+from oysterbench_baselines.unet.model import Model, enlarged  # noqa: E402
+from oysterbench_baselines.unet.network import NetworkSettings, UNetwork  # noqa: E402
+from oysterbench_baselines.unet.training import train  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    """A network that has seen enough of the small pictures to tell light oysters from dark ground."""
+    folder = tmp_path_factory.mktemp("unet")
+    labelled = small_set(folder / "small", {"one": ("train", 6)})
+    fit = dataclasses.replace(SMALL.fit, steps=150, learning_rate=1e-2)
+    train(labelled, folder / "unet.pt", dataclasses.replace(SMALL, fit=fit), 0, torch.device("cpu"))
+    return folder / "unet.pt"
+
+
+def test_it_learns_what_it_is_shown_and_finds_it_in_pictures_it_has_not_seen(checkpoint):
+    pictures = [image(k, height=64, width=80) for k in range(100, 106)]
+    method = UNet(str(checkpoint), "cpu")
+    both = either = 0
+    for one, said in zip(pictures, method.run(Picture(p.name, p.pixels) for p in pictures), strict=True):
+        assert said.name == one.name
+        assert said.probability.shape == (64, 80)
+        found = said.probability >= 0.5
+        both, either = both + (found & one.oysters).sum(), either + (found | one.oysters).sum()
+    assert both / either > 0.6
+
+
+def test_oysters_one_by_one_have_scores_and_lie_apart(checkpoint):
+    one = image(101, height=64, width=80)
+    (said,) = UNetInstances(str(checkpoint), "cpu").run([Picture("a", one.pixels)])
+    assert said.numbers.max() == len(said.scores) > 0
+    assert ((said.scores > 0.5) & (said.scores <= 1)).all()
+
+
+def test_the_network_keeps_the_size_and_has_two_answers():
+    network = UNetwork(NetworkSettings(depth=4, base=4))
+    assert network(torch.zeros(2, 3, 32, 48)).shape == (2, 2, 32, 48)
+    assert sum(p.numel() for p in UNetwork(NetworkSettings()).parameters()) == 482_754
+
+
+@pytest.mark.parametrize("size", [(64, 80), (61, 83), (5, 7)])
+def test_pictures_of_any_size_are_answered_at_their_size(size, checkpoint):
+    pixels = np.random.default_rng(0).integers(0, 255, (*size, 3), dtype=np.uint8)
+    assert Model.read(checkpoint).logits(pixels).shape == (2, *size)
+
+
+def test_a_large_picture_in_parts_is_answered_everywhere_and_almost_as_the_whole(checkpoint, monkeypatch):
+    """Parts are normalised each by itself, so that they differ a little from the whole; the seams do not show."""
+    one = image(7, height=192, width=256)
+    found = Model.read(checkpoint)
+    whole = found.logits(one.pixels)[0]
+    monkeypatch.setattr(model, "LARGEST_TILE", 64)
+    monkeypatch.setattr(model, "MARGIN", 16)
+    parts = found.logits(one.pixels)[0]
+    assert ((whole > 0) == (parts > 0)).mean() > 0.95
+    spans = [inner for _, inner in model._parts(200)]
+    assert spans[0].start == 0
+    assert spans[-1].stop == 200
+    assert all(a.stop == b.start for a, b in pairwise(spans))
+
+
+def test_enlarged_logits_keep_their_place():
+    """A step in the middle stays in the middle: corners of pixels lie on corners of pixels."""
+    small = np.where(np.arange(8) < 4, -1.0, 1.0).astype(np.float32)
+    large = enlarged(np.broadcast_to(small, (1, 4, 8)), 16, 32)[0]
+    assert np.array_equal(large[3] > 0, np.arange(32) >= 16)
+
+
+# Instances
+
+
+def discs(*places: tuple[int, int, int]) -> np.ndarray:
+    y, x = np.mgrid[:60, :80]
+    found = np.zeros((60, 80))
+    for cx, cy, radius in places:
+        found = np.maximum(found, ((x - cx) ** 2 + (y - cy) ** 2 <= radius**2) * 0.9)
+    return found.astype(np.float32)
+
+
+def test_oysters_that_touch_are_told_apart_by_their_cores_and_share_no_pixel():
+    oyster = discs((20, 30, 12), (42, 30, 12), (68, 10, 6))
+    core = discs((20, 30, 5), (42, 30, 5))
+    found = find_instances(oyster, core)
+    assert len(found.scores) == 3  # the third has no core, and is one all the same
+    assert found.scores == pytest.approx([0.9] * 3)
+    assert np.array_equal(found.labels > 0, oyster > 0.5)
+    left, right = found.labels[30, 20], found.labels[30, 42]
+    assert left != right
+    assert (found.labels[:, :30][oyster[:, :30] > 0] == left).all()
+    assert (found.labels[:, 33:55][oyster[:, 33:55] > 0] == right).all()
+
+
+def test_a_core_claims_nothing_across_a_gap():
+    oyster = discs((10, 30, 6), (40, 30, 6))
+    found = find_instances(oyster, discs((10, 30, 3)))
+    assert found.labels[30, 10] != found.labels[30, 40]
+    assert len(found.scores) == 2
+
+
+def test_specks_are_no_oysters_and_nothing_gives_nothing():
+    assert len(find_instances(discs((20, 30, 2)), discs()).scores) == 0
+    empty = find_instances(discs(), discs())
+    assert not empty.labels.any()
+
+
+# What a user sees
+
+
+def test_without_a_training_one_line_says_how_to_make_one(home):
+    with pytest.raises(
+        MethodError,
+        match=r"no checkpoint at .*models/unet\.pt: it is trained on your machine, by "
+        r"`oysterbench train unet --data seg-train`",
+    ):
+        list(UNet().run([]))
+
+
+def test_the_checkpoint_is_an_option_of_the_method(checkpoint):
+    method = find_method(f"unet[checkpoint={checkpoint},device=cpu]")
+    (said,) = method.run([Picture("a", image(1).pixels)])
+    assert said.probability.shape == (48, 64)
+
+
+def test_the_command_trains_and_says_where_the_checkpoint_is(home, tmp_path):
+    from click.testing import CliRunner
+
+    from oysterbench.cli import main
+
+    small_set(tmp_path / "set", {"one": ("train", 2), "two": ("test", 1)})
+    words = ["train", "unet", "--data", str(tmp_path / "set"), "--side", "train", "--steps", "1", "--threads", "1"]
+    result = CliRunner().invoke(main, [*words, "--device", "cpu"], catch_exceptions=False)
+    assert result.exit_code == 0, result.stderr
+    path = home / "models" / "unet.pt"
+    assert result.stdout.strip() == str(path)
+    assert "training unet on 2 images: 1 of 1 steps" in result.stderr
+    train_side = open_labelled(tmp_path / "set").of_split("train")
+    assert read_checkpoint(path).identity["data"] == {"set train": train_side.digest()}
