@@ -37,18 +37,19 @@ class Nothing:
 
 @dataclass(frozen=True)
 class Settings:
-    """surround: of the picture's width, the sigma over which the water's and the lamps' light is taken to be even;
-    smooth: the same, of the patches that are called oyster; steepness: of the probability over standard deviations;
-    offset: standard deviations above the surround at which it is a half."""
+    """surround: of the picture's width, the sigma over which the water's and the lamps' light is taken to be even, and
+    the bottom of one colour; smooth: the same, of the patches that are called oyster; times: the mean colour difference
+    at which the probability is a half; steepness: of the probability over mean colour differences. Chosen on seg-mini.
+    """
 
     surround: float = 0.15
-    smooth: float = 0.008
-    steepness: float = 2.0
-    offset: float = 0.6
+    smooth: float = 0.035
+    times: float = 1.15
+    steepness: float = 3.0
 
 
 class Colour:
-    """What is lighter than its surroundings: shell over sediment. A threshold on one colour, and nothing learnt."""
+    """What has another colour than its surroundings: shell over sediment, whichever is lighter."""
 
     name, track = "colour", "segmentation"
 
@@ -62,22 +63,20 @@ class Colour:
     def run(self, images: Iterable[Picture]) -> Iterator[Segmentation]:
         """Probabilities."""
         for image in images:
-            yield Segmentation(image.name, probability=self.probability(image.pixels))
-
-    def probability(self, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """(H, W) of a picture (H, W, 3) uint8 RGB: a logistic function of how far it is above its surround."""
-        return logistic(contrast(pixels, self.settings), self.settings)
+            yield Segmentation(image.name, probability=probability(image.pixels, self.settings))
 
 
-def contrast(pixels: NDArray[np.uint8], settings: Settings) -> NDArray[np.float32]:
-    """(H, W): lightness (CIE L*) above its surround, in standard deviations of the picture."""
+def probability(pixels: NDArray[np.uint8], settings: Settings) -> NDArray[np.float32]:
+    """(H, W) of a picture (H, W, 3) uint8 RGB: a logistic function of the colour difference."""
+    steps = settings.steepness * (colour_difference(pixels, settings) - settings.times)
+    return np.asarray(1 / (1 + np.exp(-steps)), dtype=np.float32)
+
+
+def colour_difference(pixels: NDArray[np.uint8], settings: Settings) -> NDArray[np.float32]:
+    """(H, W): distance in CIE L*a*b* (1976) of each pixel's colour from its surround's, smoothed, by the picture's
+    mean; 0 where the picture is of one colour."""
     width = pixels.shape[1]
-    light = cv2.cvtColor(pixels.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)[..., 0]
-    above = cv2.GaussianBlur(light, (0, 0), settings.smooth * width)
-    above = above - cv2.GaussianBlur(light, (0, 0), settings.surround * width)
-    return np.asarray(above / max(float(above.std()), 1e-3), dtype=np.float32)
-
-
-def logistic(contrast: NDArray[np.float32], settings: Settings) -> NDArray[np.float32]:
-    """(H, W) probabilities."""
-    return np.asarray(1 / (1 + np.exp(-settings.steepness * (contrast - settings.offset))), dtype=np.float32)
+    lab = cv2.cvtColor(pixels.astype(np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)
+    surround = cv2.GaussianBlur(lab, (0, 0), settings.surround * width)
+    distance = cv2.GaussianBlur(np.linalg.norm(lab - surround, axis=2), (0, 0), settings.smooth * width)
+    return np.asarray(distance / max(float(distance.mean()), 1e-3), dtype=np.float32)

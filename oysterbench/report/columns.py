@@ -62,11 +62,11 @@ STANDING = (
 SEGMENTATION = (
     Column("iou", "IoU", "", decimals=3, small=0.0),
     Column("image_iou", "IoU", "by image", decimals=3, small=0.0),
-    Column("boundary_iou", "IoU", "border", decimals=3, small=0.0),
+    Column("boundary_iou", "IoU", "boundary", decimals=3, small=0.0),
     Column("precision", "prec", "", decimals=3, small=0.0),
     Column("recall", "recall", "", decimals=3, small=0.0),
     Column("dice", "Dice", "", decimals=3, small=0.0),
-    Column("empty_false_positive_rate", "false", "% empty", factor=100.0),
+    Column("empty_false_positive_rate", "empty", "% false", factor=100.0),
 )
 DETECTION = (
     Column("ap_mask", "AP", "mask", decimals=3, small=0.0),

@@ -114,17 +114,23 @@ def _results(records: Sequence[ResultRecord]) -> str:
     """Results by sequence."""
     found = results_tables(records)
     headed = len(found) > 1
+    slam = all(record.track == "slam" for record in records)
     drawn = [(f"<h3>{escape(table.title)}</h3>" if headed else "") + _table(table) for table in found]
     shaded = (
-        " The best of each sequence is shaded, errors among runs that answer at least "
-        f"{COMPLETE:.0%} of what the most complete one does."
+        (
+            " The best of each sequence is shaded, errors among runs that answer at least "
+            f"{COMPLETE:.0%} of what the most complete one does."
+            if slam
+            else " The best of each sequence is shaded."
+        )
         if any(any(line.best) for table in found for line in table.lines)
         else ""
     )
     several = " Of several runs the medians are shown." if any(record.run for record in records) else ""
+    beside = "; read every error beside its coverage" if slam else ""
     return "".join(drawn) + (
         f'<p class="small">{ARROWS["lower"]} lower is better, '
-        f"{ARROWS['higher']} higher is better; read every error beside its coverage.{shaded}{several}</p>"
+        f"{ARROWS['higher']} higher is better{beside}.{shaded}{several}</p>"
     )
 
 
@@ -158,7 +164,8 @@ def _heading(heading: Heading, i: int) -> str:
     metric = find_metric(heading.key) if heading.key else None
     text = metric.short if metric is not None and metric.short and heading.unit != "difference" else heading.text
     text = text if heading.name else text[0].upper() + text[1:]
-    unit = " ".join(part for part in (heading.unit, ARROWS[metric.better] if metric is not None else "") if part)
+    own = "" if heading.unit.lower() in text.lower() else heading.unit
+    unit = " ".join(part for part in (own, ARROWS[metric.better] if metric is not None else "") if part)
     about = f' title="{escape(metric.definition)}"' if metric is not None else ""
     name = "" if heading.number and i else ' class="name"'
     return f'<th scope="col"{name}{about}>{_unbroken(text)}<br><small>{escape(unit)}</small></th>'
