@@ -42,4 +42,5 @@ def jpeg(pixels: NDArray[np.uint8]) -> bytes:
 
 def sampled(names: tuple[str, ...], count: int) -> set[str]:
     """So many names, evenly over them."""
-    return {names[round(k * (len(names) - 1) / max(1, count - 1))] for k in range(min(count, len(names)))}
+    count = min(count, len(names))
+    return {names[round(k * (len(names) - 1) / max(1, count - 1))] for k in range(count)}
