@@ -102,6 +102,8 @@ class GtsamFull(GtsamVi):
             estimator.add_segment(segment)
             estimator.add_frame(latest_ns, Segment.join([*since_frame, segment]), *NOTHING)
         estimator.finish()
-        trajectory = estimator.online() if self.output == "online" else estimator.smoothed()
+        paths = estimator.paths()
+        others = {name: path for name, path in paths.items() if name != self.output and len(path)}
         info = {"trajectory": self.output, "camera": camera, "sensors": ["imu", *sensors, camera], **estimator.info}
-        return Estimate(trajectory, {**info, "settings": dataclasses.asdict(self.settings)})
+        info["settings"] = dataclasses.asdict(self.settings)
+        return Estimate(paths[self.output], info, self.output, others)

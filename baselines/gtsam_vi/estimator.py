@@ -327,6 +327,10 @@ class Estimator:
                 keyframe.state = forward(before.state, keyframe.segment, self.model.params)
         self._fill_back(0)
 
+    def paths(self) -> dict[str, Trajectory]:
+        """Both paths, by name."""
+        return {"smoothed": self.smoothed(), "online": self.online()}
+
     def online(self) -> Trajectory:
         """T_odom_base at every frame as it was known at that frame; before the start, as it was known at the start."""
         poses, covariances = [], []

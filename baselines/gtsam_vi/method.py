@@ -69,9 +69,11 @@ class GtsamVi:
             estimator.add_frame(image.stamp_ns, segment, tracks.ids, tracks.rays, match)
             estimator.look(front_end.image)
         estimator.finish()
-        trajectory = estimator.online() if self.output == "online" else estimator.smoothed()
+        paths = estimator.paths()
+        others = {name: path for name, path in paths.items() if name != self.output and len(path)}
         info = {"trajectory": self.output, "cameras": cameras, **estimator.info}
-        return Estimate(trajectory, {**info, "settings": dataclasses.asdict(self.settings)})
+        info["settings"] = dataclasses.asdict(self.settings)
+        return Estimate(paths[self.output], info, self.output, others)
 
     def _cameras(self, sequence: Sequence) -> tuple[str, str | None]:
         """Names of the camera, and of the second."""
