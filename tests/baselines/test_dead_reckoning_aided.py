@@ -178,6 +178,58 @@ def test_two_beams_of_four_still_hold_the_path_down():
     assert drift(sequence, reckon(sequence)) < 0.02
 
 
+def test_each_beam_that_is_left_helps():
+    """Eight seconds without a velocity, none, one, two or three beams: each makes the path surer, and none too sure."""
+    sigmas, values = [], []
+    for beams in range(4):
+        valid = np.arange(4) < beams
+
+        def lame(sample, valid=valid):
+            if (sample.stamp_ns - dive.START_NS) * 1e-9 < 5.0:
+                return sample
+            return dataclasses.replace(
+                sample,
+                velocity=np.full(3, np.nan),
+                covariance=np.full((3, 3), np.nan),
+                beam_velocities=np.where(valid, sample.beam_velocities, np.nan),
+                beam_valid=valid,
+            )
+
+        for seed in range(2):
+            sequence = make(seed, ("dvl", "pressure"), 13.0, resting=False)
+            sequence.change("dvl", lame)
+            trajectory = reckon(sequence)
+            error, covariance = errors(sequence, trajectory)[-1], trajectory.covariances[-1]
+            values.append(error @ np.linalg.solve(covariance, error))
+        sigmas.append(float(np.sqrt(np.trace(covariance[:2, :2]))))
+    assert sigmas[0] > 1.5 * sigmas[1]
+    assert sigmas[1] > 1.2 * sigmas[2]
+    assert sigmas[2] > sigmas[3]
+    assert np.mean(values) < chi2.ppf(0.999, 6 * len(values)) / len(values)
+
+
+def test_waves_are_told_from_the_readings_and_do_not_pull_the_depth():
+    """A swell of 8 cm and 5 s at the sensor, as a shallow reef has it, in the readings alone: no state knows of it."""
+    sequence = make(3, ("dvl", "pressure"), 40.0)
+    calm = make(3, ("dvl", "pressure"), 40.0)
+
+    def swell(sample):
+        elapsed = (sample.stamp_ns - dive.START_NS) * 1e-9
+        return dataclasses.replace(sample, pressure=sample.pressure + 1e4 * 0.08 * np.sin(2 * np.pi * elapsed / 5.0))
+
+    sequence.change("pressure", swell)
+    result = DeadReckoning().run(sequence.for_method())
+    trajectory, in_calm = result.trajectory, reckon(calm)
+    off = errors(sequence, trajectory)
+    # When it has seen some waves; the height of the start is a reading, too.
+    assert np.ptp(off[2500:, 2]) < 0.03
+    assert result.info["refused"]["pressure"] < 5
+    sigma = np.sqrt(trajectory.covariances[:, 2, 2])
+    assert np.all(np.abs(off[:, 2]) < 4 * sigma + 1e-3)
+    # And a calm sea is told as well: depth is then held more tightly.
+    assert np.sqrt(in_calm.covariances[-1, 2, 2]) < 0.5 * sigma[-1]
+
+
 @pytest.mark.parametrize("kind", ALL)
 def test_each_sensors_derivative_is_that_of_its_prediction(kind):
     """The row that a sample adds, against the change of its residual when the filter's error is moved."""
