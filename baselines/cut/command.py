@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 SAMPLES = 4
 """Rows of a sample sheet."""
+SHEETS = 20
+"""Sample sheets of a training, about."""
 
 source_option = click.option("--source", required=True, metavar="SPLIT|PATH", help="Rendered images, with labels.")
 side_option = click.option(
@@ -55,7 +57,7 @@ def train_command(
       oysterbench train cut --source seg-train --target my-dives --method cut --size full --device auto --out cut-full
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
 
-    Leaves checkpoint.pt, losses.csv, losses.png and samples/, a sheet for each time that it was kept. May be
+    Leaves checkpoint.pt, losses.csv, losses.png and samples/, sheets of some twenty stages. May be
     interrupted, even killed: the same command goes on from the last checkpoint, to the same weights.
     """
     from oysterbench.cli_labelled import open_data
@@ -75,6 +77,9 @@ def train_command(
 
     def keep(trainer: Trainer, checkpoint: Checkpoint) -> None:
         write_curves(checkpoint, out)
+        last = max((int(path.stem) for path in (out / "samples").glob("*.png")), default=0)
+        if not checkpoint.finished and checkpoint.step < last + settings.steps / SHEETS:
+            return
         generator, _ = generator_of(checkpoint, str(out))
         found = [translate(generator, settings, image.pixels) for image in samples]
         write_picture(out / "samples" / f"{checkpoint.step:06d}.png", sample_sheet(samples, found, beside))
