@@ -48,6 +48,13 @@ PROGRAMS = {
     "    open(argv[0] + '.pid', 'w').write(str(os.getpid()))\n"
     "    while not os.path.exists(argv[0] + '.go'): time.sleep(0.01)\n"
     "shutil.copy(argv[0], argv[2])",
+    # Notes the number of its run, its fourth argument; all but the first wait until a file is there.
+    "holds": "import shutil, time\n"
+    "open(argv[0] + '.log', 'a').write(argv[3] + '\\n')\n"
+    "if argv[3] != '0':\n"
+    "    open(f'{argv[0]}.pid{argv[3]}', 'w').write(str(os.getpid()))\n"
+    "    while not os.path.exists(argv[0] + '.go'): time.sleep(0.01)\n"
+    "shutil.copy(argv[0], argv[2])",
     "counts": "import shutil; open(argv[0] + '.log', 'a').write(argv[3] + '\\n'); shutil.copy(argv[0], argv[2])",
 }
 

@@ -106,6 +106,32 @@ def test_what_was_finished_survives_and_the_same_command_goes_on(number, dive_fi
     assert [record.run for record in read_results(tmp_path / "out/results.json")] == [0, 1]
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_jobs_that_run_side_by_side_all_end_and_all_go_on(number, dive_file, answer, tmp_path):
+    arguments = ("mine", "--command", command(tmp_path, "holds", answer, "mcap", "{seed}"), "--on", dive_file)
+    arguments = (*arguments, "--runs", "3", "--jobs", "2", "--out", tmp_path / "out")
+    pid_files = [Path(f"{answer}.pid{k}") for k in (1, 2)]
+    process = start(*arguments)
+    until(
+        lambda: (
+            all(path.is_file() and path.read_text() for path in pid_files) and (tmp_path / "out/results.json").is_file()
+        ),
+        process,
+    )
+    process.send_signal(number)
+    process.communicate()
+    pids = [int(path.read_text()) for path in pid_files]
+    end = time.monotonic() + PATIENCE_S
+    while any(map(is_alive, pids)) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not any(map(is_alive, pids))
+    Path(f"{answer}.go").touch()
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert sorted(Path(f"{answer}.log").read_text().split()) == ["0", "1", "1", "2", "2"]
+    assert [record.run for record in read_results(tmp_path / "out/results.json")] == [0, 1, 2]
+
+
 def test_a_sequence_without_truth_gives_poses_and_no_score(dive_file, answer, tmp_path):
     from oysterbench.methods.inputs import write_input
 

@@ -52,7 +52,7 @@ def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> Depth
     floor = settings.noise_grey**2
     mean: Any = cv2.blur(view.grey, window)
     deviation = _deviation(view.grey, mean, window, floor)
-    scores = np.zeros((len(inverse_depths), *view.grey.shape), dtype=np.float32)
+    scores = np.full((len(inverse_depths), *view.grey.shape), -1.0, dtype=np.float32)
     for k, inverse_depth in enumerate(inverse_depths):
         for source, T in zip(sources, relative, strict=True):
             plane = T[:3, :3] + np.outer(T[:3, 3], [0.0, 0.0, inverse_depth])
@@ -64,7 +64,8 @@ def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> Depth
             other_mean: Any = cv2.blur(warped, window)
             covariance: Any = cv2.blur(view.grey * warped, window) - mean * other_mean
             correlation = covariance / (deviation * _deviation(warped, other_mean, window, floor))
-            scores[k] += correlation / len(sources)
+            # What hides a point from one side leaves it to the other: the best source counts.
+            np.maximum(scores[k], correlation, out=scores[k])
     return DepthMap(view, _peaks(scores, inverse_depths, settings))
 
 
