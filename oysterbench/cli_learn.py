@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
 import click
 
@@ -22,6 +23,15 @@ class Installed(click.Group):
     def list_commands(self, context: click.Context) -> list[str]:
         return sorted(self._found())
 
+    def invoke(self, context: click.Context) -> Any:
+        try:
+            return super().invoke(context)
+        except ModuleNotFoundError as error:  # what is heavy is imported when the command runs
+            raise self._lacking(error) from None
+
+    def _lacking(self, error: ImportError) -> MethodError:
+        return MethodError(f"{self.name}: {error}; install what it needs, e.g. pip install 'oysterbench[learn]'")
+
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         point = self._found().get(name)
         if point is None:
@@ -29,10 +39,7 @@ class Installed(click.Group):
         try:
             command = point.load()
         except ImportError as error:
-            raise MethodError(
-                f"{self.name} {name}: cannot be loaded: {error}; install what it needs, e.g. "
-                "pip install 'oysterbench[learn]'"
-            ) from None
+            raise self._lacking(error) from None
         if not isinstance(command, click.Command):
             raise MethodError(f"{self.name} {name}: expected a click command, got {type(command)}")
         return command

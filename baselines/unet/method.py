@@ -32,9 +32,9 @@ class UNet:
 
     def run(self, images: Iterable[Picture]) -> Iterator[Segmentation]:
         """Probabilities at the pictures' own size."""
+        model = load_model(self.checkpoint, self.device)
         from oysterbench_baselines.unet.model import probability
 
-        model = load_model(self.checkpoint, self.device)
         for image in images:
             yield Segmentation(image.name, probability=probability(model.logits(image.pixels)[0]))
 
@@ -46,10 +46,10 @@ class UNetInstances(UNet):
 
     def run(self, images: Iterable[Picture]) -> Iterator[Any]:
         """Masks that do not overlap, and how sure each is."""
+        model = load_model(self.checkpoint, self.device)
         from oysterbench_baselines.unet.instances import find_instances
         from oysterbench_baselines.unet.model import probability
 
-        model = load_model(self.checkpoint, self.device)
         for image in images:
             found = find_instances(*probability(model.logits(image.pixels)))
             yield Detections(image.name, found.scores, numbers=found.labels)
@@ -68,7 +68,10 @@ def load_model(checkpoint: str, device: str) -> Model:
             f"unet: no checkpoint at {path}: it is trained on your machine, by `oysterbench train unet --data "
             f"seg-train`; one elsewhere is named by unet[checkpoint=PATH] or by {CHECKPOINT}"
         )
-    from oysterbench_baselines.learning.loop import pick_device
-    from oysterbench_baselines.unet.model import Model
+    try:
+        from oysterbench_baselines.learning.loop import pick_device
+        from oysterbench_baselines.unet.model import Model
+    except ModuleNotFoundError as error:
+        raise MethodError(f"unet: {error}; it runs on PyTorch: pip install 'oysterbench[learn]'") from None
 
     return Model.read(path, pick_device(device))
