@@ -134,13 +134,20 @@ class LoopCloser:
             self._settled += 1
 
     def _drift(self, keyframes: list[Keyframe], n: int) -> Drift:
+        """Of the step to place n: a random walk, more where there was little to see, anything where it was lost."""
         settings = self.settings
         if n == 0:
             return Drift(0.0, 0.0)
         before, after = keyframes[self.places[n - 1].keyframe], keyframes[self.places[n].keyframe]
         distance = float(np.linalg.norm(after.state.matrix[:3, 3] - before.state.matrix[:3, 3]))
         duration = (after.stamp_ns - before.stamp_ns) * 1e-9
-        return Drift(settings.drift_heading**2 * duration, settings.drift_position**2 * (distance + 0.01 * duration))
+        between = keyframes[before.index + 1 : after.index + 1]
+        blind = sum(k.segment.duration for k in between if len(k.view.ids) < settings.place_landmarks)
+        lost = sum(k.segment.duration for k in between if not k.trusted)
+        heading = settings.drift_heading**2 * duration + (settings.unknown_rate * lost) ** 2
+        position = settings.drift_position**2 * (distance + 0.01 * duration)
+        position += (settings.drift_blind * (blind + blind**2)) ** 2 + (settings.unknown_speed * lost) ** 2
+        return Drift(heading, position)
 
     def _look(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> None:
         """Loops between the newest place and settled ones."""

@@ -34,7 +34,7 @@ class PoseGraph:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         params = gtsam.ISAM2Params()
-        params.setRelinearizeThreshold(0.01)
+        params.setRelinearizeThreshold(1e-3)  # m and rad: robust weights are renewed only then
         params.relinearizeSkip = 1
         params.findUnusedFactorSlots = True
         self._isam = gtsam.ISAM2(params)

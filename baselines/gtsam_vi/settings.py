@@ -92,6 +92,7 @@ class Settings:
     loop_prior_sigmas: float = 4.0  # of odometry's own uncertainty
     drift_position: float = 0.012  # m per square root of m
     drift_heading: float = 0.0015  # rad per square root of s
+    drift_blind: float = 0.02  # m/s and m/s^2, without tracks
     match_bits: int = 72  # between descriptors of one corner; of two, 128 on average
     match_ratio: float = 0.9
     align_share: float = 0.05  # of the distance: by how much corners may miss each other on the ground
@@ -108,10 +109,10 @@ class Settings:
     loop_agree_m: float = 0.05  # m and rad
     loop_spread: float = 0.05  # of the picture's height, across the narrow side of where they are
     loop_pixel_sigma: float = 1.5  # of a landmark found again from another side
-    loop_cauchy: float = 2.0  # sigmas; beyond, a loop loses weight
+    loop_cauchy: float = 5.0  # sigmas; beyond, a loop loses weight
     loop_heading_floor: float = 0.002  # rad, 1 sigma: of landmarks and window, added to each loop
     loop_floor_m: float = 0.01  # likewise
-    loop_iterations: int = 2
+    loop_iterations: int = 3
     merge_px: float = 1.5  # a landmark found again this near a track is that track
 
     # Divergence.
