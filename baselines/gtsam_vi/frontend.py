@@ -75,6 +75,20 @@ def epipolar_inliers(
     return inliers[int(np.argmax(inliers.sum(axis=1)))]
 
 
+def even_contrast(grey: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
+    """A grey picture (H, W) without its veil of scattered light, and with the same contrast everywhere.
+
+    The veil is the mean around a pixel, which takes the slower part of caustics and of a lamp's cone with it; what is
+    left is divided by its own spread in a wider surrounding, and by no less than the sensor's noise.
+    """
+    picture = grey.astype(np.float32)
+    detail = picture - cv2.blur(picture, (settings.veil_px, settings.veil_px))
+    square = cv2.sqrBoxFilter(detail, cv2.CV_32F, (settings.contrast_px, settings.contrast_px))
+    spread = np.sqrt(np.maximum(square, 0.0))  # its running sums leave a little less than nothing where all is black
+    even = 128 + settings.contrast_grey * detail / (spread + settings.contrast_floor_grey)
+    return cv2.convertScaleAbs(np.maximum(even, 0.0)).astype(np.uint8, copy=False)
+
+
 class FrontEnd:
     """Tracks corners through the frames of one camera."""
 
@@ -82,7 +96,6 @@ class FrontEnd:
         self.calibration = calibration
         self.settings = settings
         self._focal = float(calibration.matrix[0, 0] + calibration.matrix[1, 1]) / 2
-        self._clahe = cv2.createCLAHE(settings.clahe_clip, (settings.clahe_tiles, settings.clahe_tiles))
         self._generator = stream(seed, b"", "gtsam_vi", "epipolar")
         self.image: NDArray[np.uint8] | None = None  # (H, W), the latest, equalised
         self._next_id = 0
@@ -101,9 +114,9 @@ class FrontEnd:
         return self._tracks
 
     def equalise(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A picture (H, W, 3) RGB or (H, W) as corners are looked for in it: grey, with its local contrast evened."""
+        """A picture (H, W, 3) RGB or (H, W) as corners are looked for in it: (H, W) uint8."""
         grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-        return np.asarray(self._clahe.apply(grey), dtype=np.uint8)
+        return even_contrast(np.asarray(grey, dtype=np.uint8), self.settings)
 
     def _follow(self, last: NDArray[np.uint8], image: NDArray[np.uint8], R_before_now: Array) -> Tracks:
         """The last frame's tracks in this one: Lucas-Kanade forth and back, then the epipolar check."""

@@ -15,9 +15,11 @@ class Settings:
     track_spacing_px: float = 18.0  # keeps corners from crowding on the best-lit texture
     corner_block_px: int = 5  # side of the patch that makes a corner
     corner_quality: float = 0.005  # share of the best corner's score; low, since turbid water has little contrast
-    clahe_clip: float = 2.0  # contrast limit of the equalisation: lifts veiled texture without lifting sensor noise
-    clahe_tiles: int = 8  # tiles per side
-    flow_window_px: int = 17  # side of the tracked patch: larger ones slide as the scene nears
+    veil_px: int = 27  # side of the mean that is taken away: wider than a patch, narrower than a caustic's web
+    contrast_px: int = 55  # side of the spread that is divided by
+    contrast_floor_grey: float = 3.0  # of the spread: the sensor's noise, which is not to be lifted
+    contrast_grey: float = 40.0  # the spread afterwards
+    flow_window_px: int = 21  # side of the tracked patch: smaller ones are lost in murk, larger ones slide over relief
     flow_levels: int = 3  # pyramid levels above the image: with the gyroscope's prediction, 80 px of flow
     backward_error_px: float = 0.7  # a track must return to where it came from
     epipolar_error_px: float = 1.5  # of verified tracks, at a known rotation

@@ -12,9 +12,19 @@ import synthetic_dive as dive
 from scipy.spatial.transform import Rotation
 
 from oysterbench.geometry import invert
+from oysterbench.methods import seed_of
 from oysterbench.sequence.types import ImuSample
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
-from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, epipolar_inliers, find_corners, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo
+from oysterbench_baselines.gtsam_vi.covariance import filter_slopes, joint_covariance
+from oysterbench_baselines.gtsam_vi.frontend import (
+    FrontEnd,
+    epipolar_inliers,
+    even_contrast,
+    find_corners,
+    homogeneous,
+    undistort,
+)
 from oysterbench_baselines.gtsam_vi.inertial import (
     integrate,
     preintegrate,
@@ -22,6 +32,7 @@ from oysterbench_baselines.gtsam_vi.inertial import (
 )
 from oysterbench_baselines.gtsam_vi.initialisation import View, closed_form_start, level_rotation
 from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.states import insert_state, make_state, read_state
 
 
 def texture(seed: int = 0) -> np.ndarray:
@@ -62,6 +73,97 @@ def test_a_picture_without_texture_gives_no_tracks():
     grey = np.full((480, 640, 3), 90, dtype=np.uint8)
     for _ in range(3):
         assert len(front_end.track(grey, np.eye(3)).ids) == 0
+
+
+def test_a_veil_of_scattered_light_and_a_lamps_cone_are_taken_away():
+    """The same texture with a tenth of its contrast, under a veil that brightens across the picture, looks the same."""
+    picture = texture().astype(float)
+    veil = 60 + 80 * np.linspace(0, 1, 640)[None, :]
+    clear = even_contrast(np.clip(picture, 0, 255).astype(np.uint8), Settings()).astype(float)
+    murky = even_contrast(np.clip(0.3 * (picture - 110) + veil, 0, 255).astype(np.uint8), Settings()).astype(float)
+    inner = (slice(60, -60), slice(60, -60))
+    assert np.corrcoef(clear[inner].ravel(), murky[inner].ravel())[0, 1] > 0.98
+    assert 0.7 < murky[inner].std() / clear[inner].std() < 1.05
+
+
+def test_noise_of_the_sensor_is_not_lifted_to_texture():
+    noise = np.random.default_rng(0).normal(size=(480, 640))
+    dark = np.clip(20 + noise, 0, 255).astype(np.uint8)
+    assert even_contrast(dark, Settings()).std() < 0.4 * even_contrast(texture(), Settings()).std()
+
+
+def test_the_seed_is_that_of_the_random_samples():
+    first, same, other = (FrontEnd(dive.camera_calibration(), Settings(), seed) for seed in (1, 1, 2))
+    draws = [front_end._generator.integers(0, 1 << 30, 4).tolist() for front_end in (first, same, other)]
+    assert draws[0] == draws[1] != draws[2]
+    assert seed_of(GtsamVi(seed=7)) == seed_of(GtsamViStereo(seed=7)) == 7
+
+
+def test_covariances_of_inertial_factors_are_those_of_many_draws():
+    """GTSAM's covariance of rotation, position and velocity against the scatter of noisy integrations of one motion."""
+    calibration, settings = dive.imu_calibration(), Settings(imu_inflation=1.0, integration_sigma=1e-6)
+    samples = dive.inertial_samples(dive.survey_pose, calibration, 0.5, None)
+    buffer = SampleBuffer()
+    for sample in samples:
+        buffer.add(sample)
+    segment = buffer.cut(samples[-1].stamp_ns)
+    params, bias = preintegration_params(calibration, settings), gtsam.imuBias.ConstantBias()
+    clean = preintegrate(segment, bias, params)
+    generator, errors = np.random.default_rng(1), []
+    for _ in range(400):
+        root = np.sqrt(segment.dt)[:, None]
+        gyro = segment.gyro + generator.normal(size=segment.gyro.shape) * calibration.gyro_noise_density / root
+        accel = segment.accel + generator.normal(size=segment.accel.shape) * calibration.accel_noise_density / root
+        noisy = preintegrate(Segment(segment.dt, gyro, accel), bias, params)
+        turn = gtsam.Rot3.Logmap(clean.deltaRij().between(noisy.deltaRij()))
+        errors.append(np.concatenate([turn, noisy.deltaPij() - clean.deltaPij(), noisy.deltaVij() - clean.deltaVij()]))
+    told = np.sqrt(np.diag(clean.preintMeasCov())[:9])
+    np.testing.assert_allclose(np.std(errors, axis=0), told, rtol=0.15)
+
+
+def test_the_filters_slopes_are_the_numerical_ones():
+    """By moving GTSAM's variables along their tangents, and reading the right-invariant error that this makes."""
+    generator = np.random.default_rng(2)
+    rotation = Rotation.from_rotvec([0.3, -0.2, 1.1]).as_matrix()
+    state = make_state(rotation, np.array([4.0, -2, 1]), np.array([0.3, 0.1, -0.2]), np.zeros(3), np.zeros(3))
+    slopes = filter_slopes(state, 5)
+    values = gtsam.Values()
+    insert_state(values, 5, state)
+    for key, slope in slopes.items():
+        step = generator.normal(size=slope.shape[1]) * 1e-6
+        delta = gtsam.VectorValues()
+        for other, columns in slopes.items():
+            delta.insert(other, step if other == key else np.zeros(columns.shape[1]))
+        moved = read_state(values.retract(delta), 5)
+        turned = moved.nav.attitude().matrix() @ rotation.T
+        error = np.concatenate([
+            Rotation.from_matrix(turned).as_rotvec(),
+            moved.nav.velocity() - turned @ state.nav.velocity(),
+            moved.nav.position() - turned @ state.nav.position(),
+            moved.bias.gyroscope(),
+            moved.bias.accelerometer(),
+        ])  # fmt: skip
+        np.testing.assert_allclose(slope @ step, error, atol=1e-10)
+
+
+def test_a_joint_covariance_holds_the_marginals():
+    generator = np.random.default_rng(3)
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in range(4):
+        values.insert(k, generator.normal(size=3))
+        noise = gtsam.noiseModel.Diagonal.Sigmas(generator.uniform(0.5, 2, 3))
+        graph.push_back(gtsam.PriorFactorVector(k, np.zeros(3), noise))
+    pose = gtsam.Pose3()
+    values.insert(10, pose)
+    values.insert(11, pose)
+    sigmas = gtsam.noiseModel.Diagonal.Sigmas(generator.uniform(0.1, 1, 6))
+    graph.push_back(gtsam.PriorFactorPose3(10, pose, sigmas))
+    graph.push_back(gtsam.BetweenFactorPose3(10, 11, pose, sigmas))
+    joint = joint_covariance(graph, values, [11, 2])
+    marginals = gtsam.Marginals(graph, values)
+    np.testing.assert_allclose(joint[:6, :6], marginals.marginalCovariance(11), atol=1e-9)
+    np.testing.assert_allclose(joint[6:, 6:], marginals.marginalCovariance(2), atol=1e-9)
+    np.testing.assert_allclose(joint[:6, 6:], 0, atol=1e-12)
 
 
 def test_corners_are_spread_over_the_picture():

@@ -112,7 +112,7 @@ def test_corners_are_found_in_the_second_picture_to_a_fraction_of_a_pixel():
         assert matched[inside].mean() > 0.8
         error = np.linalg.norm(found - expected, axis=1)[matched] * second.matrix[0, 0]
         assert np.median(error) < 0.25
-        assert np.quantile(error, 0.95) < 1.0  # along the epipolar line nothing tells a wrong one
+        assert np.quantile(error, 0.9) < 1.0  # along the epipolar line nothing tells a wrong one
 
 
 def test_another_picture_has_no_matches():
