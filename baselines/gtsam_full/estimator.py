@@ -291,4 +291,6 @@ class AidedEstimator(Estimator):
             return
         self.info["keyframes"] = len(self.keyframes)
         self.info["initialised"] = int(self._window is not None)
+        if self.loops is not None:
+            self.info["places"], self.info["loops"] = len(self.loops.places), len(self.loops.loops)
         self.info.update({f"refused_{kind}": n for kind, n in self.aiding.refused.items()})
