@@ -15,8 +15,8 @@ from oysterbench_baselines.sim2real.report import HEADINGS, lines, markdown, rep
 from oysterbench_baselines.sim2real.scoring import WHOLE, score
 from oysterbench_baselines.sim2real.settings import Settings, cells_of
 from oysterbench_baselines.sim2real.table import Row, table
-from oysterbench_baselines.sim2real.trivial import TRIVIAL, answers
-from oysterbench_baselines.sim2real.work import RESULT, Bench, finished, records_of, run_cell
+from oysterbench_baselines.sim2real.trivial import TRIVIAL, answers, settings_of
+from oysterbench_baselines.sim2real.work import RESULT, Bench, finished, known_records, records_of, run_cell
 
 Say = Callable[[str], None]
 Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
@@ -43,7 +43,7 @@ def run(
         say(remark)
     bench = Bench(real, synthetic, settings, device)
     cells = [cell for cell in cells_of(tuple(synthetic), settings) if (cell.size or 0) <= len(real.train)]
-    records = _trivial(bench)
+    records = _trivial(bench, out / "cells")
     done = {cell: finished(bench, cell, out / "cells" / cell.folder) for cell in cells}
     left = [cell for cell in cells if done[cell] is None]
     if train and left:
@@ -74,11 +74,16 @@ def run(
     return rows
 
 
-def _trivial(bench: Bench) -> list[ResultRecord]:
+def _trivial(bench: Bench, cells: Path) -> list[ResultRecord]:
     records = []
-    for method in TRIVIAL:
-        found = score(bench.truth, answers(method(), bench.truth))
-        records += records_of(found, method.name, bench, None, {})
+    for kind in TRIVIAL:
+        method, folder = kind(), cells / kind.name
+        identity = {"method": kind.name, "settings": settings_of(method), "test": bench.test_digest}
+        known = known_records(folder, identity)
+        if known is None:
+            known = records_of(score(bench.truth, answers(method, bench.truth)), kind.name, bench, None, identity)
+            write_results(folder / RESULT, known)
+        records += known
     return records
 
 

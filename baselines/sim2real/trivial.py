@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,6 +15,12 @@ from oysterbench_baselines.threshold import All, Colour, Nothing
 
 TRIVIAL = (All, Nothing, Colour)
 """Methods that are rows of the table under their own names."""
+
+
+def settings_of(method: Any) -> dict[str, Any]:
+    """Of a method that has settings, as plain values."""
+    as_dict = getattr(method, "as_dict", None)
+    return {} if as_dict is None else json.loads(json.dumps(as_dict()))
 
 
 def answers(method: Any, truth: Truth) -> Iterator[Answer]:

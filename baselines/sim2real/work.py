@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import io
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -48,7 +47,8 @@ class Bench:
         self._train = LabelledDataset(self.real.train, self.settings.network.scale)
         self._place = {entry.name: k for k, entry in enumerate(self.real.train.entries)}
         self._digests = {name: labelled.digest() for name, labelled in self.synthetic.items()}
-        self._test_digest = self.real.test.digest()
+        self.test_digest = self.real.test.digest()
+        self._drawn: dict[tuple[int, int], str] = {}
         self._truth: Truth | None = None
 
     @property
@@ -68,16 +68,26 @@ class Bench:
             "alike",
         ):  # they say which cells and images there are, and how all is summed up
             del plain[key]
-        chosen = [] if cell.size is None else [e.name for e in drawn(self.real.train, cell.size, cell.seed).entries]
-        data = {"synthetic": self._digests.get(cell.synthetic, ""), "test": self._test_digest}
+        data = {
+            "synthetic": self._digests.get(cell.synthetic, ""),
+            "real": self._real_digest(cell.size, cell.seed),
+            "test": self.test_digest,
+        }
         return {
             "method": "unet",
             "cell": [cell.synthetic, cell.size, cell.seed],
             "settings": plain,
             "data": data,
-            "real": hashlib.sha256("\n".join(chosen).encode()).hexdigest(),
             "device": pick_device(self.device).type,
         }
+
+    def _real_digest(self, size: int | None, seed: int) -> str:
+        """Of the real images of a cell; empty where it has none."""
+        if size is None:
+            return ""
+        if (size, seed) not in self._drawn:
+            self._drawn[size, seed] = drawn(self.real.train, size, seed).digest()
+        return self._drawn[size, seed]
 
     def train(self, cell: Cell, folder: Path, progress: Callable[[int], None]) -> Model:
         """The trained network of a cell, from its checkpoint where there is one."""
@@ -146,10 +156,15 @@ def run_cell(bench: Bench, cell: Cell, folder: Path, progress: Callable[[int], N
 
 def finished(bench: Bench, cell: Cell, folder: Path) -> list[ResultRecord] | None:
     """The records in a folder; None where there are none yet."""
+    return known_records(folder, bench.identity(cell))
+
+
+def known_records(folder: Path, identity: Mapping[str, Any]) -> list[ResultRecord] | None:
+    """The records in a folder; None where there are none yet. Raises ResultError where they are of something else."""
     if not (folder / RESULT).is_file():
         return None
     records = read_results(folder / RESULT)
-    if any(record.info.get("identity") != bench.identity(cell) for record in records):
+    if any(record.info.get("identity") != identity for record in records):
         raise ResultError(
             f"{folder}: holds a cell of other data or settings; --out chooses another folder, or remove this one"
         )

@@ -135,7 +135,7 @@ def test_it_leaves_a_result_for_each_cell_and_goes_on_where_it_was_stopped(real,
     rows = experiment(real, {"made": synthetic}, tmp_path, said=said)
     assert begun[2] == begun[3], "the one that was interrupted is done again"
     assert len(begun) == 6, "those that were finished are not"
-    assert len(list((tmp_path / "cells").glob("*/results.json"))) == 5
+    assert len(list((tmp_path / "cells").glob("*-seed-*/results.json"))) == 5
     assert "5 of 5 trainings are finished" in said
     assert [(row.variant, row.images) for row in rows] == [
         ("all", 0), ("none", 0), ("colour", 0), ("made only", 0),
