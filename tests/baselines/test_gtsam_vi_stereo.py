@@ -10,6 +10,8 @@ import pytest
 import synthetic_dive as dive
 
 from oysterbench.errors import MethodError
+from oysterbench.evaluate.settings import SlamSettings
+from oysterbench.evaluate.slam import score
 from oysterbench.geometry import Array, align_yaw, invert
 from oysterbench.samples import Image
 from oysterbench.sequence.types import ImuSample
@@ -73,6 +75,14 @@ def test_a_dive_is_recovered_to_a_thousandth_of_its_path(seed):
     estimator = estimate(measured)
     for trajectory in (estimator.online(), estimator.smoothed()):
         assert position_error(measured.truth, trajectory) < 0.001 * measured.truth.path_length
+
+
+def test_errors_are_as_large_as_the_covariances_say():
+    measured = dive.make_dive(0, duration_s=8.0)
+    estimator = estimate(measured)
+    for trajectory in (estimator.online(), estimator.smoothed()):
+        found = score(measured.truth, trajectory, SlamSettings(align="origin")).metrics
+        assert 0.2 < found["nees_pose"] < 12.0  # 6 are expected, of errors that hang together over the whole dive
 
 
 def test_a_second_camera_that_sees_nothing_leaves_the_first_to_do_it():
