@@ -88,7 +88,7 @@ def _kept(one: NDArray[np.float64], other: NDArray[np.float64], band: Mask) -> f
 def _flow(before: Picture, after: Picture) -> NDArray[np.float32]:
     """(H, W, 2) px, dense, between the pictures' light with its slow changes and its contrast taken out."""
     grey = [_levelled(picture) for picture in (before, after)]
-    method = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     return np.asarray(method.calc(grey[0], grey[1], None), dtype=np.float32)
 
 

@@ -74,7 +74,7 @@ class Trainer:
 
         self.discriminator.requires_grad_(False)
         real = looks(self.discriminator(translated), True)
-        content = self._content(translated.flip(3) if mirrored else translated, source, ("source", number), mirrored)
+        content = self._content(translated, source, ("source", number), mirrored)
         identity = torch.zeros(())
         if self.settings.identity:
             identity = self._content(both[1:], target, ("target", number))
@@ -97,10 +97,10 @@ class Trainer:
     def _content(
         self, translated: torch.Tensor, original: torch.Tensor, name: tuple[str, int], mirrored: bool = False
     ) -> torch.Tensor:
-        """PatchNCE between a picture and its translation. Where the generator was given the mirrored one, features of
-        its translation are taken as they came, mirrored, and turned back."""
+        """PatchNCE between a picture and its translation; where that is of the mirrored picture, its features are
+        turned back before they are compared."""
         settings = self.settings
-        seen = self.generator.encode(translated.flip(3) if mirrored else translated, settings.layers)
+        seen = self.generator.encode(translated, settings.layers)
         if mirrored:
             seen = {key: values.flip(3) for key, values in seen.items()}
         with torch.no_grad():
@@ -179,8 +179,8 @@ def train(
         keep(trainer, state)
 
     for number in range(state.step, settings.steps):
-        crops = draw_pair(pictures, settings.crop, streams, number)
-        losses = trainer.step(*(crop.to(device) for crop in crops), number)
+        given, wanted = draw_pair(pictures, settings.crop, streams, number)
+        losses = trainer.step(given.to(device), wanted.to(device), number)
         state.losses.extend(losses)
         state.step = number + 1
         progress(state.step, settings.steps, dict(zip(TERMS, losses, strict=True)))

@@ -123,6 +123,17 @@ def test_patches_find_themselves_again_and_colours_come_nearer(tmp_path):
     assert blue[1] > blue[0] + 10, "towards the target, which is bluer by 70"
 
 
+def test_a_mirrored_translation_is_held_to_the_places_of_its_original():
+    """By their pixels, which mirror exactly: the loss is that of the same picture, not mirrored."""
+    trainer = Trainer(replace(TINY, layers=("pixels",)), Streams(0), torch.device("cpu"))
+    picture, translated = (torch.from_numpy(reef(k)[0].transpose(2, 0, 1)[None].copy()) / 127.5 - 1 for k in (0, 1))
+    plain = float(trainer._content(translated, picture, ("a", 0)).detach())
+    assert float(trainer._content(translated.flip(3), picture, ("a", 0), mirrored=True).detach()) == pytest.approx(
+        plain
+    )
+    assert float(trainer._content(translated.flip(3), picture, ("a", 0)).detach()) != pytest.approx(plain)
+
+
 def test_a_loss_that_is_not_finite_stops_the_training_by_name():
     trainer = Trainer(SETTINGS["fastcut"], Streams(0), torch.device("cpu"))
     with torch.no_grad():
