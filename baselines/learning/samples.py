@@ -79,9 +79,9 @@ def cores(instances: NDArray[np.uint16]) -> NDArray[np.bool_]:
     if not instances.any():
         return found
     numbers, dense = np.unique(instances, return_inverse=True)
-    dense = dense.reshape(instances.shape).astype(np.int32) + (0 if numbers[0] == 0 else 1)
-    rows, columns = np.nonzero(dense)
-    labels = dense[rows, columns]
+    numbered = dense.reshape(instances.shape) + (0 if numbers[0] == 0 else 1)
+    rows, columns = np.nonzero(numbered)
+    labels = numbered[rows, columns]
     order = np.argsort(labels, kind="stable")
     bounds = np.searchsorted(labels[order], np.arange(1, labels.max() + 2))
     for number, (begin, end) in enumerate(pairwise(bounds), start=1):
@@ -89,13 +89,13 @@ def cores(instances: NDArray[np.uint16]) -> NDArray[np.bool_]:
         top, left = rows[own].min(), columns[own].min()
         box = (slice(top, rows[own].max() + 1), slice(left, columns[own].max() + 1))
         # The frame of zeros: an oyster that the image cuts off has its border there, too.
-        mask = np.pad((dense[box] == number).astype(np.uint8), 1)
+        mask = np.pad((numbered[box] == number).astype(np.uint8), 1)
         depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3)[1:-1, 1:-1]
         found[box] |= depth > CORE * depth.max()
     return found
 
 
-class LabelledDataset(Dataset):  # type: ignore[type-arg]
+class LabelledDataset(Dataset):
     """Labelled images as a torch Dataset.
 
     An item is (pixels (3, h, w), truth (2, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each

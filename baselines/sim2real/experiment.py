@@ -55,7 +55,7 @@ def run(
                 with _alone(folder) as mine:
                     if not mine:
                         continue
-                    done[cell] = run_cell(bench, cell, folder, lambda at, k=k: progress(k * steps + at, total))  # type: ignore[misc]
+                    done[cell] = run_cell(bench, cell, folder, lambda at, k=k: progress(k * steps + at, total))
                 say(f"{folder.name}: {_said(done[cell] or [])}")
                 progress((k + 1) * steps, total)
     for cell in cells:  # also what others have finished meanwhile

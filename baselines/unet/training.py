@@ -41,7 +41,7 @@ def identity(settings: Settings, data: Mapping[str, Any], seed: int, device: tor
 
 def new_network(settings: NetworkSettings) -> UNetwork:
     """With weights drawn from torch's generator."""
-    network: UNetwork = UNetwork(settings).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    network: UNetwork = UNetwork(settings).to(memory_format=torch.channels_last)
     return network
 
 
