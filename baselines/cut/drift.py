@@ -89,7 +89,8 @@ def _flow(before: Picture, after: Picture) -> NDArray[np.float32]:
     """(H, W, 2) px, dense, between the pictures' light with its slow changes and its contrast taken out."""
     grey = [_levelled(picture) for picture in (before, after)]
     method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    return np.asarray(method.calc(grey[0], grey[1], None), dtype=np.float32)
+    start = np.zeros((*grey[0].shape, 2), dtype=np.float32)
+    return np.asarray(method.calc(grey[0], grey[1], start), dtype=np.float32)
 
 
 def _levelled(picture: Picture) -> NDArray[np.uint8]:
