@@ -28,7 +28,7 @@ class FitSettings:
     """How the weights are found: AdamW (Loshchilov & Hutter 2019), a linear warm-up and a cosine to zero."""
 
     steps: int = 1000
-    learning_rate: float = 2e-3
+    learning_rate: float = 5e-3
     weight_decay: float = 1e-2
     warm_up: int = 50
     threads: int = 2

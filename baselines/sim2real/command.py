@@ -14,7 +14,7 @@ import click
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
 @click.option("--sizes", default="5,10,20,40,all", show_default=True, help="Numbers of real training images.")
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Trainings of each kind.")
-@click.option("--steps", type=click.IntRange(min=1), help="Of the optimiser, of each training.  [default: 400]")
+@click.option("--steps", type=click.IntRange(min=1), help="Of the optimiser, of each training.  [default: 600]")
 @click.option("--hold-out", multiple=True, metavar="CLIP", help="Test on this training clip instead; repeatable.")
 @click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
 @click.option("--only-table", is_flag=True, help="Train nothing; sum up what is finished.")

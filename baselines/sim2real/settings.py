@@ -32,9 +32,9 @@ class Settings:
     mixed_share: float = 0.6
     block: int = 8
     alike: float = ALIKE
-    network: NetworkSettings = field(default_factory=lambda: NetworkSettings(scale=0.4))
-    augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=96))
-    fit: FitSettings = field(default_factory=lambda: FitSettings(steps=400, warm_up=20, threads=1))
+    network: NetworkSettings = field(default_factory=lambda: NetworkSettings(scale=0.3))
+    augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=72))
+    fit: FitSettings = field(default_factory=lambda: FitSettings(steps=600, warm_up=20, threads=1))
 
 
 @dataclass(frozen=True)
