@@ -66,6 +66,7 @@ class AidedEstimator(Estimator):
         self.model: AidedModel = AidedModel(camera, self.imu, settings, has_dvl, has_dvl or bool(sequence.altimeters))
         self._altimeters = sequence.altimeters
         self._ranges: dict[str, RangeSample | DvlSample] = {}  # the latest, by sensor
+        self._velocity_ns: int | None = None  # when the DVL last gave a velocity that was believed
         self._parts: list[tuple[Segment, DvlSample | None]] = []  # since the last key frame
         self._intervals: dict[int, list[tuple[Segment, DvlSample | None]]] = {}  # by the key frame that they lead to
         self._heights: dict[int, tuple[float, float]] = {}  # of the pressure sensor at a key frame, and 1 sigma, m
@@ -89,12 +90,14 @@ class AidedEstimator(Estimator):
         if isinstance(sample, RangeSample):
             self._ranges[sample.sensor] = sample
             return
+        if isinstance(sample, DvlSample):
+            self._ranges["dvl"] = sample
         if not self.aiding.add(self.filter, sample):
             return  # what the filter refuses as a lie is none in the window either
         if isinstance(sample, DvlSample):
-            self._ranges["dvl"] = sample
-        if isinstance(sample, DvlSample) and self._parts:
-            self._parts[-1] = (self._parts[-1][0], sample)
+            self._velocity_ns = sample.stamp_ns
+            if self._parts:
+                self._parts[-1] = (self._parts[-1][0], sample)
         elif isinstance(sample, PressureSample):
             self._pressure = sample
         elif isinstance(sample, MagneticSample):
@@ -157,10 +160,15 @@ class AidedEstimator(Estimator):
             self._first_field = field, k
 
     def _note_echoes(self, k: int, stamp_ns: int) -> None:
-        """The ranges that were read a moment ago, as rays in the IMU's frame of the key frame."""
+        """The ranges that were read a moment ago, as rays in the IMU's frame of the key frame.
+
+        They are for the scale, and a DVL's velocity knows it ten times better than they do over relief.
+        """
+        f, of = self.filter, self.settings.echo
         if not self.model.has_ranges:
             return
-        f, of = self.filter, self.settings.echo
+        if self._velocity_ns is not None and stamp_ns - self._velocity_ns < of.silence_s * 1e9:
+            return
         T_imu_base = invert(self.imu.T_base_imu)
         echoes: list[Echo | None] = []
         for name, sample in self._ranges.items():

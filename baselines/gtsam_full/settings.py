@@ -22,6 +22,7 @@ class EchoSettings:
     width: float = 0.03  # m, rms across the longest spread of the landmarks: less is a line
     steepest: float = 0.5  # cosine of the incidence
     delay_s: float = 0.15  # a range older than this does not count for a key frame
+    silence_s: float = 1.0  # without a DVL's velocity, after which ranges count: it knows a metre ten times better
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,6 @@ class Settings(VisualInertialSettings):
     start_s: float = 1.5
     start_keyframes: int = 4
     aiding_huber: float = 3.0  # sigmas; beyond, a residual of a DVL or compass counts linearly
-    ranges: bool = True  # whether altimeters and the ranges of a DVL's beams are used
+    ranges: bool = True  # whether altimeters and the ranges of a DVL's beams are used where it gives no velocity
     echo: EchoSettings = field(default_factory=EchoSettings)
     compass_delay_s: float = 0.06  # a reading older than this does not count for a key frame

@@ -96,6 +96,23 @@ def test_pictures_carry_it_while_the_dvl_has_lost_the_bottom(keep):
     assert "restarts" not in estimator.info
 
 
+def test_ranges_count_only_where_the_dvl_gives_no_velocity():
+    """From 6 s to 10 s it measures how far the bottom is, and not how fast it passes."""
+    sequence = make(2, 12.0)
+
+    def mute(sample: DvlSample) -> DvlSample:
+        nothing = np.full(4, np.nan)
+        return dataclasses.replace(sample, velocity=nothing[:3], beam_velocities=nothing)
+
+    sequence.change("dvl", during(6.0, 10.0, mute))
+    estimator = estimate(sequence, tracks(sequence, 2, NEVER))
+    stamps = [estimator.keyframes[k].stamp_ns for k, echoes in estimator.model.echoes.items() if echoes]
+    elapsed = (np.array(stamps) - dive.START_NS) * 1e-9
+    assert len(elapsed) > 3
+    assert elapsed.min() > 6.5
+    assert elapsed.max() < 10.5
+
+
 def test_neither_pictures_nor_a_dvl_for_five_seconds_leave_it_unsure_and_not_lost():
     sequence = make(3, 18.0)
     sequence.change("dvl", during(8.0, 13.0, deaf))
