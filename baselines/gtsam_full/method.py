@@ -48,7 +48,7 @@ class GtsamFull(GtsamVi):
         self.settings: Settings = settings or Settings()
 
     def run(self, sequence: Sequence) -> Estimate:
-        """Poses T_odom_base with covariances at the camera's stamps, where frames are missing, and at the end."""
+        """Poses T_odom_base with covariances at the stamps of frames, missing ones too, and at the end; and the map."""
         camera, _ = self._cameras(sequence)
         sensors = [*sensors_of(sequence), *sequence.altimeters]
         stream = sequence.stream(*sensors, camera)
@@ -96,6 +96,7 @@ class GtsamFull(GtsamVi):
             estimator.add_frame(item.stamp_ns, Segment.join(since_frame), ids, rays)
             if isinstance(item, Image):
                 estimator.look(front_end.image)
+                estimator.paint(item.pixels, tracks)
             last_ns, since_frame = item.stamp_ns, []
         if latest_ns > last_ns:  # to the very end
             segment = samples.cut(latest_ns)
@@ -106,4 +107,4 @@ class GtsamFull(GtsamVi):
         others = {name: path for name, path in paths.items() if name != self.output and len(path)}
         info = {"trajectory": self.output, "camera": camera, "sensors": ["imu", *sensors, camera], **estimator.info}
         info["settings"] = dataclasses.asdict(self.settings)
-        return Estimate(paths[self.output], info, self.output, others)
+        return Estimate(paths[self.output], info, self.output, others, estimator.map())

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from oysterbench.geometry import Array, invert
+from oysterbench.methods import LandmarkMap
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.filter import CORE, InertialNoise, InvariantFilter
@@ -26,9 +27,11 @@ from oysterbench_baselines.gtsam_vi.covariance import (
     pose_covariances,
     set_state,
 )
-from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.frontend import Tracks
+from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.initialisation import View, level_rotation
 from oysterbench_baselines.gtsam_vi.loops import LoopCloser
+from oysterbench_baselines.gtsam_vi.mapping import Palette, landmark_map
 from oysterbench_baselines.gtsam_vi.motion import at_rest, parallax
 from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.smoothing import smooth
@@ -79,6 +82,8 @@ class Estimator:
         self._anchor_covariance: Array | None = None  # (6, 6) of that pose
         self._bad_keyframes = 0
         self.loops = LoopCloser(self.camera, self.model, self.settings) if self.settings.loops else None
+        self.palette = Palette()
+        self._adjusted: tuple[list[Keyframe], Bundle] | None = None  # of the final smoothing
 
     @property
     def gyro_bias(self) -> Array:
@@ -119,6 +124,11 @@ class Estimator:
         if self.frames[-1].stamp_ns == self.keyframes[-1].stamp_ns:
             self.loops.add_keyframe(self.keyframes, picture)
         self.frames[-1].correction = self.loops.correction
+
+    def paint(self, pixels: NDArray[np.uint8], tracks: Tracks) -> None:
+        """The picture as it was taken, (H, W, 3) RGB or (H, W) grey, and the tracks of the last frame."""
+        if self.frames[-1].stamp_ns == self.keyframes[-1].stamp_ns:
+            self.palette.add(pixels, tracks)
 
     def _predict(self) -> State | None:
         return None if self._window is None else self._filter_state()
@@ -352,12 +362,19 @@ class Estimator:
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             self.info["smoothing_failed"] = 1
             return self.online()
+        self._adjusted = keyframes, bundle
         if len(bundle.errors_px):
             self.info["smoothed_error_px"] = float(np.median(bundle.errors_px))
         lever = invert(self.imu.T_base_imu)[:3, 3]
         # Each frame with the covariance of the key frame before it: the one after holds it from the other side.
         known = pose_covariances(bundle, keyframes, lever)
         return self._trajectory(poses, [known[frame.keyframe] for frame in self.frames])
+
+    def map(self) -> LandmarkMap | None:
+        """Key frames and landmarks of the smoothed path; None before there is one, and without pictures."""
+        if self._adjusted is None or not self.palette:
+            return None
+        return landmark_map(self.model, *self._adjusted, self.palette)
 
     def _trajectory(self, poses: list[Array], covariances: list[Array]) -> Trajectory:
         """T_odom_base from T_odom_imu; with covariances where every frame has one."""

@@ -46,7 +46,7 @@ class GtsamVi:
         self.seed = seed
 
     def run(self, sequence: Sequence) -> Estimate:
-        """Poses T_odom_base at the camera's stamps."""
+        """Poses T_odom_base at the camera's stamps, and the map."""
         camera, second = self._cameras(sequence)
         front_end = FrontEnd(sequence.cameras[camera], self.settings, self.seed)
         right = None if second is None else sequence.cameras[second]
@@ -68,12 +68,13 @@ class GtsamVi:
                 match = partial(_match, matcher, front_end, tracks, other)
             estimator.add_frame(image.stamp_ns, segment, tracks.ids, tracks.rays, match)
             estimator.look(front_end.image)
+            estimator.paint(image.pixels, tracks)
         estimator.finish()
         paths = estimator.paths()
         others = {name: path for name, path in paths.items() if name != self.output and len(path)}
         info = {"trajectory": self.output, "cameras": cameras, **estimator.info}
         info["settings"] = dataclasses.asdict(self.settings)
-        return Estimate(paths[self.output], info, self.output, others)
+        return Estimate(paths[self.output], info, self.output, others, estimator.map())
 
     def _cameras(self, sequence: Sequence) -> tuple[str, str | None]:
         """Names of the camera, and of the second."""

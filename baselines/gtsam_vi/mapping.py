@@ -1,0 +1,78 @@
+"""The map: key frames and landmarks of the final smoothing, coloured by the pictures that the key frames were."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from oysterbench.geometry import invert
+from oysterbench.methods import LandmarkMap
+from oysterbench.trajectory import Trajectory
+from oysterbench_baselines.gtsam_vi.frontend import Tracks
+from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
+from oysterbench_baselines.gtsam_vi.states import Keyframe
+
+PATCH_PX = 3
+"""Side of the patch whose mean is a corner's colour: a corner is an edge, and one pixel of it is either side."""
+
+
+@dataclass
+class Palette:
+    """What tracks look like: their mean colour over the key frames that saw them."""
+
+    _ids: list[NDArray[np.int64]] = field(default_factory=list)
+    _colours: list[NDArray[np.uint8]] = field(default_factory=list)
+
+    def add(self, pixels: NDArray[np.uint8], tracks: Tracks) -> None:
+        """The picture of a key frame, (H, W, 3) RGB or (H, W) grey, and its tracks."""
+        mean = cv2.blur(pixels, (PATCH_PX, PATCH_PX))
+        columns, rows = np.round(tracks.pixels).astype(np.int64).T
+        found = mean[np.clip(rows, 0, mean.shape[0] - 1), np.clip(columns, 0, mean.shape[1] - 1)]
+        self._ids.append(tracks.ids)
+        self._colours.append(np.repeat(found[:, None], 3, axis=1) if found.ndim == 1 else found)
+
+    def __bool__(self) -> bool:
+        return bool(self._ids)
+
+    def of(self, ids: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """(N, 3) colours of tracks (N,), each of which has been seen."""
+        known, row = np.unique(np.concatenate(self._ids), return_inverse=True)
+        colours = np.concatenate(self._colours).astype(float)
+        count = np.bincount(row)
+        mean = np.column_stack([np.bincount(row, colours[:, channel]) / count for channel in range(3)])
+        return np.round(mean[np.searchsorted(known, ids)]).astype(np.uint8)
+
+
+def landmark_map(model: Model, keyframes: list[Keyframe], bundle: Bundle, palette: Palette) -> LandmarkMap:
+    """Of an adjusted stretch: the landmarks that as many key frames as a new one needs still see where they are.
+
+    bundle: of the very key frames. In its odom, which the path after it and the path as it was known share: both begin
+    at the same pose.
+    """
+    values, settings = bundle.values, model.settings
+    poses = np.array([values.atPose3(X(keyframe.index)).matrix() for keyframe in keyframes])
+    points = np.array([values.atPoint3(L(int(i))) for i in bundle.landmarks]).reshape(-1, 3)
+    sights = [keyframe.view.sights() for keyframe in keyframes]
+    frame = np.repeat(np.arange(len(keyframes)), [len(ids) for ids, _, _ in sights])
+    track, rays, camera = (np.concatenate(part) for part in zip(*sights, strict=True))
+    own = np.isin(track, bundle.landmarks)
+    frame, rays, camera = frame[own], rays[own], camera[own]
+    row = np.searchsorted(bundle.landmarks, track[own])
+    near = model.errors_px(poses[frame], points[row], rays, camera) < settings.max_landmark_error_px
+    # A second camera's view is no further key frame.
+    views = np.unique(np.column_stack([row, frame])[near], axis=0)
+    observations = np.bincount(views[:, 0], minlength=len(points))
+    kept = observations >= settings.min_views
+    in_base = poses @ invert(model.imu.T_base_imu)
+    path = Trajectory(
+        np.array([keyframe.stamp_ns for keyframe in keyframes], dtype=np.int64),
+        in_base[:, :3, 3].copy(),
+        Rotation.from_matrix(in_base[:, :3, :3]).as_quat(),
+    )
+    colours = palette.of(bundle.landmarks[kept])
+    return LandmarkMap(path, points[kept], colours, observations[kept].astype(np.int32))
