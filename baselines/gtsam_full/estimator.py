@@ -152,6 +152,8 @@ class AidedEstimator(Estimator):
         sample, settings = self._field, self.settings
         if sample is None or (stamp_ns - sample.stamp_ns) * 1e-9 > settings.compass_delay_s:
             return
+        if self._fields and k < next(reversed(self._fields)) + settings.compass_keyframes:
+            return
         field = sample.field / FIELD_UNIT
         turned = np.linalg.norm(self.filter.rate) * (stamp_ns - sample.stamp_ns) * 1e-9
         own = (sample.variance + settings.aiding.magnetic_sigma**2) / FIELD_UNIT**2
