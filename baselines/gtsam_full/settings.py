@@ -35,9 +35,9 @@ class Settings(VisualInertialSettings):
     start_tilt_deg: float = 1.0
     start_s: float = 1.5
     start_keyframes: int = 4
-    pixel_sigma_px: float = 2.0  # beside a DVL: corners under moving light err together, and as one they count for less
+    pixel_sigma_px: float = 3.0  # beside a DVL: corners under moving light err together, and as one they count for less
     aiding_huber: float = 3.0  # sigmas; beyond, a residual of a DVL or compass counts linearly
     ranges: bool = True  # whether altimeters and the ranges of a DVL's beams are used where it gives no velocity
     echo: EchoSettings = field(default_factory=EchoSettings)
     compass_delay_s: float = 0.06  # a reading older than this does not count for a key frame
-    compass_keyframes: int = 1  # from one reading that counts to the next: iron, not noise, limits the compass
+    compass_keyframes: int = 3  # from one reading that counts to the next: iron, not noise, limits the compass
