@@ -75,6 +75,8 @@ class Estimator:
         self.model = Model(self.camera, self.imu, self.settings, self.right)
         self._window: Window | None = None
         self._since: list[Segment] = []
+        self._last_ids = np.empty(0, dtype=np.int64)
+        self._kept: list[float] = []  # share of the tracks that each frame since the last key frame left
         self._next_attempt_s = 0.0
         self._first = 0  # key frame at which the search for a start begins
         self._anchor: State | None = None  # its state, when there was a start before
@@ -99,14 +101,14 @@ class Estimator:
         """
         order = np.argsort(ids, kind="stable")
         view = View(np.asarray(ids, dtype=np.int64)[order], np.asarray(rays, dtype=float)[order])
+        self._count_kept(view)
         if self.keyframes:
             self._since.append(segment)
         if self._window is not None:
             self._carry(segment)
         predicted = self._predict()
         if self._is_keyframe(view):
-            if right is not None:
-                view = View(view.ids, view.rays, right()[order])
+            view = View(view.ids, view.rays, None if right is None else right()[order], self._spread())
             self._add_keyframe(stamp_ns, view, predicted)
             predicted = self.keyframes[-1].state if self._window else None
         frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since))
@@ -129,6 +131,18 @@ class Estimator:
         """The picture as it was taken, (H, W, 3) RGB or (H, W) grey, and the tracks of the last frame."""
         if self.frames[-1].stamp_ns == self.keyframes[-1].stamp_ns:
             self.palette.add(pixels, tracks)
+
+    def _count_kept(self, view: View) -> None:
+        if len(self._last_ids):
+            self._kept.append(float(np.isin(self._last_ids, view.ids).mean()))
+        self._last_ids = view.ids
+
+    def _spread(self) -> float:
+        """How much less certain than usual the tracks are: where light moves over the bottom, most are lost from frame
+        to frame, and it has moved those that are left."""
+        settings, kept = self.settings, max(float(np.mean(self._kept or [1.0])), 1e-3)
+        self._kept = []
+        return min(kept**-settings.spread_power, settings.max_spread)
 
     def _predict(self) -> State | None:
         return None if self._window is None else self._filter_state()

@@ -46,19 +46,24 @@ class Model:
         # Rays at depth 1 are pixels of a camera with unit focal length; the front end has dealt with distortion.
         self._unit_camera = gtsam.Cal3_S2()
         self._sensors = [gtsam.Pose3(T_imu_cam) for T_imu_cam in self.T_imu_cams]
-        pixel = gtsam.noiseModel.Isotropic.Sigma(2, settings.pixel_sigma_px / self.focal)
-        huber = gtsam.noiseModel.mEstimator.Huber.Create(settings.huber)
-        self._pixel = gtsam.noiseModel.Robust.Create(huber, pixel)
         self.starts: dict[int, tuple[Array, Array]] = {}
         self._rest = gtsam.noiseModel.Isotropic.Sigma(3, settings.rest_speed)
         # A file may say that the unit has no turn-on bias; a little is left, for what its model leaves out.
         self.gyro_turn_on = max(imu.gyro_turn_on, 1e-4)
         self.accel_turn_on = max(imu.accel_turn_on, 1e-3)
 
-    def projection(self, keyframe: int, landmark: int, ray: Array, camera: int = 0) -> gtsam.NonlinearFactor:
+    def pixel(self, spread: float = 1.0) -> gtsam.noiseModel.Base:
+        """Of a ray at depth 1, its sigma `spread` times the usual one."""
+        settings = self.settings
+        noise = gtsam.noiseModel.Isotropic.Sigma(2, spread * settings.pixel_sigma_px / self.focal)
+        return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(settings.huber), noise)
+
+    def projection(
+        self, keyframe: int, landmark: int, ray: Array, camera: int, noise: gtsam.noiseModel.Base
+    ) -> gtsam.NonlinearFactor:
         """A landmark seen along `ray` (2,) at depth 1. Behind the camera it has no gradient, and raises nothing."""
         return gtsam.GenericProjectionFactorCal3_S2(
-            ray, self._pixel, X(keyframe), L(landmark), self._unit_camera, False, False, self._sensors[camera]
+            ray, noise, X(keyframe), L(landmark), self._unit_camera, False, False, self._sensors[camera]
         )
 
     def inertial(
@@ -185,15 +190,20 @@ class Bundle:
     errors_px: Array
 
 
-def adjust(model: Model, keyframes: list[Keyframe], states: list[State], gates_px: tuple[float, ...]) -> Bundle:
+def adjust(
+    model: Model, keyframes: list[Keyframe], states: list[State], gates_px: tuple[float, ...], min_views: int = 1
+) -> Bundle:
     """Visual-inertial bundle adjustment of consecutive key frames from given states.
 
     Landmarks are triangulated anew and adjusted once for each gate on their reprojection error: wide first, while the
-    states are rough.
+    states are rough. min_views: key frames that must have seen a landmark.
     """
     sights = [k.view.sights() for k in keyframes]
     row = np.concatenate([np.full(len(ids), n) for n, (ids, _, _) in enumerate(sights)])
     track, rays, camera = (np.concatenate(part) for part in zip(*sights, strict=True))
+    seen_often = np.isin(track, _seen_in([k.view.ids for k in keyframes], min_views))
+    row, track, rays, camera = row[seen_often], track[seen_often], rays[seen_often], camera[seen_often]
+    noises = [model.pixel(k.view.spread) for k in keyframes]
     first = keyframes[0].index
     for gate in gates_px:
         poses = np.array([state.matrix for state in states])
@@ -218,7 +228,9 @@ def adjust(model: Model, keyframes: list[Keyframe], states: list[State], gates_p
             values.insert(L(int(landmark)), point)
         seen = np.flatnonzero(np.isin(track, ids))
         for m in seen:
-            graph.push_back(model.projection(first + int(row[m]), int(track[m]), rays[m], int(camera[m])))
+            graph.push_back(
+                model.projection(first + int(row[m]), int(track[m]), rays[m], int(camera[m]), noises[row[m]])
+            )
         for factor in model.ground(keyframes, states, ids, points):
             graph.push_back(factor)
         values = _optimise(graph, values, model.settings.smoothing_iterations)
@@ -227,6 +239,12 @@ def adjust(model: Model, keyframes: list[Keyframe], states: list[State], gates_p
     points = np.array([values.atPoint3(L(int(i))) for i in ids]).reshape(-1, 3)
     errors = model.errors_px(poses[row[seen]], points[np.searchsorted(ids, track[seen])], rays[seen], camera[seen])
     return Bundle(graph, values, ids, errors)
+
+
+def _seen_in(ids: list[NDArray[np.int64]], least: int) -> NDArray[np.int64]:
+    """Ids that are in so many of the lists."""
+    found, counts = np.unique(np.concatenate(ids), return_counts=True)
+    return found[counts >= least]
 
 
 def _optimise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int) -> gtsam.Values:

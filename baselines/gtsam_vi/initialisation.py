@@ -30,11 +30,13 @@ class View:
     """What a key frame saw: ids (N,) int64, sorted, and rays (N, 2) at depth 1.
 
     right: rays (N, 2) of a second camera to the same, NaN where it does not see them; None without one.
+    spread: how many times the usual sigma the rays' errors have.
     """
 
     ids: NDArray[np.int64]
     rays: Array
     right: Array | None = None
+    spread: float = 1.0
 
     def sights(self) -> tuple[NDArray[np.int64], Array, NDArray[np.intp]]:
         """All of it, a row each: ids (M,), rays (M, 2), and the camera (M,), 0 or 1."""

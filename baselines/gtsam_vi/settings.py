@@ -43,6 +43,8 @@ class Settings:
 
     # Noise models.
     pixel_sigma_px: float = 1.0  # of a tracked corner, drift over the track's life included
+    spread_power: float = 1.0  # of the share of tracks kept a frame: caustics that kill tracks move those they leave
+    max_spread: float = 4.0  # times pixel_sigma_px
     huber: float = 1.3  # sigmas; beyond, a residual counts linearly
     imu_inflation: float = 1.25  # on the densities of the data sheet: interpolation, vibration, scale errors
     bias_inflation: float = 2.0  # on the random walks
@@ -51,7 +53,7 @@ class Settings:
     # Landmarks.
     min_ray_angle_deg: float = 1.5  # between the rays of a new landmark: 2.6 cm of baseline at 1 m
     max_landmark_error_px: float = 3.0  # of a new landmark in each of its views
-    min_views: int = 3  # two determine a point, the third checks it
+    min_views: int = 3  # key frames: two determine a point, the third checks it; a pair alone takes a caustic for one
     max_slide_px: float = 8.0  # from where a landmark was predicted: it has slid off its point
     max_depth_m: float = 50.0
     min_depth_m: float = 0.1

@@ -20,11 +20,12 @@ from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state,
 
 
 class Sight(NamedTuple):
-    """A landmark seen: by which camera, along which ray (2,) at depth 1, in which key frame."""
+    """A landmark seen: by which camera, along which ray (2,) at depth 1, in which key frame; with what noise."""
 
     keyframe: int
     camera: int
     ray: Array
+    noise: gtsam.noiseModel.Base
 
 
 class Window:
@@ -88,8 +89,9 @@ class Window:
         return self.model.settings.lag_keyframes
 
     def _remember(self, keyframe: Keyframe) -> None:
+        noise = self.model.pixel(keyframe.view.spread)
         for landmark, ray, camera in zip(*keyframe.view.sights(), strict=True):
-            self._observations.setdefault(int(landmark), []).append(Sight(keyframe.index, int(camera), ray))
+            self._observations.setdefault(int(landmark), []).append(Sight(keyframe.index, int(camera), ray, noise))
 
     def _see_again(self, keyframe: Keyframe, graph: gtsam.NonlinearFactorGraph, stamps: dict[int, float]) -> None:
         """Views of landmarks in the window; those far from the prediction have slid off their point."""
@@ -104,13 +106,14 @@ class Window:
         # The prediction may be off as a whole, after a long time without tracks: judge against the crowd.
         limit = settings.max_slide_px + 2.0 * float(np.median(errors))
         self.lost_share = float(np.mean(errors > settings.max_slide_px))
+        noise = self.model.pixel(keyframe.view.spread)
         slid = {int(ids[n]) for n, error in zip(known, errors, strict=True) if error > limit}
         self._rejected |= slid
         self._landmarks -= slid
         for n in known:
             landmark = int(ids[n])
             if landmark not in slid:
-                graph.push_back(self.model.projection(keyframe.index, landmark, rays[n], int(cameras[n])))
+                graph.push_back(self.model.projection(keyframe.index, landmark, rays[n], int(cameras[n]), noise))
                 stamps[L(landmark)] = float(keyframe.index)
 
     def _see_first(
@@ -130,8 +133,8 @@ class Window:
             if landmark in self._landmarks or landmark in self._rejected:
                 continue
             seen = [sight for sight in self._observations[landmark] if sight.keyframe >= oldest]
-            # The epipolar check of a pair of cameras is the third view's.
-            if len(seen) >= self.model.settings.min_views or any(sight.camera for sight in seen):
+            # A pair of cameras sees a caustic where it lies on the bottom at that instant: only time gives it away.
+            if len({sight.keyframe for sight in seen}) >= self.model.settings.min_views:
                 track += [landmark] * len(seen)
                 sights += seen
         if not track:
@@ -150,7 +153,7 @@ class Window:
             self._landmarks.add(int(landmark))
         for landmark, sight in zip(track, sights, strict=True):
             if landmark in self._landmarks:
-                graph.push_back(self.model.projection(sight.keyframe, landmark, sight.ray, sight.camera))
+                graph.push_back(self.model.projection(sight.keyframe, landmark, sight.ray, sight.camera, sight.noise))
 
     def _read(self, keyframes: list[Keyframe], last: int) -> None:
         """Write the smoother's estimate into the key frames."""
