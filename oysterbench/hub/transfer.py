@@ -134,7 +134,8 @@ class Transfer:
             for worker in workers:
                 worker.join()
         finally:
-            self.stop.set()
+            with self._lock:  # after an interruption nothing is told of any more
+                self.stop.set()
         if self._error is not None:
             raise self._error
         if self._missing:
@@ -198,7 +199,8 @@ class Transfer:
             if piece not in self._missing:
                 return Found.KNOWN
             self._missing.discard(piece)
-            self._count(len(data))
+            if not self.stop.is_set():
+                self._count(len(data))
             return Found.NEW
 
     def is_missing(self, piece: int | None = None) -> bool:
