@@ -38,7 +38,7 @@ class Burglar:
         next(images)  # a file is open now
         found, places = [], set()
         for thing in gc.get_objects():  # closures, private attributes, bound methods: whatever refers to anything
-            if isinstance(thing, Sequence):
+            if issubclass(type(thing), Sequence):  # isinstance would ask objects that answer with warnings
                 found += self.look_into(thing)
                 places |= {str(getattr(thing, key)) for key in ("path", "folder", "_root") if hasattr(thing, key)}
         words = [*sys.argv, *os.environ.values(), os.getcwd(), *places]
