@@ -13,7 +13,7 @@ from oysterbench.cli_compare import compare_command
 from oysterbench.cli_hub import COMMANDS as HUB_COMMANDS
 from oysterbench.cli_imaging import TRACKS as IMAGE_TRACKS
 from oysterbench.cli_imaging import Imaging, evaluate_images, imaging_options
-from oysterbench.cli_learn import experiment, train, translate
+from oysterbench.cli_learn import Installed, experiment, train, translate
 from oysterbench.cli_map import map_command
 from oysterbench.cli_outputs import Outputs, output_options, print_rich
 from oysterbench.cli_reading import Reading, reading_options
@@ -33,10 +33,18 @@ ALIGNMENTS = ("none", "origin", "se3", "posyaw", "sim3")
 FORMATS = ("euroc", "tum", "kitti", "coco", "kalibr", "ply")
 ASSOCIATIONS = ("interpolate", "nearest")
 INTERRUPTED = 130
+COMMANDS = Installed("oysterbench", "oysterbench.commands")
 
 
 class Commands(click.Group):
-    """Turns expected failures into one line on stderr and an exit code."""
+    """Turns expected failures into one line on stderr and an exit code. Commands that packages bring under the entry
+    points `oysterbench.commands` are found as well."""
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        return sorted({*super().list_commands(context), *COMMANDS.found()})
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        return super().get_command(context, name) or COMMANDS.get_command(context, name)
 
     def invoke(self, context: click.Context) -> Any:
         try:

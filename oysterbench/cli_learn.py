@@ -17,11 +17,12 @@ class Installed(click.Group):
         super().__init__(name, **settings)  # type: ignore[arg-type]
         self._points = points
 
-    def _found(self) -> dict[str, EntryPoint]:
+    def found(self) -> dict[str, EntryPoint]:
+        """Name -> entry point."""
         return {point.name: point for point in entry_points(group=self._points)}
 
     def list_commands(self, context: click.Context) -> list[str]:
-        return sorted(self._found())
+        return sorted(self.found())
 
     def invoke(self, context: click.Context) -> Any:
         try:
@@ -33,7 +34,7 @@ class Installed(click.Group):
         return MethodError(f"{self.name}: {error}; install what it needs, e.g. pip install 'oysterbench[learn]'")
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
-        point = self._found().get(name)
+        point = self.found().get(name)
         if point is None:
             return None
         try:

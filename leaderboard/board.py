@@ -1,0 +1,122 @@
+"""What a board shows: its name, its rows, a page of them. `ranking.py` makes them, `index.py` keeps them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+State = Literal["current", "superseded", "withdrawn"]
+
+
+@dataclass(frozen=True)
+class BoardInfo:
+    """A board: records whose numbers may be set against each other.
+
+    id:        16 hex digits (`Record.board`)
+    settings:  of the evaluator
+    metric:    key of the metric that ranks; columns: keys that stand beside it in a table, in order
+    sequences: of the split, in order: those that any record has. A record that lacks one failed there
+    entries:   current records
+    updated:   creation of the newest of them
+    newest:    whether no board of the same track, split and recipe has a later evaluator; the others are history
+    """
+
+    id: str
+    track: str
+    split: str
+    split_digest: str
+    evaluator_version: str
+    settings: Mapping[str, Any]
+    metric: str
+    columns: tuple[str, ...]
+    sequences: tuple[str, ...]
+    entries: int
+    updated: str
+    newest: bool
+
+
+@dataclass(frozen=True)
+class Row:
+    """A record on its board.
+
+    place:     by the ranking metric's mean alone; equal means share one. None without a value, or not current
+    rank:      place of the best of its group: walking down the board, a record whose paired difference from the first
+               of the group is not told from zero (95 %, bootstrap over sequences) belongs to the group
+    score:     mean of the ranking metric over all sequences of the board; low, high: its interval, None where there are
+               too few sequences
+    coverage:  mean over sequences, for tracks that have such a thing
+    metrics:   means of the columns; None where there is none
+    failures:  runs that failed, and sequences that were not answered
+    """
+
+    digest: str
+    board: str
+    method: str
+    team: str
+    tier: str
+    url: str
+    summary: str
+    created: str
+    supersedes: str
+    state: State
+    place: int | None
+    rank: int | None
+    score: float | None
+    low: float | None
+    high: float | None
+    coverage: float | None
+    metrics: Mapping[str, float | None]
+    sequences: int
+    runs: int
+    failures: int
+
+
+@dataclass(frozen=True)
+class Query:
+    """What is asked of a board.
+
+    sort:     "rank", "method", "team", "created", or a column's key; descending: the other way round
+    text:     in method or team, whatever the case; tiers: none for all
+    states:   which records; superseded and withdrawn ones have no place
+    page:     from 1; size: rows of a page
+    """
+
+    sort: str = "rank"
+    descending: bool = False
+    text: str = ""
+    tiers: tuple[str, ...] = ()
+    states: tuple[State, ...] = ("current",)
+    page: int = 1
+    size: int = 50
+
+
+@dataclass(frozen=True)
+class BoardPage:
+    """Rows of a board that a query asks for; total: how many there are on all pages."""
+
+    board: BoardInfo
+    query: Query
+    rows: tuple[Row, ...]
+    total: int
+
+    @property
+    def pages(self) -> int:
+        return max(1, -(-self.total // self.query.size))
+
+
+@dataclass(frozen=True)
+class Literature:
+    """A number that others reported on other data: never ranked with ours.
+
+    metric: in words, as its source defines it; data: what it was measured on; source: where it stands
+    """
+
+    track: str
+    method: str
+    metric: str
+    value: str
+    data: str
+    source: str
+    url: str = ""
+    note: str = field(default="")

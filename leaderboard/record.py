@@ -1,0 +1,157 @@
+"""Record: what is published of one method on one split by one evaluator. Immutable, and named by its own hash."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+from oysterbench.errors import ResultError
+from oysterbench.hub.canonical import SHA256, canonical, sha256
+from oysterbench.results import ResultRecord, comparable_key, now, plain
+
+FORMAT = "oysterbench-record/1"
+
+Tier = Literal["baseline", "scored", "reported"]
+"""Who vouches for the numbers. baseline: run and scored by us, from this tree; scored: estimates of others, scored by a
+server against truth that they need not have seen; reported: results that their authors computed themselves."""
+
+TIERS: tuple[Tier, ...] = get_args(Tier)
+
+MOST_TEXT = {"method": 80, "team": 80, "url": 300, "summary": 500, "reason": 500}
+"""Key of a record -> characters that it may have."""
+
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff]")
+"""Characters that let a name look like another or turn the line around."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """All results of a method on a split, as one evaluator scored them.
+
+    method, team:  names for the board; url, summary: where the method is described, and one sentence about it
+    tier:          who vouches for the numbers
+    results:       one per sequence and run, of one method, split, evaluator and setting
+    data_set:      what is known over all sequences together, for tracks that have such a thing (`results.document`)
+    manifest:      SHA-256 of the released manifest of the split; empty where none was released
+    estimates:     "sequence/run" (runs from 1) -> SHA-256 of the estimate, where the server keeps it for scoring again
+    curves:        SHA-256 of the paths and error curves to be drawn (`curves.py`); empty for hidden splits
+    supersedes:    digest of the record whose place this one takes; empty for none. reason: why
+    created:       UTC, ISO 8601
+    """
+
+    method: str
+    team: str
+    tier: Tier
+    results: tuple[ResultRecord, ...]
+    url: str = ""
+    summary: str = ""
+    data_set: Mapping[str, Any] | None = None
+    manifest: str = ""
+    estimates: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    curves: str = ""
+    supersedes: str = ""
+    reason: str = ""
+    created: str = field(default_factory=now)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "results", tuple(self.results))
+        object.__setattr__(self, "estimates", dict(self.estimates))
+        if self.tier not in TIERS:
+            raise ResultError(f"record: key 'tier': expected one of {', '.join(TIERS)}, got {self.tier!r:.60}")
+        for key, most in MOST_TEXT.items():
+            check_text(key, getattr(self, key), most)
+        if not self.method.strip() or not self.team.strip():
+            raise ResultError("record: expected a name of the method and of the team, got an empty one")
+        if self.url and not self.url.startswith(("https://", "http://")):
+            raise ResultError(f"record: key 'url': expected https://... or nothing, got {self.url!r:.60}")
+        if not self.results:
+            raise ResultError(f"record of {self.method}: expected results, got none")
+        for key in ("manifest", "curves", "supersedes"):
+            value = getattr(self, key)
+            if value and not SHA256.fullmatch(value):
+                raise ResultError(
+                    f"record: key {key!r}: expected a SHA-256 (64 hex digits) or nothing, got {value!r:.80}"
+                )
+        if len({comparable_key(result) for result in self.results}) > 1:
+            raise ResultError(
+                f"record of {self.method}: expected results of one split, evaluator and setting, got several"
+            )
+        places = [(result.sequence, result.run) for result in self.results]
+        if len(set(places)) < len(places):
+            raise ResultError(f"record of {self.method}: expected each run of a sequence once, got one of them twice")
+
+    @property
+    def track(self) -> str:
+        return self.results[0].track
+
+    @property
+    def split(self) -> str:
+        return self.results[0].split
+
+    @property
+    def split_digest(self) -> str:
+        """Of the recipe."""
+        return self.results[0].split_digest
+
+    @property
+    def evaluator_version(self) -> str:
+        return self.results[0].evaluator_version
+
+    @cached_property
+    def board(self) -> str:
+        """What its numbers may be set against, as 16 hex digits: records of one board share track, split, recipe,
+        evaluator and the evaluator's settings."""
+        return sha256(canonical(list(comparable_key(self.results[0]))))[:16]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "results"}
+        return {"format": FORMAT, **plain(values), "results": [result.to_dict() for result in self.results]}
+
+    @cached_property
+    def data(self) -> bytes:
+        """Canonical JSON."""
+        return canonical(self.to_dict())
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of `data`: its name."""
+        return sha256(self.data)
+
+    @classmethod
+    def from_dict(cls, values: Any, where: str = "record") -> Record:
+        """A record from plain values. Raises ResultError naming `where` and the key."""
+        if not isinstance(values, Mapping) or values.get("format") != FORMAT:
+            got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
+            raise ResultError(f"{where}: expected a record with the format {FORMAT!r}, got {got!r:.60}")
+        known = {f.name for f in fields(cls)}
+        given = {key: value for key, value in values.items() if key != "format"}
+        if odd := sorted(known ^ set(given)):
+            raise ResultError(
+                f"{where}: expected the keys {', '.join(sorted(known))}, differing: {', '.join(odd):.200}"
+            )
+        results = given["results"]
+        if not isinstance(results, list):
+            raise ResultError(f"{where}: key 'results': expected a list, got {type(results).__name__}")
+        for key in ("data_set", "estimates"):
+            if not isinstance(given[key], Mapping) and not (key == "data_set" and given[key] is None):
+                raise ResultError(f"{where}: key {key!r}: expected an object, got {given[key]!r:.60}")
+        given["results"] = tuple(ResultRecord.from_dict(r, f"{where}: results[{i}]") for i, r in enumerate(results))
+        try:
+            return cls(**given)
+        except ResultError as error:
+            raise ResultError(f"{where}: {error}") from None
+
+
+def check_text(key: str, value: Any, most: int) -> None:
+    """Refuse what is no plain text of one line. Raises ResultError naming the key."""
+    if not isinstance(value, str):
+        raise ResultError(f"record: key {key!r}: expected text, got {value!r:.60}")
+    if len(value) > most:
+        raise ResultError(f"record: key {key!r}: expected at most {most} characters, got {len(value)}")
+    if (odd := _CONTROL.search(value)) is not None:
+        raise ResultError(f"record: key {key!r}: expected plain text in one line, got the character {odd[0]!r}")

@@ -1,0 +1,112 @@
+"""Records and notices as files named by their hash: what the board is made of. Nothing in it is ever changed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from oysterbench.errors import ResultError
+from oysterbench.files import write_atomically
+from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
+from oysterbench_leaderboard.record import Record
+
+NOTICE = "oysterbench-notice/1"
+
+
+@dataclass(frozen=True)
+class Notice:
+    """That a record was withdrawn (it is no longer ranked, and its page says so) or put back, and why. The latest one
+    of a record counts."""
+
+    record: str
+    action: Literal["withdrawn", "restored"]
+    reason: str
+    created: str
+
+
+class RecordStore:
+    """A folder with `records/`, `notices/` and `curves/`, each file named by the SHA-256 of its bytes."""
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self.folder = Path(folder)
+
+    def add(self, record: Record) -> str:
+        """Keep a record; its digest. One that is there is left alone."""
+        return self._keep("records", record.data)
+
+    def announce(self, notice: Notice) -> str:
+        """Keep a notice; its digest."""
+        return self._keep("notices", canonical({"format": NOTICE, **asdict(notice)}))
+
+    def add_curves(self, document: dict[str, Any]) -> str:
+        """Keep what is drawn on a record's page; its digest."""
+        return self._keep("curves", canonical(document))
+
+    def digests(self) -> list[str]:
+        """Of all records, in order."""
+        return self._names("records")
+
+    def data(self, digest: str) -> bytes:
+        """A record's bytes, as they are in the file."""
+        return self._read("records", digest)
+
+    def record(self, digest: str) -> Record:
+        """A record. Raises ResultError where there is none of that digest, or its file was changed."""
+        data = self._read("records", digest)
+        return Record.from_dict(parse(data, str(self._path("records", digest))), f"record {digest[:12]}")
+
+    def curves(self, digest: str) -> dict[str, Any]:
+        """What `add_curves` kept."""
+        return parse(self._read("curves", digest), str(self._path("curves", digest)))
+
+    def notices(self) -> list[Notice]:
+        """All notices, the oldest first."""
+        found = []
+        for name in self._names("notices"):
+            values = parse(self._read("notices", name), str(self._path("notices", name)))
+            try:
+                if values.pop("format") != NOTICE:
+                    raise KeyError("format")
+                found.append(Notice(**values))
+            except (KeyError, TypeError):
+                raise ResultError(f"{self._path('notices', name)}: expected a notice, got other keys") from None
+        return sorted(found, key=lambda notice: (notice.created, notice.record, notice.action))
+
+    def _path(self, kind: str, digest: str) -> Path:
+        if not SHA256.fullmatch(digest):
+            raise ResultError(f"expected a SHA-256 (64 hex digits), got {digest!r:.80}")
+        return self.folder / kind / f"{digest}.json"
+
+    def _names(self, kind: str) -> list[str]:
+        return sorted(_stems(self.folder / kind))
+
+    def _keep(self, kind: str, data: bytes) -> str:
+        digest = sha256(data)
+        path = self._path(kind, digest)
+        if not path.exists():
+            write_atomically(path, data)
+        return digest
+
+    def _read(self, kind: str, digest: str) -> bytes:
+        path = self._path(kind, digest)
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError:
+            raise ResultError(f"no such {kind.removesuffix('s')}: {digest[:12]}") from None
+        if sha256(data) != digest:
+            raise ResultError(f"{path}: its bytes are not those it is named for; it was changed, and was not used")
+        return data
+
+
+def _stems(folder: Path) -> Iterator[str]:
+    """Names of content in a folder; files that a killed writer left are passed over."""
+    if not folder.is_dir():
+        return
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            stem, dot, suffix = entry.name.partition(".")
+            if dot and suffix == "json" and SHA256.fullmatch(stem):
+                yield stem

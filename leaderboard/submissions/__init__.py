@@ -1,0 +1,1 @@
+"""Submissions: tokens, intake, queue, scoring in a limited process, publication."""
