@@ -27,7 +27,7 @@ def group(monkeypatch):
     """A group as `train` is one, of commands that a test gives it, in the whole command line."""
 
     def make(**commands):
-        monkeypatch.setattr(Installed, "_found", lambda self: {k: Point(v) for k, v in commands.items()})
+        monkeypatch.setattr(Installed, "found", lambda self: {k: Point(v) for k, v in commands.items()})
         return lambda *words: CliRunner().invoke(main, ["train", *words])
 
     return make
