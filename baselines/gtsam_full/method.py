@@ -16,13 +16,8 @@ from oysterbench_baselines.common.aiding import sensors_of
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
 from oysterbench_baselines.gtsam_full.settings import Settings
-from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
+from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FrontEnd
 from oysterbench_baselines.gtsam_vi.method import GtsamVi
-
-MISSING_PERIODS = 1.5
-"""Of the camera, after which a frame counts as missing: the pose is given without it."""
-NOTHING = (np.empty(0, dtype=np.int64), np.empty((0, 2)))
-"""Ids and rays of a frame that nobody took."""
 
 
 class GtsamFull(GtsamVi):
@@ -68,7 +63,7 @@ class GtsamFull(GtsamVi):
         front_end = FrontEnd(sequence.cameras[camera], self.settings, self.seed)
         estimator = AidedEstimator(sequence, sequence.cameras[camera], self.settings, first)
         R_imu_cam = estimator.model.T_imu_cam[:3, :3]
-        patience_ns = MISSING_PERIODS / sequence.cameras[camera].rate_hz * 1e9
+        patience_ns = self.settings.missing_periods / sequence.cameras[camera].rate_hz * 1e9
         samples = SampleBuffer()
         since_frame, since_image = list[Segment](), list[Segment]()
         last_ns = latest_ns = int(first[0][0])  # of the last frame, and of the last inertial sample
@@ -82,26 +77,28 @@ class GtsamFull(GtsamVi):
             estimator.add_segment(segment)
             since_frame.append(segment)
             since_image.append(segment)
+            tracks = None
             if isinstance(item, Image):
-                R_before_now = relative_rotation(Segment.join(since_image), estimator.gyro_bias)
-                tracks = front_end.track(item.pixels, R_imu_cam.T @ R_before_now @ R_imu_cam)
-                ids, rays, since_image = tracks.ids, tracks.rays, []
-            elif isinstance(item, ImuSample):  # a frame that is missing
-                ids, rays = NOTHING
-            else:
+                since = Segment.join(since_image)
+                if not (front_end.repeats(item.pixels) and estimator.has_moved(since)):
+                    R_before_now = relative_rotation(since, estimator.gyro_bias)
+                    tracks = front_end.track(item.pixels, R_imu_cam.T @ R_before_now @ R_imu_cam, since.duration)
+                    since_image = []
+            elif not isinstance(item, ImuSample):
                 estimator.add_sample(item)
                 continue
             if estimator.frames and item.stamp_ns <= last_ns:
                 continue  # its place has been taken
-            estimator.add_frame(item.stamp_ns, Segment.join(since_frame), ids, rays)
-            if isinstance(item, Image):
+            seen = NO_TRACKS if tracks is None else tracks  # a frame may be missing, or stale
+            estimator.add_frame(item.stamp_ns, Segment.join(since_frame), seen.ids, seen.rays)
+            if isinstance(item, Image) and tracks is not None:
                 estimator.look(front_end.image)
                 estimator.paint(item.pixels, tracks)
             last_ns, since_frame = item.stamp_ns, []
         if latest_ns > last_ns:  # to the very end
             segment = samples.cut(latest_ns)
             estimator.add_segment(segment)
-            estimator.add_frame(latest_ns, Segment.join([*since_frame, segment]), *NOTHING)
+            estimator.add_frame(latest_ns, Segment.join([*since_frame, segment]), NO_TRACKS.ids, NO_TRACKS.rays)
         estimator.finish()
         paths = estimator.paths()
         others = {name: path for name, path in paths.items() if name != self.output and len(path)}

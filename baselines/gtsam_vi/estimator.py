@@ -15,7 +15,7 @@ from oysterbench.geometry import Array, invert
 from oysterbench.methods import LandmarkMap
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench.trajectory import Trajectory
-from oysterbench_baselines.common.filter import CORE, InertialNoise, InvariantFilter
+from oysterbench_baselines.common.filter import CORE, VELOCITY, InertialNoise, InvariantFilter
 from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.covariance import (
     FLOOR,
@@ -132,7 +132,21 @@ class Estimator:
         if self.frames[-1].stamp_ns == self.keyframes[-1].stamp_ns:
             self.palette.add(pixels, tracks)
 
+    def has_moved(self, segment: Segment) -> bool:
+        """Whether the vehicle has certainly moved or turned over a segment: what repeats a picture is then no picture
+        of now, but one that was stored."""
+        settings = self.settings
+        turn = Rotation.from_matrix(relative_rotation(segment, self.gyro_bias)).magnitude()
+        if turn > 3 * self.model.gyro_turn_on * segment.duration + settings.repeat_px / self.model.focal:
+            return True
+        if self._window is None:
+            return False
+        sigma = np.sqrt(np.trace(self.filter.covariance[VELOCITY, VELOCITY]))
+        return bool(np.linalg.norm(self.filter.velocity) > max(settings.repeat_speed, 5 * sigma))
+
     def _count_kept(self, view: View) -> None:
+        if len(view.ids) == 0:
+            return
         if len(self._last_ids):
             self._kept.append(float(np.isin(self._last_ids, view.ids).mean()))
         self._last_ids = view.ids

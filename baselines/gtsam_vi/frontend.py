@@ -23,6 +23,10 @@ class Tracks:
     rays: Array
 
 
+NO_TRACKS = Tracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
+"""Those of a frame that nobody took."""
+
+
 def undistort(pixels: Array, calibration: CameraCalibration) -> Array:
     """Normalised coordinates (N, 2) of pixels (N, 2), Brown-Conrady distortion removed."""
     if len(pixels) == 0:
@@ -99,19 +103,28 @@ class FrontEnd:
         self._generator = stream(seed, b"", "gtsam_vi", "epipolar")
         self.image: NDArray[np.uint8] | None = None  # (H, W), the latest, equalised
         self._next_id = 0
-        self._tracks = Tracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
+        self._taken: NDArray[np.uint8] | None = None  # the latest, as it was taken
+        self._tracks = NO_TRACKS
 
-    def track(self, pixels: NDArray[np.uint8], R_before_now: Array) -> Tracks:
+    def track(self, pixels: NDArray[np.uint8], R_before_now: Array, elapsed_s: float = 0.0) -> Tracks:
         """Corners in the next frame.
 
-        pixels (H, W, 3) RGB or (H, W) grey, uint8. R_before_now (3, 3): rotation of the camera since the last frame.
+        pixels (H, W, 3) RGB or (H, W) grey, uint8. R_before_now (3, 3): rotation of the camera since the last frame,
+        elapsed_s ago. After a long gap all corners are new: a patch that has gone far is found where one like it is.
         """
+        self._taken = pixels
+        if elapsed_s > self.settings.max_gap_s:
+            self._tracks = NO_TRACKS
         image = self.equalise(pixels)
         if self.image is not None and len(self._tracks.ids):
             self._tracks = self._follow(self.image, image, R_before_now)
         self.image = image
         self._tracks = self._replenish(image)
         return self._tracks
+
+    def repeats(self, pixels: NDArray[np.uint8]) -> bool:
+        """Whether a picture is the last one again, to the bit, which noise lets no camera take twice."""
+        return self._taken is not None and np.array_equal(self._taken, pixels)
 
     def equalise(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """A picture (H, W, 3) RGB or (H, W) as corners are looked for in it: (H, W) uint8."""

@@ -11,9 +11,9 @@ from oysterbench.geometry import Array
 from oysterbench.methods import Estimate
 from oysterbench.samples import Image
 from oysterbench.sequence.types import ImuSample, Sequence
-from oysterbench_baselines.common.inertial import SampleBuffer, relative_rotation
+from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, Tracks
+from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FrontEnd, Tracks
 from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs, second_camera
 
@@ -46,7 +46,7 @@ class GtsamVi:
         self.seed = seed
 
     def run(self, sequence: Sequence) -> Estimate:
-        """Poses T_odom_base at the camera's stamps, and the map."""
+        """Poses T_odom_base at the camera's stamps, for some seconds where frames are missing too; and the map."""
         camera, second = self._cameras(sequence)
         front_end = FrontEnd(sequence.cameras[camera], self.settings, self.seed)
         right = None if second is None else sequence.cameras[second]
@@ -55,18 +55,32 @@ class GtsamVi:
         R_imu_cam = estimator.model.T_imu_cam[:3, :3]
         samples = SampleBuffer()
         cameras = [camera] if second is None else [camera, second]
+        patience_ns = self.settings.missing_periods / sequence.cameras[camera].rate_hz * 1e9
+        since_image = list[Segment]()
+        last_ns, seen_ns = 0, 0  # of the last frame, and of the last picture
         for item in pairs(sequence.stream(*cameras), camera, second, self.settings.stereo_stamp_s):
             if isinstance(item, ImuSample):
                 samples.add(item)
+                blind_ns = item.stamp_ns - seen_ns
+                if seen_ns == 0 or item.stamp_ns - last_ns < patience_ns or blind_ns > self.settings.coast_s * 1e9:
+                    continue
+            elif item[0].stamp_ns <= last_ns:
+                continue  # its place has been taken
+            stamp_ns = item.stamp_ns if isinstance(item, ImuSample) else item[0].stamp_ns
+            segment = samples.cut(stamp_ns)
+            since_image.append(segment)
+            since, last_ns = Segment.join(since_image), stamp_ns
+            if isinstance(item, ImuSample) or (front_end.repeats(item[0].pixels) and estimator.has_moved(since)):
+                estimator.add_frame(stamp_ns, segment, NO_TRACKS.ids, NO_TRACKS.rays)  # it is missing, or stale
                 continue
             image, other = item
-            segment = samples.cut(image.stamp_ns)
-            turn = R_imu_cam.T @ relative_rotation(segment, estimator.gyro_bias) @ R_imu_cam
-            tracks = front_end.track(image.pixels, turn)
+            turn = R_imu_cam.T @ relative_rotation(since, estimator.gyro_bias) @ R_imu_cam
+            tracks = front_end.track(image.pixels, turn, since.duration)
+            seen_ns, since_image = stamp_ns, []
             match = None
             if matcher is not None and other is not None:
                 match = partial(_match, matcher, front_end, tracks, other)
-            estimator.add_frame(image.stamp_ns, segment, tracks.ids, tracks.rays, match)
+            estimator.add_frame(stamp_ns, segment, tracks.ids, tracks.rays, match)
             estimator.look(front_end.image)
             estimator.paint(image.pixels, tracks)
         estimator.finish()

@@ -22,6 +22,11 @@ class Settings:
     flow_window_px: int = 21  # side of the tracked patch: smaller ones are lost in murk, larger ones slide over relief
     flow_levels: int = 3  # pyramid levels above the image: with the gyroscope's prediction, 80 px of flow
     backward_error_px: float = 0.7  # a track must return to where it came from
+    max_gap_s: float = 0.5  # between pictures; beyond, corners have gone farther than the pyramid reaches
+    missing_periods: float = 1.5  # of the camera, after which a frame is missing, and its pose is given without it
+    coast_s: float = 5.0  # without a picture; then no more poses: the inertial unit alone is decimetres off
+    repeat_speed: float = 0.05  # m/s, and 5 sigmas, at which a picture that repeats the last one is not of now
+    repeat_px: float = 1.0  # of flow by the gyroscope, beyond what its bias does, likewise
     epipolar_error_px: float = 1.5  # of verified tracks, at a known rotation
     epipolar_trials: int = 64  # two-point hypotheses: 1e-6 chance to miss with half of the tracks wrong
 
