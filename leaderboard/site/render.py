@@ -1,0 +1,91 @@
+"""Pages as HTML: the templates, in which every value is escaped, and the style sheet."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+from collections.abc import Mapping
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+from jinja2 import ChoiceLoader, Environment, FileSystemLoader, PackageLoader, StrictUndefined
+
+from oysterbench.page import STYLE
+from oysterbench.version import VERSION
+from oysterbench_leaderboard.site.links import Links, ServerLinks
+from oysterbench_leaderboard.site.page import Page
+
+TWINS = {
+    ".json": ("JSON", "application/json"),
+    ".csv": ("CSV", "text/csv; charset=utf-8"),
+    ".tex": ("LaTeX", "application/x-tex; charset=utf-8"),
+}
+"""Suffix of a twin -> its name and media type."""
+
+ASSETS = {"style.css": "text/css", "site.js": "text/javascript", "plots.js": "text/javascript", "icon.svg": "image/svg+xml"}
+"""Files of style and script -> media type."""
+
+
+@lru_cache(maxsize=8)
+def environment(*folders: str | os.PathLike[str]) -> Environment:
+    """The templates of the site, and those of more folders, which may extend `base.html`. Always escaped; a name that
+    is not given is an error."""
+    loaders = [FileSystemLoader(folders), PackageLoader("oysterbench_leaderboard.site", "templates")]
+    made = Environment(
+        loader=ChoiceLoader(loaders if folders else loaders[1:]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        auto_reload=False,
+    )
+    made.globals |= {"VERSION": VERSION, "ARROWS": {"lower": "↓", "higher": "↑", "": ""}, "TWINS": TWINS}
+    made.filters["px"] = px
+    return made
+
+
+def px(value: float) -> str:
+    """A coordinate of a drawing."""
+    return f"{value:.1f}" if math.isfinite(value) else "0"
+
+
+def html(template: str, links: Links, context: Mapping[str, Any], env: Environment | None = None) -> str:
+    """A template that extends `base.html`, filled in.
+
+    context: `title` at least; `path` of the page, for the navigation; `twins`, whether it has any.
+    """
+    given = {"path": "", "query": {}, "twins": False, **context}
+    return (env or environment()).get_template(template).render(
+        link=links.page, asset=links.asset, static=links.static, **given
+    )
+
+
+def page_html(page: Page, links: Links) -> str:
+    """A page as HTML."""
+    context = {"title": page.title, "path": page.path, "query": page.query, "tables": page.tables, "twins": True}
+    return html(page.template, links, {**context, **page.context})
+
+
+@lru_cache
+def asset(name: str) -> bytes:
+    """A file of style or script; the style sheet begins with the report's, whose colours and plots are the same."""
+    if name == "plots.js":
+        return (resources.files("oysterbench.report") / "report.js").read_bytes()
+    own = (resources.files("oysterbench_leaderboard.site") / "static" / name).read_text(encoding="utf-8")
+    if name == "style.css":
+        report = (resources.files("oysterbench.report") / "report.css").read_text(encoding="utf-8")
+        own = "\n".join((STYLE, report, own))
+    return own.encode()
+
+
+@lru_cache
+def assets_version() -> str:
+    """Changes when any of these files does."""
+    return hashlib.sha256(b"\0".join(asset(name) for name in ASSETS)).hexdigest()[:12]
+
+
+def server_links(root: str = "") -> Links:
+    """Links of a server that is reached at `root`."""
+    return ServerLinks(root, assets_version())
