@@ -16,7 +16,7 @@ class BoardInfo:
     id:        16 hex digits (`Record.board`)
     settings:  of the evaluator
     metric:    key of the metric that ranks; columns: keys that stand beside it in a table, in order
-    sequences: of the split, in order: those that any record has. A record that lacks one failed there
+    sequences: of the split, by name: those that any current record has. A record that lacks one failed there
     entries:   current records
     updated:   creation of the newest of them
     newest:    whether no board of the same track, split and recipe has a later evaluator; the others are history
@@ -46,7 +46,7 @@ class Row:
     score:     mean of the ranking metric over all sequences of the board; low, high: its interval, None where there are
                too few sequences
     coverage:  mean over sequences, for tracks that have such a thing
-    metrics:   means of the columns; None where there is none
+    metrics:   means of the columns, coverage among them where it is one; None where there is none
     failures:  runs that failed, and sequences that were not answered
     """
 
@@ -76,7 +76,8 @@ class Row:
 class Query:
     """What is asked of a board.
 
-    sort:     "rank", "method", "team", "created", or a column's key; descending: the other way round
+    sort:     "rank", "method", "team", "created", "score", "coverage", or a column's key; descending: the other way
+              round. Records without the value are last either way
     text:     in method or team, whatever the case; tiers: none for all
     states:   which records; superseded and withdrawn ones have no place
     page:     from 1; size: rows of a page

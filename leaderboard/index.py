@@ -2,11 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+import contextlib
+import hashlib
+import json
+import os
+import re
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import quote
 
+from sqlalchemy import Connection, Engine, Select, create_engine, delete, event, func, select, text
+from sqlalchemy.engine import make_url
+from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+
+from oysterbench.errors import ResultError
+from oysterbench.files import home, locked
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row
+from oysterbench_leaderboard.building import Progress, processes, read
+from oysterbench_leaderboard.filling import fill, inputs_of, meta, schema, take_in
+from oysterbench_leaderboard.intake import COLUMNS, by_sequence, run_means
+from oysterbench_leaderboard.schema import BOARDS, METADATA, PROBLEMS, ROWS
 from oysterbench_leaderboard.store import RecordStore
+
+LEAST_DIGITS = 8
+"""Of a digest that is given short."""
+
+_LOCK = 0x6F79_7374_6572  # the advisory lock of PostgreSQL under which the index is written
+_PREFIX = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
 
 
 class Index(Protocol):
@@ -45,3 +71,312 @@ class Index(Protocol):
 
     def sequence_means(self, digest: str) -> dict[str, dict[str, float | None]]:
         """Sequence -> metric -> mean over runs, for a record."""
+
+    def problems(self) -> dict[str, str]:
+        """Records and notices that were left out, by their digest: why. The others are not touched by it."""
+
+
+def open_index(store: RecordStore, url: str | None = None) -> SqlIndex:
+    """The index of a store, up to date: made where there is none, and anew where it is of another version.
+
+    url: a file (SQLite), or postgresql+psycopg://...; by default a file under the home, one for each store.
+    """
+    if url is None:
+        name = hashlib.sha256(str(store.folder.resolve()).encode()).hexdigest()[:12]
+        url = str(home() / "leaderboard" / f"index-{name}.sqlite")
+    index = SqlIndex(url, store)
+    index.refresh()
+    return index
+
+
+class SqlIndex:
+    """`Index` in SQLite, as one file that is replaced whole, or in PostgreSQL, in one transaction."""
+
+    def __init__(self, url_or_path: str | os.PathLike[str], store: RecordStore) -> None:
+        self.store = store
+        place = os.fspath(url_or_path)
+        if "://" not in place:
+            place = f"sqlite:///{place}"
+        try:
+            url = make_url(re.sub(r"^postgres(ql)?://", "postgresql+psycopg://", place))
+        except ArgumentError:
+            raise ResultError(
+                f"index: expected a file or postgresql+psycopg://user@host/name, got {place!r:.80}"
+            ) from None
+        self.name = url.render_as_string(hide_password=True)
+        self._file: Path | None = None
+        self._switch = threading.Lock()
+        self._of_file: tuple[int, int] | None = None
+        self._engine: Engine | None = None
+        if url.get_backend_name() == "sqlite":
+            if not url.database or url.database == ":memory:":
+                raise ResultError("index: expected a file for SQLite, got none")
+            self._file = Path(url.database)
+            self.name = str(self._file)
+        elif url.get_backend_name() == "postgresql":
+            self._engine = create_engine(url, pool_size=16, max_overflow=64)
+        else:
+            raise ResultError(f"index: expected SQLite or PostgreSQL, got {url.get_backend_name()}")
+
+    @property
+    def revision(self) -> str:
+        with self._reading() as connection:
+            return meta(connection).get("revision", "")
+
+    def rebuild(self, progress: Progress | None = None) -> None:
+        with self._told(), self._only_writer():
+            self._rebuild(progress)
+
+    def refresh(self) -> None:
+        with self._told():
+            if self._up_to_date():
+                return
+            with self._only_writer():
+                if not self._usable():
+                    self._rebuild(None)
+                    return
+                with self._connected().begin() as connection:
+                    take_in(connection, self.store)
+
+    def boards(self, track: str | None = None) -> list[BoardInfo]:
+        with self._reading() as connection:
+            return _boards(connection, track)
+
+    def find_board(self, track: str, split: str, board: str | None = None) -> BoardInfo:
+        known = self.boards()
+        if board is not None:
+            found = [each for each in known if each.id == board and each.track == track and each.split == split]
+        else:
+            found = [each for each in known if each.track == track and each.split == split]
+        if not found:
+            there = ", ".join(dict.fromkeys(f"{each.track} {each.split}" for each in known)) or "none yet"
+            raise ResultError(f"no board {board or ''} of {track} on {split}; there are: {there}".replace("  ", " "))
+        return found[0]
+
+    def page(self, board: str, query: Query) -> BoardPage:
+        with self._reading() as connection:
+            info = next((each for each in _boards(connection, None) if each.id == board), None)
+            if info is None:
+                raise ResultError(f"no board {board!r:.40}; `oysterbench leaderboard` lists what there is")
+            chosen = [ROWS.c.board == board, ROWS.c.state.in_(query.states)]
+            if query.tiers:
+                chosen.append(ROWS.c.tier.in_(query.tiers))
+            if query.text:
+                chosen.append(ROWS.c.words.contains(query.text.casefold(), autoescape=True))
+            total = connection.scalar(select(func.count()).select_from(ROWS).where(*chosen)) or 0
+            size, page = max(1, query.size), max(1, query.page)
+            asked = select(ROWS).where(*chosen).order_by(*_order(info, query)).limit(size).offset((page - 1) * size)
+            rows = tuple(_row(found, info.columns) for found in connection.execute(asked).mappings())
+            return BoardPage(info, replace(query, page=page, size=size), rows, total)
+
+    def row(self, digest: str) -> Row:
+        if not _PREFIX.fullmatch(digest):
+            raise ResultError(f"expected a digest of {LEAST_DIGITS} to 64 hex digits, got {digest!r:.80}")
+        with self._reading() as connection:
+            asked = _with_track().where(ROWS.c.digest >= digest, ROWS.c.digest < digest + "g").limit(2)
+            found = connection.execute(asked).mappings().all()
+            if not found:
+                why = connection.scalar(select(PROBLEMS.c.reason).where(PROBLEMS.c.file == digest))
+                raise ResultError(f"no such record: {digest[:12]}" + (f"; it was left out: {why}" if why else ""))
+            if len(found) > 1:
+                raise ResultError(f"several records begin with {digest}: give more digits")
+            return _row(found[0], COLUMNS[found[0]["track"]])
+
+    def method(self, method: str, team: str | None = None) -> list[Row]:
+        asked = _with_track().where(ROWS.c.method == method).order_by(ROWS.c.created.desc(), ROWS.c.digest)
+        if team is not None:
+            asked = asked.where(ROWS.c.team == team)
+        with self._reading() as connection:
+            return [_row(found, COLUMNS[found["track"]]) for found in connection.execute(asked).mappings()]
+
+    def methods(self) -> list[tuple[str, str, int]]:
+        current = func.sum((ROWS.c.state == "current").cast(ROWS.c.runs.type))
+        asked = select(ROWS.c.method, ROWS.c.team, current).group_by(ROWS.c.method, ROWS.c.team)
+        with self._reading() as connection:
+            found = connection.execute(asked.order_by(ROWS.c.method, ROWS.c.team)).all()
+        return [(method, team, int(count)) for method, team, count in found]
+
+    def sequence_means(self, digest: str) -> dict[str, dict[str, float | None]]:
+        full = digest if len(digest) == 64 else self.row(digest).digest
+        results = json.loads(self.store.data(full))["results"]
+        runs = by_sequence(results)
+        keys = dict.fromkeys(key for result in results for key in result["metrics"])
+        means = {key: run_means(runs, key)[0] for key in keys}
+        return {name: {key: means[key].get(name) for key in keys} for name in runs}
+
+    def problems(self) -> dict[str, str]:
+        with self._reading() as connection:
+            asked = select(PROBLEMS.c.file, PROBLEMS.c.reason).order_by(PROBLEMS.c.file)
+            return dict(connection.execute(asked).tuples().all())
+
+    def _connected(self) -> Engine:
+        """The engine; a new one where the file was replaced since. Connections in use keep the old file."""
+        if self._file is None:
+            assert self._engine is not None
+            return self._engine
+        try:
+            status = self._file.stat()
+        except FileNotFoundError:
+            raise ResultError(f"{self.name}: no index is there; make it: `oysterbench leaderboard rebuild`") from None
+        with self._switch:
+            # An inode is not used again while a connection of the pool holds it open.
+            if self._engine is None or self._of_file != (status.st_dev, status.st_ino):
+                if self._engine is not None:
+                    self._engine.dispose()
+                self._engine, self._of_file = _sqlite(self._file), (status.st_dev, status.st_ino)
+            return self._engine
+
+    @contextlib.contextmanager
+    def _reading(self) -> Iterator[Connection]:
+        """A connection whose questions are all answered from one state of the index."""
+        with self._told():
+            engine = self._connected()
+            with engine.connect() as connection:
+                connection.execute(
+                    text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ" if self._file is None else "BEGIN")
+                )
+                yield connection
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        """What a database says, in one line that names the index and no password."""
+        try:
+            yield
+        except SQLAlchemyError as error:
+            said = " ".join(str(getattr(error, "orig", None) or error).split())
+            raise ResultError(
+                f"index {self.name}: {said:.200}; `oysterbench leaderboard rebuild` makes it anew"
+            ) from None
+
+    @contextlib.contextmanager
+    def _only_writer(self) -> Iterator[None]:
+        if self._file is not None:
+            with locked(self._file.with_name(f".{self._file.name}.lock")):
+                yield
+            return
+        with self._connected().connect() as connection:
+            connection.execute(select(func.pg_advisory_lock(_LOCK)))
+            try:
+                yield
+            finally:
+                connection.execute(select(func.pg_advisory_unlock(_LOCK)))
+
+    def _usable(self) -> bool:
+        """Whether there is an index, of this version and whole."""
+        try:
+            with self._connected().connect() as connection:
+                return meta(connection).get("schema") == schema()
+        except (ResultError, SQLAlchemyError):
+            if self._file is None:
+                with self._connected().connect():  # a server that is not there is no reason to build
+                    pass
+            return False
+
+    def _up_to_date(self) -> bool:
+        if not self._usable():
+            return False
+        with self._connected().connect() as connection:
+            return meta(connection).get("inputs") == inputs_of(self.store)
+
+    def _rebuild(self, progress: Progress | None) -> None:
+        """Make all anew; the caller is the only writer."""
+        inputs, digests = inputs_of(self.store), self.store.digests()
+        with processes(len(digests)) as using:
+            kept, wrong = read(self.store.folder / "records", digests, using, progress)
+            with self._new_tables() as connection:
+                fill(connection, kept, self.store, wrong, inputs, using)
+
+    @contextlib.contextmanager
+    def _new_tables(self) -> Iterator[Connection]:
+        """Empty tables, which take the place of the old ones when the block is left without an error."""
+        if self._file is None:
+            with self._connected().begin() as connection:
+                METADATA.create_all(connection)
+                if meta(connection).get("schema") != schema():
+                    METADATA.drop_all(connection)
+                    METADATA.create_all(connection)
+                for table in METADATA.tables.values():
+                    connection.execute(delete(table))
+                yield connection
+            return
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        for left in self._file.parent.glob(f".{self._file.name}.*.new"):  # by a rebuild that was killed
+            left.unlink(missing_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=self._file.parent, prefix=f".{self._file.name}.", suffix=".new")
+        os.close(handle)
+        try:
+            engine = _sqlite(Path(temporary), durable=False)
+            with engine.begin() as connection:
+                METADATA.create_all(connection)
+                yield connection
+            engine.dispose()
+            with open(temporary, "rb") as file:
+                os.fsync(file.fileno())
+            self._settle_journal()
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, self._file)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+    def _settle_journal(self) -> None:
+        """A journal that a killed writer left must not be taken for the new file's: the old file takes it back now."""
+        assert self._file is not None
+        journal = self._file.with_name(f"{self._file.name}-journal")
+        if not journal.exists():
+            return
+        with contextlib.suppress(ResultError, SQLAlchemyError), self._connected().connect() as connection:
+            meta(connection)
+        journal.unlink(missing_ok=True)
+
+
+def _sqlite(path: Path, durable: bool = True) -> Engine:
+    engine = create_engine(
+        f"sqlite:///file:{quote(str(path.resolve()))}?mode=rw&uri=true",
+        pool_size=16,
+        max_overflow=64,
+        connect_args={"timeout": 60, "check_same_thread": False},
+    )
+
+    @event.listens_for(engine, "connect")
+    def settings(connection: Any, _: Any) -> None:
+        connection.execute("PRAGMA mmap_size = 268435456")
+        if not durable:
+            connection.execute("PRAGMA journal_mode = OFF")
+            connection.execute("PRAGMA synchronous = OFF")
+
+    return engine
+
+
+def _boards(connection: Connection, track: str | None) -> list[BoardInfo]:
+    asked = select(BOARDS).order_by(BOARDS.c.position)
+    if track is not None:
+        asked = asked.where(BOARDS.c.track == track)
+    found = []
+    for row in connection.execute(asked).mappings():
+        values = {key: row[key] for key in row if key != "position"}
+        values["settings"], values["sequences"] = json.loads(row["settings"]), tuple(json.loads(row["sequences"]))
+        found.append(BoardInfo(**values, columns=COLUMNS[row["track"]]))
+    return found
+
+
+def _order(board: BoardInfo, query: Query) -> list[Any]:
+    """What a page is ordered by: records without the value come last, whichever way round; equal ones by rank."""
+    columns = {"rank": ROWS.c.position, "method": ROWS.c.words, "team": ROWS.c.team, "created": ROWS.c.created}
+    columns |= {board.metric: ROWS.c.score, "score": ROWS.c.score, "coverage": ROWS.c.coverage}
+    columns |= {key: ROWS.c[f"m{i}"] for i, key in enumerate(board.columns)}
+    column = columns.get(query.sort)
+    if column is None:
+        raise ResultError(f"sort: expected one of {', '.join(columns)}, got {query.sort!r:.40}")
+    absent = ROWS.c.place if query.sort == "rank" else column
+    return [absent.is_(None), column.desc() if query.descending else column, ROWS.c.position]
+
+
+def _with_track() -> Select[Any]:
+    return select(ROWS, BOARDS.c.track).join(BOARDS, BOARDS.c.id == ROWS.c.board)
+
+
+def _row(found: Any, columns: Sequence[str]) -> Row:
+    metrics = {key: found[f"m{i}"] for i, key in enumerate(columns)}
+    keys = (key for key in Row.__dataclass_fields__ if key != "metrics")
+    return Row(**{key: found[key] for key in keys}, metrics=metrics)

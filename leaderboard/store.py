@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from oysterbench.errors import ResultError
+from oysterbench.errors import OysterbenchError, ResultError
 from oysterbench.files import write_atomically
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
 from oysterbench_leaderboard.record import Record
 
 NOTICE = "oysterbench-notice/1"
+ACTIONS = ("withdrawn", "restored")
 
 
 @dataclass(frozen=True)
@@ -63,17 +64,35 @@ class RecordStore:
         return parse(self._read("curves", digest), str(self._path("curves", digest)))
 
     def notices(self) -> list[Notice]:
-        """All notices, the oldest first."""
-        found = []
+        """All notices, the oldest first. Raises ResultError where one of them cannot be used."""
+        found, wrong = self.read_notices()
+        for reason in wrong.values():
+            raise ResultError(reason)
+        return found
+
+    def notice_digests(self) -> list[str]:
+        """Of all notices, in order."""
+        return self._names("notices")
+
+    def read_notices(self) -> tuple[list[Notice], dict[str, str]]:
+        """The notices that can be used, the oldest first; and those that cannot, digest -> why."""
+        found, wrong = [], {}
         for name in self._names("notices"):
-            values = parse(self._read("notices", name), str(self._path("notices", name)))
             try:
-                if values.pop("format") != NOTICE:
-                    raise KeyError("format")
-                found.append(Notice(**values))
-            except (KeyError, TypeError):
-                raise ResultError(f"{self._path('notices', name)}: expected a notice, got other keys") from None
-        return sorted(found, key=lambda notice: (notice.created, notice.record, notice.action))
+                found.append(self._notice(name))
+            except OysterbenchError as error:
+                wrong[name] = str(error)
+        return sorted(found, key=lambda notice: (notice.created, notice.record, notice.action)), wrong
+
+    def _notice(self, name: str) -> Notice:
+        path = self._path("notices", name)
+        values = parse(self._read("notices", name), str(path))
+        keys = {"format", *(f.name for f in fields(Notice))}
+        if values.get("format") != NOTICE or values.keys() != keys or values["action"] not in ACTIONS:
+            raise ResultError(f"{path}: expected a notice, got other keys or values")
+        if not all(isinstance(value, str) for value in values.values()):
+            raise ResultError(f"{path}: expected a notice, got other keys or values")
+        return Notice(**{key: values[key] for key in keys - {"format"}})
 
     def _path(self, kind: str, digest: str) -> Path:
         if not SHA256.fullmatch(digest):
