@@ -30,6 +30,7 @@ class AidingSettings:
     dvl_scale_sigma: float = 0.003  # of 1: a DVL of the A50 class is sold as good to 1 %, the better model to 0.1 %
     dvl_misalignment_sigma_deg: float = 0.5  # per axis: what a mount is made and measured to
     dvl_noise_floor: float = 0.001  # m/s, 1 sigma of a beam, whatever the sample says
+    height_sigma: float = 10.0  # m, of what a pressure sensor's height is over odom: nothing is known of it
     depth_sigma: float = 0.005  # m: what water currents press on the sensor beside its own noise
     wave_sigma: float = 0.03  # m, of what waves press, before it has been seen
     wave_memory_s: float = 10.0  # over which it is seen: two or three waves
@@ -128,10 +129,6 @@ class Aiding:
         alike = max(1.0, self.settings.wave_tau_s / max(interval_s, 1e-3))
         return sample.variance / self.weight**2 + self.settings.depth_sigma**2 + self._waves * alike
 
-    def set_height_offset(self, filter: InvariantFilter, offset: float) -> None:
-        """Put another one in its place: when odom has been chosen anew."""
-        filter.extra[self._rows["pressure"].start - CORE] = offset
-
     def _add_velocity(self, filter: InvariantFilter, sample: DvlSample) -> bool:
         """Along beam b: b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r), scale s and misalignment m of the DVL's axes.
 
@@ -174,14 +171,14 @@ class Aiding:
 
         How much waves press is told by how far the readings scatter about the motion that is known otherwise.
         """
-        height = self.height(sample)
+        settings, height = self.settings, self.height(sample)
         place = filter.position + filter.rotation @ self.T_imu_pressure[:3, 3]
         if "pressure" not in self._rows:
-            self._rows["pressure"] = filter.append(np.array([height - place[2]]), np.array([10.0]))
+            self._rows["pressure"] = filter.append(np.array([height - place[2]]), np.array([settings.height_sigma]))
         at = self._rows["pressure"].start
         elapsed = (sample.stamp_ns - self._stamps.get("pressure", sample.stamp_ns - 10**8)) * 1e-9
         self._stamps["pressure"] = sample.stamp_ns
-        filter.covariance[at, at] += elapsed * self.settings.depth_walk**2
+        filter.covariance[at, at] += elapsed * settings.depth_walk**2
         slope = np.zeros((1, len(filter.covariance)))
         slope[0, POSITION] = [0.0, 0.0, 1.0]
         slope[0, ATTITUDE] = -cross(place)[2]
@@ -190,9 +187,9 @@ class Aiding:
         residual = np.array([height - place[2] - filter.extra[at - CORE]])
         climb = float(np.sqrt(filter.covariance[VELOCITY, VELOCITY][2, 2]))
         believed = self._update(filter, "pressure", residual, slope, np.array([variance]))
-        if believed and climb < self.settings.wave_climb:
-            share = min(elapsed / self.settings.wave_memory_s, 1.0)
-            scatter = (residual.item() - self._off) ** 2 - self.settings.depth_sigma**2
+        if believed and climb < settings.wave_climb:
+            share = min(elapsed / settings.wave_memory_s, 1.0)
+            scatter = (residual.item() - self._off) ** 2 - settings.depth_sigma**2
             self._off += share * (residual.item() - self._off)
             self._waves += share * (max(scatter, 0.0) - self._waves)
         return believed

@@ -24,6 +24,7 @@ from oysterbench_baselines.common.start import start_filter
 from oysterbench_baselines.gtsam_full.echoes import Echo, altimeter_echo, beam_echoes
 from oysterbench_baselines.gtsam_full.factors import (
     COMPASS_KEY,
+    DEPTH_KEY,
     DVL_KEY,
     FIELD_UNIT,
     depth_factor,
@@ -74,7 +75,6 @@ class AidedEstimator(Estimator):
         self._pressure: PressureSample | None = None
         self._field: MagneticSample | None = None
         self._first_field: tuple[Array, int] | None = None
-        self._offset: float | None = None  # of the pressure sensor's height over z of odom, m
 
     # Samples.
 
@@ -193,9 +193,8 @@ class AidedEstimator(Estimator):
             velocity = sum_velocities(self._intervals[k], before, gravity, aiding.T_imu_dvl, floor)
             if velocity is not None:
                 factors.append(velocity_factor(velocity, k - 1, gravity, settings.aiding_huber))
-        if k in self._heights and self._offset is not None:
-            height, sigma = self._heights[k]
-            factors.append(depth_factor(k, height - self._offset, aiding.T_imu_pressure[:3, 3], sigma))
+        if k in self._heights and self.model.height_offset is not None:
+            factors.append(depth_factor(k, self._heights[k][0], aiding.T_imu_pressure[:3, 3], self._heights[k][1]))
         if k in self._fields and self.model.earth is not None:
             field, sigma = self._fields[k]
             rotation = aiding.T_imu_compass[:3, :3].T
@@ -207,10 +206,14 @@ class AidedEstimator(Estimator):
     def _try_to_start(self, max_scale_sigma: float) -> None:
         """With a DVL the filter knows the motion, and the window takes it from there; without, as gtsam_vi does."""
         if not self._sails:
+            if self.model.height_offset is None and self._heights:
+                self.model.height_offset = next(iter(self._heights.values()))[0]  # odom is about where it starts
+            for keyframe in self.keyframes[self._first + 1 :]:
+                if not keyframe.aiding:
+                    keyframe.aiding = self._aiding_of(keyframe.index, self._filter_state())
             super()._try_to_start(max_scale_sigma)
-            self._anchor_depth()
             return
-        self._offset = self.aiding.height_offset(self.filter)
+        self.model.height_offset = self.aiding.height_offset(self.filter)
         settings = self.settings
         stretch = self.keyframes[self._first :]
         elapsed = (stretch[-1].stamp_ns - stretch[0].stamp_ns) * 1e-9
@@ -239,15 +242,6 @@ class AidedEstimator(Estimator):
         self._good = (self.keyframes[-1].index, self.keyframes[-1].state)
         self._fill_back(stretch[0].index)
 
-    def _anchor_depth(self) -> None:
-        """The depth at which an odom lies that the pictures have chosen: by all readings so far."""
-        known = [self.keyframes[k] for k in self._heights if self.keyframes[k].state is not None]
-        if self._window is None or not known:
-            return
-        lever = np.append(self.aiding.T_imu_pressure[:3, 3], 1.0)
-        self._offset = float(np.mean([self._heights[k.index][0] - (k.state.matrix @ lever)[2] for k in known]))
-        self.aiding.set_height_offset(self.filter, self._offset)
-
     def _states_back(self, stretch: list) -> list[State]:
         """States of the key frames: the filter's at the last, and back from there along the inertial measurements."""
         states = [self._filter_state()]
@@ -261,6 +255,7 @@ class AidedEstimator(Estimator):
         rows: dict[int, tuple[slice, Array]] = {}
         for key, name, unit in (
             (DVL_KEY, "dvl", np.ones(4)),
+            (DEPTH_KEY, "pressure", np.ones(1)),
             (COMPASS_KEY, "magnetometer", np.r_[[FIELD_UNIT] * 6, np.ones(9)]),
         ):
             at = self.aiding.rows(name)

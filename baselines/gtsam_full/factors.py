@@ -1,7 +1,7 @@
 """Factors of DVL, pressure sensor and magnetometer, at the rate of key frames.
 
 A factor written in Python costs a hundred times a native one: so all that a DVL says between two key frames goes into
-one factor of at most three rows, and depth into a native one.
+one factor of at most three rows, and of depth and field there is one factor a key frame.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ DVL_KEY = gtsam.symbol("d", 0)
 """Error of scale, and misalignment (rad) about x, y, z of the DVL: (4,)."""
 COMPASS_KEY = gtsam.symbol("m", 0)
 """The Earth's field in odom (3), hard iron (3), both in FIELD_UNIT, and soft iron (9, row by row): (15,)."""
+DEPTH_KEY = gtsam.symbol("z", 0)
+"""What the pressure sensor's height is over z of odom, m: (1,)."""
 FIELD_UNIT = 1e-5
 """T: makes a field a number near one, as the solver likes its variables."""
 
@@ -169,10 +171,27 @@ def velocity_factor(velocity: Velocity, keyframe: int, gravity: float, huber: fl
     return gtsam.CustomFactor(_robust(noise, huber), [X(keyframe), V(keyframe), B(keyframe), DVL_KEY], error)
 
 
+def depth_error(height: float, lever: Array, pose: gtsam.Pose3, offset: Array) -> tuple[Array, list[Array]]:
+    """(p + R r)_z + offset - height (1,), m, and derivatives by pose (1, 6) and offset (1, 1); x and y have no part."""
+    down_row = pose.rotation().matrix()[2]
+    error = pose.z() + down_row @ lever + offset - height
+    return error, [np.concatenate([np.cross(lever, down_row), down_row])[None], np.ones((1, 1))]
+
+
 def depth_factor(keyframe: int, height: float, lever: Array, sigma: float) -> gtsam.NonlinearFactor:
-    """z (m) in odom of a point at `lever` (3,) of the IMU; x and y have no weight at all."""
-    noise = gtsam.noiseModel.Diagonal.Precisions(np.array([0.0, 0.0, sigma**-2]))
-    return gtsam.GPSFactorArm(X(keyframe), np.array([0.0, 0.0, height]), lever, noise)
+    """A height (m) of a point at `lever` (3,) of the IMU, over a level that is where odom's zero is but for an offset.
+
+    The offset is a variable: what waves press while it is first read would otherwise lift the whole path.
+    """
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        residual, slopes = depth_error(height, lever, values.atPose3(X(keyframe)), values.atVector(DEPTH_KEY))
+        if jacobians is not None:
+            for k, slope in enumerate(slopes):
+                jacobians[k] = np.asfortranarray(slope)
+        return residual
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Isotropic.Sigma(1, sigma), [X(keyframe), DEPTH_KEY], error)
 
 
 def field_error(field: Array, R_compass_imu: Array, pose: gtsam.Pose3, iron: Array) -> tuple[Array, list[Array]]:

@@ -12,14 +12,15 @@ from scipy.spatial import cKDTree
 from oysterbench.geometry import Array
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.gtsam_full.echoes import ECHO_KEY, Echo, echo_factor, find_ground
-from oysterbench_baselines.gtsam_full.factors import COMPASS_KEY, DVL_KEY, FIELD_UNIT
+from oysterbench_baselines.gtsam_full.factors import COMPASS_KEY, DEPTH_KEY, DVL_KEY, FIELD_UNIT
 from oysterbench_baselines.gtsam_full.settings import Settings
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State
 
 
 class AidedModel(Model):
-    """earth: the Earth's field (3,) in odom as first read, FIELD_UNIT; None: no compass. echoes: by key frame."""
+    """earth: the Earth's field (3,) in odom as first read, FIELD_UNIT; None: no compass. height_offset: of the pressure
+    sensor over z of odom as first read, m; None: no such sensor. echoes: by key frame."""
 
     def __init__(
         self,
@@ -36,6 +37,7 @@ class AidedModel(Model):
         self.echo = settings.echo
         self.echoes: dict[int, list[Echo]] = {}
         self.earth: Array | None = None
+        self.height_offset: float | None = None
 
     def shared(self) -> Mapping[int, Array]:
         values = {}
@@ -43,6 +45,8 @@ class AidedModel(Model):
             values[DVL_KEY] = np.zeros(4)
         if self.earth is not None:
             values[COMPASS_KEY] = np.concatenate([self.earth, np.zeros(3), np.eye(3).ravel()])
+        if self.height_offset is not None:
+            values[DEPTH_KEY] = np.array([self.height_offset])
         if self.has_ranges:
             values[ECHO_KEY] = np.zeros(2)
         return values
@@ -54,6 +58,7 @@ class AidedModel(Model):
         sigmas = {
             DVL_KEY: [aiding.dvl_scale_sigma, twist, twist, twist],
             COMPASS_KEY: iron + [aiding.soft_iron_sigma] * 9,
+            DEPTH_KEY: [aiding.height_sigma],
             ECHO_KEY: [self.echo.offset_sigma] * 2,
         }
         return [

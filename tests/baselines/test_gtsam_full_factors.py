@@ -15,8 +15,10 @@ from oysterbench.geometry import Array, invert, transform
 from oysterbench_baselines.common.aiding import dvl_rows
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_full.factors import (
+    DEPTH_KEY,
     DVL_KEY,
     Velocity,
+    depth_error,
     depth_factor,
     field_error,
     sum_velocities,
@@ -196,16 +198,32 @@ def test_the_compass_factors_derivatives_are_those_of_its_error():
         np.testing.assert_allclose(slope, other, atol=1e-8)
 
 
-def test_depth_holds_z_and_neither_x_nor_y_however_far_away():
+def test_the_depth_error_has_the_derivatives_that_it_claims_and_is_zero_at_the_truth():
+    pose = gtsam.Pose3(transform(Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix(), [3.0, -2.0, -1.5]))
+    lever, offset = np.array([0.1, -0.3, 0.2]), np.array([-2.5])
+    height = float(pose.transformFrom(lever)[2] + offset[0])
+    error, slopes = depth_error(height, lever, pose, offset)
+    assert error == pytest.approx(0.0, abs=1e-12)
+    wanted = numerical(lambda *v: depth_error(height, lever, *v), [pose, offset], [6, 1])
+    for slope, other in zip(slopes, wanted, strict=True):
+        np.testing.assert_allclose(slope, other, atol=1e-8)
+
+
+def test_depths_hold_z_over_their_own_level_and_neither_x_nor_y_however_far_away():
+    """Of two key frames: the first is where it is, the second as far below as the readings say."""
+    lever, level, noise = np.array([0.1, 0.0, 0.2]), -4.0, gtsam.noiseModel.Isotropic.Sigma
     pose = gtsam.Pose3(transform(np.eye(3), [2000.0, -3000.0, -1.0]))
-    values = gtsam.Values()
-    values.insert(X(0), pose)
-    graph = gtsam.NonlinearFactorGraph()
-    graph.push_back(gtsam.PriorFactorPose3(X(0), pose, gtsam.noiseModel.Isotropic.Sigma(6, 1.0)))
-    graph.push_back(depth_factor(0, -1.5, np.array([0.1, 0.0, 0.2]), 1e-3))
-    found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize().atPose3(X(0))
-    assert (found.transformFrom(np.array([0.1, 0.0, 0.2])))[2] == pytest.approx(-1.5, abs=1e-4)
-    np.testing.assert_allclose(found.translation()[:2], [2000.0, -3000.0], atol=0.02)
+    values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
+    for k, z in enumerate((-1.0, -1.5)):
+        values.insert(X(k), pose)
+        graph.push_back(gtsam.PriorFactorPose3(X(k), pose, noise(6, 1e-4 if k == 0 else 1.0)))
+        graph.push_back(depth_factor(k, z + 0.2 + level, lever, 1e-3))
+    values.insert(DEPTH_KEY, np.zeros(1))
+    graph.push_back(gtsam.PriorFactorVector(DEPTH_KEY, np.zeros(1), noise(1, 10.0)))
+    found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    assert found.atVector(DEPTH_KEY)[0] == pytest.approx(level, abs=1e-4)
+    assert found.atPose3(X(1)).transformFrom(lever)[2] == pytest.approx(-1.3, abs=1e-4)
+    np.testing.assert_allclose(found.atPose3(X(1)).translation()[:2], [2000.0, -3000.0], atol=0.02)
 
 
 def test_the_velocity_factor_gives_the_solver_the_same_error():
