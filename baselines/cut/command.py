@@ -16,7 +16,9 @@ SAMPLES = 4
 SHEETS = 20
 """Sample sheets of a training, about."""
 
-source_option = click.option("--source", required=True, metavar="SPLIT|PATH", help="Rendered images, with labels.")
+source_option = click.option(
+    "--source", "sources", multiple=True, required=True, metavar="SPLIT|PATH", help="Labelled images; repeatable."
+)
 side_option = click.option(
     "--side", help="Only targets of this side of their manifest.csv.  [default: train, where there are sides]"
 )
@@ -38,7 +40,7 @@ seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show
 @seed_option
 @click.option("--device", default="cpu", show_default=True, help="auto, cpu, cuda or cuda:N.")
 def train_command(
-    source: str,
+    sources: tuple[str, ...],
     target: str,
     side: str | None,
     clips: tuple[str, ...],
@@ -71,7 +73,7 @@ def train_command(
     from oysterbench_baselines.learning.loop import pick_device
 
     settings = settings_of(method, size, steps)
-    rendered, real = open_data(source), targets(open_data(target), side, clips)
+    rendered, real = opened(sources), targets(open_data(target), side, clips)
     samples = [rendered[k * len(rendered) // SAMPLES] for k in range(min(SAMPLES, len(rendered)))]
     beside = [image.pixels for image in real]
 
@@ -108,18 +110,17 @@ def train_command(
 @click.argument("checkpoint", type=click.Path(path_type=Path))
 @source_option
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write.")
-def cut_command(checkpoint: Path, source: str, out: Path) -> None:
+def cut_command(checkpoint: Path, sources: tuple[str, ...], out: Path) -> None:
     """Translate labelled images at their own size; their labels stay, and what that costs is measured and printed.
 
     \b
     Example:
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
     """
-    from oysterbench.cli_labelled import open_data
     from oysterbench_baselines.cut.translation import load_generator, translated
 
     generator, settings = load_generator(checkpoint)
-    _write(open_data(source), lambda images: translated(generator, settings, images), out)
+    _write(opened(sources), lambda images: translated(generator, settings, images), out)
 
 
 def _recolour(name: str) -> click.Command:
@@ -130,12 +131,14 @@ def _recolour(name: str) -> click.Command:
     @clip_option
     @seed_option
     @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write.")
-    def command(source: str, target: str, side: str | None, clips: tuple[str, ...], seed: int, out: Path) -> None:
+    def command(
+        sources: tuple[str, ...], target: str, side: str | None, clips: tuple[str, ...], seed: int, out: Path
+    ) -> None:
         from oysterbench.cli_labelled import open_data
         from oysterbench_baselines.cut.colour import TRANSFERS, recoloured
 
         models = targets(open_data(target), side, clips)
-        _write(open_data(source), lambda images: recoloured(images, models, TRANSFERS[name], seed), out)
+        _write(opened(sources), lambda images: recoloured(images, models, TRANSFERS[name], seed), out)
 
     command.help = f"""Give labelled images the colours of real ones ({name}): a clip, then one of its images, drawn for
     each. No edge moves; the control that a learnt translation has to beat.
@@ -149,6 +152,15 @@ def _recolour(name: str) -> click.Command:
 
 histogram_command = _recolour("histogram")
 reinhard_command = _recolour("reinhard")
+
+
+def opened(names: tuple[str, ...]) -> LabelledSet:
+    """The labelled images of all these splits or paths, as one set."""
+    from oysterbench.cli_labelled import open_data
+    from oysterbench.labelled import joined
+
+    sets = [open_data(name) for name in names]
+    return sets[0] if len(sets) == 1 else joined(sets, "+".join(one.name for one in sets))
 
 
 def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> LabelledSet:

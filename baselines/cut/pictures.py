@@ -27,7 +27,7 @@ def read_pictures(labelled: LabelledSet, crop: int, scale: float) -> list[Pictur
     if len(labelled) < LEAST_PICTURES:
         raise LabelError(
             f"{labelled.name}: expected at least {LEAST_PICTURES} pictures to learn a translation from, got "
-            f"{len(labelled)}; for fewer, `oysterbench recolour` needs no training"
+            f"{len(labelled)}; for fewer, `oysterbench translate reinhard` needs no training"
         )
     found = []
     for image in labelled:

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from oysterbench.labelled import LabelledSet
 
 
 @click.command("sim2real", short_help="What rendered images are worth on real ones.")
 @click.option("--real", required=True, metavar="PATH", help="Labelled real images, with manifest.csv: clip and split.")
-@click.option("--synthetic", "names", multiple=True, metavar="NAME=SPLIT|PATH", help="Synthetic images; repeatable.")
+@click.option(
+    "--synthetic",
+    "names",
+    multiple=True,
+    metavar="NAME=SPLIT|PATH",
+    help="Synthetic images; of a NAME they are one set.",
+)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
 @click.option("--sizes", default="5,10,20,40,all", show_default=True, help="Numbers of real training images.")
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Trainings of each kind.")
@@ -48,15 +58,17 @@ def command(
     from oysterbench.cli_labelled import open_data
     from oysterbench.cli_render import frames_bar
     from oysterbench.files import home
+    from oysterbench.labelled import joined
     from oysterbench_baselines.sim2real.experiment import run
     from oysterbench_baselines.sim2real.settings import Settings
 
-    sets = {}
+    parts: dict[str, list[LabelledSet]] = {}
     for text in names:
         name, equals, place = text.partition("=")
-        if not equals or not name.replace("-", "").replace("_", "").isalnum() or name == "real" or name in sets:
-            raise click.UsageError(f"--synthetic: expected NAME=SPLIT or NAME=PATH, each name once, got {text!r}")
-        sets[name] = open_data(place)
+        if not equals or not name.replace("-", "").replace("_", "").isalnum() or name == "real":
+            raise click.UsageError(f"--synthetic: expected NAME=SPLIT or NAME=PATH, and a name but real, got {text!r}")
+        parts.setdefault(name, []).append(open_data(place))
+    sets = {name: one[0] if len(one) == 1 else joined(one, name) for name, one in parts.items()}
     settings = Settings(sizes=_sizes(sizes), seeds=seeds)
     if steps is not None:
         settings = dataclasses.replace(settings, fit=dataclasses.replace(settings.fit, steps=steps))

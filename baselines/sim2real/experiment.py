@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import fcntl
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from oysterbench.files import write_atomically
 from oysterbench.labelled import LabelledSet
 from oysterbench.results import ResultRecord, write_results
 from oysterbench_baselines.sim2real.data import Real, real_data
+from oysterbench_baselines.sim2real.locking import alone
 from oysterbench_baselines.sim2real.report import HEADINGS, lines, markdown, report
 from oysterbench_baselines.sim2real.scoring import WHOLE, score
 from oysterbench_baselines.sim2real.settings import Settings, cells_of
@@ -44,20 +44,19 @@ def run(
     bench = Bench(real, synthetic, settings, device)
     cells = [cell for cell in cells_of(tuple(synthetic), settings) if (cell.size or 0) <= len(real.train)]
     records = _trivial(bench, out / "cells")
-    done = {cell: finished(bench, cell, out / "cells" / cell.folder) for cell in cells}
-    left = [cell for cell in cells if done[cell] is None]
+    left = [cell for cell in cells if finished(bench, cell, out / "cells" / cell.folder) is None]
     if train and left:
-        total, steps = len(left) * settings.fit.steps, settings.fit.steps
+        total, before = sum(settings.fit_of(cell).steps for cell in left), 0
         with bar(f"{len(left)} of {len(cells)} trainings", "steps") as progress:
             progress(0, total)
-            for k, cell in enumerate(left):
+            for cell in left:
                 folder = out / "cells" / cell.folder
-                with _alone(folder) as mine:
-                    if not mine:
-                        continue
-                    done[cell] = run_cell(bench, cell, folder, lambda at, k=k: progress(k * steps + at, total))
-                say(f"{folder.name}: {_said(done[cell] or [])}")
-                progress((k + 1) * steps, total)
+                with alone(folder) as mine:
+                    if mine:
+                        found = run_cell(bench, cell, folder, lambda at, begin=before: progress(begin + at, total))
+                        say(f"{folder.name}: {_said(found)}")
+                before += settings.fit_of(cell).steps
+                progress(before, total)
     for cell in cells:  # also what others have finished meanwhile
         records += finished(bench, cell, out / "cells" / cell.folder) or []
     rows = table(records, settings.block)
@@ -109,16 +108,3 @@ def _said(records: list[ResultRecord]) -> str:
 def _aligned(rows: list[tuple[str, ...]]) -> str:
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[bool]:
-    """Whether this process has the cell for itself; the system frees it when a process dies."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / ".lock", "w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            yield False
-            return
-        yield True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from oysterbench.labelled.duplicates import ALIKE
 from oysterbench_baselines.learning.augment import Augmentation
@@ -21,7 +21,8 @@ class Settings:
     """sizes:       numbers of real training images; `ALL` for all
     seeds:       trainings of each kind; seed k draws the real images, the weights and the crops
     batch:       crops of a step
-    mixed_share: of the steps, from the first, half of each batch is synthetic; from then on all of it is real
+    tuned:       share of the steps of real + synthetic that are on real images; those before are on synthetic ones
+    tuned_rate:  learning rate of these: lower, so that what was learnt before is not forgotten
     block:       neighbouring test images that are resampled together
     alike:       correlation with a test image from which a training image is left out
     """
@@ -29,12 +30,20 @@ class Settings:
     sizes: tuple[int, ...] = (5, 10, 20, 40, ALL)
     seeds: int = 3
     batch: int = 8
-    mixed_share: float = 0.6
+    tuned: float = 0.2
+    tuned_rate: float = 2e-3
     block: int = 8
     alike: float = ALIKE
-    network: NetworkSettings = field(default_factory=lambda: NetworkSettings(scale=0.3))
-    augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=72))
-    fit: FitSettings = field(default_factory=lambda: FitSettings(steps=600, warm_up=20, threads=1))
+    network: NetworkSettings = field(default_factory=lambda: NetworkSettings(base=8, scale=0.2))
+    augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=56))
+    fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1000, warm_up=20, threads=1))
+
+    def fit_of(self, cell: Cell) -> FitSettings:
+        """Of the training of a cell itself, without what it begins from (`Cell.begun`)."""
+        tuned = round(self.tuned * self.fit.steps)
+        if cell.begun is not None:
+            return replace(self.fit, steps=tuned, learning_rate=self.tuned_rate)
+        return replace(self.fit, steps=self.fit.steps - tuned) if cell.synthetic else self.fit
 
 
 @dataclass(frozen=True)
@@ -51,6 +60,11 @@ class Cell:
         if not self.synthetic:
             return REAL
         return f"{self.synthetic} only" if self.size is None else f"{REAL} + {self.synthetic}"
+
+    @property
+    def begun(self) -> Cell | None:
+        """The cell whose weights it begins with: that of its synthetic images alone. None: weights drawn at random."""
+        return Cell(self.synthetic, None, self.seed) if self.synthetic and self.size is not None else None
 
     @property
     def folder(self) -> str:

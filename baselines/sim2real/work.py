@@ -17,9 +17,11 @@ from oysterbench.labelled import LabelledSet
 from oysterbench.results import ResultRecord, read_results, write_results
 from oysterbench.streams import Streams
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
+from oysterbench_baselines.learning.checkpoint import Checkpoint
 from oysterbench_baselines.learning.loop import fit, pick_device
 from oysterbench_baselines.learning.samples import Floats, LabelledDataset
 from oysterbench_baselines.sim2real.data import Real, drawn
+from oysterbench_baselines.sim2real.locking import alone
 from oysterbench_baselines.sim2real.scoring import EVALUATORS, WHOLE, Answer, Score, Truth, score
 from oysterbench_baselines.sim2real.settings import Cell, Settings
 from oysterbench_baselines.unet.instances import find_instances
@@ -61,12 +63,7 @@ class Bench:
     def identity(self, cell: Cell) -> dict[str, Any]:
         """What decides the weights of a cell, as plain values."""
         plain = json.loads(json.dumps(dataclasses.asdict(self.settings)))
-        for key in (
-            "sizes",
-            "seeds",
-            "block",
-            "alike",
-        ):  # they say which cells and images there are, and how all is summed up
+        for key in ("sizes", "seeds", "block", "alike"):  # which cells and images there are, how all is summed up
             del plain[key]
         data = {
             "synthetic": self._digests.get(cell.synthetic, ""),
@@ -91,35 +88,36 @@ class Bench:
 
     def train(self, cell: Cell, folder: Path, progress: Callable[[int], None]) -> Model:
         """The trained network of a cell, from its checkpoint where there is one."""
+        return Model.of(self._trained(cell, folder, progress), pick_device(self.device))
+
+    def _trained(self, cell: Cell, folder: Path, progress: Callable[[int], None]) -> Checkpoint:
         settings = self.settings
         streams = Streams(cell.seed).at("sim2real")
-        first, last = self._mixtures(cell)
-        mixed_steps = round(settings.mixed_share * settings.fit.steps)
-        device = pick_device(self.device)
-        checkpoint = fit(
-            lambda: new_network(settings.network),
+        begun = None
+        if cell.begun is not None:
+            beside = folder.parent / cell.begun.folder
+            with alone(beside, wait=True):  # another process may be at it
+                begun = self._trained(cell.begun, beside, lambda done: None)
+        images = self._images(cell)
+        return fit(
+            lambda: new_network(settings.network, begun),
             described(settings.network),
-            lambda step: make_batch(first if step < mixed_steps else last, settings.augmentation, streams, step),
-            settings.fit,
+            lambda step: make_batch(images, settings.augmentation, streams, step),
+            settings.fit_of(cell),
             self.identity(cell),
             folder / CHECKPOINT,
-            device,
+            pick_device(self.device),
             initial_seed(streams),
             lambda done, total, loss: progress(done),
         )
-        return Model.of(checkpoint, device)
 
-    def _mixtures(self, cell: Cell) -> tuple[Mixture, Mixture]:
-        """Of the first steps, and of the last ones. Of one kind of images, both are of it."""
-        batch = self.settings.batch
-        synthetic = [self._datasets[cell.synthetic]] if cell.synthetic else []
+    def _images(self, cell: Cell) -> Mixture:
+        """What a cell itself is trained on: real images where it has any, and synthetic ones elsewhere."""
         if cell.size is None:
-            only = Mixture(synthetic, [batch])
-            return only, only
+            return Mixture([self._datasets[cell.synthetic]], [self.settings.batch])
         chosen = drawn(self.real.train, cell.size, cell.seed)
         real = Subset(self._train, [self._place[entry.name] for entry in chosen.entries], chosen)
-        only = Mixture([real], [batch])
-        return (Mixture([*synthetic, real], [batch // 2, batch - batch // 2]) if synthetic else only), only
+        return Mixture([real], [self.settings.batch])
 
     def answers(self, model: Model) -> Iterator[Floats]:
         """(2, h, w) logits of each test image, at the working scale, to `STEP`."""

@@ -39,9 +39,11 @@ def identity(settings: Settings, data: Mapping[str, Any], seed: int, device: tor
     return {"method": "unet", "settings": plain, "data": dict(data), "seed": seed, "device": device.type}
 
 
-def new_network(settings: NetworkSettings) -> UNetwork:
-    """With weights drawn from torch's generator."""
+def new_network(settings: NetworkSettings, begun: Checkpoint | None = None) -> UNetwork:
+    """With weights drawn from torch's generator, or with those of a training that it goes on from."""
     network: UNetwork = UNetwork(settings).to(memory_format=torch.channels_last)
+    if begun is not None:
+        network.load_state_dict(begun.weights)
     return network
 
 

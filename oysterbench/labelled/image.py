@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -127,14 +127,12 @@ class LabelledSet:
 
 def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:
     """Several sets as one; images and clips are named SET/NAME."""
-    return LabelledSet(
-        name,
-        [
-            Entry(f"{part.name}/{entry.name}", f"{part.name}/{entry.clip}", entry.read, entry.files, entry.split)
-            for part in sets
-            for entry in part.entries
-        ],
-    )
+
+    def renamed(entry: Entry, part: str) -> Entry:
+        own, clip = f"{part}/{entry.name}", f"{part}/{entry.clip}"
+        return Entry(own, clip, lambda: replace(entry.read(), name=own, clip=clip), entry.files, entry.split)
+
+    return LabelledSet(name, [renamed(entry, part.name) for part in sets for entry in part.entries])
 
 
 def file_digest(path: Path) -> str:

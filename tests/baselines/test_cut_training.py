@@ -228,3 +228,13 @@ def test_too_few_pictures_are_refused_before_anything_is_written(tmp_path):
     with pytest.raises(LabelError, match="at least 20 pictures"):
         train(labelled(5), TARGET, SETTINGS["cut"], tmp_path / "a.pt")
     assert not list(tmp_path.iterdir())
+
+
+def test_several_sources_are_translated_into_one_folder(folders):
+    write_folder(labelled(3, "more"), folders / "more")
+    out = folders / "both"
+    sources = ("--source", folders / "rendered", "--source", folders / "more")
+    assert run(reinhard_command, *sources, "--target", folders / "real", "--out", out).exit_code == 0
+    names = [entry.name for entry in open_labelled(out).entries]
+    assert len(names) == 23
+    assert {name.split("-")[0] for name in names} == {"rendered", "more"}

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
@@ -15,7 +17,9 @@ from small_trainings import SMALL, small_set  # noqa: E402
 from oysterbench.errors import LabelError, ResultError  # noqa: E402
 from oysterbench.evaluate.statistics import resample_counts  # noqa: E402
 from oysterbench.results import ResultRecord, read_results  # noqa: E402
-from oysterbench_baselines.sim2real import work  # noqa: E402
+from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
+from oysterbench_baselines.sim2real import data, work  # noqa: E402
+from oysterbench_baselines.sim2real.command import command  # noqa: E402
 from oysterbench_baselines.sim2real.data import drawn, real_data  # noqa: E402
 from oysterbench_baselines.sim2real.experiment import run  # noqa: E402
 from oysterbench_baselines.sim2real.report import lines, plot  # noqa: E402
@@ -103,16 +107,31 @@ def test_a_training_image_that_is_a_test_image_under_another_name_is_left_out_an
     assert "a-0" in {entry.name for entry in found.train.entries}
 
 
-def test_mixed_batches_are_half_synthetic_and_then_all_real(real, synthetic):
+def test_real_and_synthetic_begin_with_the_weights_of_synthetic_alone_and_all_have_as_many_steps(
+    real, synthetic, tmp_path
+):
+    settings = dataclasses.replace(SETTINGS, tuned=0.4)
+    bench = Bench(real_data(real, (), 0.99), {"made": synthetic}, settings, "cpu")
+    alone, both, only = Cell("made", None, 0), Cell("made", 2, 0), Cell("", 2, 0)
+    assert both.begun == alone
+    assert only.begun is None is alone.begun
+    steps = {cell: settings.fit_of(cell).steps for cell in (alone, both, only)}
+    assert steps[alone] + steps[both] == steps[only] == 5
+    assert settings.fit_of(both).learning_rate == settings.tuned_rate < settings.fit_of(only).learning_rate
+    still = dataclasses.replace(settings, tuned_rate=0.0)  # a training that learns nothing shows where it began
+    bench = Bench(bench.real, bench.synthetic, still, "cpu")
+    bench.train(both, tmp_path / both.folder, lambda done: None)
+    first, last = (read_checkpoint(tmp_path / cell.folder / "checkpoint.pt") for cell in (alone, both))
+    assert (first.step, last.step) == (3, 2)
+    assert all(torch.equal(first.weights[key], value) for key, value in last.weights.items())
+
+
+def test_each_training_sees_its_own_images(real, synthetic):
     bench = Bench(real_data(real, (), 0.99), {"made": synthetic}, SETTINGS, "cpu")
-    first, last = bench._mixtures(Cell("made", 2, 0))
-    assert [(dataset.labelled.name, count) for dataset, count in zip(first.datasets, first.counts, strict=True)] == [
-        ("made", 2),
-        ("real train", 2),
-    ]
-    assert (len(last.datasets), last.counts, len(last.datasets[0])) == (1, [4], 2)
-    alone = bench._mixtures(Cell("made", None, 0))[1]
-    assert (alone.datasets[0].labelled.name, alone.counts) == ("made", [4])
+    for cell, name, count in ((Cell("made", 2, 0), "real train", 2), (Cell("made", None, 0), "made", 4)):
+        images = bench._images(cell)
+        assert [dataset.labelled.name for dataset in images.datasets] == [name]
+        assert (list(images.counts), len(images.datasets[0])) == ([SETTINGS.batch], count)
 
 
 # Running
@@ -123,9 +142,11 @@ def test_it_leaves_a_result_for_each_cell_and_goes_on_where_it_was_stopped(real,
     original = work.fit
 
     def stops(*arguments, **options):
-        begun.append(arguments[5].parent.name)
-        if len(begun) == 3:
-            raise KeyboardInterrupt
+        path = arguments[5]
+        if not path.is_file():  # where there is one it is finished, and the training another begins with
+            begun.append(path.parent.name)
+            if len(begun) == 3:
+                raise KeyboardInterrupt
         return original(*arguments, **options)
 
     monkeypatch.setattr(work, "fit", stops)
@@ -225,3 +246,17 @@ def test_too_few_blocks_have_no_interval_and_the_table_says_none():
     assert not rows[0].interval.known
     assert lines(rows)[0][3] == "0.500"
     assert plot(rows).startswith("<svg")
+
+
+def test_synthetic_sets_of_one_name_are_joined(real, tmp_path, monkeypatch):
+    monkeypatch.setattr(data, "near_duplicates", lambda *sets: [])  # these small pictures are all alike
+    for k, name in enumerate(("one", "other")):
+        small_set(tmp_path / name, {"s": ("", 2)}, first=60 + 10 * k)
+    both = [f"--synthetic=made={tmp_path / name}" for name in ("one", "other")]
+    place = Path(real.entries[0].files[0]).parents[1]
+    options = [f"--real={place}", *both, f"--out={tmp_path / 'out'}", "--sizes=2", "--seeds=1", "--only-table"]
+    done = CliRunner().invoke(command, options, catch_exceptions=False)
+    assert done.exit_code == 0
+    assert "0 of 3 trainings are finished" in done.stderr, "made only, real, real + made"
+    with pytest.raises(LabelError, match="two images are named"):
+        CliRunner().invoke(command, [*options, both[0]], catch_exceptions=False)

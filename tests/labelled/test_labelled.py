@@ -269,6 +269,7 @@ def test_sets_joined_keep_their_images_apart(tmp_path):
     other = open_labelled(yolo_folder(tmp_path / "other", {"a": ""}))
     both = joined([one, other], "both")
     assert [entry.name for entry in both.entries] == ["one/a", "other/a"]
+    assert [(image.name, image.clip) for image in both] == [(entry.name, entry.clip) for entry in both.entries]
     with pytest.raises(LabelError, match="two images are named 'a'"):
         LabelledSet("twice", [*one.entries, *other.entries])
 
