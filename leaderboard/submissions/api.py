@@ -1,0 +1,123 @@
+"""The interface for programs: `POST /api/submissions` and what comes of it. A token in the header Authorization."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from oysterbench.evaluate.metrics import FAILED as RANKED_BY
+from oysterbench.results import aggregate
+from oysterbench_leaderboard.submissions.gate import Gate
+from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.service import Service
+from oysterbench_leaderboard.submissions.state import Submission
+
+MOST_BODY = 4000
+"""Bytes of a small body."""
+
+
+def routes(gate: Gate) -> list[Route]:
+    """Of the interface."""
+    service = gate.service
+
+    async def team(request: Request) -> str:
+        kind, _, token = request.headers.get("authorization", "").partition(" ")
+        if kind.lower() != "bearer" or not token:
+            raise Refusal("token", "expected the header 'Authorization: Bearer TOKEN'")
+        request.state.team = (await gate.holder(request, token.strip())).team
+        return request.state.team
+
+    async def splits(request: Request) -> Response:
+        limits = {key: getattr(service.settings, key) for key in ("file_bytes", "upload_bytes", "per_day", "per_split")}
+        return JSONResponse({"splits": service.catalogue.public(), "limits": limits})
+
+    async def send(request: Request) -> Response:
+        made, new = await gate.submit(request, await team(request))
+        return JSONResponse(await run_in_threadpool(shown, service, made), 201 if new else 200)
+
+    async def listed(request: Request) -> Response:
+        found = await run_in_threadpool(service.of_team, await team(request))
+        return JSONResponse({"submissions": [brief(one) for one in found]})
+
+    async def one(request: Request) -> Response:
+        found = await run_in_threadpool(service.get, await team(request), request.path_params["id"])
+        return JSONResponse(await run_in_threadpool(shown, service, found))
+
+    async def publish(request: Request) -> Response:
+        found = await run_in_threadpool(service.publish, await team(request), request.path_params["id"])
+        return JSONResponse(await run_in_threadpool(shown, service, found))
+
+    async def withdraw(request: Request) -> Response:
+        of = await team(request)
+        reason = (await small_body(request)).decode(errors="replace")
+        found = await run_in_threadpool(service.withdraw, of, request.path_params["id"], reason)
+        return JSONResponse(await run_in_threadpool(shown, service, found))
+
+    async def refuse(request: Request, refusal: Refusal) -> Response:
+        headers = {"WWW-Authenticate": "Bearer"} if refusal.kind == "token" else {}
+        return JSONResponse({"error": refusal.kind, "reason": refusal.reason}, refusal.status, headers)
+
+    def route(path: str, handler: Any, method: str) -> Route:
+        return Route(path, gate.answered(handler, refuse), methods=[method])
+
+    return [
+        route("/api/submissions/splits", splits, "GET"),
+        route("/api/submissions", send, "POST"),
+        route("/api/submissions", listed, "GET"),
+        route("/api/submissions/{id:str}", one, "GET"),
+        route("/api/submissions/{id:str}/publish", publish, "POST"),
+        route("/api/submissions/{id:str}/withdraw", withdraw, "POST"),
+    ]
+
+
+def brief(submission: Submission) -> dict[str, Any]:
+    """What a list says of a submission."""
+    keys = (
+        "id",
+        "state",
+        "reason",
+        "track",
+        "split",
+        "method",
+        "url",
+        "summary",
+        "digest",
+        "size",
+        "created",
+        "updated",
+    )
+    return {
+        **{key: getattr(submission, key) for key in keys},
+        "published": submission.published or None,
+        "page": f"/submit/{submission.id}",
+    }
+
+
+def shown(service: Service, submission: Submission) -> dict[str, Any]:
+    """All that a team may know of its submission."""
+    found = brief(submission)
+    if submission.state == "queued":
+        found["queued_before"] = service.queued_before(submission)
+    record = service.record(submission)
+    if record is not None:
+        row = aggregate(record.results)[0]
+        metrics = dict(row["metrics"])
+        found["score"] = {key: metrics.get(key) for key in RANKED_BY[record.track]}
+        found["metrics"] = metrics
+        found["failures"] = {r.sequence: r.failure for r in record.results if r.failure is not None}
+        found["record"] = record.to_dict()
+    return found
+
+
+async def small_body(request: Request) -> bytes:
+    """A body of at most MOST_BODY bytes."""
+    body = b""
+    async for chunk in request.stream():
+        body += chunk
+        if len(body) > MOST_BODY:
+            raise Refusal("size", f"expected at most {MOST_BODY} bytes, got more")
+    return body

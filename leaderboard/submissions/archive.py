@@ -1,0 +1,172 @@
+"""Archives, read in place: nothing of one is ever written to disk, and nothing in one is believed."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import stat
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from oysterbench_leaderboard.submissions.refusals import Refusal
+
+ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Ways of compression that are read: others reach far higher ratios."""
+
+ENCRYPTED = 0x1
+EPOCH = (1980, 1, 1, 0, 0, 0)
+"""Date of files in archives that are made here."""
+
+SHOWN = 80
+"""Characters of a name in a message."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of what is read (`settings.Settings`)."""
+
+    file_bytes: int
+    results_bytes: int
+    entries: int
+    unpacked_bytes: int
+    ratio: float
+
+
+class Budget:
+    """What may still be unpacked of one submission, over all archives in it."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self.entries = 0
+        self.bytes = 0
+
+    def take(self, entries: int, size: int) -> None:
+        """Raises Refusal where that is too much."""
+        self.entries += entries
+        self.bytes += size
+        if self.entries > self.limits.entries:
+            raise Refusal("archive", f"expected at most {self.limits.entries} files in an archive, got more")
+        if self.bytes > self.limits.unpacked_bytes:
+            most = self.limits.unpacked_bytes // 1_000_000
+            raise Refusal("archive", f"expected at most {most} MB in all when unpacked, got more")
+
+
+def shown(name: str) -> str:
+    """A name of somebody else's as it stands in a message."""
+    return ascii(name[:SHOWN])
+
+
+class Archive:
+    """A zip archive. All its entries are checked before the first is read.
+
+    arrays: whether it is an .npz, whose members may shrink as much as they like
+    """
+
+    def __init__(self, file: IO[bytes] | Path, label: str, budget: Budget, arrays: bool = False) -> None:
+        self.label = label
+        self.limits = budget.limits
+        try:
+            self._zip = zipfile.ZipFile(file)
+            entries = self._zip.infolist()
+        except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, NotImplementedError) as error:
+            raise Refusal(
+                "archive", f"{label}: not a whole zip archive: {' '.join(str(error).split())[:100]}"
+            ) from None
+        budget.take(len(entries), sum(max(entry.file_size, 0) for entry in entries))
+        self.entries: dict[str, zipfile.ZipInfo] = {}
+        for entry in entries:
+            self._check(entry, arrays)
+            self.entries[entry.orig_filename] = entry
+
+    def _check(self, entry: zipfile.ZipInfo, arrays: bool) -> None:
+        # `filename` has been mended by the library; what was written says what was meant.
+        name = entry.orig_filename
+        where = f"{self.label}: {shown(name)}"
+        kind = stat.S_IFMT(entry.external_attr >> 16)
+        if name in self.entries:
+            raise Refusal("archive", f"{where} is there twice; expected each name once")
+        if kind and not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
+            what = "a symbolic link" if stat.S_ISLNK(kind) else "no regular file"
+            raise Refusal("archive", f"{where} is {what}; expected files alone")
+        if name.startswith(("/", "\\")) or name[1:2] == ":":
+            raise Refusal("archive", f"{where} is an absolute path; expected names as `SEQUENCE.tum`")
+        if ".." in name.replace("\\", "/").split("/"):
+            raise Refusal("archive", f"{where} leaves its folder by '..'; expected names as `SEQUENCE.tum`")
+        if "\\" in name or "\0" in name or not name.isprintable():
+            raise Refusal("archive", f"{where} has characters that no name here has; expected names as `SEQUENCE.tum`")
+        if entry.is_dir() or name.endswith("/"):
+            raise Refusal("archive", f"{where} is a folder; archive the files alone, e.g. `zip -D answers.zip *.tum`")
+        if entry.flag_bits & ENCRYPTED or entry.compress_type not in METHODS:
+            raise Refusal("archive", f"{where} is encrypted or packed in an unusual way; expected deflate or none")
+        if entry.file_size > self.limits.file_bytes:
+            most = self.limits.file_bytes // 1_000_000
+            raise Refusal("archive", f"{where} has {entry.file_size} bytes unpacked; expected at most {most} MB")
+        if not arrays and entry.file_size > self.limits.ratio * max(entry.compress_size, 1) + 1000:
+            raise Refusal(
+                "archive",
+                f"{where} unpacks to {entry.file_size} bytes from {entry.compress_size}; expected at most "
+                f"{self.limits.ratio:g} times as many",
+            )
+
+    def read(self, name: str) -> bytes:
+        """The bytes of an entry; no more than its size says."""
+        entry = self.entries[name]
+        try:
+            with self._zip.open(entry) as file:
+                return file.read(self.limits.file_bytes + 1)[: self.limits.file_bytes + 1]
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            ValueError,
+            EOFError,
+            OSError,
+            NotImplementedError,
+            RuntimeError,
+        ) as error:
+            said = " ".join(str(error).split())[:100]
+            raise Refusal("archive", f"{self.label}: {shown(name)} cannot be unpacked: {said}") from None
+
+
+def pack(files: Mapping[str, Path], target: IO[bytes]) -> None:
+    """Write a zip archive of files, by their names in it: the same bytes for the same files, whenever it is made."""
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(files):
+            entry = zipfile.ZipInfo(name, EPOCH)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o100644 << 16
+            with open(files[name], "rb") as source, archive.open(entry, "w") as place:
+                shutil.copyfileobj(source, place, 1 << 20)
+
+
+def is_zip(data: bytes) -> bool:
+    """Whether a file that begins so is an archive."""
+    return data.startswith(ZIP_MAGIC)
+
+
+def arrays_of(data: bytes, label: str, budget: Budget) -> Archive:
+    """The archive of an .npz: nothing but .npy files in it."""
+    archive = Archive(io.BytesIO(data), label, budget, arrays=True)
+    for name in archive.entries:
+        if not name.endswith(".npy"):
+            raise Refusal("archive", f"{label}: {shown(name)}: expected arrays (.npy) alone in an .npz, no archive")
+    return archive
+
+
+@contextmanager
+def in_memory(data: bytes, label: str) -> Iterator[Path]:
+    """A path that leads to these bytes, for readers that want one: they stay in memory."""
+    descriptor = os.memfd_create(label[:64].encode("ascii", "replace").decode())
+    try:
+        view = memoryview(data)
+        while view:
+            view = view[os.write(descriptor, view) :]
+        yield Path(f"/proc/self/fd/{descriptor}")
+    finally:
+        os.close(descriptor)

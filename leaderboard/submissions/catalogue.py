@@ -1,0 +1,194 @@
+"""What a server takes submissions for: splits, their sequences and images, and where their truth lies.
+
+`Wanted` is what may be known of a split by everybody; `Served` adds where the truth is, and stays on the server.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from oysterbench.errors import OysterbenchError, ResultError
+from oysterbench.files import write_atomically
+from oysterbench.hub.canonical import canonical, sha256
+from oysterbench_leaderboard.submissions.refusals import Refusal
+
+TRACKS_OF = {"slam": ("slam",), "segmentation": ("segmentation", "detection")}
+"""Track of a split's recipe -> tracks of which answers to it are scored."""
+
+Images = Mapping[str, Mapping[str, tuple[int, int]]]
+"""Sequence -> name of an image -> height and width."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What an answer to a split on a track is made of.
+
+    split_digest, conditions: as results hold them; hidden: whether nobody but the server has the truth
+    images: of tracks of images; empty where they are not known, as on a client that has not downloaded them
+    """
+
+    track: str
+    split: str
+    split_digest: str
+    hidden: bool
+    sequences: tuple[str, ...]
+    conditions: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
+    images: Images = field(default_factory=dict)
+
+    @property
+    def of_images(self) -> bool:
+        """Whether images are answered, and not paths estimated."""
+        return self.track != "slam"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {**self.__dict__, "sequences": list(self.sequences)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Wanted:
+        """As `to_dict` made it."""
+        images = {
+            sequence: {name: (int(size[0]), int(size[1])) for name, size in named.items()}
+            for sequence, named in values["images"].items()
+        }
+        return cls(**{**values, "sequences": tuple(values["sequences"]), "images": images})
+
+
+@dataclass(frozen=True)
+class Served:
+    """A split that is served. truth: sequence -> its file; empty for a public split that was not rendered here, of
+    which results are taken that others computed."""
+
+    wanted: Mapping[str, Wanted]
+    truth: Mapping[str, Path]
+
+    @property
+    def any(self) -> Wanted:
+        """Of one of its tracks: they share split, digest and sequences."""
+        return next(iter(self.wanted.values()))
+
+
+class Catalogue:
+    """All splits that are served, by name."""
+
+    def __init__(self, served: Iterable[Served]) -> None:
+        self.splits = {one.any.split: one for one in served}
+
+    def find(self, split: str, track: str) -> tuple[Served, Wanted]:
+        """Raises Refusal naming what there is."""
+        if split not in self.splits:
+            known = ", ".join(self.splits) or "none"
+            raise Refusal("split", f"submissions to {split!r:.60} are not taken here; the splits are {known}")
+        served = self.splits[split]
+        if track and track not in served.wanted:
+            raise Refusal("split", f"{split} has the tracks {', '.join(served.wanted)}, got {track!r:.60}")
+        return served, served.wanted[track] if track else served.any
+
+    def public(self) -> list[dict[str, Any]]:
+        """For clients: what may be sent to where."""
+        return [
+            {
+                "split": name,
+                "tracks": list(one.wanted),
+                "hidden": one.any.hidden,
+                "takes": ["estimates"] * bool(one.truth) + ["results"] * (not one.any.hidden),
+                "sequences": list(one.any.sequences),
+                "images": {sequence: len(named) for sequence, named in one.any.images.items()},
+            }
+            for name, one in self.splits.items()
+        ]
+
+
+def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None = None) -> Served:
+    """A split by its name or recipe, with its truth: a folder of sequence files, or where public splits are rendered.
+
+    cache: folder that keeps the names of images, which take long to be read. Raises ResultError where a file of the
+    truth is missing or of another split.
+    """
+    from oysterbench.conditions import conditions
+    from oysterbench.generate import digest, is_complete, sequence_files, split_folder
+    from oysterbench.recipe import load_split
+
+    split = load_split(name_or_path)
+    if split.track not in TRACKS_OF:
+        raise ResultError(f"split {split.name}: the track {split.track} is not scored by this version of oysterbench")
+    files: dict[str, Path] = {}
+    if truth is not None:
+        files = sequence_files(split, truth)
+        if missing := [str(path) for path in files.values() if not path.is_file()]:
+            raise ResultError(f"--truth {split.name}: expected {missing[0]}; render the split there, with its salt")
+    elif split.hidden:
+        raise ResultError(f"split {split.name} is hidden: expected --truth {split.name}=FOLDER with its sequences")
+    elif is_complete(split, split_folder(split)):
+        files = sequence_files(split, split_folder(split))
+    for name, path in files.items():
+        _check(split, name, path)
+    found = {sequence.name: conditions(split, sequence.name) for sequence in split.sequence}
+    names = tuple(sequence.name for sequence in split.sequence)
+    images = _images(files, cache) if split.track == "segmentation" else {}
+    wanted = {
+        track: Wanted(track, split.name, digest(split), split.hidden, names, found, images)
+        for track in TRACKS_OF[split.track]
+    }
+    return Served(wanted, files)
+
+
+def _check(split: Any, name: str, path: Path) -> None:
+    """Refuse truth of another split, or of another recipe of a public one."""
+    from oysterbench.generate import digest
+    from oysterbench.sequence.read import McapSequence
+
+    said = McapSequence(path).metadata
+    wanted = {"sequence": name, "split": split.name, "split_version": split.version}
+    if not split.hidden:
+        wanted["digest"] = digest(split)
+    for key, value in wanted.items():
+        if said.get(key) != value:
+            raise ResultError(f"{path}: expected {key} {value!r}, got {said.get(key)!r}: the truth of another split")
+
+
+def _images(files: Mapping[str, Path], cache: Path | None) -> dict[str, dict[str, tuple[int, int]]]:
+    return {name: _images_of(path, cache) for name, path in files.items()}
+
+
+def _images_of(path: Path, cache: Path | None) -> dict[str, tuple[int, int]]:
+    """Names and sizes of the images of a sequence that have a truth."""
+    from oysterbench.answers import sequence_clip
+    from oysterbench.sequence import open_sequence
+
+    state = path.stat()
+    key = sha256(canonical([str(path.resolve()), state.st_size, state.st_mtime_ns]))
+    kept = None if cache is None else cache / f"{key}.json"
+    if kept is not None and kept.is_file():
+        return {name: (int(h), int(w)) for name, (h, w) in json.loads(kept.read_bytes()).items()}
+    cameras = open_sequence(path).cameras
+    clip = sequence_clip(path)
+    found = {}
+    for name in clip.names:
+        camera = cameras[name.split("/")[1]]
+        found[name] = (camera.height, camera.width)
+    if kept is not None:
+        write_atomically(kept, canonical(found))
+    return found
+
+
+def local_wanted(split_name: str, track: str) -> Wanted:
+    """What a client knows of a split: its recipe and, where it was downloaded or rendered, its images."""
+    from oysterbench.generate import is_complete, split_folder
+    from oysterbench.recipe import load_split
+
+    split = load_split(split_name)
+    if not split.hidden and is_complete(split, split_folder(split)):
+        try:
+            served = serve_split(split_name)
+            return served.wanted[track]
+        except (OysterbenchError, KeyError):
+            pass
+    from oysterbench.generate import digest
+
+    names = tuple(sequence.name for sequence in split.sequence)
+    return Wanted(track, split.name, digest(split), split.hidden, names)

@@ -1,0 +1,211 @@
+"""The web form: sign in with a token, send, look, publish, withdraw. It works without scripts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from oysterbench.evaluate.metrics import FAILED as RANKED_BY
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.results import aggregate
+from oysterbench_leaderboard.record import MOST_TEXT
+from oysterbench_leaderboard.site.links import Links
+from oysterbench_leaderboard.site.render import environment, html
+from oysterbench_leaderboard.submissions.api import small_body
+from oysterbench_leaderboard.submissions.gate import Gate
+from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.sessions import Sessions, check_origin, set_cookie
+from oysterbench_leaderboard.submissions.state import Submission
+from oysterbench_leaderboard.submissions.tokens import Holder
+
+TEMPLATES = Path(__file__).with_name("templates")
+NEW = "/submit/new"
+FIELDS = ("split", "method", "url", "summary")
+STATES = {
+    "queued": "waits to be scored",
+    "running": "is being scored",
+    "done": "is scored",
+    "failed": "could not be scored",
+    "withdrawn": "was withdrawn",
+}
+"""State -> in words."""
+
+REFRESH_S = 5
+"""After which the page of a submission that waits asks again."""
+
+
+class WebForm:
+    """Pages under /submit."""
+
+    def __init__(self, gate: Gate, links: Links) -> None:
+        self.gate, self.service, self.links = gate, gate.service, links
+        self.sessions = Sessions(gate.service)
+        self.environment = environment(str(TEMPLATES))
+
+    def routes(self) -> list[Route]:
+        """Of the form."""
+
+        def route(path: str, handler: Any, method: str) -> Route:
+            return Route(path, self.gate.answered(handler, self._refused), methods=[method])
+
+        return [
+            route(NEW, self._new, "GET"),
+            route(NEW, self._send, "POST"),
+            route("/submit/sign-in", self._sign_in, "POST"),
+            route("/submit/sign-out", self._sign_out, "POST"),
+            route("/submit/{id:str}", self._one, "GET"),
+            route("/submit/{id:str}/publish", self._publish, "POST"),
+            route("/submit/{id:str}/withdraw", self._withdraw, "POST"),
+        ]
+
+    # Pages:
+
+    async def _new(self, request: Request) -> Response:
+        return await self._form(request)
+
+    async def _form(self, request: Request, error: str = "", status: int = 200) -> Response:
+        """The form for whoever is signed in, or that for signing in."""
+        value = self.sessions.value(request)
+        holder = await run_in_threadpool(self.sessions.holder, value)
+        own = await run_in_threadpool(self.service.of_team, holder.team) if holder else []
+        context = {
+            "title": "Submit",
+            "team": holder.team if holder else "",
+            "submissions": own,
+            "splits": self.service.catalogue.public(),
+            "fields": getattr(request.state, "fields", {}),
+            "most": MOST_TEXT,
+            "limits": self.service.settings,
+            "error": error,
+        }
+        return self._page(request, value, "submit_new.html", context, status)
+
+    async def _one(self, request: Request) -> Response:
+        return await self._submission(request)
+
+    async def _submission(self, request: Request, error: str = "", status: int = 200) -> Response:
+        value = self.sessions.value(request)
+        holder = await self._signed_in(request, value)
+        found = await run_in_threadpool(self.service.get, holder.team, request.path_params["id"])
+        context = {
+            "title": f"{found.method} on {found.split}",
+            "submission": found,
+            "words": STATES[found.state],
+            "refresh_s": REFRESH_S if found.state in ("queued", "running") else 0,
+            "error": error,
+            **await run_in_threadpool(self._scored, found),
+        }
+        return self._page(request, value, "submit_one.html", context, status)
+
+    def _scored(self, found: Submission) -> dict[str, Any]:
+        """What a page shows of the record."""
+        record = self.service.record(found)
+        if record is None:
+            return {"key": "", "rows": [], "score": None, "before": self.service.queued_before(found)}
+        key = next(iter(RANKED_BY[record.track]))
+        metric = find_metric(key)
+        rows = [
+            {
+                "sequence": result.sequence,
+                "score": result.metrics.get(key),
+                "coverage": result.metrics.get("coverage"),
+                "failure": result.failure or "",
+                "notes": result.notes,
+            }
+            for result in record.results
+        ]
+        return {
+            "key": metric.short if metric else key,
+            "rows": rows,
+            "score": aggregate(record.results)[0]["metrics"].get(key),
+            "before": 0,
+        }
+
+    def _page(self, request: Request, value: str, template: str, context: dict[str, Any], status: int) -> Response:
+        given = {"path": request.url.path, "csrf": self.sessions.csrf(value), "form": NEW, **context}
+        page = HTMLResponse(html(template, self.links, given, self.environment), status)
+        return set_cookie(request, page, value, self.links.page("/submit"))
+
+    async def _refused(self, request: Request, refusal: Refusal) -> Response:
+        """The page again, with what was wrong."""
+        path = request.url.path
+        if refusal.kind in ("state", "text") and path.endswith(("/publish", "/withdraw")):
+            try:
+                return await self._submission(request, refusal.reason, refusal.status)
+            except Refusal as worse:
+                refusal = worse
+        if path in (NEW, "/submit/sign-in", "/submit/sign-out"):
+            return await self._form(request, refusal.reason, refusal.status)
+        context = {"title": "Submission", "error": refusal.reason}
+        return self._page(request, self.sessions.value(request), "submit_error.html", context, refusal.status)
+
+    # Forms:
+
+    async def _sign_in(self, request: Request) -> Response:
+        fields, value = await self._fields(request)
+        holder = await self.gate.holder(request, fields.get("token", "").strip())
+        fresh = await run_in_threadpool(self.sessions.begin, holder, value)
+        return self._go(request, NEW, fresh)
+
+    async def _sign_out(self, request: Request) -> Response:
+        _, value = await self._fields(request)
+        await run_in_threadpool(self.sessions.end, value)
+        return self._go(request, NEW, self.sessions.value(request))
+
+    async def _send(self, request: Request) -> Response:
+        check_origin(request)
+        value = self.sessions.value(request)
+        holder = await self._signed_in(request, value)
+
+        def check(fields: dict[str, str]) -> None:
+            self.sessions.check(request, value, fields.get("csrf", ""))
+            request.state.fields = {key: fields.get(key, "") for key in FIELDS}
+            if " " in fields.get("split", ""):  # "SPLIT TRACK", one choice of the form
+                fields["split"], _, fields["track"] = fields["split"].partition(" ")
+
+        made, _ = await self.gate.submit(request, holder.team, check)
+        return self._go(request, f"/submit/{made.id}", value)
+
+    async def _publish(self, request: Request) -> Response:
+        _, value = await self._fields(request)
+        holder = await self._signed_in(request, value)
+        found = await run_in_threadpool(self.service.publish, holder.team, request.path_params["id"])
+        return self._go(request, f"/submit/{found.id}", value)
+
+    async def _withdraw(self, request: Request) -> Response:
+        fields, value = await self._fields(request)
+        holder = await self._signed_in(request, value)
+        reason = fields.get("reason", "")
+        found = await run_in_threadpool(self.service.withdraw, holder.team, request.path_params["id"], reason)
+        return self._go(request, f"/submit/{found.id}", value)
+
+    async def _fields(self, request: Request) -> tuple[dict[str, str], str]:
+        """The fields of a small form of ours, and the session. Raises Refusal for one that is not."""
+        kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+        if kind != "application/x-www-form-urlencoded":
+            raise Refusal("type", f"expected a form (application/x-www-form-urlencoded), got {kind!r:.80}")
+        body = (await small_body(request)).decode("ascii", "replace")
+        try:
+            fields = dict(parse_qsl(body, keep_blank_values=True, max_num_fields=20))
+        except ValueError as error:
+            raise Refusal("request", f"the form cannot be read: {error}") from None
+        value = self.sessions.value(request)
+        self.sessions.check(request, value, fields.get("csrf", ""))
+        return fields, value
+
+    async def _signed_in(self, request: Request, value: str) -> Holder:
+        holder = await run_in_threadpool(self.sessions.holder, value)
+        if holder is None:
+            raise Refusal("token", f"sign in with a token of your team first, at {self.links.page(NEW)}")
+        request.state.team = holder.team
+        return holder
+
+    def _go(self, request: Request, path: str, value: str) -> Response:
+        page = RedirectResponse(self.links.page(path), 303)
+        return set_cookie(request, page, value, self.links.page("/submit"))

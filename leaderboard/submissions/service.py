@@ -1,0 +1,347 @@
+"""What may be done with submissions: sent, looked at, published, withdrawn; by the team that owns them."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import logging.handlers
+import os
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, func, insert, select
+
+from oysterbench.errors import OysterbenchError, ResultError
+from oysterbench.hub.canonical import parse
+from oysterbench.results import ResultRecord
+from oysterbench_leaderboard.record import MOST_TEXT, Record, check_text
+from oysterbench_leaderboard.store import Notice, RecordStore
+from oysterbench_leaderboard.submissions import limited
+from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted
+from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.settings import Settings
+from oysterbench_leaderboard.submissions.state import State, Submission, change, find, submissions, teams, tell, utc
+
+DAY_S = 86400.0
+LATER = "a later submission of the same method by the same team"
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a sender says of a submission; track may be empty where the split has one."""
+
+    method: str
+    split: str
+    track: str = ""
+    url: str = ""
+    summary: str = ""
+
+
+@dataclass(frozen=True)
+class Upload:
+    """What was received: a file in the private folder, with its SHA-256 and size."""
+
+    path: Path
+    digest: str
+    size: int
+
+
+def upload_of(path: Path) -> Upload:
+    """A file that is there."""
+    with open(path, "rb") as file:
+        return Upload(path, hashlib.file_digest(file, "sha256").hexdigest(), path.stat().st_size)
+
+
+class Service:
+    """Everything a server of submissions does but talking HTTP.
+
+    store: of the board, where records come on publication; changed: called when one has
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        catalogue: Catalogue,
+        store: RecordStore,
+        changed: Callable[[], None] = lambda: None,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self.settings, self.catalogue, self.store, self.changed, self.clock = settings, catalogue, store, changed, clock
+        self.state = State(settings)
+        self.incoming, self.estimates = settings.folder / "incoming", settings.folder / "estimates"
+        for folder in (self.incoming, self.estimates):
+            folder.mkdir(exist_ok=True)
+        self.scored = RecordStore(settings.folder / "scored")
+        self.wake = threading.Event()
+        self._checks = threading.Semaphore(settings.checks_at_once)
+        self.log = _private_log(settings.folder / "private.log")
+        self._settle()
+
+    def now(self) -> str:
+        """UTC in ISO 8601."""
+        return utc(self.clock())
+
+    def close(self) -> None:
+        """No more work."""
+        self.state.close()
+        for handler in list(self.log.handlers):
+            handler.close()
+            self.log.removeHandler(handler)
+
+    # Sending:
+
+    def submit(self, team: str, form: Form, upload: Upload) -> tuple[Submission, bool]:
+        """Take in what a team has sent; whether it is new: the same bytes for the same place are one submission.
+
+        Raises Refusal with the reason, by file and line; then nothing was counted.
+        """
+        form, wanted = self.check_form(form)
+        with self.state.reading() as connection:
+            known = self._same(connection, team, form, upload.digest)
+            if known is not None:
+                return known, False
+            self._check_quota(connection, team, form.split)
+        with self._checks:
+            facts = limited.check(self.settings, upload.path, wanted.to_dict(), self.log.info)
+        if facts["kind"] != "results" and not self.catalogue.splits[form.split].truth:
+            raise Refusal(
+                "split", f"{form.split} has no truth on this server, which takes results alone: send the results.json"
+            )
+        self._keep(upload)
+        return self._accept(team, form, upload, facts)
+
+    def check_form(self, form: Form) -> tuple[Form, Wanted]:
+        """The form with its track, and what it has to be answered by. Raises Refusal naming the field."""
+        for key in ("method", "url", "summary"):
+            try:
+                check_text(key, getattr(form, key), MOST_TEXT[key])
+            except ResultError as error:
+                raise Refusal("text", str(error).removeprefix("record: ")) from None
+        if not form.method.strip():
+            raise Refusal("text", "expected the name of the method, got an empty one")
+        if form.url and not form.url.startswith(("https://", "http://")):
+            raise Refusal("text", f"key 'url': expected https://... or nothing, got {form.url!r:.60}")
+        _, wanted = self.catalogue.find(form.split, form.track)
+        stripped = {key: getattr(form, key).strip() for key in ("method", "url", "summary")}
+        return replace(form, track=wanted.track, **stripped), wanted
+
+    def _same(self, connection: Connection, team: str, form: Form, digest: str) -> Submission | None:
+        c = submissions.c
+        same = (c.team == team, c.track == form.track, c.split == form.split, c.method == form.method)
+        return next(iter(find(connection, *same, c.digest == digest)), None)
+
+    def _check_quota(self, connection: Connection, team: str, split: str) -> None:
+        count = select(func.count()).select_from(submissions).where(submissions.c.team == team)
+        since = self.clock() - DAY_S
+        today = connection.execute(count.where(submissions.c.created_s > since)).scalar_one()
+        if today >= self.settings.per_day:
+            oldest = connection.execute(
+                select(func.min(submissions.c.created_s)).where(
+                    submissions.c.team == team, submissions.c.created_s > since
+                )
+            ).scalar_one()
+            wait_s = int(oldest - since) + 1
+            raise Refusal(
+                "quota",
+                f"{today} submissions in 24 hours are all that a team has; the next one is taken in "
+                f"{wait_s // 3600} h {wait_s % 3600 // 60 + 1} min",
+                wait_s,
+            )
+        of_split = connection.execute(count.where(submissions.c.split == split)).scalar_one()
+        if of_split >= self.settings.per_split:
+            raise Refusal("quota", f"{of_split} submissions to {split} are all that a team has")
+
+    def _keep(self, upload: Upload) -> None:
+        """The file gets its name; it is on the disk before anything is said of it."""
+        with open(upload.path, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(upload.path, self.estimates / upload.digest)
+        folder = os.open(self.estimates, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def _accept(self, team: str, form: Form, upload: Upload, facts: dict[str, Any]) -> tuple[Submission, bool]:
+        at_s = self.clock()
+        at = utc(at_s)
+        with self.state.writing() as connection:
+            # Of one team at a time: its quota is counted, and the same bytes are looked for, with nobody between.
+            connection.execute(select(teams.c.name).where(teams.c.name == team).with_for_update()).first()
+            known = self._same(connection, team, form, upload.digest)
+            if known is not None:
+                return known, False
+            self._check_quota(connection, team, form.split)
+            made = Submission(
+                id=secrets.token_hex(8),
+                team=team,
+                track=form.track,
+                split=form.split,
+                method=form.method,
+                url=form.url,
+                summary=form.summary,
+                kind=facts["kind"],
+                digest=upload.digest,
+                size=upload.size,
+                state="queued",
+                attempt=0,
+                lease=0.0,
+                reason="",
+                record="",
+                published="",
+                notice="",
+                created=at,
+                created_s=at_s,
+                updated=at,
+            )
+            connection.execute(insert(submissions).values(**made.__dict__))
+            tell(connection, at, team, "queued", made.id, f"{form.method} on {form.split} ({form.track})")
+        self.wake.set()
+        return made, True
+
+    def refused(self, who: str, what: str, refusal: Refusal) -> None:
+        """Log a refusal, with its reason."""
+        with self.state.writing() as connection:
+            tell(connection, self.now(), who, "refused", why=f"{what}: {refusal.kind}: {refusal.reason}")
+
+    # Looking:
+
+    def of_team(self, team: str, limit: int = 200) -> list[Submission]:
+        """A team's submissions, the newest first."""
+        with self.state.reading() as connection:
+            return find(connection, submissions.c.team == team, limit=limit)
+
+    def get(self, team: str, id: str) -> Submission:
+        """One of a team's own. Raises Refusal for those of others as for those that do not exist."""
+        with self.state.reading() as connection:
+            return self._own(connection, team, id)
+
+    def _own(self, connection: Connection, team: str, id: str) -> Submission:
+        found = find(connection, submissions.c.id == id, submissions.c.team == team)
+        if not found:
+            raise Refusal("absent", "there is no such submission of yours")
+        return found[0]
+
+    def record(self, submission: Submission) -> Record | None:
+        """What was scored, for the eyes of its team."""
+        return self.scored.record(submission.record) if submission.record else None
+
+    def queued_before(self, submission: Submission) -> int:
+        """How many wait longer."""
+        c = submissions.c
+        query = select(func.count()).select_from(submissions)
+        with self.state.reading() as connection:
+            return connection.execute(query.where(c.state == "queued", c.created_s < submission.created_s)).scalar_one()
+
+    # Publishing:
+
+    def publish(self, team: str, id: str) -> Submission:
+        """Put a submission on the board; once more changes nothing. Raises Refusal where it is not done."""
+        c = submissions.c
+        with self.state.writing() as connection:
+            found = self._own(connection, team, id)
+            if found.published and found.state == "done":
+                return found
+            if found.state != "done":
+                raise Refusal("state", f"only what is done can be published; this submission is {found.state}")
+            record = self.scored.record(found.record)
+            same = (c.team == team, c.track == found.track, c.split == found.split, c.method == found.method)
+            before = [other for other in find(connection, *same, c.published != "") if other.state == "done"]
+            shown = [self.scored.record(other.published) for other in before]
+            replaced = {each.supersedes for each in shown}
+            current = [each for each in shown if each.board == record.board and each.digest not in replaced]
+            if current:
+                record = replace(record, supersedes=current[0].digest, reason=LATER)
+            # On the disk before the database says so: what it says can then be done after a crash as well.
+            self.scored.add(record)
+            at = self.now()
+            change(connection, id, at, published=record.digest)
+            tell(connection, at, team, "published", id, record.digest)
+        self.store.add(record)
+        self.changed()
+        return replace(found, published=record.digest, updated=at)
+
+    def withdraw(self, team: str, id: str, reason: str = "") -> Submission:
+        """Take a submission back, whatever its state; a published record stays where it is, marked as withdrawn."""
+        try:
+            check_text("reason", reason, MOST_TEXT["reason"])
+        except ResultError as error:
+            raise Refusal("text", str(error).removeprefix("record: ")) from None
+        at = self.now()
+        with self.state.writing() as connection:
+            found = self._own(connection, team, id)
+            if found.state == "withdrawn":
+                return found
+            reason = reason.strip() or "withdrawn by the team"
+            notice = at if found.published else ""
+            change(connection, id, at, state="withdrawn", reason=reason, notice=notice, lease=0.0)
+            tell(connection, at, team, "withdrawn", id, reason)
+        found = replace(found, state="withdrawn", reason=reason, notice=notice, updated=at)
+        if notice:
+            self._announce(found)
+            self.changed()
+        return found
+
+    def _announce(self, submission: Submission) -> None:
+        self.store.announce(Notice(submission.published, "withdrawn", submission.reason, submission.notice))
+
+    def _settle(self) -> None:
+        """Do what a crash left undone: what the database calls published or withdrawn is so on the board; files that
+        were being received when the server ended are nobody's."""
+        c = submissions.c
+        with self.state.reading() as connection:
+            shown = find(connection, c.published != "")
+        for submission in shown:
+            self.store.add(self.scored.record(submission.published))
+            if submission.notice:
+                self._announce(submission)
+        oldest = time.time() - self.settings.upload_s
+        for path in self.incoming.iterdir():
+            try:
+                if path.stat().st_mtime < oldest:
+                    path.unlink()
+            except FileNotFoundError:
+                pass
+
+    # Scoring, for the workers:
+
+    def build(self, submission: Submission, answer: dict[str, Any]) -> Record:
+        """The record of what the limited process has answered, as the board would read it. Raises ResultError."""
+        results = tuple(ResultRecord.from_dict(values) for values in answer["results"])
+        reported = submission.kind == "results"
+        answered = [] if reported else [result.sequence for result in results if result.failure is None]
+        record = Record(
+            method=submission.method,
+            team=submission.team,
+            tier="reported" if reported else "scored",
+            results=results,
+            url=submission.url,
+            summary=submission.summary,
+            data_set=answer["data_set"],
+            estimates={f"{sequence}/1": submission.digest for sequence in answered},
+            created=submission.created,
+        )
+        try:
+            return Record.from_dict(parse(record.data, "record"))
+        except (OysterbenchError, UnicodeEncodeError, ValueError) as error:
+            raise ResultError(f"the record cannot be read again: {error}") from None
+
+
+def _private_log(path: Path) -> logging.Logger:
+    """What only operators read; a file of its own for each private folder."""
+    log = logging.getLogger(f"oysterbench.submissions.{path.parent.resolve()}")
+    log.propagate = False
+    log.setLevel(logging.INFO)
+    for handler in list(log.handlers):
+        handler.close()
+        log.removeHandler(handler)
+    handler = logging.handlers.RotatingFileHandler(path, maxBytes=20_000_000, backupCount=5, encoding="utf-8")
+    handler.setFormatter(logging.Formatter("%(asctime)s %(message)s"))
+    log.addHandler(handler)
+    os.chmod(path, 0o600)
+    return log

@@ -1,0 +1,148 @@
+"""Teams and their tokens: shown once, kept as hashes; and a limit to guessing."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import secrets
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, insert, select, update
+
+from oysterbench.errors import ResultError
+from oysterbench_leaderboard.record import MOST_TEXT, check_text
+from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.settings import Settings
+from oysterbench_leaderboard.submissions.state import State, teams, tell, tokens, utc
+
+PREFIX = "oyb"
+SECRET_BYTES = 32
+"""Of entropy: too much to be guessed, so that a plain hash keeps it."""
+
+LONGEST = 200  # characters of a token that are looked at
+NOBODY = hashlib.sha256(b"").hexdigest()
+"""What an unknown token is compared with, so that it takes as long as a known one."""
+
+
+@dataclass(frozen=True)
+class Holder:
+    """Who holds a token."""
+
+    team: str
+    token: str
+
+
+def issue(state: State, team: str) -> str:
+    """A new token of a team, which is made if it is new. It is nowhere kept: who loses it asks for another one."""
+    check_text("team", team, MOST_TEXT["team"])
+    if not team.strip() or team != team.strip():
+        raise ResultError(f"expected the name of a team, without spaces around it, got {team!r}")
+    id, secret = secrets.token_hex(6), secrets.token_urlsafe(SECRET_BYTES)
+    at = utc(time.time())
+    with state.writing() as connection:
+        if connection.execute(select(teams.c.name).where(teams.c.name == team)).first() is None:
+            connection.execute(insert(teams).values(name=team, created=at))
+        connection.execute(insert(tokens).values(id=id, team=team, hash=_hash(secret), created=at, revoked=""))
+        tell(connection, at, "operator", "token issued", why=f"{team}: {id}")
+    return f"{PREFIX}_{id}_{secret}"
+
+
+def revoke(state: State, name: str) -> list[str]:
+    """Revoke a token by its id, or all of a team; ids of those that were not revoked before."""
+    at = utc(time.time())
+    with state.writing() as connection:
+        chosen = (tokens.c.id == name) | (tokens.c.team == name)
+        found = connection.execute(select(tokens.c.id, tokens.c.revoked).where(chosen)).all()
+        if not found:
+            raise ResultError(f"no team and no token is named {name!r}; `oysterbench leaderboard team list` lists them")
+        connection.execute(update(tokens).where(chosen, tokens.c.revoked == "").values(revoked=at))
+        revoked = [id for id, before in found if not before]
+        for id in revoked:
+            tell(connection, at, "operator", "token revoked", why=id)
+    return revoked
+
+
+def listed(state: State) -> list[dict[str, str]]:
+    """Tokens of all teams, without what is secret."""
+    columns = (tokens.c.team, tokens.c.id, tokens.c.created, tokens.c.revoked)
+    with state.reading() as connection:
+        rows = connection.execute(select(*columns).order_by(tokens.c.team, tokens.c.created, tokens.c.id))
+        return [dict(row) for row in rows.mappings()]
+
+
+def recognise(connection: Connection, token: str) -> Holder | None:
+    """Whose token this is; None for nobody's. Takes as long for a wrong secret as for a right one."""
+    prefix, _, rest = token[:LONGEST].partition("_")
+    id, _, secret = rest.partition("_")
+    found = connection.execute(select(tokens.c.team, tokens.c.hash, tokens.c.revoked).where(tokens.c.id == id)).first()
+    right = hmac.compare_digest(_hash(secret), NOBODY if found is None else found.hash)
+    if found is None or not right or found.revoked or prefix != PREFIX:
+        return None
+    return Holder(found.team, id)
+
+
+def team_of(connection: Connection, token: str) -> str | None:
+    """The team of a token by its id, where it is not revoked."""
+    found = connection.execute(select(tokens.c.team, tokens.c.revoked).where(tokens.c.id == token)).first()
+    return None if found is None or found.revoked else found.team
+
+
+def _hash(secret: str) -> str:
+    return hashlib.sha256(secret.encode()).hexdigest()
+
+
+class Guesses:
+    """Wrong tokens of late. An address that has sent too many is not listened to for a while; when all together have
+    sent too many, nobody is who has sent a wrong one."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._of: dict[str, deque[float]] = {}
+        self._all: deque[float] = deque()
+        self._lock = threading.Lock()
+
+    def check(self, address: str) -> None:
+        """Raises Refusal where this address has to wait."""
+        key, limits = network(address), self._settings
+        with self._lock:
+            now = self._forget()
+            mine = self._of.get(key, deque())
+            if len(mine) >= limits.guesses_of_address or (mine and len(self._all) >= limits.guesses):
+                wait_s = int(mine[0] + limits.guess_window_s - now) + 1
+                raise Refusal("guessing", f"too many wrong tokens; try again in {wait_s} s", wait_s)
+
+    def failed(self, address: str) -> None:
+        """A wrong token came from there."""
+        with self._lock:
+            now = self._forget()
+            self._of.setdefault(network(address), deque()).append(now)
+            self._all.append(now)
+
+    def _forget(self) -> float:
+        now = time.monotonic()
+        oldest = now - self._settings.guess_window_s
+        while self._all and self._all[0] < oldest:
+            self._all.popleft()
+        for key in [key for key, times in self._of.items() if times[-1] < oldest]:
+            del self._of[key]
+        for times in self._of.values():
+            while times[0] < oldest:
+                times.popleft()
+        return now
+
+
+def network(address: str) -> str:
+    """What counts as one client: an IPv4 address, or the /64 that an IPv6 host chooses its addresses from."""
+    try:
+        found = ipaddress.ip_address(address)
+    except ValueError:
+        return address
+    if isinstance(found, ipaddress.IPv6Address):
+        if found.ipv4_mapped is not None:
+            return str(found.ipv4_mapped)
+        return str(ipaddress.ip_network((int(found) >> 64 << 64, 64)))
+    return str(found)
