@@ -29,7 +29,7 @@ def answers_made(count: int, spread: float = 0.03, names: tuple[str, ...] = NAME
                 f"{draw.integers(1 << 60):064x}",
                 dict(zip(names, values.tolist(), strict=True)),
                 weights if weighed else None,
-                {name: 700.0 for name in names} if weighed else None,
+                dict.fromkeys(names, 700.0) if weighed else None,
             )
         )
     return found
