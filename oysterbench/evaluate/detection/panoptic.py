@@ -42,12 +42,17 @@ class PanopticCounts:
 
 
 def paint(image: ImageInstances, chosen: list[Instance]) -> NDArray[np.int32]:
-    """(H, W) numbers from 1 of the chosen instances; where several lie on a pixel it is of the last."""
+    """(H, W) numbers from 1 of the chosen instances; where several lie on a pixel it is of the last.
+
+    Each is painted within the box of its mask: its other pixels, by far the most, take most of the time.
+    """
     tools = mask_tools()
     plane = np.zeros((image.height, image.width), dtype=np.int32)
     with numpy_2():
         for number, instance in enumerate(chosen, start=1):
-            plane[tools.decode(instance.mask).view(bool)] = number
+            left, top, width, height = (int(value) for value in tools.toBbox(instance.mask))
+            box = (slice(top, top + height), slice(left, left + width))
+            plane[box][tools.decode(instance.mask)[box].view(bool)] = number
     return plane
 
 
