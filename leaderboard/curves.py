@@ -1,0 +1,55 @@
+"""What is drawn on a record's page: the path over the truth, and its error over time, on a few hundred shared stamps.
+
+Only for public splits: a path that is drawn gives the truth away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from oysterbench.evaluate.slam import SlamResult
+from oysterbench.geometry import Array
+
+FORMAT = "oysterbench-curves/1"
+
+MOST_POINTS = 300
+"""Of a path."""
+
+DECIMALS = 3
+"""Of metres: millimetres are less than a line is thick."""
+
+
+def sequence_curve(result: SlamResult, run: int) -> dict[str, Any]:
+    """A path on its sequence, thinned to stamps evenly over those of the truth, the first and the last among them.
+
+    run:     of the record, from 0
+    t_s:     (N,) seconds from the first stamp of the truth, N <= MOST_POINTS
+    truth:   (N, 3) true positions x y z, m, in the world `map`
+    path:    (N, 3) estimated ones, aligned as the evaluator aligned them; None at stamps that have no answer
+    error_m: (N,) distance between the two; None at these
+    """
+    truth = result.whole_truth
+    chosen = np.unique(np.linspace(0, len(truth) - 1, min(MOST_POINTS, len(truth))).round().astype(int))
+    matched = np.full(len(truth), -1)
+    matched[np.searchsorted(truth.stamps_ns, result.stamps_ns)] = np.arange(len(result.stamps_ns))
+    places = matched[chosen].tolist()
+    seconds = (truth.stamps_ns[chosen] - truth.stamps_ns[0]) * 1e-9
+    return {
+        "run": run,
+        "t_s": np.round(seconds, DECIMALS).tolist(),
+        "truth": _points(truth.positions[chosen]),
+        "path": [None if k < 0 else _points(result.estimate.positions[k : k + 1])[0] for k in places],
+        "error_m": [None if k < 0 else round(float(result.error_m[k]), DECIMALS) for k in places],
+    }
+
+
+def curves_document(sequences: Mapping[str, Mapping[str, Any]], align: str) -> dict[str, Any]:
+    """What `RecordStore.add_curves` keeps: sequence -> `sequence_curve`; align: how paths were laid on the truth."""
+    return {"format": FORMAT, "align": align, "sequences": {name: dict(curve) for name, curve in sequences.items()}}
+
+
+def _points(positions: Array) -> list[list[float]]:
+    return (np.round(positions, DECIMALS) + 0.0).tolist()  # + 0.0: no negative zeros

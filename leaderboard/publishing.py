@@ -1,0 +1,242 @@
+"""Results to records: what `oysterbench run` and `oysterbench eval` wrote, as it goes on the board."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oysterbench.comparison import PRIMARY
+from oysterbench.errors import OysterbenchError, RecipeError, ResultError, TrajectoryError
+from oysterbench.evaluate.metrics import FAILED
+from oysterbench.results import ResultRecord, aggregate, comparable_key, method_key, read_results
+from oysterbench_leaderboard.curves import curves_document, sequence_curve
+from oysterbench_leaderboard.record import Record, Tier
+from oysterbench_leaderboard.store import RecordStore
+
+SAME = 1e-6
+"""Of a value: how near a score that is computed again must be to the one in the results."""
+
+_FOLDERS = re.compile(r"(?<![^\s=:,'\"])(?:~|\.{1,2})?/(?:[^/\s=:,'\"]+/)*")
+"""Of a path, all but its last part, wherever in an argument it begins."""
+
+Say = Callable[[str], None]
+"""Called with a sentence for the user."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Who stands behind a record, and what is said of its method."""
+
+    team: str
+    tier: Tier
+    url: str = ""
+    summary: str = ""
+    reason: str = ""
+
+
+def records_of(path: Path, entry: Entry, say: Say = lambda text: None) -> list[tuple[Record, dict[str, Any] | None]]:
+    """The records of a results.json, or of a folder that holds one, each with the curves to be drawn, if any.
+
+    One for each method and split, in the order of their first appearance. Paths are those that `oysterbench run` left
+    beside the results; of hidden splits there are none. Raises ResultError, in one line, where results are of no split,
+    or a method has some that may not be averaged.
+    """
+    path = path / "results.json" if path.is_dir() else path
+    results = read_results(path)
+    data_sets = _data_sets(path)
+    groups: dict[tuple[str, str], list[ResultRecord]] = {}
+    for result in results:
+        groups.setdefault((result.method, result.split), []).append(result)
+    if not groups:
+        raise ResultError(f"{path}: holds no result; expected what `oysterbench run` or `oysterbench eval` writes")
+    found = []
+    for (method, split), group in groups.items():
+        _check(path, method, split, group)
+        known = _recipe(split, group[0], say)
+        if known is not None:
+            _check_sequences(path, method, group, known, say)
+        curves = _curves(path.parent, method, group, say) if known is not None and not known.hidden else None
+        record = Record(
+            method=method,
+            team=entry.team,
+            tier=entry.tier,
+            results=tuple(without_places(result) for result in group),
+            url=entry.url,
+            summary=entry.summary,
+            data_set=data_sets.get(method),
+            manifest=_manifest(known),
+            reason=entry.reason,
+            created=max(result.created for result in group),
+        )
+        found.append((record, curves))
+    return found
+
+
+def publish(
+    store: RecordStore, records: Iterable[tuple[Record, dict[str, Any] | None]]
+) -> list[tuple[Record, str, bool]]:
+    """Keep records, each in place of the current one of its method, team and board; with their digests, and whether
+    they are new: the same results are kept once."""
+    done = []
+    for given, curves in records:
+        record = given if curves is None else replace(given, curves=store.add_curves(curves))
+        earlier = _earlier(store, record)
+        same = next((digest for digest, one in earlier if one.results == record.results and _text(one, record)), None)
+        if same is not None:
+            done.append((store.record(same), same, False))
+            continue
+        named = {one.supersedes for _, one in earlier}
+        last = max((pair for pair in earlier if pair[0] not in named), key=lambda p: (p[1].created, p[0]), default=None)
+        if last is not None:
+            record = replace(record, supersedes=last[0])
+        done.append((record, store.add(record), True))
+    return done
+
+
+def _earlier(store: RecordStore, record: Record) -> list[tuple[str, Record]]:
+    """Records of the same method, team and board. What cannot be read is passed over: `verify` tells of it."""
+    found = []
+    for digest in store.digests():
+        try:
+            # Most are of others, and reading them whole takes long.
+            if json.dumps(record.method, ensure_ascii=False).encode() not in store.data(digest):
+                continue
+            other = store.record(digest)
+        except OysterbenchError:
+            continue
+        if (other.method, other.team, other.board) == (record.method, record.team, record.board):
+            found.append((digest, other))
+    return found
+
+
+def _text(one: Record, other: Record) -> bool:
+    keys = ("tier", "url", "summary", "curves", "data_set", "manifest")
+    return all(getattr(one, key) == getattr(other, key) for key in keys)
+
+
+def without_places(result: ResultRecord) -> ResultRecord:
+    """A result whose command names files without the folders of the machine that it was run on: these say nothing to
+    others, and may say more than their owner wants."""
+    run = result.info.get("run")
+    if not isinstance(run, Mapping) or not isinstance(run.get("command"), list):
+        return result
+    command = [_FOLDERS.sub("", str(part)) for part in run["command"]]
+    return replace(result, info={**result.info, "run": {**run, "command": command}})
+
+
+def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -> None:
+    first = group[0]
+    if not split:
+        raise ResultError(
+            f"{path}: the results of {method} are of no split, and a board is of one; run it on a split: "
+            f"`oysterbench run {method} --split SPLIT`"
+        )
+    if first.track not in PRIMARY:
+        raise ResultError(f"{path}: the track {first.track!r} has no board; there are: {', '.join(PRIMARY)}")
+    for key, what in ((comparable_key, "recipes, evaluators or settings of these"), (method_key, "settings")):
+        if len({key(result) for result in group}) > 1:
+            raise ResultError(
+                f"{path}: the results of {method} on {split} are of several {what}, and would be averaged; give them "
+                "files of their own"
+            )
+    aggregate(group)  # refuses what cannot be averaged
+
+
+def _recipe(split: str, result: ResultRecord, say: Say) -> Any:
+    """The split's recipe as it is here; None where the results are of another, or it is not known."""
+    from oysterbench.generate import digest
+    from oysterbench.recipe import load_split
+
+    try:
+        recipe = load_split(split)
+    except RecipeError:
+        say(f"{split} is not a split of this version: its sequences were not checked, and no paths are drawn")
+        return None
+    if digest(recipe) != result.split_digest:
+        say(
+            f"the results are of another recipe of {split} ({result.split_digest[:12]}) than the one here "
+            f"({digest(recipe)[:12]}): they go on a board of their own, and no paths are drawn"
+        )
+        return None
+    return recipe
+
+
+def _check_sequences(path: Path, method: str, group: Sequence[ResultRecord], recipe: Any, say: Say) -> None:
+    names = [sequence.name for sequence in recipe.sequence]
+    answered = {result.sequence for result in group}
+    if odd := sorted(answered - set(names)):
+        raise ResultError(f"{path}: {method} has results on {', '.join(odd):.80}, which {recipe.name} does not have")
+    if lacking := [name for name in names if name not in answered]:
+        say(f"{method} has no result on {', '.join(lacking)} of {recipe.name}: these count as failed")
+
+
+def _manifest(recipe: Any) -> str:
+    """SHA-256 of the released manifest."""
+    if recipe is None:
+        return ""
+    from oysterbench.hub.manifest import released_manifest
+
+    manifest = released_manifest(recipe.name, recipe.version)
+    return "" if manifest is None else manifest.sha256
+
+
+def _data_sets(path: Path) -> dict[str, Any]:
+    """Method -> what is known over all sequences together."""
+    rows = json.loads(path.read_text(encoding="utf-8")).get("data_set") or []
+    return {row["method"]: row for row in rows if isinstance(row, dict) and "method" in row}
+
+
+def _curves(folder: Path, method: str, group: Sequence[ResultRecord], say: Say) -> dict[str, Any] | None:
+    """Of each sequence the run whose score is the median; None where no path lies beside the results."""
+    if group[0].track != "slam":
+        return None
+    of_sequence: dict[str, list[ResultRecord]] = {}
+    for result in group:
+        of_sequence.setdefault(result.sequence, []).append(result)
+    curves = {}
+    for name, runs in of_sequence.items():
+        scored = [run for run in runs if run.failure is None]
+        if not scored:
+            continue
+        order = sorted(scored, key=lambda run: (run.metrics.get(PRIMARY["slam"], np.nan), run.run))
+        median = order[(len(order) - 1) // 2]
+        number = f"-{median.run + 1}" if len(runs) > 1 else ""
+        estimate, truth = folder / f"{name}-{method}{number}.tum", folder / f"{name}-truth.tum"
+        if not estimate.is_file() or not truth.is_file():
+            continue
+        try:
+            curves[name] = _curve(truth, estimate, median)
+        except TrajectoryError as error:
+            say(f"{estimate}: no path is drawn: {error}")
+    return curves_document(curves, str(group[0].settings["align"])) if curves else None
+
+
+def _curve(truth: Path, estimate: Path, result: ResultRecord) -> dict[str, Any]:
+    from oysterbench.evaluate.slam import score
+    from oysterbench.trajectory import read_trajectory
+
+    found = score(read_trajectory(truth), read_trajectory(estimate), slam_settings(result.settings))
+    for key in FAILED["slam"]:
+        if abs(found.metrics[key] - result.metrics[key]) > SAME:
+            raise TrajectoryError(
+                f"its {key} is {found.metrics[key]:.6g}, and that of the results {result.metrics[key]:.6g}: it is of "
+                "another run or another evaluator"
+            )
+    return sequence_curve(found, result.run)
+
+
+def slam_settings(values: Mapping[str, Any]) -> Any:
+    """The evaluator's settings from a result's."""
+    from oysterbench.evaluate.slam import SlamSettings
+
+    given: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+    try:
+        return SlamSettings(**given)
+    except TypeError as error:
+        raise TrajectoryError(f"the settings are of another evaluator ({error})") from None
