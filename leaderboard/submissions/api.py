@@ -9,7 +9,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from oysterbench.evaluate.metrics import FAILED as RANKED_BY
+from oysterbench.comparison import PRIMARY
 from oysterbench.results import aggregate
 from oysterbench_leaderboard.submissions.gate import Gate
 from oysterbench_leaderboard.submissions.refusals import Refusal
@@ -106,7 +106,7 @@ def shown(service: Service, submission: Submission) -> dict[str, Any]:
     if record is not None:
         row = aggregate(record.results)[0]
         metrics = dict(row["metrics"])
-        found["score"] = {key: metrics.get(key) for key in RANKED_BY[record.track]}
+        found["score"] = {key: metrics[key] for key in (PRIMARY[record.track], "coverage") if key in metrics}
         found["metrics"] = metrics
         found["failures"] = {r.sequence: r.failure for r in record.results if r.failure is not None}
         found["record"] = record.to_dict()

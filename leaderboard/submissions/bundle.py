@@ -329,7 +329,7 @@ def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: L
     """Results that somebody else computed: of this split, by an evaluator of this version, with no key that is not of
     the track."""
     from oysterbench.evaluate.metrics import find_metric
-    from oysterbench.results import ResultRecord
+    from oysterbench.results import ResultRecord, aggregate, method_key
 
     if wanted.hidden:
         raise Refusal("type", f"{wanted.split} is hidden: results are computed here; expected estimates")
@@ -358,9 +358,12 @@ def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: L
                 f"{where}: expected the evaluator {evaluator(wanted.track)[0]!r} with its usual settings, got "
                 f"{record.evaluator_version!r:.40}; evaluate again with this version of oysterbench",
             )
-    if len({record.method for record in found}) > 1:
-        raise Refusal("format", "results.json: expected results of one method, got several; send one after the other")
+    if len({method_key(record) for record in found}) > 1:
+        raise Refusal("format", "results.json: expected results of one method with one setting, got several")
+    if len({(record.sequence, record.run) for record in found}) < len(found):
+        raise Refusal("format", "results.json: expected each run of a sequence once, got one of them twice")
     with told("results.json"):
+        aggregate(found)
         _check_texts([record.to_dict() for record in found], "results.json")
     return tuple(found)
 

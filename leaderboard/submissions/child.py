@@ -68,7 +68,8 @@ def do(job):
 
     truth = {name: Path(path) for name, path in job["truth"].items()}
     scored = score_bundle(bundle, wanted, truth, job["method"], job["created"], wanted.hidden)
-    return {"results": [record.to_dict() for record in scored.results], "data_set": scored.data_set}
+    results = [record.to_dict() for record in scored.results]
+    return {"results": results, "data_set": scored.data_set, "curves": scored.curves}
 
 
 def printable(text):

@@ -2,9 +2,161 @@
 
 from __future__ import annotations
 
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
 import click
+
+from oysterbench.errors import OysterbenchError, ResultError
+
+TOKEN = "OYSTERBENCH_TOKEN"
 
 
 @click.command("submit", short_help="Send results or estimates to a leaderboard.")
-def command() -> None:
-    """Send results or estimates to a leaderboard."""
+@click.argument("place", metavar="RESULT_OR_ESTIMATES", type=click.Path(path_type=Path))
+@click.option("--to", "url", required=True, envvar="OYSTERBENCH_BOARD", help="Address of the leaderboard.")
+@click.option("--method", required=True, help="Name of the method, for the board.")
+@click.option("--split", help="What it answers.  [default: as the results or the names say]")
+@click.option("--track", help="Of a split with several.  [default: its first]")
+@click.option("--of", "of", default="", help="Whose estimates, of a folder with those of several methods.")
+@click.option("--run", type=click.IntRange(min=1), default=1, show_default=True, help="Which run, of several.")
+@click.option("--results", is_flag=True, help="Send the results.json of a folder, not its estimates.")
+@click.option("--team-token-file", type=click.Path(path_type=Path), help=f"File with the token.  [default: {TOKEN}]")
+@click.option("--url", "about", default="", help="Where the method is described.")
+@click.option("--summary", default="", help="The method in one sentence.")
+@click.option("--publish", is_flag=True, help="Put it on the board when it is scored.")
+@click.option("--wait/--no-wait", default=True, show_default=True, help="Until it is scored.")
+@click.option("--json", "as_json", is_flag=True, help="Print the submission as JSON.")
+def command(
+    place: Path,
+    url: str,
+    method: str,
+    split: str | None,
+    track: str | None,
+    of: str,
+    run: int,
+    results: bool,
+    team_token_file: Path | None,
+    about: str,
+    summary: str,
+    publish: bool,
+    wait: bool,
+    as_json: bool,
+) -> None:
+    """Send results or estimates to a leaderboard, and say how they scored.
+
+    \b
+    Examples:
+      oysterbench submit estimates/ --to https://board.example --method carp --split slam-test
+      oysterbench submit results/ --to https://board.example --method carp --of my_slam --publish
+      oysterbench submit results.json --to https://board.example --method carp
+      oysterbench submit masks.npz --to https://board.example --method net --split seg-test --track detection
+
+    \b
+    What may be sent:
+      a folder with a file for each sequence: SEQUENCE.tum, .txt, .csv (EuRoC or named columns), .npz
+      what `oysterbench run` and `eval` leave; of public splits also their results.json, marked as reported
+      masks: SEQUENCE/CAMERA/STAMP.png in a folder, an .npz with an array for each image, COCO annotations
+      a zip archive of any of these
+
+    The files are read here first, with the server's own checks. Sent twice, they are one submission.
+    """
+    if publish and not wait:
+        raise click.UsageError("--publish waits until the submission is scored: --no-wait does not go with it")
+    from oysterbench_leaderboard.submissions.client import Client
+    from oysterbench_leaderboard.submissions.package import look, packed, split_in, wanted_of
+
+    client = Client(url, _token(team_token_file))
+    if client.open:
+        _say(f"{url}: without https others on the way can read the token and what is sent")
+    told = client.splits()
+    said_split, said_track = split_in(place)
+    chosen = _choose(told["splits"], split or said_split, place)
+    of_track = track or (said_track if said_track in chosen["tracks"] else chosen["tracks"][0])
+    if of_track not in chosen["tracks"]:
+        raise ResultError(f"--track: {chosen['split']} has {', '.join(chosen['tracks'])}, got {of_track!r}")
+    results = results or "estimates" not in chosen["takes"]
+    found = look(place, chosen["sequences"], of, run, results)
+    with packed(found, wanted_of(chosen["split"], of_track, chosen), told["limits"]) as package:
+        _say(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to be sent")
+        if absent := [name for name in chosen["sequences"] if name not in package.facts["sequences"]]:
+            _say(f"nothing is sent for {', '.join(absent)}: counted as failed there")
+        with _bar(package.size) as progress:
+            sent = client.send(package, method, about, summary, progress)
+    _say(f"submission {sent['id']}: {url.rstrip('/')}{sent['page']}")
+    if wait:
+        sent = client.wait(sent["id"], lambda now: _say(f"{now['state']}{_before(now)}"))
+        if publish and sent["state"] == "done":
+            sent = client.publish(sent["id"])
+    _show(sent, as_json)
+
+
+def _token(file: Path | None) -> str:
+    if file is not None:
+        try:
+            token = file.read_text(encoding="utf-8").strip()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ResultError(f"--team-token-file: {file}: cannot be read: {error}") from None
+    else:
+        token = os.environ.get(TOKEN, "").strip()
+    if not token or not token.isascii() or not token.isprintable():
+        raise ResultError(
+            f"expected a team's token in --team-token-file FILE or {TOKEN}; the operators of the board give one"
+        )
+    return token
+
+
+def _choose(splits: list[dict[str, Any]], name: str, place: Path) -> dict[str, Any]:
+    """The split of that name, or the only one that the names of the files fit."""
+    known = {one["split"]: one for one in splits}
+    if name:
+        if name not in known:
+            raise ResultError(f"{name}: this leaderboard takes submissions to {', '.join(known) or 'no split'}")
+        return known[name]
+    names = {path.stem for path in place.iterdir()} if place.is_dir() else set()
+    fits = [one for one in splits if names & set(one["sequences"])]
+    if len(fits) != 1:
+        raise click.UsageError(f"--split: expected what is answered, one of {', '.join(known)}")
+    return fits[0]
+
+
+def _described(facts: dict[str, Any]) -> str:
+    counts = [f"{facts[key]} {key}" for key in ("poses", "images") if facts[key]]
+    return ", ".join([f"{facts['kind']} of {len(facts['sequences'])} sequences", *counts])
+
+
+def _before(found: dict[str, Any]) -> str:
+    return f", {found['queued_before']} wait longer" if found.get("queued_before") else ""
+
+
+def _bar(size: int) -> Any:
+    from oysterbench.cli_hub import bytes_bar
+
+    return bytes_bar("sending")
+
+
+def _show(sent: dict[str, Any], as_json: bool) -> None:
+    """On stdout, what became of it; exit status 1 where it failed."""
+    if as_json:
+        click.echo(json.dumps(sent, indent=2))
+    else:
+        click.echo(
+            f"{sent['method']} on {sent['split']}: {sent['state']}" + (": " + sent["reason"] if sent["reason"] else "")
+        )
+        for key, value in sent.get("score", {}).items():
+            click.echo(f"  {key}: {'no value' if value is None else format(value, '.4g')}")
+        for sequence, failure in sent.get("failures", {}).items():
+            click.echo(f"  {sequence}: {failure}")
+        if sent["published"]:
+            click.echo(f"  published: {sent['published']}")
+        elif sent["state"] == "done":
+            click.echo("  private until it is published: the same command with --publish does so")
+    if sent["state"] in ("failed", "withdrawn"):
+        sys.exit(OysterbenchError.exit_code)
+
+
+def _say(text: str) -> None:
+    click.echo(text, err=True)

@@ -11,7 +11,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from oysterbench.evaluate.metrics import FAILED as RANKED_BY
+from oysterbench.comparison import PRIMARY
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.results import aggregate
 from oysterbench_leaderboard.record import MOST_TEXT
@@ -108,7 +108,7 @@ class WebForm:
         record = self.service.record(found)
         if record is None:
             return {"key": "", "rows": [], "score": None, "before": self.service.queued_before(found)}
-        key = next(iter(RANKED_BY[record.track]))
+        key = PRIMARY[record.track]
         metric = find_metric(key)
         rows = [
             {

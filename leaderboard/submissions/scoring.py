@@ -50,10 +50,12 @@ DIGITS = 4
 
 @dataclass(frozen=True)
 class Scored:
-    """Results, and what is known over all sequences together, for tracks that have such a thing."""
+    """Results; what is known over all sequences together, for tracks that have such a thing; and what is drawn of
+    paths, on public splits."""
 
     results: tuple[ResultRecord, ...]
     data_set: Any = None
+    curves: Any = None
 
 
 def score_bundle(
@@ -90,9 +92,11 @@ def _score_poses(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], comm
     from oysterbench.evaluate.slam import SlamSettings, score
     from oysterbench.sequence import open_sequence
     from oysterbench.tracks import truth_digest
+    from oysterbench_leaderboard.curves import curves_document, sequence_curve
 
     version, settings = evaluator("slam")
     results = []
+    curves = {}
     for sequence in wanted.sequences:
         true = open_sequence(truth[sequence]).truth()
         record = {
@@ -116,7 +120,9 @@ def _score_poses(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], comm
             results.append(ResultRecord(**record, failure=NOT_SCORED))
         else:
             results.append(ResultRecord(**record, metrics=found.metrics, reasons=found.reasons, notes=tuple(notes)))
-    return Scored(tuple(results))
+            if not wanted.hidden:
+                curves[sequence] = sequence_curve(found, 0)
+    return Scored(tuple(results), curves=curves_document(curves, settings["align"]) if curves else None)
 
 
 def _read_for(truth: Any, read: Any) -> tuple[Any, list[str]]:

@@ -262,7 +262,7 @@ class Service:
             at = self.now()
             change(connection, id, at, published=record.digest)
             tell(connection, at, team, "published", id, record.digest)
-        self.store.add(record)
+        self._show(record)
         self.changed()
         return replace(found, published=record.digest, updated=at)
 
@@ -287,6 +287,12 @@ class Service:
             self.changed()
         return found
 
+    def _show(self, record: Record) -> None:
+        """Put a record on the board; once more changes nothing."""
+        if record.curves:
+            self.store.add_curves(self.scored.curves(record.curves))
+        self.store.add(record)
+
     def _announce(self, submission: Submission) -> None:
         self.store.announce(Notice(submission.published, "withdrawn", submission.reason, submission.notice))
 
@@ -297,7 +303,7 @@ class Service:
         with self.state.reading() as connection:
             shown = find(connection, c.published != "")
         for submission in shown:
-            self.store.add(self.scored.record(submission.published))
+            self._show(self.scored.record(submission.published))
             if submission.notice:
                 self._announce(submission)
         oldest = time.time() - self.settings.upload_s
@@ -323,6 +329,7 @@ class Service:
             url=submission.url,
             summary=submission.summary,
             data_set=answer["data_set"],
+            curves=self.scored.add_curves(answer["curves"]) if answer["curves"] else "",
             estimates={f"{sequence}/1": submission.digest for sequence in answered},
             created=submission.created,
         )

@@ -1,0 +1,149 @@
+"""Sending to a leaderboard, and asking how it went. Whatever fails on the way is tried again: the same bytes for the
+same method and split are one submission, however often they arrive."""
+
+from __future__ import annotations
+
+import json
+import time
+import urllib.parse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import urllib3
+
+from oysterbench.errors import HubError, NetworkError
+from oysterbench.hub.sources import RETRIED, Patience
+from oysterbench.hub.transfer import pause_s
+from oysterbench.version import VERSION
+from oysterbench_leaderboard.submissions.package import Package
+
+MOST_ANSWER = 64_000_000
+WAIT_S = (1.0, 10.0)
+"""Between two looks at a submission that is not scored yet: at first, and at most."""
+
+REFUSED_FOR_GOOD = ("quota", "guessing")
+"""Kinds of refusals that come with a status that otherwise is worth another attempt."""
+
+Progress = Callable[[int, int], None]
+"""Called with the bytes sent and those to be sent."""
+
+
+class Refused(HubError):
+    """The server said no; the message is its reason. kind: as the server names it."""
+
+    def __init__(self, kind: str, reason: str) -> None:
+        super().__init__(reason)
+        self.kind = kind
+
+
+class Client:
+    """Of one server, with the token of a team."""
+
+    def __init__(self, url: str, token: str = "", patience: Patience | None = None) -> None:
+        parts = urllib.parse.urlsplit(url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise HubError(f"--to: expected the address of a leaderboard, https://..., got {url!r}")
+        self.url = url.rstrip("/")
+        self.open = parts.scheme == "http" and parts.hostname not in ("localhost", "127.0.0.1", "::1")
+        self._patience = patience or Patience()
+        timeout = urllib3.Timeout(connect=self._patience.connect_s, read=300.0)
+        self._pool = urllib3.PoolManager(timeout=timeout, retries=False)
+        self._headers = {"User-Agent": f"oysterbench/{VERSION}", "Accept": "application/json"}
+        if token:
+            self._headers["Authorization"] = f"Bearer {token}"
+
+    def splits(self) -> dict[str, Any]:
+        """What the server takes, and its limits."""
+        return self._ask("GET", "/api/submissions/splits")
+
+    def send(self, package: Package, method: str, url: str, summary: str, progress: Progress) -> dict[str, Any]:
+        """Send a package: the submission, which is the one that is there where it was sent before."""
+        wanted = package.wanted
+        asked = {"method": method, "split": wanted.split, "track": wanted.track, "url": url, "summary": summary}
+        path = f"/api/submissions?{urllib.parse.urlencode(asked)}"
+        headers = {"Content-Type": package.content_type, "Content-Length": str(package.size)}
+        return self._ask("POST", path, package.path, headers, progress)
+
+    def get(self, id: str) -> dict[str, Any]:
+        """A submission, as it stands."""
+        return self._ask("GET", f"/api/submissions/{urllib.parse.quote(id, safe='')}")
+
+    def publish(self, id: str) -> dict[str, Any]:
+        """Put it on the board."""
+        return self._ask("POST", f"/api/submissions/{urllib.parse.quote(id, safe='')}/publish")
+
+    def wait(self, id: str, told: Callable[[dict[str, Any]], None] = lambda found: None) -> dict[str, Any]:
+        """A submission when it is scored; `told` is called whenever its state has changed."""
+        pause, state = WAIT_S[0], ""
+        while True:
+            found = self.get(id)
+            if found["state"] != state:
+                state = found["state"]
+                told(found)
+            if state not in ("queued", "running"):
+                return found
+            time.sleep(pause)
+            pause = min(1.5 * pause, WAIT_S[1])
+
+    def _ask(
+        self,
+        method: str,
+        path: str,
+        body: Path | None = None,
+        headers: dict[str, str] | None = None,
+        progress: Progress = lambda done, total: None,
+    ) -> dict[str, Any]:
+        failure = ""
+        for attempt in range(1, self._patience.attempts + 1):
+            asked_s = 0.0
+            try:
+                status, answer, asked_s = self._once(method, path, body, {**self._headers, **(headers or {})}, progress)
+                if 200 <= status < 300:
+                    return answer
+                reason = str(answer.get("reason", f"status {status}"))
+                if status not in RETRIED or answer.get("error") in REFUSED_FOR_GOOD:
+                    raise Refused(str(answer.get("error", status)), f"{self.url}: refused: {reason}")
+                failure = reason
+                if asked_s > self._patience.longest_wait_s:
+                    break
+            except (urllib3.exceptions.HTTPError, OSError) as error:
+                failure = " ".join(str(error).split())[:200]
+            if attempt < self._patience.attempts:
+                time.sleep(pause_s(attempt, asked_s, self._patience))
+        raise NetworkError(
+            f"{self.url}: no answer after {self._patience.attempts} attempts: {failure}; the same command sends it "
+            "again, and what arrived is not counted twice"
+        )
+
+    def _once(
+        self, method: str, path: str, body: Path | None, headers: dict[str, str], progress: Progress
+    ) -> tuple[int, dict[str, Any], float]:
+        """Status, answer and the seconds to wait that it asks for."""
+        url = f"{self.url}{path}"
+        if body is None:
+            response = self._pool.request(method, url, headers=headers, redirect=False, preload_content=False)
+        else:
+            with open(body, "rb") as file:
+                chunks = _counted(file, body.stat().st_size, progress)
+                response = self._pool.request(
+                    method, url, body=chunks, headers=headers, redirect=False, preload_content=False
+                )
+        try:
+            data = response.read(MOST_ANSWER)
+        finally:
+            response.release_conn()
+        try:
+            answer = json.loads(data)
+        except ValueError:
+            answer = {"reason": f"status {response.status}, and no answer in JSON: {data[:60]!r}"}
+        asked = response.headers.get("Retry-After", "")
+        return response.status, answer if isinstance(answer, dict) else {}, float(asked) if asked.isdigit() else 0.0
+
+
+def _counted(file: IO[bytes], total: int, progress: Progress) -> Iterator[bytes]:
+    done = 0
+    while chunk := file.read(1 << 16):
+        yield chunk
+        done += len(chunk)
+        progress(done, total)

@@ -1,0 +1,161 @@
+"""`oysterbench leaderboard team` and `submissions`: for the operators of a server that takes submissions."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from oysterbench.errors import ResultError
+
+FOLDER = click.option(
+    "--submissions",
+    "folder",
+    required=True,
+    envvar="OYSTERBENCH_SUBMISSIONS",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Private folder of the server.",
+)
+AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+
+
+@click.group("team", short_help="Teams that may submit, and their tokens.")
+def team() -> None:
+    """Give tokens to teams, list them, revoke them.
+
+    \b
+    Examples:
+      oysterbench leaderboard team add "reef lab" --submissions /srv/oysters
+      oysterbench leaderboard team list --submissions /srv/oysters
+      oysterbench leaderboard team revoke 3f9c21ab77e0 --submissions /srv/oysters
+    """
+
+
+@team.command("add", short_help="A new token of a team, shown this once.")
+@click.argument("name")
+@FOLDER
+@AS_JSON
+def add(name: str, folder: Path, as_json: bool) -> None:
+    """Print a new token of a team, which is made if it is new. Only its hash is kept: it is shown this once."""
+    from oysterbench_leaderboard.submissions.tokens import issue
+
+    token = issue(_state(folder), name)
+    click.echo(json.dumps({"team": name, "token": token}) if as_json else token)
+    click.echo("this token is not shown again; OYSTERBENCH_TOKEN or --team-token-file gives it to `submit`", err=True)
+
+
+@team.command("list", short_help="All teams and tokens.")
+@FOLDER
+@AS_JSON
+def list_teams(folder: Path, as_json: bool) -> None:
+    """List the tokens of all teams, without what is secret."""
+    from oysterbench_leaderboard.submissions.tokens import listed
+
+    rows = listed(_state(folder, must_exist=True))
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+    for row in () if as_json else rows:
+        click.echo(
+            f"{row['id']}  {row['created']}  {'revoked ' + row['revoked'] if row['revoked'] else ''}  {row['team']}"
+        )
+
+
+@team.command("revoke", short_help="Revoke a token, or all of a team.")
+@click.argument("name")
+@FOLDER
+@AS_JSON
+def revoke_token(name: str, folder: Path, as_json: bool) -> None:
+    """Revoke a token by its id (`team list`), or all tokens of a team."""
+    from oysterbench_leaderboard.submissions.tokens import revoke
+
+    gone = revoke(_state(folder, must_exist=True), name)
+    click.echo(
+        json.dumps({"revoked": gone}) if as_json else f"revoked: {', '.join(gone) or 'none that was not before'}"
+    )
+
+
+@click.group("submissions", short_help="What was submitted, and what became of it.")
+def submissions() -> None:
+    """Look at what was submitted, read the log, try again what failed.
+
+    \b
+    Examples:
+      oysterbench leaderboard submissions list --submissions /srv/oysters --state failed
+      oysterbench leaderboard submissions log --submissions /srv/oysters
+      oysterbench leaderboard submissions retry 1a2b3c4d5e6f7081 --submissions /srv/oysters
+    """
+
+
+@submissions.command("list", short_help="The newest submissions.")
+@FOLDER
+@click.option("--team", "of", help="Of one team.")
+@click.option("--state", help="queued, running, done, failed or withdrawn.")
+@click.option("--limit", type=click.IntRange(min=1), default=50, show_default=True, help="At most so many.")
+@AS_JSON
+def list_submissions(folder: Path, of: str | None, state: str | None, limit: int, as_json: bool) -> None:
+    """List submissions, the newest first."""
+    from oysterbench_leaderboard.submissions import state as states
+
+    c = states.submissions.c
+    wanted = [column == value for column, value in ((c.team, of), (c.state, state)) if value]
+    with _state(folder, must_exist=True).reading() as connection:
+        found = states.find(connection, *wanted, limit=limit)
+    if as_json:
+        click.echo(json.dumps([one.__dict__ for one in found], indent=2))
+        return
+    for one in found:
+        why = f": {one.reason}" if one.reason else ""
+        shown = ", published" if one.published and one.state == "done" else ""
+        click.echo(
+            f"{one.id}  {one.created}  {one.team}  {one.method} on {one.split} ({one.track})  {one.state}{shown}{why}"
+        )
+
+
+@submissions.command("log", short_help="Events: who, what, when, why; also refusals.")
+@FOLDER
+@click.argument("id", required=False, default="")
+@click.option("--limit", type=click.IntRange(min=1), default=200, show_default=True, help="The newest so many.")
+@AS_JSON
+def show_log(folder: Path, id: str, limit: int, as_json: bool) -> None:
+    """Print the log, of one submission where its id is given. Nothing is ever taken out of it."""
+    from oysterbench_leaderboard.submissions import state as states
+
+    with _state(folder, must_exist=True).reading() as connection:
+        rows = states.log(connection, id, limit)
+    if as_json:
+        click.echo(json.dumps(rows, indent=2))
+    for row in () if as_json else rows:
+        click.echo(f"{row['at']}  {row['who']}  {row['what']}  {row['submission']}  {row['why']}".rstrip())
+
+
+@submissions.command("retry", short_help="Score again what failed.")
+@click.argument("id")
+@FOLDER
+@AS_JSON
+def retry(id: str, folder: Path, as_json: bool) -> None:
+    """Put a submission that failed back into the queue; a running server scores it."""
+    import time
+
+    from oysterbench_leaderboard.submissions import state as states
+
+    at = states.utc(time.time())
+    with _state(folder, must_exist=True).writing() as connection:
+        c = states.submissions.c
+        values: dict[str, Any] = {"state": "queued", "reason": "", "attempt": 0}
+        if not states.change(connection, id, at, c.state == "failed", **values):
+            raise ResultError(
+                f"{id}: no submission of that id has failed; `submissions list --state failed` lists them"
+            )
+        states.tell(connection, at, "operator", "queued", id, "tried again")
+    click.echo(json.dumps({"id": id, "state": "queued"}) if as_json else f"{id}: queued")
+
+
+def _state(folder: Path, must_exist: bool = False) -> Any:
+    from oysterbench_leaderboard.submissions.settings import load_settings
+    from oysterbench_leaderboard.submissions.state import State
+
+    if must_exist and not folder.is_dir():
+        raise ResultError(f"--submissions {folder}: no such folder; `oysterbench leaderboard team add` makes it")
+    return State(load_settings(folder))

@@ -1,0 +1,159 @@
+"""What a client sends: found in a file or folder, put into one file, and checked before it goes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from oysterbench.errors import OysterbenchError, RecipeError, ResultError
+from oysterbench_leaderboard.submissions.archive import Limits, pack
+from oysterbench_leaderboard.submissions.bundle import ANSWERS, IMAGE, POSES, check_bundle, open_bundle
+from oysterbench_leaderboard.submissions.catalogue import Wanted, local_wanted
+
+RESULTS = "results.json"
+KINDS = {".zip": "application/zip", ".json": "application/json", ".txt": "text/plain", ".tum": "text/plain"}
+KINDS |= {".csv": "text/csv", ".npz": "application/octet-stream"}
+"""Suffix of a file that is sent as it is -> its content type."""
+
+NO_RATIO = 1e9  # what is sent is one's own
+
+
+@dataclass(frozen=True)
+class Package:
+    """A file to be sent, and what is in it (`bundle.check_bundle`)."""
+
+    path: Path
+    content_type: str
+    digest: str
+    size: int
+    wanted: Wanted
+    facts: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What there is to be sent: one file, or several by their names in an archive."""
+
+    file: Path | None
+    files: dict[str, Path]
+
+    @property
+    def names(self) -> list[str]:
+        """Sequences that the names tell of."""
+        return sorted({name.split("/")[0].rpartition(".")[0] or name.split("/")[0] for name in self.files})
+
+
+def look(place: Path, sequences: Sequence[str], method: str = "", run: int = 1, results: bool = False) -> Found:
+    """What a path holds for these sequences: a file; a folder with a file for each sequence, or an image folder for
+    each; or what `oysterbench run` and `eval` leave. method, run: which of its estimates there. Raises ResultError."""
+    if place.is_file():
+        if place.suffix.lower() not in KINDS:
+            raise ResultError(f"{place}: expected a file that ends in {', '.join(KINDS)}, got {place.suffix or 'none'}")
+        if place.suffix in POSES and place.stem in sequences and len(sequences) > 1:
+            return Found(None, {place.name: place})
+        return Found(place, {})
+    if not place.is_dir():
+        raise ResultError(f"{place}: no such file or folder; expected results.json, or estimates")
+    if results:
+        if not (place / RESULTS).is_file():
+            raise ResultError(f"{place}: has no {RESULTS}; `oysterbench eval` writes it")
+        return Found(place / RESULTS, {})
+    files: dict[str, Path] = {}
+    for sequence in sequences:
+        own = [place / f"{sequence}{suffix}" for suffix in dict.fromkeys((*POSES, *ANSWERS))]
+        own = [path for path in own if path.is_file()]
+        if len(own) > 1:
+            raise ResultError(f"{place}: both {own[0].name} and {own[1].name} answer {sequence}; keep one of them")
+        if own:
+            files[own[0].name] = own[0]
+        elif (place / sequence).is_dir():
+            images = sorted((place / sequence).rglob(f"*{IMAGE}"))
+            files |= {path.relative_to(place).as_posix(): path for path in images}
+    if not files and (place / RESULTS).is_file():
+        files = _of_run(place, sequences, method, run)
+    if not files:
+        raise ResultError(
+            f"{place}: expected a file for each sequence, e.g. {sequences[0] if sequences else 'SEQUENCE'}.tum, masks "
+            f"{sequences[0] if sequences else 'SEQUENCE'}/CAMERA/STAMP.png, or what `oysterbench run` leaves"
+        )
+    return Found(None, files)
+
+
+def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> dict[str, Path]:
+    """The estimates of a method in a folder of results, SEQUENCE-METHOD.tum, by the names they are sent under."""
+    methods = methods_in(place / RESULTS)
+    if not method and len(methods) > 1:
+        raise ResultError(f"{place} has results of {', '.join(methods)}; say whose estimates to send (--of NAME)")
+    chosen = method or methods[0]
+    if chosen not in methods:
+        raise ResultError(f"{place}: no results of {chosen!r}; it has those of {', '.join(methods)} (--of NAME)")
+    found = {}
+    for sequence in sequences:
+        for name in (f"{sequence}-{chosen}.tum", f"{sequence}-{chosen}-{run}.tum"):
+            if (place / name).is_file():
+                found[f"{sequence}.tum"] = place / name
+                break
+    return found
+
+
+def methods_in(path: Path) -> list[str]:
+    """Names of the methods of a results.json."""
+    from oysterbench.results import read_results
+
+    return list(dict.fromkeys(record.method for record in read_results(path)))
+
+
+def split_in(place: Path) -> tuple[str, str]:
+    """Split and track that a results.json, or a folder with one, is of; empty where there is none."""
+    path = place / RESULTS if place.is_dir() else place
+    if path.name.endswith(".json") and path.is_file():
+        try:
+            rows = json.loads(path.read_bytes())["results"]
+            return str(rows[0]["split"]), str(rows[0]["track"])
+        except (ValueError, LookupError, TypeError, RecursionError):
+            pass
+    return "", ""
+
+
+def wanted_of(split: str, track: str, told: dict[str, Any]) -> Wanted:
+    """What the split asks for: as this installation knows it, or else as the server tells."""
+    try:
+        return local_wanted(split, track)
+    except (RecipeError, OysterbenchError):
+        return Wanted(track, split, "", bool(told["hidden"]), tuple(told["sequences"]))
+
+
+@contextmanager
+def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Package]:
+    """One file of what was found, checked as the server will check it. Raises Refusal by file and line."""
+    with tempfile.TemporaryDirectory(prefix="oysterbench-submit-") as folder:
+        if found.file is not None:
+            path, kind = found.file, KINDS[found.file.suffix.lower()]
+        else:
+            path, kind = Path(folder) / "answers.zip", KINDS[".zip"]
+            with open(path, "wb") as target:
+                pack(found.files, target)
+        size = path.stat().st_size
+        if size > limits["upload_bytes"]:
+            most = limits["upload_bytes"] // 1_000_000
+            raise ResultError(f"{path.name}: {size / 1e6:.0f} MB to be sent; the server takes at most {most} MB")
+        within = Limits(limits["file_bytes"], limits["file_bytes"], 1 << 30, 1 << 40, NO_RATIO)
+        known = wanted if wanted.split_digest else replace(wanted, split_digest=_digest_in(path))
+        facts = check_bundle(open_bundle(path, known, within), known)
+        with open(path, "rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        yield Package(path, kind, digest, size, wanted, facts)
+
+
+def _digest_in(path: Path) -> str:
+    """What results say of themselves, where nothing else is known."""
+    try:
+        return str(json.loads(path.read_bytes())["results"][0]["split_digest"])
+    except (ValueError, LookupError, TypeError, RecursionError, UnicodeDecodeError):
+        return ""
