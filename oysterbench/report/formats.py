@@ -86,10 +86,11 @@ def _field(value: Any) -> str:
 
 def markdown_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
     """Tables as GitHub shows them, each with what stands below it."""
-    return "\n".join(_markdown(table) for table in tables(records, first))
+    return "\n".join(markdown_table(table) for table in tables(records, first))
 
 
-def _markdown(table: Table) -> str:
+def markdown_table(table: Table) -> str:
+    """One table as GitHub shows it, with what stands below it."""
     headings = [_markdown_text(f"{h.text} [{h.unit}]" if h.unit else h.text) for h in table.headings]
     lines = [
         f"### {_markdown_text(table.title)}\n",
@@ -113,10 +114,11 @@ def _markdown_text(text: str) -> str:
 
 def latex_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
     """Tables for a paper; \\usepackage{booktabs} is all that they need."""
-    return "\n".join(["% needs \\usepackage{booktabs}", *(_latex(table) for table in tables(records, first))])
+    return "\n".join(["% needs \\usepackage{booktabs}", *(latex_table(table) for table in tables(records, first))])
 
 
-def _latex(table: Table) -> str:
+def latex_table(table: Table) -> str:
+    """One table for a paper."""
     columns = "".join("r" if heading.number else "l" for heading in table.headings)
     units = [latex_escape(f"[{h.unit}]") if h.unit else "" for h in table.headings]
     lines = [
