@@ -54,12 +54,13 @@ class Cell:
 
     text:  as shown; small: second line below it, mark: a word in a frame behind it, kind: how it looks ("best", "warn")
     value: with every digit, for CSV and for sorting; the text where it is left out
-    path:  page of this site that it leads to; about: said where a pointer rests
+    path:  page of this site that it leads to, url: another address; about: said where a pointer rests
     """
 
     text: str
     value: str | int | float | None = None
     path: str = ""
+    url: str = ""
     small: str = ""
     mark: str = ""
     kind: str = ""

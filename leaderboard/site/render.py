@@ -14,8 +14,10 @@ from jinja2 import ChoiceLoader, Environment, FileSystemLoader, PackageLoader, S
 
 from oysterbench.page import STYLE
 from oysterbench.version import VERSION
+from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.links import Links, ServerLinks
 from oysterbench_leaderboard.site.page import Page
+from oysterbench_leaderboard.site.paths import slug
 
 TWINS = {
     ".json": ("JSON", "application/json"),
@@ -24,7 +26,12 @@ TWINS = {
 }
 """Suffix of a twin -> its name and media type."""
 
-ASSETS = {"style.css": "text/css", "site.js": "text/javascript", "plots.js": "text/javascript", "icon.svg": "image/svg+xml"}
+ASSETS = {
+    "style.css": "text/css",
+    "site.js": "text/javascript",
+    "plots.js": "text/javascript",
+    "icon.svg": "image/svg+xml",
+}
 """Files of style and script -> media type."""
 
 
@@ -41,8 +48,8 @@ def environment(*folders: str | os.PathLike[str]) -> Environment:
         lstrip_blocks=True,
         auto_reload=False,
     )
-    made.globals |= {"VERSION": VERSION, "ARROWS": {"lower": "↓", "higher": "↑", "": ""}, "TWINS": TWINS}
-    made.filters["px"] = px
+    made.globals |= {"VERSION": VERSION, "unit": numbers.unit, "TWINS": TWINS}
+    made.filters |= {"px": px, "slug": slug}
     return made
 
 
@@ -57,8 +64,10 @@ def html(template: str, links: Links, context: Mapping[str, Any], env: Environme
     context: `title` at least; `path` of the page, for the navigation; `twins`, whether it has any.
     """
     given = {"path": "", "query": {}, "twins": False, **context}
-    return (env or environment()).get_template(template).render(
-        link=links.page, asset=links.asset, static=links.static, **given
+    return (
+        (env or environment())
+        .get_template(template)
+        .render(link=links.page, asset=links.asset, static=links.static, **given)
     )
 
 

@@ -7,10 +7,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from oysterbench.evaluate.segmentation import SegmentationSettings
 from oysterbench.evaluate.settings import SlamSettings
+from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.results import ResultRecord
 from oysterbench.streams import Streams
+from oysterbench_leaderboard.curves import curves_document
 from oysterbench_leaderboard.record import Record, Tier
 from oysterbench_leaderboard.store import Notice, RecordStore
 
@@ -148,6 +152,27 @@ def record_made(
     return Record(method=method, team=team, tier=tier, results=tuple(results), created=created, **of_record)
 
 
+def curves_made(method: str, skill: float) -> dict[str, Any]:
+    """Paths on the sequences of slam-val: a loop, and what drifts away from it the more, the less the skill; without an
+    answer for a while on the last one."""
+    t_s = np.linspace(0.0, 70.0, 141)
+    angle = 2 * np.pi * t_s / 70.0
+    sequences = {}
+    for k, name in enumerate(SLAM_SEQUENCES):
+        truth = np.stack([4 * np.cos(angle), 2.5 * np.sin(2 * angle), -3.5 + 0.2 * np.sin(5 * angle + k)], axis=1)
+        drift = STREAMS.generator("curves", method, name).normal(size=(len(t_s), 3)).cumsum(axis=0) * 0.05 * (1 - skill)
+        path, error_m = (truth + drift).round(3).tolist(), np.linalg.norm(drift, axis=1).round(3).tolist()
+        for i in range(60, 80) if name == "val-08" else ():
+            path[i] = error_m[i] = None
+        values = {"run": 0, "t_s": t_s.round(3).tolist(), "truth": truth.round(3).tolist()}
+        sequences[name] = {**values, "path": path, "error_m": error_m}
+    return curves_document(sequences, "posyaw")
+
+
+CURVES = {"carp2": ("carp", 0.84), "cod": ("cod", 0.83), "nasty0": (NASTY[0][0], 0.5)}
+"""Short names of the records that have curves -> what these are made of."""
+
+
 def records_made() -> dict[str, Record]:
     """A small leaderboard by short names.
 
@@ -173,11 +198,15 @@ def records_made() -> dict[str, Record]:
         found[f"nasty{i}"] = record_made(
             method, team, 0.5 - 0.1 * i, tier="reported", created=f"2026-10-1{i}T00:00:00Z", **text
         )
+    for name, made_of in CURVES.items():
+        found[name] = replace(found[name], curves=sha256(canonical(curves_made(*made_of))))
     return found
 
 
 def fill(store: RecordStore, records: Mapping[str, Record] | None = None) -> dict[str, str]:
-    """Add the records to a store, and withdraw the fraud; short name -> digest."""
+    """Add the records, with their curves, to a store, and withdraw the fraud; short name -> digest."""
+    for made_of in CURVES.values():
+        store.add_curves(curves_made(*made_of))
     digests = {name: store.add(record) for name, record in (records or records_made()).items()}
     if "fraud" in digests:
         store.announce(

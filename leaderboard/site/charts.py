@@ -1,0 +1,118 @@
+"""What is drawn on a page: paths over the truth, and errors, from the curves that were kept with records."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from oysterbench.geometry import Array
+from oysterbench.plots import Curve, height_plot, map_plot, swatch, time_plot
+
+AXES = ("east x [m]", "north y [m]", "height z [m]")
+TIME = "time [s]"
+MOST_SEQUENCES = 40
+"""That are drawn on one page."""
+
+
+@dataclass(frozen=True)
+class Path:
+    """On a sequence. t_s: (N,) since the first stamp of the truth; truth, path: (N, 3) m, in `map`, and error_m: (N,);
+    path and error are NaN where there is no answer."""
+
+    t_s: Array
+    truth: Array
+    path: Array
+    error_m: Array
+    run: int
+
+
+@dataclass(frozen=True)
+class Card:
+    """A plot, as SVG."""
+
+    title: str
+    plot: Markup
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """All plots of a sequence."""
+
+    title: str
+    about: str
+    legend: Markup
+    cards: tuple[Card, ...]
+
+
+def drawings(documents: Mapping[str, Mapping[str, Any] | None]) -> list[Drawing]:
+    """One for each sequence that the first of the documents has; label -> document (`curves.curves_document`).
+
+    What cannot be drawn is left out: the numbers stand without it.
+    """
+    read = {label: paths(document) for label, document in documents.items() if document is not None}
+    if not read:
+        return []
+    aligned = {str(document.get("align", "")) for document in documents.values() if document is not None}
+    names = list(next(iter(read.values())))[:MOST_SEQUENCES]
+    found = []
+    for name in names:
+        of_sequence = {label: several[name] for label, several in read.items() if name in several}
+        found.append(_drawing(name, of_sequence, ", ".join(sorted(aligned))))
+    return found
+
+
+def paths(document: Mapping[str, Any]) -> dict[str, Path]:
+    """The paths of a document by their sequences, without those that are not as they should be."""
+    found = {}
+    sequences = document.get("sequences")
+    for name, values in sequences.items() if isinstance(sequences, Mapping) else ():
+        try:
+            t_s, truth = np.array(values["t_s"], float), np.array(values["truth"], float)
+            path = np.array([(np.nan,) * 3 if point is None else point for point in values["path"]], float)
+            error_m = np.array([np.nan if error is None else error for error in values["error_m"]], float)
+            run = int(values["run"])
+        except (KeyError, TypeError, ValueError):
+            continue
+        n = len(t_s)
+        known = n > 1 and np.isfinite(t_s).all() and truth.shape == (n, 3) and np.isfinite(truth).all()
+        if known and path.shape == (n, 3) and error_m.shape == (n,) and np.isfinite(error_m).any():
+            found[str(name)] = Path(t_s, truth, path, error_m, run)
+    return found
+
+
+def _drawing(name: str, of: Mapping[str, Path], align: str) -> Drawing:
+    first = next(iter(of.values()))
+    span = (0.0, float(first.t_s[-1]))
+    side = 0 if np.ptp(first.truth[:, 0]) >= np.ptp(first.truth[:, 1]) else 1
+
+    def curves(i: int, j: int) -> list[Curve]:
+        drawn = [Curve("truth", first.truth[:, i], first.truth[:, j], 0)]
+        return drawn + [Curve(label, p.path[:, i], p.path[:, j], k) for k, (label, p) in enumerate(of.items(), 1)]
+
+    heights = [Curve("truth", first.t_s, first.truth[:, 2], 0)]
+    heights += [Curve(label, p.t_s, p.path[:, 2], k) for k, (label, p) in enumerate(of.items(), 1)]
+    errors = [Curve(label, p.t_s, p.error_m, k) for k, (label, p) in enumerate(of.items(), 1)]
+    cards = (
+        ("Seen from above", map_plot(curves(0, 1), f"{name} from above", AXES[0], AXES[1], 250.0)),
+        ("Position error over time", time_plot(errors, f"{name}, position error", TIME, "error [m]", span)),
+        ("Seen from the side", map_plot(curves(side, 2), f"{name} from the side", AXES[side], AXES[2])),
+        ("Height over time", height_plot(heights, f"{name}, height", TIME, AXES[2], span)),
+    )
+    runs = " and ".join(dict.fromkeys(str(p.run + 1) for p in of.values()))
+    about = f"Run {runs}, shown where it answers, laid on the truth by {align or 'the evaluator'}, thinned."
+    entries = [("truth", 0), *((label, k) for k, label in enumerate(of, 1))]
+    # `plots` escapes what it is given; labels of the legend are escaped here.
+    return Drawing(name, about, _legend(entries), tuple(Card(title, Markup(plot)) for title, plot in cards))
+
+
+def _legend(entries: list[tuple[str, int]]) -> Markup:
+    items = "".join(
+        f'<li data-label="{escape(label)}">{swatch(style)}<span>{escape(label)}</span></li>' for label, style in entries
+    )
+    marks = '<li class="small">\N{WHITE CIRCLE} start, \N{WHITE SQUARE} end of the truth</li>'
+    return Markup(f'<ul class="legend" aria-label="Legend">{items}{marks}</ul>')

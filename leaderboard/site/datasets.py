@@ -1,0 +1,104 @@
+"""Data sets as their pages show them: from the recipes that come with oysterbench, or from records where there is no
+such recipe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+from oysterbench.errors import OysterbenchError
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.manifest import released_manifest
+from oysterbench.recipe import SplitRecipe, load_split, split_names
+from oysterbench_leaderboard.board import Query, State
+from oysterbench_leaderboard.site.site import Site
+
+STATES: tuple[State, ...] = ("current", "superseded", "withdrawn")
+
+Conditions = Mapping[str, float | str]
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """A split. What a record does not tell is empty.
+
+    sequences:  in order
+    duration_s: of all sequences together; None where it is not known
+    manifest:   SHA-256 of the one that was released; size: bytes of its files
+    """
+
+    name: str
+    version: str
+    track: str
+    summary: str
+    rig: str
+    rig_summary: str
+    seed: int | None
+    hidden: bool
+    digest: str
+    sequences: tuple[str, ...]
+    duration_s: float | None
+    manifest: str = ""
+    size: int | None = None
+    recipe: str = ""
+
+
+@lru_cache(maxsize=1)
+def known() -> dict[str, DataSet]:
+    """Those that come with oysterbench, by name."""
+    return {name: _of_recipe(load_split(name)) for name in split_names()}
+
+
+def _of_recipe(split: SplitRecipe) -> DataSet:
+    manifest = released_manifest(split.name, split.version)
+    return DataSet(
+        split.name,
+        split.version,
+        split.track,
+        split.summary,
+        split.rig.name,
+        split.rig.summary,
+        split.seed,
+        split.hidden,
+        split.digest(),
+        tuple(sequence.name for sequence in split.sequence),
+        sum(sequence.duration_s for sequence in split.sequence),
+        sha256(manifest.data) if manifest else "",
+        manifest.size if manifest else None,
+        "" if split.hidden else split.source,
+    )
+
+
+def all_data_sets(site: Site) -> dict[str, DataSet]:
+    """Those that come with oysterbench, then others that records are on."""
+    found = dict(known())
+    for info in site.index.boards():
+        if info.split not in found:
+            found[info.split] = DataSet(
+                info.split, "", info.track, "", "", "", None, False, info.split_digest, info.sequences, None
+            )
+    return found
+
+
+def conditions_of(site: Site, data_set: DataSet) -> dict[str, Conditions]:
+    """Sequence -> what it is like: by the recipe, or as a record tells; empty where neither does."""
+    if data_set.name in known():
+        return dict(_of_sequences(data_set.name))
+    for info in site.index.boards():
+        rows = site.index.page(info.id, Query(states=STATES, size=1)).rows if info.split == data_set.name else ()
+        for row in rows:
+            like = {result.sequence: result.conditions for result in reversed(site.record(row.digest).results)}
+            return {name: like.get(name, {}) for name in data_set.sequences}
+    return {}
+
+
+@lru_cache(maxsize=64)
+def _of_sequences(split: str) -> dict[str, Conditions]:
+    try:
+        from oysterbench.conditions import conditions
+
+        recipe = load_split(split)
+        return {sequence.name: conditions(recipe, sequence.name) for sequence in recipe.sequence}
+    except (ImportError, OysterbenchError):  # without what rendering needs
+        return {}

@@ -1,0 +1,62 @@
+"""What became of records: withdrawn, put back, superseded, scored again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from oysterbench.errors import ResultError
+from oysterbench_leaderboard.board import Query, Row
+from oysterbench_leaderboard.site.site import Site
+
+MOST = 200
+"""Superseded records of each board that the log tells of: the latest ones. Each record's page tells of itself."""
+
+Action = Literal["withdrawn", "restored", "superseded", "scored again"]
+
+
+@dataclass(frozen=True)
+class Event:
+    """What happened to a record, when (UTC, ISO 8601), and why; by: the record that took its place."""
+
+    created: str
+    action: Action
+    record: Row
+    reason: str
+    by: Row | None = None
+
+
+def successor(site: Site, row: Row) -> Row | None:
+    """The record that took the place of a superseded one: the one that names it, or the team's current one there."""
+    if row.state != "superseded":
+        return None
+    others = [other for other in site.index.method(row.method, row.team) if other.digest != row.digest]
+    naming = [other for other in others if other.supersedes == row.digest and other.state != "withdrawn"]
+    current = [other for other in others if other.board == row.board and other.state == "current"]
+    return next(iter((*naming, *current)), None)
+
+
+def events(site: Site) -> list[Event]:
+    """All that happened, the latest first."""
+    found = [*_notices(site), *_successions(site)]
+    return sorted(found, key=lambda event: (event.created, event.record.digest, event.action), reverse=True)
+
+
+def _notices(site: Site) -> Iterator[Event]:
+    for notice in site.all_notices():
+        try:
+            row = site.index.row(notice.record)
+        except ResultError:  # announced of what is not here
+            continue
+        yield Event(notice.created, notice.action, row, notice.reason)
+
+
+def _successions(site: Site) -> Iterator[Event]:
+    for info in site.index.boards():
+        query = Query(sort="created", descending=True, states=("superseded",), size=MOST)
+        for row in site.index.page(info.id, query).rows:
+            by = successor(site, row)
+            if by is not None:
+                reason = site.record(by.digest).reason if by.supersedes == row.digest else ""
+                yield Event(by.created, "superseded" if by.board == row.board else "scored again", row, reason, by)

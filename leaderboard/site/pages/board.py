@@ -1,0 +1,258 @@
+"""A board: records in their order, sortable and filtered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from itertools import pairwise
+from typing import Any, get_args
+
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.report.columns import STANDING_OF_TRACK
+from oysterbench.results import plain
+from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, State
+from oysterbench_leaderboard.record import TIERS as ALL_TIERS
+from oysterbench_leaderboard.site import numbers
+from oysterbench_leaderboard.site.links import Query as Asked
+from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.pages.home import TRACKS
+from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells, state_mark
+from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
+from oysterbench_leaderboard.site.site import Site
+
+MOST_ROWS = 1000
+LONGEST_TEXT = 100
+"""Rows of a page and characters to look for, at most."""
+
+MOST_SHOWN = 5
+"""Metrics beside the one that ranks, on the page; CSV and JSON have all of them."""
+
+STATES: tuple[State, ...] = get_args(State)
+NAMED = ("rank", "method", "team", "created")
+"""What a board is sorted by besides its metrics."""
+
+
+def find_board(site: Site, track: str, split: str, board: str | None = None) -> BoardInfo:
+    """A board by the slugs of its address. Raises PageError naming what there is."""
+    found = [info for info in site.index.boards() if slug(info.track) == track and slug(info.split) == split]
+    for info in found:
+        if info.id == board or (board is None and info.newest):
+            return info
+    if found:
+        hints = {board_path(info): f"{info.split}, {info.evaluator_version}" for info in found}
+        raise PageError(f"expected a board of {track} on {split}, got {board!r}", hints=hints)
+    hints = {split_path(info.track, info.split): f"{info.track} on {info.split}" for info in site.index.boards()}
+    raise PageError(f"no records of track {track!r} on split {split!r}", hints=hints or {"/": "all boards"})
+
+
+def parse_query(asked: Mapping[str, Sequence[str]], size: int = 50) -> Query:
+    """What an address asks of a board; keys that are not known are passed over. Raises PageError (400)."""
+
+    def last(key: str, default: str) -> str:
+        values = asked.get(key) or [default]
+        return values[-1]
+
+    def chosen(key: str, known: Sequence[str]) -> tuple[str, ...]:
+        values = [value for value in asked.get(key, ()) if value]
+        for value in values:
+            if value not in known:
+                raise PageError(f"{key}: expected {', '.join(known)}, got {value!r:.60}", 400)
+        return tuple(one for one in known if one in values)
+
+    def whole(key: str, default: int, most: int) -> int:
+        text = last(key, str(default))
+        if not (text.isascii() and text.isdigit() and 1 <= int(text[:9]) <= most):
+            raise PageError(f"{key}: expected a whole number from 1 to {most}, got {text!r:.60}", 400)
+        return int(text)
+
+    order = last("order", "asc")
+    if order not in ("asc", "desc"):
+        raise PageError(f"order: expected asc or desc, got {order!r:.60}", 400)
+    text = last("q", "").strip()
+    if len(text) > LONGEST_TEXT:
+        raise PageError(f"q: expected at most {LONGEST_TEXT} characters, got {len(text)}", 400)
+    states: Any = chosen("state", STATES) or ("current",)
+    return Query(
+        sort=last("sort", "rank") or "rank",
+        descending=order == "desc",
+        text=text,
+        tiers=chosen("tier", ALL_TIERS),
+        states=states,
+        page=whole("page", 1, 10**6),
+        size=whole("size", size, MOST_ROWS),
+    )
+
+
+def asked_by(query: Query, size: int = 50) -> Asked:
+    """A query as it stands in an address: only what is not as usual."""
+    found: dict[str, Any] = {
+        "sort": "" if query.sort == "rank" else query.sort,
+        "order": "desc" if query.descending else "",
+        "q": query.text,
+        "tier": list(query.tiers),
+        "state": [] if query.states == ("current",) else list(query.states),
+        "page": "" if query.page == 1 else str(query.page),
+        "size": "" if query.size == size else str(query.size),
+    }
+    return {key: value for key, value in found.items() if value}
+
+
+def board_page(site: Site, track: str, split: str, board: str | None = None, query: Query | None = None) -> Page:
+    """A board by the slugs of its address; the newest of the split where no id is given.
+
+    Raises PageError where there is none, or the query asks for what it does not have.
+    """
+    query = query or Query()
+    info = find_board(site, track, split, board)
+    sortable = (*NAMED, info.metric, *info.columns)
+    if query.sort not in sortable:
+        raise PageError(f"sort: expected {', '.join(dict.fromkeys(sortable))}, got {query.sort!r:.60}", 400)
+    path = board_path(info) if board else split_path(info.track, info.split)
+    found = site.index.page(info.id, query)
+    if query.page > found.pages:
+        raise PageError(f"page: expected 1 to {found.pages}, got {query.page}", 404, {path: "the first page"})
+    name = TRACKS.get(info.track, info.track)
+    title = f"{name} on {info.split}" + ("" if board is None else f", {info.evaluator_version}")
+    table = board_table(site, found, f"{title}: {_counted(found)}")
+    others = [other for other in site.index.boards(info.track) if other.split == info.split and other.id != info.id]
+    context = {
+        "info": info,
+        "name": name,
+        "metric": numbers.heading(info.metric),
+        "found": found,
+        "asked": asked_by(query),
+        "sorting": _sorting(table, query),
+        "all_tiers": TIERS,
+        "states": STATES,
+        "others": [(board_path(other), other) for other in others],
+        "permalink": board_path(info),
+        "has_ranks": any(row.rank is not None for row in found.rows),
+        "settings": {key: value for key, value in info.settings.items() if value not in (None, [], ())},
+    }
+    data = {
+        "board": asdict(info),
+        "query": asdict(query),
+        "total": found.total,
+        "pages": found.pages,
+        "rows": [asdict(row) for row in found.rows],
+    }
+    return Page(path, title, "board.html", context, (table,), plain(data), dict(asked_by(query)))
+
+
+def _counted(found: BoardPage) -> str:
+    records = numbers.count(found.total, "record")
+    return records if found.pages == 1 else f"{records}, page {found.query.page} of {found.pages}"
+
+
+def _sorting(table: Table, query: Query) -> dict[str, dict[str, Any]]:
+    """Key of a column -> what a click on its heading asks for, and how it is sorted now."""
+    found = {}
+    for column in table.columns:
+        if not column.sort:
+            continue
+        down_first = column.better == "higher" or column.sort == "created"
+        now = query.sort == column.sort
+        descending = not query.descending if now else down_first
+        asked = asked_by(replace(query, sort=column.sort, descending=descending, page=1))
+        state = ("descending" if query.descending else "ascending") if now else ""
+        found[column.key] = {"query": asked, "state": state}
+    return found
+
+
+def board_table(site: Site, found: BoardPage, title: str) -> Table:
+    """Rank, method, score with interval, coverage beside errors, failures, tier; digests in CSV."""
+    info, rows = found.board, found.rows
+    keys = [info.metric, *(key for key in info.columns if key != info.metric)]
+    shown = {column.key for column in STANDING_OF_TRACK.get(info.track, ())[:MOST_SHOWN]}
+    columns = (
+        Column("rank", "Rank", number=True, sort="rank", about="Place of the best of its group; equals share one."),
+        Column("method", "Method", sort="method"),
+        Column("tier", "Tier", about="Who vouches for the numbers."),
+        numbers.heading(info.metric, sort=True),
+        Column("interval", "Interval", numbers.LEVEL, number=True, about="Of the mean, by bootstrap over sequences."),
+        *(replace(numbers.heading(key, sort=True), hidden=key not in shown) for key in keys[1:]),
+        Column("failures", "Failed", "runs", number=True, about="Runs that failed, and sequences not answered."),
+        Column("created", "Date", "UTC", sort="created"),
+        *(
+            Column(key, number=number, hidden=True)
+            for key, number in (
+                ("place", True),
+                ("team", False),
+                ("low", True),
+                ("high", True),
+                ("sequences", True),
+                ("runs", True),
+                ("state", False),
+                ("record", False),
+                ("supersedes", False),
+                ("url", False),
+            )
+        ),
+    )
+    values = {key: numbers.cells(key, [row.metrics.get(key) for row in rows]) for key in keys[1:]}
+    scores = numbers.cells(info.metric, [row.score for row in rows])
+    ranks = rank_cells(site, info, rows)
+    lines = []
+    for i, row in enumerate(rows):
+        interval = numbers.interval(info.metric, row.low, row.high)
+        lines.append(
+            Line(
+                (
+                    ranks[i],
+                    Cell(
+                        row.method,
+                        path=record_path(row.digest),
+                        small=row.team,
+                        mark=state_mark(row),
+                    ),
+                    Cell(row.tier, about=TIERS.get(row.tier, "")),
+                    scores[i],
+                    Cell(interval, bar=numbers.bar(row.low, row.score, row.high), kind="soft"),
+                    *(values[key][i] for key in keys[1:]),
+                    Cell(f"{row.failures} of {row.runs}", row.failures, kind="warn" if row.failures else ""),
+                    Cell(row.created[:10], row.created),
+                    *_hidden(row),
+                ),
+                row.state if row.state != "current" else "",
+                row.digest,
+            )
+        )
+    if found.query.sort == "rank" and not found.query.descending:
+        groups = [row.rank for row in rows]
+        starts = [i + 1 for i, (a, b) in enumerate(pairwise(groups)) if a != b and rows[i].rank is not None]
+        for i in starts:
+            lines[i] = replace(lines[i], kind=f"{lines[i].kind} first".strip())
+    return Table(title, columns, tuple(lines), _notes(info, rows), f"{slug(info.track)}-{slug(info.split)}")
+
+
+def _hidden(row: Row) -> list[Cell]:
+    def number(value: float | None) -> Cell:
+        return Cell("", "" if value is None else value)
+
+    return [
+        number(row.place),
+        Cell(row.team),
+        number(row.low),
+        number(row.high),
+        number(row.sequences),
+        number(row.runs),
+        Cell(row.state),
+        Cell(row.digest),
+        Cell(row.supersedes),
+        Cell(row.url),
+    ]
+
+
+def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
+    metric = find_metric(info.metric)
+    mean = (
+        f"{numbers.heading(info.metric).text} is that of all pixels of {len(info.sequences)} sequences together"
+        if metric is not None and metric.weight
+        else f"Means over {numbers.count(len(info.sequences), 'sequence')}, each the mean of its runs"
+    )
+    said = [f"{mean}; what failed or was not answered scores 0. Errors are of what was answered: mind the coverage."]
+    if any(row.rank is not None for row in rows):
+        said.append("A rank with = is shared: those records are not told from the first of their group (95 %, paired).")
+    elif any(row.place is not None for row in rows):
+        said.append("Places in brackets are the order of the means alone: so few sequences tell nothing apart.")
+    return tuple(said)

@@ -1,0 +1,309 @@
+"""Two records head to head: is one better, where, and by how much."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from oysterbench.comparison import Board, Entry, Pair, as_plain, remarks
+from oysterbench.comparison import boards as boards_of
+from oysterbench.errors import ResultError
+from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.statistics import Comparison, compare
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
+from oysterbench.results import ResultRecord, plain
+from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.site import numbers, standing
+from oysterbench_leaderboard.site.charts import drawings
+from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.paths import board_path, record_path
+from oysterbench_leaderboard.site.site import Site, curves_of
+
+DIGEST = re.compile("[0-9a-f]{8,64}")
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two. label: its name where the other's is different, or else with what tells them apart."""
+
+    label: str
+    row: Row
+    record: Record
+
+
+def compare_page(site: Site, a: str, b: str) -> Page:
+    """Two records by their digests, or two methods by their names: then on the first board that has both.
+
+    Raises PageError where there are no two, or their numbers may not be set against each other.
+    """
+    rows = _find(site, a, b)
+    records = [site.record(row.digest) for row in rows]
+    sides = [Side(label, row, record) for label, row, record in zip(_labels(rows), rows, records, strict=True)]
+    info = next(info for info in site.index.boards() if info.id == rows[0].board)
+    if rows[0].board != rows[1].board:
+        why = remarks(boards_of([result for side in sides for result in standing.named(side.record, side.label)]))
+        hints = {record_path(row.digest): f"{row.method} of {row.created[:10]}" for row in rows}
+        raise PageError(f"these two records may not be compared: {why[0]}", 409, hints)
+    board = _board(info, sides)
+    of_a, of_b = (_entry(board, side.label) for side in sides)
+    metric = numbers.heading(info.metric)
+    whole = next(pair.comparison for pair in _pairs(board, sides) if not pair.condition)
+    tables = (
+        _sequences(board, info, sides),
+        _metrics(board, sides),
+        *([strata] if (strata := _strata(board, sides)).lines else []),
+    )
+    context = {
+        "sides": sides,
+        "info": info,
+        "board": board_path(info),
+        "metric": metric,
+        "verdict": verdict(sides, whole, info.metric),
+        "whole": whole,
+        "difference": numbers.signed(info.metric, whole.difference),
+        "interval": _signed_interval(info.metric, whole),
+        "drawings": drawings({side.label: curves_of(site, side.record) for side in sides}),
+        "means": [
+            numbers.texts(info.metric, [entry.summary(info.metric, info.sequences).mean])[0] for entry in (of_a, of_b)
+        ],
+    }
+    title = f"{sides[0].label} against {sides[1].label} on {info.split}"
+    data = {
+        "a": asdict(sides[0].row),
+        "b": asdict(sides[1].row),
+        "difference": asdict(whole),
+        "pairs": [
+            {"condition": pair.condition, "value": pair.value, **asdict(pair.comparison)}
+            for pair in _pairs(board, sides)
+        ],
+        "per_sequence": as_plain(board)["per_sequence"],
+    }
+    query = {"a": rows[0].digest, "b": rows[1].digest}
+    return Page("/compare", title, "compare.html", context, tables, plain(data), query)
+
+
+def _find(site: Site, a: str, b: str) -> list[Row]:
+    """The rows of the two that were asked for."""
+    for name, value in (("a", a), ("b", b)):
+        if not value.strip():
+            raise PageError(f"{name}: expected a record's digest or a method, got nothing", 400, {"/": "all boards"})
+    found = [_records(site, a), _records(site, b)]
+    boards = {info.id: i for i, info in enumerate(site.index.boards())}
+    pairs = [(x, y) for x in found[0] for y in found[1] if x.board == y.board and x.digest != y.digest]
+    pairs.sort(key=lambda pair: (boards[pair[0].board], -_stamp(pair[0]), -_stamp(pair[1])))
+    if pairs:
+        return list(pairs[0])
+    if found[0][0].digest == found[1][0].digest:
+        raise PageError("a and b: expected two records, got one twice", 400, {record_path(found[0][0].digest): "it"})
+    return [found[0][0], found[1][0]]
+
+
+def _stamp(row: Row) -> int:
+    return int(re.sub(r"\D", "", row.created)[:14] or 0)
+
+
+def _records(site: Site, name: str) -> list[Row]:
+    """A record by its digest, or the current ones of a method."""
+    if DIGEST.fullmatch(name):
+        try:
+            return [site.index.row(name)]
+        except ResultError:
+            pass  # a method may be called so
+    name = site.methods().get(name, name)
+    rows = site.index.method(name)
+    current = [row for row in rows if row.state == "current"]
+    if not rows:
+        hints = {"/": "all boards, with their methods"}
+        raise PageError(f"expected a record's digest or a method, got {name!r:.80}", 404, hints)
+    return current or rows
+
+
+def _labels(rows: Sequence[Row]) -> list[str]:
+    if rows[0].method != rows[1].method:
+        return [row.method for row in rows]
+    if rows[0].team != rows[1].team:
+        return [f"{row.method} ({row.team})" for row in rows]
+    return [f"{row.method} ({row.digest[:8]})" for row in rows]
+
+
+def _board(info: BoardInfo, sides: Sequence[Side]) -> Board:
+    """Both on all sequences of the board: what one was not run on, or failed on, counts as it does there."""
+    named = [standing.named(side.record, side.label) for side in sides]
+    everyone: list[ResultRecord] = []
+    for own, other in ((named[0], named[1]), (named[1], named[0])):
+        everyone += standing.filled(own, info.sequences, other)
+    return standing.board(everyone)
+
+
+def _entry(board: Board, label: str) -> Entry:
+    return next(entry for entry in board.entries if entry.label == label)
+
+
+def _pairs(board: Board, sides: Sequence[Side]) -> list[Pair]:
+    """All comparisons of a with b, whichever is the better."""
+    a, b = (_entry(board, side.label) for side in sides)
+    places = [("", "", board.sequences)]
+    places += [(key, value, names) for key in STRATA for value, names in board.classes(key).items()]
+    return [
+        Pair(a.label, b.label, condition, value, _compared(a, b, board.metric, names))
+        for condition, value, names in places
+    ]
+
+
+def _compared(a: Entry, b: Entry, key: str, sequences: Sequence[str]) -> Comparison:
+    metric = find_metric(key)
+    better: Literal["lower", "higher"] = "lower" if metric is not None and metric.better == "lower" else "higher"
+    of_a, of_b = a.weights(key, sequences), b.weights(key, sequences)
+    weights = None if of_a is None or of_b is None else (of_a, of_b)
+    return compare(a.sample(key, sequences), b.sample(key, sequences), better, weights)
+
+
+def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:
+    """In a sentence."""
+    a, b = (side.label for side in sides)
+    if not whole.interval.known:
+        return f"Which of the two is better cannot be told: {whole.interval.reason}."
+    if whole.verdict == "not told apart":
+        return f"{a} and {b} are not told apart."
+    name = numbers.heading(metric).text
+    return f"{a if whole.verdict == 'better' else b} is better by {name}."
+
+
+def _signed_interval(key: str, comparison: Comparison, beside: Sequence[Cell] = ()) -> str:
+    if not comparison.interval.known:
+        return numbers.ABSENT
+    ends = (comparison.interval.low, comparison.interval.high)
+    return " to ".join(numbers.signed(key, end, beside) for end in ends)
+
+
+def _compared_cells(key: str, comparison: Comparison, means: Sequence[Cell] = ()) -> tuple[Cell, ...]:
+    """Difference of the means, interval, won / tied / lost, verdict."""
+    known = comparison.interval.known
+    kind = {"better": "best", "worse": "warn"}.get(comparison.verdict, "") if known else ""
+    return (
+        Cell(numbers.signed(key, comparison.difference, means), numbers.finite(comparison.difference)),
+        Cell(_signed_interval(key, comparison, means), about=comparison.interval.reason, kind="soft"),
+        Cell(f"{comparison.wins} / {comparison.ties} / {comparison.losses}", comparison.wins),
+        Cell(comparison.verdict if known else "too few to tell", kind=kind),
+    )
+
+
+def _compared_columns(sides: Sequence[Side]) -> tuple[Column, ...]:
+    a, b = (side.label for side in sides)
+    return (
+        Column("difference", "Difference", "first less second", number=True, about=f"{a} less {b}"),
+        Column("interval", "Interval", numbers.LEVEL, number=True, about="By bootstrap of the paired differences."),
+        Column("won", "Sequences", "won / tied / lost", number=True),
+        Column("verdict", "The first is"),
+    )
+
+
+def _sequences(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
+    """The ranking metric of both on each sequence, and coverage beside it."""
+    metric = numbers.heading(info.metric)
+    keys = (info.metric, *(["coverage"] if any("coverage" in result.metrics for result in board.given) else []))
+    known = [key for key in STRATA if any(key in r.conditions for r in board.given)]
+    columns = [Column("sequence", "Sequence")]
+    values: dict[str, list[Cell]] = {}
+    for key in keys:
+        found = [standing.means(_entry(board, side.label).records, key) for side in sides]
+        both = numbers.cells(key, [means.get(name) for means in found for name in info.sequences])
+        for i, side in enumerate(sides):
+            values[f"{key}_{'ab'[i]}"] = both[i * len(info.sequences) : (i + 1) * len(info.sequences)]
+            heading = numbers.heading(key)
+            columns.append(
+                Column(
+                    f"{key}_{'ab'[i]}",
+                    side.label,
+                    f"{heading.text} {heading.unit}".strip(),
+                    True,
+                    heading.about,
+                    heading.better,
+                )
+            )
+    columns.append(Column("difference", "Difference", metric.text, number=True))
+    columns += [Column(key, CONDITIONS[key].name.capitalize()) for key in known]
+    a, b = (standing.means(_entry(board, side.label).records, info.metric) for side in sides)
+    lines = []
+    for i, name in enumerate(info.sequences):
+        difference = a[name] - b[name] if name in a and name in b else None
+        gain = 0 if difference is None else difference * (1 if metric.better == "higher" else -1)
+        conditions = board.conditions(name)
+        lines.append(
+            Line(
+                (
+                    Cell(name),
+                    *(values[column.key][i] for column in columns if column.key in values),
+                    Cell(
+                        numbers.signed(info.metric, difference),
+                        numbers.finite(difference),
+                        kind="best" if gain > 0 else "warn" if gain < 0 else "",
+                    ),
+                    *(Cell(str(conditions.get(key, numbers.ABSENT))) for key in known),
+                )
+            )
+        )
+    title = f"{sides[0].label} and {sides[1].label} by sequence"
+    notes = ("Means over the runs of each sequence; what failed or was not answered scores 0.",)
+    return Table(title, tuple(columns), tuple(lines), notes, "sequences")
+
+
+def _metrics(board: Board, sides: Sequence[Side]) -> Table:
+    """Every metric of the track's tables that has a direction."""
+    a, b = (_entry(board, side.label) for side in sides)
+    keys = dict.fromkeys(column.key for column in (*OF_TRACK[board.track], *STANDING_OF_TRACK[board.track]))
+    columns = (
+        Column("metric", "Metric"),
+        Column("unit", "Unit"),
+        Column("a", sides[0].label, "mean", number=True),
+        Column("b", sides[1].label, "mean", number=True),
+        *_compared_columns(sides),
+        Column("shared", "On", "sequences", number=True, about="Those on which both have a value."),
+        Column("key", hidden=True),
+    )
+    lines = []
+    for key in keys:
+        heading = numbers.heading(key)
+        if not heading.better or key not in board.keys:
+            continue
+        comparison = _compared(a, b, key, board.sequences)
+        means = numbers.cells(key, [entry.summary(key, board.sequences).mean for entry in (a, b)])
+        lines.append(
+            Line(
+                (
+                    Cell(heading.text, about=heading.about),
+                    Cell(numbers.unit(heading), heading.unit),
+                    *means,
+                    *_compared_cells(key, comparison, means),
+                    Cell(str(comparison.sequences), comparison.sequences),
+                    Cell(key),
+                )
+            )
+        )
+    notes = ("Errors are compared on the sequences that both have a value of: read them beside coverage.",)
+    return Table(f"{sides[0].label} against {sides[1].label}", columns, tuple(lines), notes, "metrics")
+
+
+def _strata(board: Board, sides: Sequence[Side]) -> Table:
+    """The ranking metric within each class of conditions."""
+    columns: tuple[Column, ...] = (
+        Column("condition", "Condition"),
+        Column("class", "Class"),
+        Column("sequences", "Sequences", number=True),
+        *_compared_columns(sides),
+    )
+    lines: list[Line] = []
+    for pair in _pairs(board, sides):
+        if pair.condition:
+            lead: tuple[Any, ...] = (
+                Cell(CONDITIONS[pair.condition].name),
+                Cell(pair.value),
+                Cell(str(pair.comparison.sequences), pair.comparison.sequences),
+            )
+            lines.append(Line((*lead, *_compared_cells(board.metric, pair.comparison))))
+    metric = numbers.heading(board.metric).text
+    return Table(f"{metric} by class of conditions", columns, tuple(lines), name="conditions")

@@ -1,0 +1,123 @@
+"""Data sets: what there is, what each sequence is like, and how to get it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from oysterbench.evaluate.conditions import CONDITIONS
+from oysterbench.results import plain
+from oysterbench_leaderboard.board import BoardInfo
+from oysterbench_leaderboard.site import numbers
+from oysterbench_leaderboard.site.datasets import Conditions, DataSet, all_data_sets, conditions_of
+from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.paths import board_path, data_path, slug, split_path
+from oysterbench_leaderboard.site.site import Site
+
+DECIMALS = {"secchi_m": 1, "altitude_m": 2, "speed_m_s": 2, "oysters_per_m2": 0, "depth_m": 1, "snow_per_m3": 0}
+
+
+def data_page(site: Site) -> Page:
+    """All data sets."""
+    columns = (
+        Column("split", "Data set"),
+        Column("track", "Made for"),
+        Column("sequences", "Sequences", number=True),
+        Column("duration_s", "Duration", "min", number=True),
+        Column("truth", "Truth"),
+        Column("records", "Records", "current", number=True),
+        Column("rig", "Rig"),
+        Column("summary", "What it is"),
+        Column("version", hidden=True),
+        Column("recipe", hidden=True),
+        Column("manifest", hidden=True),
+    )
+    entries: dict[str, int] = {}
+    for info in site.index.boards():
+        if info.newest:
+            entries[info.split] = entries.get(info.split, 0) + info.entries
+    lines = []
+    for name, found in sorted(all_data_sets(site).items(), key=lambda item: (item[1].track, item[0])):
+        duration = found.duration_s
+        lines.append(
+            Line(
+                (
+                    Cell(name, path=data_path(name), small=found.version),
+                    Cell(found.track),
+                    Cell(str(len(found.sequences)), len(found.sequences)),
+                    Cell(numbers.ABSENT, "") if duration is None else Cell(f"{duration / 60:.1f}", duration),
+                    Cell("kept back" if found.hidden else "public"),
+                    Cell(str(entries.get(name, 0)), entries.get(name, 0)),
+                    Cell(found.rig or numbers.ABSENT),
+                    Cell(found.summary or "known from records alone", kind="wrap"),
+                    Cell(found.version),
+                    Cell(found.digest),
+                    Cell(found.manifest),
+                )
+            )
+        )
+    table = Table("Data sets", columns, tuple(lines), name="data")
+    data = [_plain(found) for found in all_data_sets(site).values()]
+    return Page("/data", "Data sets", "data.html", {}, (table,), plain({"data_sets": data}))
+
+
+def split_page(site: Site, split: str) -> Page:
+    """A data set by the slug of its name. Raises PageError naming what there is."""
+    known = all_data_sets(site)
+    found = next((one for name, one in known.items() if slug(name) == split), None)
+    if found is None:
+        hints = {"/data": "all data sets", **{data_path(name): name for name in known}}
+        raise PageError(f"no data set {split!r}", hints=hints)
+    boards = [info for info in site.index.boards() if info.split == found.name]
+    like = conditions_of(site, found)
+    table = conditions_table(found, like)
+    context = {
+        "found": found,
+        "minutes": "" if found.duration_s is None else f"{found.duration_s / 60:.1f}",
+        "megabytes": "" if found.size is None else f"{found.size / 1e6:.0f}",
+        "boards": [(split_path(b.track, b.split) if b.newest else board_path(b), b) for b in boards],
+        "other_recipes": [b for b in boards if b.split_digest != found.digest and b.newest],
+    }
+    data = {**_plain(found), "recipe": found.recipe, "conditions": like, "boards": [_board(info) for info in boards]}
+    return Page(data_path(found.name), found.name, "split.html", context, (table,), plain(data))
+
+
+def _plain(found: DataSet) -> dict[str, Any]:
+    values = asdict(found)
+    return {key: value for key, value in values.items() if key not in ("recipe", "seed" if found.hidden else "")}
+
+
+def _board(info: BoardInfo) -> dict[str, Any]:
+    return {"id": info.id, "track": info.track, "evaluator_version": info.evaluator_version, "path": board_path(info)}
+
+
+def conditions_table(found: DataSet, like: Mapping[str, Conditions]) -> Table:
+    """What each sequence is like."""
+    keys = [key for key in CONDITIONS if any(key in values for values in like.values())]
+    columns = (
+        Column("sequence", "Sequence"),
+        *(_column(key, like) for key in keys),
+    )
+    lines = []
+    for name in found.sequences:
+        cells, values = [], like.get(name, {})
+        for key in keys:
+            value = values.get(key)
+            text = numbers.ABSENT if value is None or value == "" else _text(key, value)
+            cells.append(Cell(text, value if value is not None else ""))
+        lines.append(Line((Cell(name), *cells)))
+    notes = () if keys else ("What the sequences are like is not known here.",)
+    return Table(f"Sequences of {found.name}", columns, tuple(lines), notes, "sequences")
+
+
+def _column(key: str, like: Mapping[str, Conditions]) -> Column:
+    about = CONDITIONS[key]
+    number = not any(isinstance(values.get(key), str) for values in like.values())
+    return Column(key, about.name[:1].upper() + about.name[1:], about.unit, number)
+
+
+def _text(key: str, value: float | str) -> str:
+    if isinstance(value, str):
+        return value
+    return f"{value:.{DECIMALS[key]}f}" if key in DECIMALS else f"{value:g}"

@@ -1,0 +1,68 @@
+"""The log: what was withdrawn, put back, superseded or scored again, and why."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from oysterbench.results import plain
+from oysterbench_leaderboard.board import Row
+from oysterbench_leaderboard.site import numbers
+from oysterbench_leaderboard.site.history import MOST, Event, events
+from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
+from oysterbench_leaderboard.site.paths import board_path, record_path
+from oysterbench_leaderboard.site.site import Site
+
+
+def log_page(site: Site) -> Page:
+    """The latest first."""
+    boards = {info.id: info for info in site.index.boards()}
+    columns = (
+        Column("created", "Date", "UTC"),
+        Column("action", "What"),
+        Column("method", "Method"),
+        Column("split", "Split"),
+        Column("score_before", "Score", "before", number=True),
+        Column("score_after", "Score", "after", number=True),
+        Column("by", "Record", "that took its place"),
+        Column("reason", "Why"),
+        Column("record", hidden=True),
+    )
+    found = [event for event in events(site) if event.record.board in boards]
+    lines = []
+    for event in found:
+        info = boards[event.record.board]
+        before, after = (
+            numbers.cells(info.metric, [row.score if row else None])[0] for row in (event.record, event.by)
+        )
+        lines.append(
+            Line(
+                (
+                    Cell(event.created[:10], event.created),
+                    Cell(event.action, kind="warn" if event.action == "withdrawn" else ""),
+                    Cell(event.record.method, path=record_path(event.record.digest), small=event.record.team),
+                    Cell(info.split, path=board_path(info), small=info.evaluator_version),
+                    before,
+                    after,
+                    _link(event.by),
+                    Cell(event.reason or numbers.ABSENT, event.reason, kind="wrap"),
+                    Cell(event.record.digest),
+                )
+            )
+        )
+    notes = (f"Of superseded records the {MOST} latest of each board are listed; every record's own page tells of it.",)
+    table = Table("What became of records", columns, tuple(lines), notes, "log")
+    return Page("/log", "Log", "log.html", {}, (table,), plain({"events": [_plain(event) for event in found]}))
+
+
+def _link(row: Row | None) -> Cell:
+    return Cell("") if row is None else Cell(row.digest[:8], row.digest, path=record_path(row.digest))
+
+
+def _plain(event: Event) -> dict[str, object]:
+    return {
+        "created": event.created,
+        "action": event.action,
+        "reason": event.reason,
+        "record": asdict(event.record),
+        "by": asdict(event.by) if event.by else None,
+    }

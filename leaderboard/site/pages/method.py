@@ -1,0 +1,99 @@
+"""A method: all that was published of it, on every board."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from oysterbench.errors import ResultError
+from oysterbench.results import plain
+from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.site import numbers
+from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.pages.ranks import TIERS, state_mark
+from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
+from oysterbench_leaderboard.site.site import Site
+
+
+def find_method(site: Site, slug: str) -> tuple[str, list[Row]]:
+    """A method's name and rows, by its slug. Raises PageError."""
+    name = site.methods().get(slug, slug)
+    try:
+        rows = site.index.method(name)
+    except ResultError:
+        rows = []
+    if not rows:
+        raise PageError(f"no record of a method {slug!r}", hints={"/": "all boards, with their methods"})
+    return name, rows
+
+
+def method_page(site: Site, slug: str) -> Page:
+    """Current records first, each with its rank on its board; then those that were superseded or withdrawn."""
+    name, rows = find_method(site, slug)
+    boards = {info.id: info for info in site.index.boards()}
+    order = {board: i for i, board in enumerate(boards)}
+    rows = [row for row in rows if row.board in boards]
+    current = sorted((row for row in rows if row.state == "current"), key=lambda row: order[row.board])
+    past = [row for row in rows if row.state != "current"]
+    tables = [_table(boards, current, f"Current records of {name}", "current")]
+    if past:
+        tables.append(_table(boards, past, f"Superseded and withdrawn records of {name}", "past"))
+    teams = list(dict.fromkeys(row.team for row in rows))
+    newest = current[0] if current else rows[0]
+    return Page(
+        method_path(name),
+        name,
+        "method.html",
+        {"name": name, "teams": teams, "newest": newest},
+        tuple(tables),
+        plain({"method": name, "teams": teams, "records": [asdict(row) for row in (*current, *past)]}),
+    )
+
+
+def _table(boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str) -> Table:
+    columns = (
+        Column("board", "Board"),
+        Column("evaluator", "Evaluator"),
+        Column("team", "Team"),
+        Column("rank", "Rank", "of records", number=True),
+        Column("metric", "Metric"),
+        Column("value", "Value", number=True),
+        Column("interval", "Interval", numbers.LEVEL, number=True),
+        Column("coverage", "Coverage", "%", number=True),
+        Column("failures", "Failed", "runs", number=True),
+        Column("tier", "Tier"),
+        Column("created", "Record", "UTC"),
+        Column("record", hidden=True),
+        Column("state", hidden=True),
+    )
+    lines = []
+    for row in rows:
+        info = boards[row.board]
+        rank = numbers.ABSENT
+        if row.place is not None:
+            rank = f"{row.rank} of {info.entries}" if row.rank is not None else f"({row.place}) of {info.entries}"
+        score = numbers.cells(info.metric, [row.score])[0]
+        lines.append(
+            Line(
+                (
+                    Cell(info.split, path=board_path(info), small=info.track),
+                    Cell(info.evaluator_version),
+                    Cell(row.team, kind="wrap"),
+                    Cell(rank, row.rank if row.rank is not None else ""),
+                    Cell(numbers.heading(info.metric).text, info.metric),
+                    score,
+                    Cell(
+                        numbers.interval(info.metric, row.low, row.high),
+                        bar=numbers.bar(row.low, row.score, row.high),
+                        kind="soft",
+                    ),
+                    numbers.cells("coverage", [row.coverage])[0],
+                    Cell(f"{row.failures} of {row.runs}", row.failures, kind="warn" if row.failures else ""),
+                    Cell(row.tier, about=TIERS.get(row.tier, "")),
+                    Cell(row.created[:10], row.created, path=record_path(row.digest), mark=state_mark(row)),
+                    Cell(row.digest),
+                    Cell(row.state),
+                ),
+                "" if row.state == "current" else row.state,
+            )
+        )
+    return Table(title, columns, tuple(lines), name=name)

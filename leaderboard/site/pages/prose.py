@@ -1,0 +1,101 @@
+"""How to submit, and what the numbers mean."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from oysterbench.comparison import PRIMARY
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.statistics import LEAST_SEQUENCES, RESAMPLES
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
+from oysterbench.results import plain
+from oysterbench_leaderboard.site import datasets, numbers
+from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
+from oysterbench_leaderboard.site.pages.home import TRACKS
+from oysterbench_leaderboard.site.pages.ranks import TIERS
+from oysterbench_leaderboard.site.paths import data_path
+from oysterbench_leaderboard.site.site import Site
+
+FORMS = {
+    "slam": "a TUM file for each sequence, named like it (val-01.tum): t x y z qx qy qz qw, the body's pose in the map",
+    "segmentation": "masks as PNG, or COCO JSON, for each clip",
+    "detection": "COCO JSON with the mask of each oyster, for each clip",
+}
+"""Track of a board -> what is sent."""
+
+SERVES = {"slam": ("slam",), "segmentation": ("segmentation", "detection")}
+"""What a split is made for -> the tracks that are scored on it."""
+
+
+def submit_page(site: Site) -> Page:
+    """What may be sent, and how."""
+    columns = (
+        Column("track", "Track"),
+        Column("split", "Data set"),
+        Column("truth", "Truth"),
+        Column("send", "What is sent"),
+    )
+    lines = []
+    for name, found in sorted(datasets.known().items(), key=lambda item: (not item[1].hidden, item[0])):
+        for track in SERVES.get(found.track, ()):
+            if name.endswith(("-val", "-test")):
+                lines.append(
+                    Line(
+                        (
+                            Cell(TRACKS[track], track),
+                            Cell(name, path=data_path(name)),
+                            Cell("kept back" if found.hidden else "public"),
+                            Cell(FORMS[track], kind="wrap"),
+                        )
+                    )
+                )
+    table = Table("What is compared on", columns, tuple(lines), name="submit")
+    keys = [column.key for column in columns]
+    splits = [dict(zip(keys, (cell.plain for cell in line.cells), strict=True)) for line in lines]
+    data = plain({"form": site.form or None, "splits": splits})
+    return Page("/submit", "How to submit", "submit.html", {"form": site.form, "tiers": TIERS}, (table,), data)
+
+
+def about_page(site: Site) -> Page:
+    """What rank, tie, tier, coverage and each metric mean."""
+    columns = (
+        Column("track", "Track"),
+        Column("name", "Name"),
+        Column("unit", "Unit"),
+        Column("better", "Better"),
+        Column("definition", "Definition"),
+        Column("key", "Key"),
+    )
+    lines, data = [], []
+    for track in PRIMARY:
+        keys = dict.fromkeys((PRIMARY[track], *(c.key for c in (*STANDING_OF_TRACK[track], *OF_TRACK[track]))))
+        for key in keys:
+            metric = find_metric(key)
+            if metric is None:
+                continue
+            heading = numbers.heading(key)
+            lines.append(
+                Line(
+                    (
+                        Cell(TRACKS[track], track),
+                        Cell(heading.text, mark="ranks" if key == PRIMARY[track] else ""),
+                        Cell(heading.unit or numbers.ABSENT, heading.unit),
+                        Cell(metric.better or "describes", metric.better),
+                        Cell(metric.definition, kind="wrap"),
+                        Cell(key),
+                    )
+                )
+            )
+            data.append({"track": track, "key": key, "ranks": key == PRIMARY[track], **asdict(metric)})
+    table = Table("Metrics", columns, tuple(lines), name="metrics")
+    context = {
+        "tiers": TIERS,
+        "level": numbers.LEVEL,
+        "resamples": f"{RESAMPLES:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
+        "least": LEAST_SEQUENCES,
+        "ranking": [(TRACKS[track], find_metric(key)) for track, key in PRIMARY.items()],
+        "coverage": find_metric("coverage"),
+    }
+    return Page(
+        "/about", "What the numbers mean", "about.html", context, (table,), plain({"tiers": TIERS, "metrics": data})
+    )

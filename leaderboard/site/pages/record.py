@@ -1,0 +1,257 @@
+"""A record: all that was published of a method on a split, under an address that stays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.evaluate.statistics import Summary
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
+from oysterbench.report.tables import failures_and_notes
+from oysterbench.results import ResultRecord, plain
+from oysterbench_leaderboard.board import BoardInfo, Query, Row
+from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.site import numbers, standing
+from oysterbench_leaderboard.site.charts import drawings
+from oysterbench_leaderboard.site.history import successor
+from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
+from oysterbench_leaderboard.site.pages.home import TRACKS
+from oysterbench_leaderboard.site.pages.ranks import TIED, TIERS, rank_cells
+from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
+from oysterbench_leaderboard.site.site import Site, curves_of
+
+LEADERS = 3
+"""First records of the board that every record may be compared with; its neighbours are offered, too."""
+
+
+@dataclass(frozen=True)
+class Notes:
+    """What must be said before the numbers. withdrawn: why, and when; by: the record that took its place."""
+
+    withdrawn: tuple[str, str] | None
+    by: Row | None
+    reason: str
+
+
+def record_page(site: Site, digest: str) -> Page:
+    """A record by its digest, or the first digits of it. Raises ResultError where there is none."""
+    row = site.index.row(digest)
+    record = site.record(row.digest)
+    info = next(info for info in site.index.boards() if info.id == row.board)
+    results = standing.filled(standing.named(record, record.method), info.sequences, ())
+    rank = rank_cells(site, info, [row])[0]
+    name = f"{row.method} on {info.split}"
+    tables = (
+        sequences_table(results, info.sequences, f"{name}, by sequence"),
+        metrics_table(results, f"{name}: means over {numbers.count(len(info.sequences), 'sequence')}"),
+        *([strata] if (strata := strata_table(results, f"{name}, by conditions")).lines else []),
+    )
+    notes = _notes(site, row)
+    context = {
+        "row": row,
+        "record": record,
+        "info": info,
+        "track": TRACKS.get(info.track, info.track),
+        "board": board_path(info),
+        "method": method_path(record.method),
+        "rank": rank,
+        "tied": rank.about == TIED,
+        "score": numbers.texts(info.metric, [row.score])[0],
+        "metric": numbers.heading(info.metric),
+        "interval": numbers.interval(info.metric, row.low, row.high),
+        "bar": numbers.bar(row.low, row.score, row.high),
+        "coverage": numbers.texts("coverage", [row.coverage])[0],
+        "tier_about": TIERS.get(row.tier, ""),
+        "notes": notes,
+        "rivals": rivals(site, info, row),
+        "drawings": drawings({record.method: curves_of(site, record)}),
+        "remarks": failures_and_notes(results),
+        "making": making(record),
+        "raw": f"{record_path(row.digest)}/record",
+    }
+    data = {
+        "row": asdict(row),
+        "board": asdict(info),
+        "withdrawn": notes.withdrawn,
+        "superseded_by": notes.by.digest if notes.by else None,
+        "per_sequence": _per_sequence(results, info.sequences),
+        "notices": [asdict(notice) for notice in site.notices(row.digest)],
+    }
+    return Page(record_path(row.digest), name, "record.html", context, tables, plain(data))
+
+
+def rivals(site: Site, info: BoardInfo, row: Row) -> list[Row]:
+    """The first records of its board and its neighbours there: whom it may be compared with."""
+    found = list(site.index.page(info.id, Query(size=LEADERS)).rows)
+    for place in (row.place - 1, row.place + 1) if row.place is not None else ():
+        if place >= 1:
+            found += site.index.page(info.id, Query(page=place, size=1)).rows
+    return [other for other in {other.digest: other for other in found}.values() if other.digest != row.digest]
+
+
+def _notes(site: Site, row: Row) -> Notes:
+    latest = site.notices(row.digest)[-1:]
+    withdrawn = next(((n.reason, n.created[:10]) for n in latest if n.action == "withdrawn"), None)
+    by = successor(site, row)
+    reason = site.record(by.digest).reason if by and by.supersedes == row.digest else ""
+    return Notes(withdrawn, by, reason)
+
+
+def _per_sequence(results: Sequence[ResultRecord], sequences: Sequence[str]) -> list[dict[str, Any]]:
+    """For JSON: means over runs of all metrics, on each sequence."""
+    keys = list(dict.fromkeys(key for result in results for key in result.metrics))
+    means = {key: standing.means(results, key) for key in keys}
+    found = []
+    for sequence in sequences:
+        runs = [result for result in results if result.sequence == sequence]
+        found.append(
+            {
+                "sequence": sequence,
+                "runs": sum(result.failure != standing.NOT_ANSWERED for result in runs),
+                "failures": sum(result.failure is not None for result in runs),
+                "conditions": dict(runs[0].conditions),
+                "metrics": {key: means[key].get(sequence) for key in keys},
+            }
+        )
+    return found
+
+
+def sequences_table(results: Sequence[ResultRecord], sequences: Sequence[str], title: str) -> Table:
+    """What the sequence is like, and the mean over runs of each metric of the track's tables."""
+    track = results[0].track
+    keys = list(dict.fromkeys(column.key for column in OF_TRACK[track]))
+    known = [key for key in STRATA if any(key in result.conditions for result in results)]
+    columns = (
+        Column("sequence", "Sequence"),
+        *(numbers.heading(key) for key in keys),
+        Column("failures", "Failed", "runs", number=True),
+        *(Column(key, CONDITIONS[key].name.capitalize()) for key in known),
+    )
+    values = {}
+    for key in keys:
+        means = standing.means(results, key)
+        values[key] = numbers.cells(key, [means.get(name) for name in sequences])
+    lines = []
+    for i, name in enumerate(sequences):
+        runs = [result for result in results if result.sequence == name]
+        failed = sum(result.failure is not None for result in runs)
+        answered = any(result.failure != standing.NOT_ANSWERED for result in runs)
+        said = f"{failed} of {len(runs)}" if answered else numbers.ABSENT
+        lines.append(
+            Line(
+                (
+                    Cell(name, mark="" if answered else "not answered"),
+                    *(values[key][i] for key in keys),
+                    Cell(said, failed, kind="warn" if failed else ""),
+                    *(Cell(str(runs[0].conditions.get(key, numbers.ABSENT))) for key in known),
+                ),
+                "failed" if failed == len(runs) else "",
+            )
+        )
+    notes = ("Means over the runs of each sequence; a failed run scores 0 and has no errors.",)
+    return Table(title, columns, tuple(lines), notes, "sequences")
+
+
+def metrics_table(results: Sequence[ResultRecord], title: str) -> Table:
+    """Mean, interval and spread of each metric of the track's tables."""
+    track = results[0].track
+    keys = dict.fromkeys(column.key for column in (*OF_TRACK[track], *STANDING_OF_TRACK[track]))
+    columns = (
+        Column("metric", "Metric"),
+        Column("unit", "Unit"),
+        Column("mean", "Mean", number=True),
+        Column("interval", "Interval", numbers.LEVEL, number=True),
+        Column("spread", "Sequences", "from, to", number=True),
+        Column("sequences", "Sequences", "with a value", number=True),
+        Column("key", hidden=True),
+        *(Column(key, number=True, hidden=True) for key in ("interval_low", "interval_high", "lowest", "highest")),
+    )
+    of = standing.entry(results)
+    lines = []
+    for key in keys:
+        if not any(key in result.metrics for result in results):
+            continue
+        summary = of.summary(key, [result.sequence for result in results])
+        lines.append(Line(_summary_cells(key, summary)))
+    return Table(title, columns, tuple(lines), name="metrics")
+
+
+def _summary_cells(key: str, summary: Summary) -> tuple[Cell, ...]:
+    heading = numbers.heading(key)
+    low, high = (summary.interval.low, summary.interval.high) if summary.interval.known else (None, None)
+    ends = [numbers.finite(value) for value in (low, high, summary.low, summary.high)]
+    return (
+        Cell(heading.text, about=heading.about),
+        Cell(numbers.unit(heading) or numbers.ABSENT, heading.unit),
+        numbers.cells(key, [summary.mean])[0],
+        Cell(numbers.interval(key, low, high), about=summary.interval.reason, kind="soft"),
+        Cell(numbers.interval(key, summary.low, summary.high), kind="soft"),
+        Cell(f"{summary.sequences} of {summary.of_sequences}", summary.sequences),
+        Cell(key),
+        *(Cell("", "" if value is None else value) for value in ends),
+    )
+
+
+def strata_table(results: Sequence[ResultRecord], title: str) -> Table:
+    """The ranking metric within each class of conditions, where there are several."""
+    board = standing.board(results)
+    metric = numbers.heading(board.metric)
+    columns = (
+        Column("condition", "Condition"),
+        Column("class", "Class"),
+        Column("sequences", "Sequences", number=True),
+        metric,
+        Column("interval", "Interval", numbers.LEVEL, number=True),
+    )
+    lines = []
+    for condition in STRATA:
+        for value, _, summary in board.strata(condition):
+            known = summary.interval.known
+            low, high = (summary.interval.low, summary.interval.high) if known else (None, None)
+            lines.append(
+                Line(
+                    (
+                        Cell(CONDITIONS[condition].name),
+                        Cell(value),
+                        Cell(str(summary.of_sequences), summary.of_sequences),
+                        numbers.cells(board.metric, [summary.mean])[0],
+                        Cell(
+                            numbers.interval(board.metric, low, high),
+                            about=summary.interval.reason,
+                            bar=numbers.bar(low, summary.mean, high),
+                            kind="soft",
+                        ),
+                    )
+                )
+            )
+    notes = ("An interval needs several sequences of a class; a dash stands where there are too few.",) if lines else ()
+    return Table(title, columns, tuple(lines), notes, "conditions")
+
+
+def making(record: Record) -> dict[str, list[str]]:
+    """How the numbers came about: each distinct value once."""
+    found: dict[str, list[str]] = {}
+
+    def add(label: str, value: str) -> None:
+        if value and value not in found.setdefault(label, []):
+            found[label].append(value)
+
+    for result in record.results:
+        add("Settings of the method", said(result.method_settings))
+        add("Settings of the evaluator", said({k: v for k, v in result.settings.items() if v not in (None, [], ())}))
+        add("oysterbench", result.oysterbench_version)
+        add("Machine", said(result.hardware))
+    seeds = [str(result.seed) for result in record.results if result.seed is not None]
+    add("Seeds", ", ".join(dict.fromkeys(seeds)))
+    dates = sorted(result.created[:10] for result in record.results)
+    add("Run", dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}")
+    return {label: values for label, values in found.items() if values}
+
+
+def said(values: Mapping[str, Any]) -> str:
+    """Keys and values in one line; long values are cut, since the whole is in the record."""
+    texts = {k: v if isinstance(v, str) else json.dumps(plain(v), ensure_ascii=False) for k, v in values.items()}
+    return ", ".join(f"{k} = {v if len(v) <= 300 else v[:297] + '...'}" for k, v in texts.items())

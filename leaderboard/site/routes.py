@@ -1,0 +1,192 @@
+"""Every page of the site: its address, what may be asked of it, what makes it, and what its JSON holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from oysterbench.evaluate.statistics import Comparison
+from oysterbench_leaderboard.board import BoardInfo, Literature, Query, Row
+from oysterbench_leaderboard.record import TIERS
+from oysterbench_leaderboard.site.page import Page
+from oysterbench_leaderboard.site.pages.board import LONGEST_TEXT, MOST_ROWS, STATES, board_page, parse_query
+from oysterbench_leaderboard.site.pages.compare import compare_page
+from oysterbench_leaderboard.site.pages.data import data_page, split_page
+from oysterbench_leaderboard.site.pages.home import home_page
+from oysterbench_leaderboard.site.pages.literature import literature_page
+from oysterbench_leaderboard.site.pages.log import log_page
+from oysterbench_leaderboard.site.pages.method import method_page
+from oysterbench_leaderboard.site.pages.prose import about_page, submit_page
+from oysterbench_leaderboard.site.pages.record import record_page
+from oysterbench_leaderboard.site.paths import SLUG
+from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.store import Notice
+
+Given = Mapping[str, str]
+Asked = Mapping[str, Sequence[str]]
+
+PATTERNS = {
+    "track": SLUG,
+    "split": SLUG,
+    "method": SLUG,
+    "board": "[0-9a-f]{16}",
+    "digest": "[0-9a-f]{8,64}",
+}
+"""Part of an address -> what it may be."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Of a query. schema: as in JSON Schema."""
+
+    name: str
+    about: str
+    schema: Mapping[str, Any]
+    required: bool = False
+
+
+@dataclass(frozen=True)
+class Route:
+    """path: with the parts of `PATTERNS` in braces, without suffix.
+
+    ask:     the query, read: what a page is cached by; make: the page
+    answers: keys of its JSON -> their types
+    """
+
+    path: str
+    summary: str
+    make: Callable[[Site, Given, Any], Page]
+    answers: Mapping[str, Any]
+    ask: Callable[[Asked], Hashable] = lambda asked: ()
+    query: tuple[Parameter, ...] = ()
+
+    @property
+    def parts(self) -> list[str]:
+        """Names of what stands in braces."""
+        return [part[1:-1] for part in self.path.split("/") if part.startswith("{")]
+
+
+def _choice(values: Sequence[str]) -> dict[str, Any]:
+    return {"type": "array", "items": {"type": "string", "enum": list(values)}}
+
+
+BOARD_QUERY = (
+    Parameter("sort", "rank, method, team, created, or the key of a metric of the board", {"type": "string"}),
+    Parameter("order", "which way round", {"type": "string", "enum": ["asc", "desc"], "default": "asc"}),
+    Parameter("q", "text in method or team", {"type": "string", "maxLength": LONGEST_TEXT}),
+    Parameter("tier", "who vouches for the numbers; all where none is given", _choice(TIERS)),
+    Parameter("state", "which records; the current ones where none is given", _choice(STATES)),
+    Parameter("page", "from 1", {"type": "integer", "minimum": 1, "default": 1}),
+    Parameter("size", "rows of a page", {"type": "integer", "minimum": 1, "maximum": MOST_ROWS}),
+)
+PAIR_QUERY = (
+    Parameter("a", "digest of a record (8 digits or more), or a method", {"type": "string"}),
+    Parameter("b", "digest of a record (8 digits or more), or a method", {"type": "string"}),
+    Parameter("r", "twice, in place of a and b", {"type": "array", "items": {"type": "string"}, "maxItems": 2}),
+)
+
+BOARD = {"board": BoardInfo, "query": Query, "total": int, "pages": int, "rows": list[Row]}
+
+
+def _pair(asked: Asked) -> tuple[str, str]:
+    """What is to be compared, given as a and b or as two r."""
+    ticked = list(asked.get("r", ()))[:2]
+    a, b = ((asked.get(key) or [""])[-1] for key in ("a", "b"))
+    a, b = a or (ticked[0] if ticked else ""), b or (ticked[1] if len(ticked) > 1 else "")
+    return a.strip()[:100], b.strip()[:100]
+
+
+ROUTES = (
+    Route("/", "All boards, with who leads them.", lambda site, given, asked: home_page(site), {"boards": list[dict]}),
+    Route(
+        "/boards/{track}/{split}",
+        "The newest board of a split.",
+        lambda site, given, asked: board_page(site, given["track"], given["split"], None, asked),
+        BOARD,
+        parse_query,
+        BOARD_QUERY,
+    ),
+    Route(
+        "/boards/{track}/{split}/{board}",
+        "A board by its id, which stays.",
+        lambda site, given, asked: board_page(site, given["track"], given["split"], given["board"], asked),
+        BOARD,
+        parse_query,
+        BOARD_QUERY,
+    ),
+    Route(
+        "/methods/{method}",
+        "All records of a method, by its name as pages spell it in addresses.",
+        lambda site, given, asked: method_page(site, given["method"]),
+        {"method": str, "teams": list[str], "records": list[Row]},
+    ),
+    Route(
+        "/records/{digest}",
+        "A record.",
+        lambda site, given, asked: record_page(site, given["digest"]),
+        {
+            "row": Row,
+            "board": BoardInfo,
+            "withdrawn": list[str] | None,
+            "superseded_by": str | None,
+            "per_sequence": list[dict],
+            "notices": list[Notice],
+        },
+    ),
+    Route(
+        "/compare",
+        "Two records, or the current records of two methods, head to head.",
+        lambda site, given, asked: compare_page(site, *asked),
+        {"a": Row, "b": Row, "difference": Comparison, "pairs": list[dict], "per_sequence": list[dict]},
+        _pair,
+        PAIR_QUERY,
+    ),
+    Route("/data", "All data sets.", lambda site, given, asked: data_page(site), {"data_sets": list[dict]}),
+    Route(
+        "/data/{split}",
+        "A data set: its recipe, what its sequences are like, its boards.",
+        lambda site, given, asked: split_page(site, given["split"]),
+        {
+            "name": str,
+            "version": str,
+            "track": str,
+            "hidden": bool,
+            "sequences": list[str],
+            "conditions": dict,
+            "boards": list[dict],
+        },
+    ),
+    Route(
+        "/literature",
+        "Numbers that others reported on other data; never ranked with ours.",
+        lambda site, given, asked: literature_page(site),
+        {"literature": list[Literature]},
+    ),
+    Route(
+        "/submit",
+        "How to submit.",
+        lambda site, given, asked: submit_page(site),
+        {"form": str | None, "splits": list[dict]},
+    ),
+    Route(
+        "/log",
+        "What was withdrawn, put back, superseded or scored again.",
+        lambda site, given, asked: log_page(site),
+        {"events": list[dict]},
+    ),
+    Route(
+        "/about",
+        "What rank, tie, tier, coverage and each metric mean.",
+        lambda site, given, asked: about_page(site),
+        {"tiers": dict, "metrics": list[dict]},
+    ),
+)
+
+FILES = {
+    "/records/{digest}/record.json": "The record itself, as it was published: its SHA-256 is the digest.",
+    "/records/{digest}/curves.json": "Paths and errors that are drawn on its page.",
+    "/openapi.json": "This description.",
+    "/health": "Whether the site is up.",
+}
+"""Other addresses -> what they give."""

@@ -1,0 +1,272 @@
+"""Pages over HTTP: cached by address and revision of the index, compressed, with entity tags, and nothing of a failure
+but that there was one."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from collections.abc import Hashable, Sequence
+from typing import Any
+
+import anyio
+import anyio.to_thread
+from starlette.applications import Starlette
+from starlette.convertors import Convertor, register_url_convertor
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import BaseRoute
+from starlette.routing import Route as HttpRoute
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from oysterbench.errors import IntegrityError, ResultError
+from oysterbench.hub.canonical import canonical
+from oysterbench.hub.serve import HeaderLimit
+from oysterbench.version import VERSION
+from oysterbench_leaderboard.site import render
+from oysterbench_leaderboard.site.cache import Kept, PageCache
+from oysterbench_leaderboard.site.openapi import describe
+from oysterbench_leaderboard.site.page import PageError
+from oysterbench_leaderboard.site.routes import PATTERNS, ROUTES, Route
+from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.site.twins import twin
+
+FRESH_S = 1.0
+"""For so long the index is not asked again whether it has changed."""
+
+MAKERS = 4
+"""Pages that are made at once; others wait, and do not fight for the processor."""
+
+SECURITY = {
+    b"content-security-policy": (
+        b"default-src 'none'; style-src 'self'; script-src 'self'; img-src 'self' data:; connect-src 'self'; "
+        b"form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    b"x-content-type-options": b"nosniff",
+    b"referrer-policy": b"same-origin",
+    b"cross-origin-opener-policy": b"same-origin",
+    b"permissions-policy": b"camera=(), geolocation=(), microphone=()",
+}
+"""Headers of every response that does not set them itself."""
+
+CHANGING, FOREVER = "no-cache", "public, max-age=31536000, immutable"
+HTML = "text/html; charset=utf-8"
+
+
+def _part(name: str) -> Convertor[str]:
+    class Part(Convertor[str]):
+        regex = PATTERNS[name]
+
+        def convert(self, value: str) -> str:
+            return value
+
+        def to_string(self, value: str) -> str:
+            return value
+
+    return Part()
+
+
+for _name in PATTERNS:
+    register_url_convertor(f"board_{_name}", _part(_name))
+
+
+class Pages:
+    """The pages of a site, made when they are first asked for."""
+
+    def __init__(self, site: Site, root: str = "", fresh_s: float = FRESH_S, most_bytes: int | None = None) -> None:
+        self.site = site
+        self.links = render.server_links(root)
+        self.cache = PageCache(*([] if most_bytes is None else [most_bytes]))
+        self.fresh_s = fresh_s
+        self._revision, self._asked = "", -float("inf")
+        self._asking: asyncio.Task[str] | None = None
+        self._making: dict[Hashable, asyncio.Task[Kept]] = {}
+        self._makers: anyio.CapacityLimiter | None = None
+
+    async def revision(self) -> str:
+        """Of the index, not older than `fresh_s`; of many who ask at once, one looks."""
+        if time.monotonic() - self._asked < self.fresh_s:
+            return self._revision
+        if self._asking is None or self._asking.done():
+            self._asking = asyncio.create_task(self._look())
+        return await asyncio.shield(self._asking)
+
+    async def _look(self) -> str:
+        self._revision = await anyio.to_thread.run_sync(lambda: self.site.index.revision)
+        self._asked = time.monotonic()
+        return self._revision
+
+    async def get(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
+        """A page, or its twin. Many who ask for the same at once wait for one making of it."""
+        revision = await self.revision()
+        key = (route.path, tuple(sorted(given.items())), asked, suffix)
+        if (kept := self.cache.get(revision, key)) is not None:
+            return kept
+        making = self._making.get((revision, key))
+        if making is None:
+            making = self._making[revision, key] = asyncio.create_task(self._make(route, given, asked, suffix))
+            making.add_done_callback(lambda _: self._making.pop((revision, key), None))
+        kept = await asyncio.shield(making)
+        self.cache.put(revision, key, kept)
+        return kept
+
+    async def _make(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
+        self._makers = self._makers or anyio.CapacityLimiter(MAKERS)
+        return await anyio.to_thread.run_sync(self.make, route, given, asked, suffix, limiter=self._makers)
+
+    def make(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
+        """A page, or its twin, as bytes."""
+        page = route.make(self.site, given, asked)
+        if suffix:
+            return Kept.of(twin(page, suffix), render.TWINS[suffix][1])
+        return Kept.of(render.page_html(page, self.links).encode(), HTML)
+
+    def error(self, request: Request, status: int, message: str, hints: dict[str, str]) -> Response:
+        """What is said in place of a page, in the form that was asked for."""
+        headers = {"Cache-Control": "no-store"}
+        if request.url.path.endswith(".json") or request.url.path.startswith("/api/"):
+            return JSONResponse({"error": message, "see": hints}, status, headers)
+        if request.url.path.endswith((".csv", ".tex")):
+            return PlainTextResponse(f"{message}\n", status, headers)
+        context = {"title": TITLES.get(status, "Not as expected"), "message": message, "hints": hints, "status": status}
+        return Response(render.html("error.html", self.links, context), status, headers, HTML)
+
+
+TITLES = {400: "This cannot be asked", 404: "Not here", 405: "Not so", 409: "Not comparable", 500: "Our mistake"}
+
+
+def application(
+    site: Site,
+    more: Sequence[BaseRoute] = (),
+    root: str = "",
+    fresh_s: float = FRESH_S,
+    most_bytes: int | None = None,
+) -> Starlette:
+    """The web application. more: routes of other rooms, such as submissions; root: what a proxy puts before ours."""
+    pages = Pages(site, root, fresh_s, most_bytes)
+    description = Kept.of(canonical(describe(root)), "application/json")
+
+    def page_route(route: Route, suffix: str) -> HttpRoute:
+        async def get(request: Request) -> Response:
+            given = dict(request.path_params)
+            if "digest" in given and len(given["digest"]) < 64:
+                return await _to_full(request, route, given["digest"], suffix)
+            asked = {key: request.query_params.getlist(key) for key in request.query_params}
+            kept = await pages.get(route, given, route.ask(asked), suffix)
+            return send(request, kept, {"Access-Control-Allow-Origin": "*"} if suffix else {})
+
+        return HttpRoute(_pattern(route.path, suffix), get, methods=["GET"])
+
+    async def _to_full(request: Request, route: Route, digest: str, suffix: str) -> Response:
+        row = await anyio.to_thread.run_sync(site.index.row, digest)
+        return RedirectResponse(pages.links.page(route.path.format(digest=row.digest), None, suffix), 302)
+
+    async def record(request: Request) -> Response:
+        digest = request.path_params["digest"]
+        row = await anyio.to_thread.run_sync(site.index.row, digest)
+        return send(request, Kept.of(await anyio.to_thread.run_sync(site.store.data, row.digest), "application/json"))
+
+    async def curves(request: Request) -> Response:
+        row = await anyio.to_thread.run_sync(site.index.row, request.path_params["digest"])
+        found = (await anyio.to_thread.run_sync(site.record, row.digest)).curves
+        if not found:
+            raise PageError("this record came without paths: its split is hidden, or none were kept")
+        document = await anyio.to_thread.run_sync(site.store.curves, found)
+        return send(request, Kept.of(canonical(document), "application/json"))
+
+    async def asset(request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in render.ASSETS:
+            raise PageError(f"no file {name!r:.60}")
+        kept = Kept.of(render.asset(name), render.ASSETS[name])
+        return send(request, kept, {"Cache-Control": FOREVER if request.query_params.get("v") else CHANGING})
+
+    async def openapi(request: Request) -> Response:
+        return send(request, description, {"Access-Control-Allow-Origin": "*"})
+
+    async def health(request: Request) -> Response:
+        body = {"status": "ok", "revision": await pages.revision(), "oysterbench": VERSION}
+        return JSONResponse(body, 200, {"Cache-Control": "no-store"})
+
+    async def robots(request: Request) -> Response:
+        return PlainTextResponse("User-agent: *\nDisallow: /compare\nDisallow: /*?\n")
+
+    async def told(request: Request, error: Exception) -> Response:
+        """What was expected, and what is there."""
+        if isinstance(error, PageError):
+            return pages.error(request, error.status, str(error), error.hints)
+        if isinstance(error, ResultError):
+            return pages.error(request, 404, str(error), {"/": "all boards"})
+        if isinstance(error, HTTPException) and error.status_code < 500:
+            said = "nothing is at this address" if error.status_code == 404 else error.detail
+            response = pages.error(request, error.status_code, said, {"/": "all boards", "/data": "data sets"})
+            response.headers.update(error.headers or {})
+            return response
+        return pages.error(request, 500, "this page could not be made; it has been noted", {"/": "all boards"})
+
+    return Starlette(
+        routes=[
+            *more,
+            *(page_route(route, suffix) for route in ROUTES for suffix in ("", *render.TWINS)),
+            HttpRoute(_pattern("/records/{digest}/record", ".json"), record),
+            HttpRoute(_pattern("/records/{digest}/curves", ".json"), curves),
+            HttpRoute("/openapi.json", openapi),
+            HttpRoute("/static/{name}", asset),
+            HttpRoute("/health", health),
+            HttpRoute("/robots.txt", robots),
+        ],
+        middleware=[Middleware(HeaderLimit), Middleware(Secured)],
+        exception_handlers={
+            PageError: told,
+            ResultError: told,
+            IntegrityError: told,
+            HTTPException: told,
+            Exception: told,
+        },
+    )
+
+
+def _pattern(path: str, suffix: str) -> str:
+    """A route's address as Starlette spells it."""
+    bare = "/index" if path == "/" and suffix else path
+    return re.sub(r"\{(\w+)\}", r"{\1:board_\1}", bare) + suffix
+
+
+def send(request: Request, kept: Kept, headers: dict[str, str] | None = None) -> Response:
+    """A page, compressed where the client takes that; 304 where it has it."""
+    small = bool(kept.small) and _takes_gzip(request.headers.get("accept-encoding", ""))
+    tag = f'"{kept.tag}-gz"' if small else f'"{kept.tag}"'
+    given = {"ETag": tag, "Cache-Control": CHANGING, "Vary": "Accept-Encoding", **(headers or {})}
+    known = [entry.strip().removeprefix("W/") for entry in request.headers.get("if-none-match", "").split(",")]
+    if tag in known or "*" in known:
+        return Response(status_code=304, headers=given)
+    if small:
+        given["Content-Encoding"] = "gzip"
+    return Response(kept.small if small else kept.body, 200, given, kept.media)
+
+
+def _takes_gzip(header: str) -> bool:
+    for entry in header.split(","):
+        name, _, weight = entry.partition(";")
+        if name.strip().lower() in ("gzip", "*"):
+            return re.fullmatch(r"\s*q\s*=\s*0(\.0*)?\s*", weight) is None
+    return False
+
+
+class Secured:
+    """Puts `SECURITY` on every response."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                there = {name.lower() for name, _ in message["headers"]}
+                lacking = [(name, value) for name, value in SECURITY.items() if name not in there]
+                message = {**message, "headers": [*message["headers"], *lacking]}
+            await send(message)
+
+        await self.app(scope, receive, with_headers if scope["type"] == "http" else send)

@@ -1,0 +1,75 @@
+"""What pages are made of: the index, numbers from the literature, and what is known of all records at once."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from oysterbench.errors import OysterbenchError
+from oysterbench_leaderboard.board import Literature
+from oysterbench_leaderboard.index import Index
+from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.site.paths import slug
+from oysterbench_leaderboard.store import Notice, RecordStore
+
+Known = TypeVar("Known")
+
+
+@dataclass
+class Site:
+    """index: of the records; literature: numbers that others reported; form: path of the submission form, empty where
+    this site takes none."""
+
+    index: Index
+    literature: Sequence[Literature] = ()
+    form: str = ""
+    _known: dict[str, tuple[str, Any]] = field(default_factory=dict, repr=False)
+    _lock: threading.RLock = field(default_factory=threading.RLock, repr=False)
+
+    @property
+    def store(self) -> RecordStore:
+        return self.index.store
+
+    def record(self, digest: str) -> Record:
+        """A record as it was published."""
+        return self.store.record(digest)
+
+    def notices(self, digest: str) -> list[Notice]:
+        """What was announced of a record, the oldest first."""
+        return self._once("notices", self._notices).get(digest, [])
+
+    def all_notices(self) -> list[Notice]:
+        """The oldest first."""
+        by_record = self._once("notices", self._notices)
+        return sorted((notice for several in by_record.values() for notice in several), key=lambda n: n.created)
+
+    def _notices(self) -> dict[str, list[Notice]]:
+        found: dict[str, list[Notice]] = {}
+        for notice in self.store.notices():
+            found.setdefault(notice.record, []).append(notice)
+        return found
+
+    def methods(self) -> dict[str, str]:
+        """Slug -> name of a method. Plain names are their own slugs, and are left out."""
+        return self._once("methods", lambda: {slug(m): m for m, _, _ in self.index.methods() if slug(m) != m})
+
+    def _once(self, name: str, make: Callable[[], Known]) -> Known:
+        """What is made anew only when the index has changed."""
+        with self._lock:
+            revision = self.index.revision
+            kept = self._known.get(name)
+            if kept is None or kept[0] != revision:
+                kept = self._known[name] = (revision, make())
+            return kept[1]
+
+
+def curves_of(site: Site, record: Record) -> dict[str, Any] | None:
+    """What is drawn on a record's page; None where there is nothing, or it cannot be read."""
+    if not record.curves:
+        return None
+    try:
+        return site.store.curves(record.curves)
+    except OysterbenchError:
+        return None

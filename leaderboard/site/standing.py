@@ -1,0 +1,89 @@
+"""A record set against a board's sequences: what it says of each, and what stands where it says nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from oysterbench.comparison import Board, Entry, boards
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.statistics import sequence_means
+from oysterbench.results import ResultRecord, samples
+from oysterbench_leaderboard.ranking import MISSED
+from oysterbench_leaderboard.record import Record
+
+NOT_ANSWERED = "was not answered"
+
+
+def named(record: Record, label: str) -> tuple[ResultRecord, ...]:
+    """A record's results under one name, whatever the settings of the method."""
+    return tuple(replace(result, method=label, method_settings={}) for result in record.results)
+
+
+def filled(
+    results: Sequence[ResultRecord], sequences: Sequence[str], known: Sequence[ResultRecord]
+) -> tuple[ResultRecord, ...]:
+    """The same results and, for each sequence of the board that has none, a run that failed: so the board ranks it.
+
+    known: results of others, which tell what such a sequence is like, and what it weighs in a mean
+    """
+    answered = {result.sequence for result in results}
+    missing = []
+    for sequence in sequences:
+        if sequence in answered:
+            continue
+        like = next((other for other in known if other.sequence == sequence), None)
+        missing.append(
+            replace(
+                results[0],
+                sequence=sequence,
+                metrics={},
+                reasons={},
+                failure=NOT_ANSWERED,
+                conditions=like.conditions if like else {},
+                truth_digest=like.truth_digest if like else "",
+                run=0,
+                notes=(),
+                info={},
+            )
+        )
+    return weighed((*results, *missing), known)
+
+
+def weighed(results: Sequence[ResultRecord], known: Sequence[ResultRecord]) -> tuple[ResultRecord, ...]:
+    """The same results, those of failed runs with the weights by which they count in a mean: those of a sequence where
+    nothing was answered, as another result on it tells them."""
+    found = []
+    for result in results:
+        lacking = {}
+        for key in result.metrics if result.failure is not None else ():
+            metric = find_metric(key)
+            if metric is not None and metric.weight and metric.weight not in result.metrics:
+                lacking[metric.weight] = _weight(metric.weight, result.sequence, (*results, *known))
+        found.append(replace(result, metrics={**result.metrics, **lacking}) if lacking else result)
+    return tuple(found)
+
+
+def _weight(key: str, sequence: str, known: Sequence[ResultRecord]) -> float:
+    there = [result for result in known if result.sequence == sequence and result.failure is None]
+    missed = MISSED.get(key, key)
+    for result in there:
+        if not math.isnan(value := result.metrics.get(missed, math.nan)):
+            return value
+    return min((result.metrics[key] for result in there if key in result.metrics), default=0.0)
+
+
+def entry(results: Sequence[ResultRecord]) -> Entry:
+    """Results of one record, to be summarised."""
+    return Entry(results[0].method, tuple(results))
+
+
+def means(results: Sequence[ResultRecord], key: str) -> Mapping[str, float]:
+    """Mean over runs of a metric on each sequence that has a value."""
+    return sequence_means(samples(results, key))
+
+
+def board(results: Sequence[ResultRecord]) -> Board:
+    """All results as one board: what `oysterbench compare` would make of them."""
+    return boards(results)[0]

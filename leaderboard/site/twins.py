@@ -1,0 +1,101 @@
+"""A page in other forms: JSON, CSV, LaTeX, made of the same tables and values as its HTML."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+
+import orjson
+
+from oysterbench.report.formats import latex_escape
+from oysterbench_leaderboard.site.page import Cell, Column, Page, Table
+
+RISKY = ("=", "+", "-", "@", "\t", "\r")
+"""What a spreadsheet takes for the begin of a formula."""
+
+
+SYMBOLS = {
+    "↓": r"$\downarrow$",
+    "↑": r"$\uparrow$",
+    "\N{MULTIPLICATION SIGN}": r"$\times$",
+    "\N{SUPERSCRIPT THREE}": r"\textsuperscript{3}",
+    "\N{NARROW NO-BREAK SPACE}": r"\,",
+    "\N{RIGHT SINGLE QUOTATION MARK}": "'",
+}
+"""Characters of our own headings that LaTeX does not know by themselves."""
+
+
+def twin(page: Page, suffix: str) -> bytes:
+    """A page's twin."""
+    if suffix == ".json":
+        return json_bytes(page)
+    return (csv_text(page.tables) if suffix == ".csv" else tex_text(page)).encode()
+
+
+def json_bytes(page: Page) -> bytes:
+    """What the page is about, and all that it holds."""
+    about = {"path": page.path, "title": page.title}
+    return orjson.dumps({**about, **page.data}, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+
+
+def csv_text(tables: Sequence[Table]) -> str:
+    """The first table, every digit, headings by their keys; text that a spreadsheet would run is quoted."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    for table in tables[:1]:
+        writer.writerow([column.key for column in table.columns])
+        for line in table.lines:
+            writer.writerow([_field(cell.plain) for cell in line.cells])
+    return text.getvalue()
+
+
+def _field(value: str | int | float) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else repr(value)
+    if isinstance(value, int):
+        return str(value)
+    bare = value.lstrip()
+    return f"'{value}" if value.startswith(RISKY) or bare.startswith(RISKY) else value
+
+
+def tex_text(page: Page) -> str:
+    """All tables; \\usepackage{booktabs} is all that they need."""
+    lines = ["% needs \\usepackage{booktabs}", f"% {_comment(page.title)}"]
+    return "\n".join([*lines, *(_tex(table) for table in page.tables)])
+
+
+def _tex(table: Table) -> str:
+    shown = [(i, column) for i, column in enumerate(table.columns) if not column.hidden]
+    units = [_escape(f"[{column.unit}]") if column.unit else "" for _, column in shown]
+    lines = [
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{_escape(table.title)}}}",
+        rf"\begin{{tabular}}{{{''.join('r' if column.number else 'l' for _, column in shown)}}}",
+        r"\toprule",
+        f"{' & '.join(_escape(column.text) for _, column in shown)} \\\\",
+        *([f"{' & '.join(units)} \\\\"] if any(units) else []),
+        r"\midrule",
+    ]
+    for line in table.lines:
+        lines.append(f"{' & '.join(_tex_cell(line.cells[i], column) for i, column in shown)} \\\\")
+    notes = [f"% {_comment(note)}" for note in table.notes]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", *notes, ""])
+
+
+def _tex_cell(cell: Cell, column: Column) -> str:
+    mark = f" ({cell.mark})" if cell.mark else ""
+    small = f" ({cell.small})" if cell.small and not column.number else ""
+    return _escape(f"{cell.text}{small}{mark}")
+
+
+def _escape(text: str) -> str:
+    escaped = latex_escape(" ".join(text.split()))
+    return "".join(SYMBOLS.get(character, character) for character in escaped)
+
+
+def _comment(text: str) -> str:
+    """In one line, as what follows a line break is no comment."""
+    return " ".join(text.split())
