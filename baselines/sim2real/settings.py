@@ -30,13 +30,13 @@ class Settings:
     sizes: tuple[int, ...] = (5, 10, 20, 40, ALL)
     seeds: int = 3
     batch: int = 8
-    tuned: float = 0.2
+    tuned: float = 1 / 6
     tuned_rate: float = 2e-3
     block: int = 8
     alike: float = ALIKE
     network: NetworkSettings = field(default_factory=lambda: NetworkSettings(base=8, scale=0.2))
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=56))
-    fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1000, warm_up=20, threads=1))
+    fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1200, warm_up=20, threads=1))
 
     def fit_of(self, cell: Cell) -> FitSettings:
         """Of the training of a cell itself, without what it begins from (`Cell.begun`)."""
