@@ -36,6 +36,8 @@ class Settings(VisualInertialSettings):
     start_s: float = 1.5
     start_keyframes: int = 4
     pixel_sigma_px: float = 3.0  # beside a DVL: corners under moving light err together, and as one they count for less
+    alike: float = 1.0  # which is in those 3 px
+    alike_online: float = 1.0
     aiding_huber: float = 3.0  # sigmas; beyond, a residual of a DVL or compass counts linearly
     ranges: bool = True  # whether altimeters and the ranges of a DVL's beams are used where it gives no velocity
     echo: EchoSettings = field(default_factory=EchoSettings)

@@ -14,7 +14,6 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 from oysterbench.geometry import Array, invert
-from oysterbench.sequence.types import ImuCalibration
 from oysterbench_baselines.common.filter import (
     ACCEL_BIAS,
     ATTITUDE,
@@ -27,7 +26,7 @@ from oysterbench_baselines.common.filter import (
     cross,
 )
 from oysterbench_baselines.common.inertial import Segment
-from oysterbench_baselines.gtsam_vi.graph import Bundle
+from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, read_state
 
 FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
@@ -107,9 +106,29 @@ def back(filter: InvariantFilter, segment: Segment) -> None:
     filter.covariance[:CORE, :CORE] += np.diag(grown)
 
 
-def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array) -> list[Array]:
+def discounted(graph: gtsam.NonlinearFactorGraph, times: float, huber: float) -> gtsam.NonlinearFactorGraph:
+    """The graph with the sigma of every view of a landmark so many times as large.
+
+    The views of a track err alike, as its patch drifts: beside each other they say less than their number. What
+    minimises white errors is still about the best estimate; its covariance is that of fewer views.
+    """
+    if times == 1.0:
+        return graph
+    less = gtsam.NonlinearFactorGraph()
+    for k in range(graph.size()):
+        factor = graph.at(k)
+        if isinstance(factor, gtsam.GenericProjectionFactorCal3_S2):
+            noise = gtsam.noiseModel.Isotropic.Sigma(2, times * factor.noiseModel().noise().sigma())
+            loss = gtsam.noiseModel.mEstimator.Huber.Create(huber)
+            factor = factor.cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(loss, noise))
+        less.push_back(factor)
+    return less
+
+
+def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array, model: Model) -> list[Array]:
     """(6, 6) of the pose of a frame fixed to the IMU at `lever` (3,) in it, at every key frame of a stretch."""
-    marginals, values = gtsam.Marginals(bundle.graph, bundle.values), bundle.values
+    graph = discounted(bundle.graph, model.alike(model.settings.alike), model.settings.huber)
+    marginals, values = gtsam.Marginals(graph, bundle.values), bundle.values
     found = []
     for keyframe in keyframes:
         rotation = values.atPose3(X(keyframe.index)).rotation().matrix()
@@ -121,12 +140,13 @@ def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array) ->
 
 
 def covariances_until(
-    bundle: Bundle, keyframes: list[Keyframe], stretch: list[Keyframe], noise: InertialNoise, imu: ImuCalibration
+    bundle: Bundle, keyframes: list[Keyframe], stretch: list[Keyframe], noise: InertialNoise, model: Model
 ) -> dict[int, Array]:
     """(6, 6) of the pose of base_link at all key frames up to an adjusted stretch of them, by their index: in it its
     own, and before it, back along the inertial measurements."""
+    imu = model.imu
     T_imu_base = invert(imu.T_base_imu)
-    of_stretch = pose_covariances(bundle, stretch, T_imu_base[:3, 3])
+    of_stretch = pose_covariances(bundle, stretch, T_imu_base[:3, 3], model)
     known = {keyframe.index: covariance for keyframe, covariance in zip(stretch, of_stretch, strict=True)}
     first = stretch[0].index
     state = read_state(bundle.values, first)
@@ -135,7 +155,7 @@ def covariances_until(
     joint = joint_covariance(bundle.graph, bundle.values, [X(first), V(first), B(first)])
     covariance = filter_covariance(joint, filter_slopes(state, first))
     if covariance is not None:
-        filter.covariance = covariance
+        filter.covariance = covariance * model.alike(model.settings.alike_online) ** 2
     for k in range(first, 0, -1):
         if not keyframes[k].at_rest:
             back(filter, keyframes[k].segment)

@@ -186,6 +186,7 @@ class Estimator:
         covariance = filter_covariance(joint, slopes)
         if covariance is None:
             return
+        covariance *= self.model.alike(self.settings.alike_online) ** 2
         for key, (rows, unit) in calibrations.items():
             f.extra[rows.start - CORE : rows.stop - CORE] = unit * values.atVector(key)
         untold = np.setdiff1d(np.arange(len(covariance)), np.flatnonzero(np.hstack(list(slopes.values())).any(axis=1)))
@@ -265,7 +266,7 @@ class Estimator:
         self._window = Window(self.model, stretch, bundle)
         self._good = (self.keyframes[-1].index, self.keyframes[-1].state)
         self._fill_back(stretch[0].index)
-        known = covariances_until(bundle, self.keyframes, stretch, self.filter.noise, self.imu)
+        known = covariances_until(bundle, self.keyframes, stretch, self.filter.noise, self.model)
         for frame in self.frames:
             if frame.covariance is None:
                 frame.covariance = known[frame.keyframe]
@@ -395,7 +396,7 @@ class Estimator:
             self.info["smoothed_error_px"] = float(np.median(bundle.errors_px))
         lever = invert(self.imu.T_base_imu)[:3, 3]
         # Each frame with the covariance of the key frame before it: the one after holds it from the other side.
-        known = pose_covariances(bundle, keyframes, lever)
+        known = pose_covariances(bundle, keyframes, lever, self.model)
         return self._trajectory(poses, [known[frame.keyframe] for frame in self.frames])
 
     def map(self) -> LandmarkMap | None:

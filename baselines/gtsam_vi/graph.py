@@ -58,6 +58,11 @@ class Model:
         noise = gtsam.noiseModel.Isotropic.Sigma(2, spread * settings.pixel_sigma_px / self.focal)
         return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(settings.huber), noise)
 
+    def alike(self, times: float) -> float:
+        """How many times their sigmas corners count for in a reported covariance, `times` being that of one camera: a
+        second one takes over what the patches of the first have drifted."""
+        return times * float(np.sqrt(len(self.T_imu_cams))) if times > 1.0 else 1.0
+
     def projection(
         self, keyframe: int, landmark: int, ray: Array, camera: int, noise: gtsam.noiseModel.Base
     ) -> gtsam.NonlinearFactor:

@@ -48,6 +48,8 @@ class Settings:
 
     # Noise models.
     pixel_sigma_px: float = 1.0  # of a tracked corner, drift over the track's life included
+    alike: float = 2.0  # times that sigma, in the covariances of the smoothed path: views of a track err alike
+    alike_online: float = 1.6  # sigmas of the window by that: there, what has left it cannot be weighed anew
     spread_power: float = 1.0  # of the share of tracks kept a frame: caustics that kill tracks move those they leave
     max_spread: float = 4.0  # times pixel_sigma_px
     huber: float = 1.3  # sigmas; beyond, a residual counts linearly

@@ -23,9 +23,9 @@ from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import undistort
 
 
-def estimate(measured: dive.Dive) -> Estimator:
+def estimate(measured: dive.Dive, settings: Settings | None = None) -> Estimator:
     """Everything behind the front end, run on a dive."""
-    estimator = Estimator(measured.camera, measured.inertial, Settings())
+    estimator = Estimator(measured.camera, measured.inertial, settings or Settings())
     samples = SampleBuffer()
     for item in measured.stream():
         if isinstance(item, ImuSample):

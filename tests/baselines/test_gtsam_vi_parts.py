@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 import synthetic_dive as dive
 from scipy.spatial.transform import Rotation
+from test_gtsam_vi import estimate
 
 from oysterbench.geometry import invert
 from oysterbench.methods import seed_of
 from oysterbench.sequence.types import ImuSample
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo
-from oysterbench_baselines.gtsam_vi.covariance import filter_slopes, joint_covariance
+from oysterbench_baselines.gtsam_vi.covariance import discounted, filter_slopes, joint_covariance
 from oysterbench_baselines.gtsam_vi.frontend import (
     FrontEnd,
     epipolar_inliers,
@@ -164,6 +165,34 @@ def test_a_joint_covariance_holds_the_marginals():
     np.testing.assert_allclose(joint[:6, :6], marginals.marginalCovariance(11), atol=1e-9)
     np.testing.assert_allclose(joint[6:, 6:], marginals.marginalCovariance(2), atol=1e-9)
     np.testing.assert_allclose(joint[:6, 6:], 0, atol=1e-12)
+
+
+def test_views_discounted_say_as_much_less_and_other_factors_as_much_as_before():
+    """A camera between points that are known: its pose by their views, times four in variance at twice the sigma."""
+    values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
+    camera, body = gtsam.Cal3_S2(), gtsam.Pose3()
+    values.insert(0, body)
+    loss = gtsam.noiseModel.mEstimator.Huber.Create(1.3)
+    noise = gtsam.noiseModel.Robust.Create(loss, gtsam.noiseModel.Isotropic.Sigma(2, 1e-3))
+    known = gtsam.noiseModel.Isotropic.Sigma(3, 1e-9)
+    for k, (x, y) in enumerate([(-1, -1), (1, -1), (1, 1), (-1, 1), (0.2, 0.1)], start=1):
+        point = np.array([x, y, 3.0 + 0.1 * k])
+        values.insert(k, point)
+        graph.push_back(gtsam.PriorFactorPoint3(k, point, known))
+        ray = point[:2] / point[2]
+        graph.push_back(gtsam.GenericProjectionFactorCal3_S2(ray, noise, 0, k, camera, False, False, gtsam.Pose3()))
+    full, less = (gtsam.Marginals(discounted(graph, times, 1.3), values) for times in (1.0, 2.0))
+    np.testing.assert_allclose(less.marginalCovariance(0), 4 * full.marginalCovariance(0), rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(less.marginalCovariance(1), full.marginalCovariance(1), rtol=1e-4, atol=1e-24)
+
+
+def test_what_is_reported_of_errors_does_not_change_the_estimate():
+    measured = dive.make_dive(0, duration_s=8.0)
+    sure, unsure = (estimate(measured, Settings(alike=times, alike_online=times)).smoothed() for times in (1.0, 3.0))
+    assert sure.positions.tobytes() == unsure.positions.tobytes()
+    ratio = np.sqrt(unsure.covariances[-1].diagonal() / sure.covariances[-1].diagonal())
+    assert (ratio[:3] > 1.3).all()
+    assert (ratio < 3.01).all()
 
 
 def test_corners_are_spread_over_the_picture():
