@@ -63,7 +63,7 @@ class AidedEstimator(Estimator):
         noise = InertialNoise.of(self.imu, settings.imu_inflation)
         self.filter, self.info["started_at_rest"] = start_filter(*first, self.imu, noise, settings.start)
         self.aiding = Aiding(sequence, settings.aiding)
-        has_dvl = sequence.dvl_calibration is not None
+        has_dvl = "dvl" in settings.sensors(sequence)
         self.model: AidedModel = AidedModel(camera, self.imu, settings, has_dvl, has_dvl or bool(sequence.altimeters))
         self._altimeters = sequence.altimeters
         self._ranges: dict[str, RangeSample | DvlSample] = {}  # the latest, by sensor

@@ -12,7 +12,6 @@ from oysterbench.errors import MethodError
 from oysterbench.methods import Estimate
 from oysterbench.samples import Image, ImuSample
 from oysterbench.sequence.types import Sequence
-from oysterbench_baselines.common.aiding import sensors_of
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
 from oysterbench_baselines.gtsam_full.settings import Settings
@@ -45,7 +44,7 @@ class GtsamFull(GtsamVi):
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of frames, missing ones too, and at the end; and the map."""
         camera, _ = self._cameras(sequence)
-        sensors = [*sensors_of(sequence), *sequence.altimeters]
+        sensors = [*self.settings.sensors(sequence), *sequence.altimeters]
         stream = sequence.stream(*sensors, camera)
         head = []
         for item in stream:

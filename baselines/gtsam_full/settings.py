@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from oysterbench_baselines.common.aiding import AidingSettings
+from oysterbench.sequence.types import Sequence
+from oysterbench_baselines.common.aiding import AidingSettings, sensors_of
 from oysterbench_baselines.common.start import StartSettings
 from oysterbench_baselines.gtsam_vi.settings import Settings as VisualInertialSettings
 
@@ -39,7 +40,15 @@ class Settings(VisualInertialSettings):
     alike: float = 1.0  # which is in those 3 px
     alike_online: float = 1.0
     aiding_huber: float = 3.0  # sigmas; beyond, a residual of a DVL or compass counts linearly
+    dvl: bool = True  # whether it is used where there is one; likewise depth and compass
+    depth: bool = True
+    compass: bool = True
     ranges: bool = True  # whether altimeters and the ranges of a DVL's beams are used where it gives no velocity
     echo: EchoSettings = field(default_factory=EchoSettings)
     compass_delay_s: float = 0.06  # a reading older than this does not count for a key frame
     compass_keyframes: int = 1  # from one reading that counts to the next; 3 saves an eighth of the time, and heading
+
+    def sensors(self, sequence: Sequence) -> list[str]:
+        """The aiding sensors of a rig that are to be used, as `Sequence.stream` names them."""
+        used = {"dvl": self.dvl, "pressure": self.depth, "magnetometer": self.compass}
+        return [kind for kind in sensors_of(sequence) if used[kind]]

@@ -40,15 +40,16 @@ def tracks(sequence: dive.SensorDive, seed: int, blind: tuple[float, float]) -> 
     return [(int(stamp), *row) for stamp, row in zip(stamps, found, strict=True)]
 
 
+def first_moments(sequence: Sequence) -> tuple[np.ndarray, Array, Array]:
+    """Stamps (N,), gyro and accel (N, 3) of the first second."""
+    samples = [sample for sample in sequence.imu() if sample.stamp_ns <= dive.START_NS + 10**9]
+    stamps = np.array([sample.stamp_ns for sample in samples], dtype=np.int64)
+    return stamps, np.array([sample.gyro for sample in samples]), np.array([sample.accel for sample in samples])
+
+
 def estimate(sequence: Sequence, frames: list, settings: Settings | None = None) -> AidedEstimator:
     """Everything behind the front end."""
-    inertial = [sample for sample in sequence.imu() if sample.stamp_ns <= dive.START_NS + 10**9]
-    first = (
-        np.array([sample.stamp_ns for sample in inertial], dtype=np.int64),
-        np.array([sample.gyro for sample in inertial]),
-        np.array([sample.accel for sample in inertial]),
-    )
-    estimator = AidedEstimator(sequence, camera(), settings or Settings(), first)
+    estimator = AidedEstimator(sequence, camera(), settings or Settings(), first_moments(sequence))
     kinds = [kind for kind in ("dvl", "pressure", "magnetometer") if getattr(sequence, f"{kind}_calibration")]
     samples, since = SampleBuffer(), []
     waiting = iter(frames)
@@ -183,3 +184,10 @@ def test_an_unknown_camera_and_an_unknown_output_are_refused():
         GtsamFull(camera="left").run(sequence.for_method())
     with pytest.raises(MethodError, match="'smoothed' or 'online'"):
         GtsamFull(output="best")  # type: ignore[arg-type]
+
+
+def test_sensors_can_be_left_out():
+    sequence = dive.SensorDive(2, dive.rig(*ALL), dive.survey_path(4.0))
+    assert Settings().sensors(sequence) == ["dvl", "pressure", "magnetometer"]
+    assert Settings(dvl=False, compass=False).sensors(sequence) == ["pressure"]
+    assert AidedEstimator(sequence, camera(), Settings(dvl=False), first_moments(sequence)).model.has_dvl is False
