@@ -1,11 +1,111 @@
-"""`oysterbench leaderboard`: parse, call, print."""
+"""`oysterbench leaderboard`: the group; what its commands do is imported when one of them is asked for."""
 
 from __future__ import annotations
 
+import importlib
+from pathlib import Path
+from typing import Any
+
 import click
 
+from oysterbench.cli_outputs import TEXTS
+from oysterbench.errors import ResultError
 
-@click.group("leaderboard", short_help="Published results: ranks, pages, submissions.", invoke_without_command=True)
+TERMINAL, KEEPING = "oysterbench_leaderboard.terminal", "oysterbench_leaderboard.keeping"
+SERVER, ADMIN = "oysterbench_leaderboard.site.command", "oysterbench_leaderboard.submissions.command_admin"
+
+COMMANDS: dict[str, tuple[str, str, str]] = {
+    "show": (TERMINAL, "show_command", "A record: its place, and its numbers by sequence."),
+    "history": (TERMINAL, "history_command", "All records of a method, the newest first."),
+    "literature": (TERMINAL, "literature_command", "What others reported on other data."),
+    "add": (KEEPING, "add_command", "Put results on the board."),
+    "withdraw": (KEEPING, "withdraw_command", "Take a record off the board, with the reason."),
+    "restore": (KEEPING, "restore_command", "Put a withdrawn record back, with the reason."),
+    "rebuild": (KEEPING, "rebuild_command", "Make the index anew from the records."),
+    "verify": (KEEPING, "verify_command", "Check every record, notice and curve."),
+    "rescore": (KEEPING, "rescore_command", "Score kept estimates with this version's evaluator."),
+    "serve": (SERVER, "serve_command", "Serve the site, and take submissions."),
+    "build": (SERVER, "build_command", "Write the whole site as files, for any web host."),
+    "team": (ADMIN, "team", "Teams that may submit, and their tokens."),
+    "submissions": (ADMIN, "submissions", "What was submitted, and what became of it."),
+}
+"""Name -> module, attribute and one line about it: help needs no import."""
+
+
+class Lazy(click.Group):
+    """A group whose commands are imported when they are called."""
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        module, attribute, _ = COMMANDS[name]
+        return getattr(importlib.import_module(module), attribute, None)
+
+    def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, _, line) in COMMANDS.items()])
+
+    def invoke(self, context: click.Context) -> Any:
+        try:
+            return super().invoke(context)
+        except ModuleNotFoundError as error:
+            raise ResultError(
+                f"leaderboard: {error}; install what it needs: pip install 'oysterbench[board]'"
+            ) from None
+
+
+@click.group(
+    "leaderboard",
+    cls=Lazy,
+    short_help="Published results: ranks, pages, submissions.",
+    invoke_without_command=True,
+    subcommand_metavar="[COMMAND [ARGS]...]",
+)
+@click.option("--track", help="Boards of this track: slam, segmentation, detection.")
+@click.option("--split", help="Boards of this split.")
+@click.option("--id", "board", help="One board by its id; those of older evaluators are history.")
+@click.option("--rows", type=click.IntRange(min=1), help="Rows of a board.  [default: 5 each, all of a single one]")
+@click.option("--search", "words", default="", help="Rows with this in the method's or the team's name.")
+@click.option("--all", "every", is_flag=True, help="Boards of older evaluators, too.")
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON on stdout, and nothing else.")
+@click.option("--csv", "csv_file", type=click.Path(path_type=Path, allow_dash=True), help=f"{TEXTS['csv']}; - stdout.")
+@click.option("--tex", "tex_file", type=click.Path(path_type=Path, allow_dash=True), help=f"{TEXTS['tex']}; - stdout.")
+@click.option("--md", "md_file", type=click.Path(path_type=Path, allow_dash=True), help=f"{TEXTS['md']}; - stdout.")
+@click.option(
+    "--board",
+    "folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    envvar="OYSTERBENCH_BOARD",
+    help="Folder of the records.  [default: OYSTERBENCH_BOARD, or those that come with oysterbench]",
+)
+@click.option("--index", "url", envvar="OYSTERBENCH_INDEX", help="File or postgresql+psycopg:// URL of the index.")
 @click.pass_context
-def command(context: click.Context) -> None:
-    """Show published results."""
+def command(context: click.Context, folder: Path | None, url: str | None, **asked: Any) -> None:
+    """Show published results: who is ahead, by how much, and whether that can be told.
+
+    \b
+    Examples:
+      oysterbench leaderboard                                 all boards, with the top of each
+      oysterbench leaderboard --track slam --split slam-val
+      oysterbench leaderboard --split slam-val --tex table.tex --md -
+      oysterbench leaderboard show 3f9c21ab
+      oysterbench leaderboard history gtsam_vi
+      oysterbench leaderboard add results/results.json --team "reef lab" --tier reported
+      oysterbench leaderboard --board /srv/board rebuild
+      oysterbench compare gtsam_vi gtsam_full --split slam-val
+
+    A rank is shared ("=") by methods that a paired bootstrap over sequences does not tell from the first of them, at
+    95 %. Places in brackets: too few sequences to tell any apart.
+    """
+    from oysterbench_leaderboard.options import Place
+
+    context.obj = Place(folder, url)
+    if context.invoked_subcommand is None:
+        from oysterbench_leaderboard.terminal import show_boards
+
+        show_boards(context.obj, **asked)
+    elif given := [key for key, value in asked.items() if value]:
+        raise click.UsageError(f"{', '.join(given)}: of the list of boards, not of {context.invoked_subcommand}")

@@ -81,12 +81,15 @@ def open_index(store: RecordStore, url: str | None = None) -> SqlIndex:
 
     url: a file (SQLite), or postgresql+psycopg://...; by default a file under the home, one for each store.
     """
-    if url is None:
-        name = hashlib.sha256(str(store.folder.resolve()).encode()).hexdigest()[:12]
-        url = str(home() / "leaderboard" / f"index-{name}.sqlite")
-    index = SqlIndex(url, store)
+    index = SqlIndex(url or default_url(store), store)
     index.refresh()
     return index
+
+
+def default_url(store: RecordStore) -> str:
+    """A file under the home, one for each store."""
+    name = hashlib.sha256(str(store.folder.resolve()).encode()).hexdigest()[:12]
+    return str(home() / "leaderboard" / f"index-{name}.sqlite")
 
 
 class SqlIndex:

@@ -14,6 +14,8 @@ import numpy as np
 from oysterbench.comparison import PRIMARY
 from oysterbench.errors import OysterbenchError, RecipeError, ResultError, TrajectoryError
 from oysterbench.evaluate.metrics import FAILED
+from oysterbench.files import write_atomically
+from oysterbench.hub.canonical import sha256
 from oysterbench.results import ResultRecord, aggregate, comparable_key, method_key, read_results
 from oysterbench_leaderboard.curves import curves_document, sequence_curve
 from oysterbench_leaderboard.record import Record, Tier
@@ -192,6 +194,30 @@ def _data_sets(path: Path) -> dict[str, Any]:
     return {row["method"]: row for row in rows if isinstance(row, dict) and "method" in row}
 
 
+def keep_estimates(record: Record, folder: Path, estimates: Path) -> Record:
+    """A record that names the paths beside its results, which are kept by their SHA-256 for scoring again.
+
+    folder: of the results; estimates: private, as paths on hidden splits would tell of the truth
+    """
+    runs: dict[str, int] = {}
+    for result in record.results:
+        runs[result.sequence] = runs.get(result.sequence, 0) + 1
+    named = {}
+    for result in record.results:
+        path = _estimate(folder, record.method, result, runs[result.sequence])
+        if result.failure is None and path.is_file():
+            data = path.read_bytes()
+            named[f"{result.sequence}/{result.run + 1}"] = sha256(data)
+            write_atomically(estimates / sha256(data), data)
+    return replace(record, estimates=named)
+
+
+def _estimate(folder: Path, method: str, result: ResultRecord, runs: int) -> Path:
+    """Where `oysterbench run` left a path."""
+    number = f"-{result.run + 1}" if runs > 1 else ""
+    return folder / f"{result.sequence}-{method}{number}.tum"
+
+
 def _curves(folder: Path, method: str, group: Sequence[ResultRecord], say: Say) -> dict[str, Any] | None:
     """Of each sequence the run whose score is the median; None where no path lies beside the results."""
     if group[0].track != "slam":
@@ -206,8 +232,7 @@ def _curves(folder: Path, method: str, group: Sequence[ResultRecord], say: Say) 
             continue
         order = sorted(scored, key=lambda run: (run.metrics.get(PRIMARY["slam"], np.nan), run.run))
         median = order[(len(order) - 1) // 2]
-        number = f"-{median.run + 1}" if len(runs) > 1 else ""
-        estimate, truth = folder / f"{name}-{method}{number}.tum", folder / f"{name}-truth.tum"
+        estimate, truth = _estimate(folder, method, median, len(runs)), folder / f"{name}-truth.tum"
         if not estimate.is_file() or not truth.is_file():
             continue
         try:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
 from oysterbench.errors import OysterbenchError, ResultError
 from oysterbench.files import write_atomically
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
+from oysterbench.results import now
 from oysterbench_leaderboard.record import Record
 
 NOTICE = "oysterbench-notice/1"
 ACTIONS = ("withdrawn", "restored")
+KINDS = ("records", "notices", "curves")
 
 
 @dataclass(frozen=True)
@@ -42,13 +45,22 @@ class RecordStore:
         """Keep a notice; its digest."""
         return self._keep("notices", canonical({"format": NOTICE, **asdict(notice)}))
 
+    def say(self, record: str, action: Literal["withdrawn", "restored"], reason: str) -> str:
+        """Announce what happens to a record now, after all that was said of it: of two notices of one second the order
+        would be lost. The notice's digest."""
+        last = max((notice.created for notice in self.read_notices()[0] if notice.record == record), default="")
+        at = now()
+        if at <= last:
+            at = (datetime.fromisoformat(last) + timedelta(seconds=1)).strftime("%Y-%m-%dT%H:%M:%SZ")
+        return self.announce(Notice(record, action, reason, at))
+
     def add_curves(self, document: dict[str, Any]) -> str:
         """Keep what is drawn on a record's page; its digest."""
         return self._keep("curves", canonical(document))
 
     def digests(self) -> list[str]:
         """Of all records, in order."""
-        return self._names("records")
+        return self.names("records")
 
     def data(self, digest: str) -> bytes:
         """A record's bytes, as they are in the file."""
@@ -72,19 +84,20 @@ class RecordStore:
 
     def notice_digests(self) -> list[str]:
         """Of all notices, in order."""
-        return self._names("notices")
+        return self.names("notices")
 
     def read_notices(self) -> tuple[list[Notice], dict[str, str]]:
         """The notices that can be used, the oldest first; and those that cannot, digest -> why."""
         found, wrong = [], {}
-        for name in self._names("notices"):
+        for name in self.names("notices"):
             try:
-                found.append(self._notice(name))
+                found.append(self.notice(name))
             except OysterbenchError as error:
                 wrong[name] = str(error)
         return sorted(found, key=lambda notice: (notice.created, notice.record, notice.action)), wrong
 
-    def _notice(self, name: str) -> Notice:
+    def notice(self, name: str) -> Notice:
+        """The notice of that digest. Raises ResultError where it cannot be used."""
         path = self._path("notices", name)
         values = parse(self._read("notices", name), str(path))
         keys = {"format", *(f.name for f in fields(Notice))}
@@ -99,7 +112,8 @@ class RecordStore:
             raise ResultError(f"expected a SHA-256 (64 hex digits), got {digest!r:.80}")
         return self.folder / kind / f"{digest}.json"
 
-    def _names(self, kind: str) -> list[str]:
+    def names(self, kind: str) -> list[str]:
+        """Digests of all files of a kind, in order."""
         return sorted(_stems(self.folder / kind))
 
     def _keep(self, kind: str, data: bytes) -> str:

@@ -1,0 +1,51 @@
+"""Where the records and their index are: what every command of the leaderboard asks for."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from oysterbench.errors import ResultError
+
+if TYPE_CHECKING:
+    from oysterbench_leaderboard.index import SqlIndex
+    from oysterbench_leaderboard.store import RecordStore
+
+
+@dataclass(frozen=True)
+class Place:
+    """folder: of the records, by default `OYSTERBENCH_BOARD`, or those that come with oysterbench; url: of the index,
+    by default a file under the home."""
+
+    folder: Path | None = None
+    url: str | None = None
+
+    @property
+    def path(self) -> Path:
+        """Folder of the records."""
+        if self.folder is not None:
+            return self.folder
+        chosen = os.environ.get("OYSTERBENCH_BOARD")
+        return Path(chosen) if chosen else Path(str(resources.files("oysterbench_leaderboard")))
+
+    def store(self, must_exist: bool = True) -> RecordStore:
+        """The records. Raises ResultError where a folder that was named is not there."""
+        from oysterbench_leaderboard.store import RecordStore
+
+        if must_exist and not self.path.is_dir():
+            raise ResultError(f"{self.path}: no such folder; `oysterbench leaderboard add` makes a board")
+        return RecordStore(self.path)
+
+    def index(self) -> SqlIndex:
+        """The index, up to date."""
+        from oysterbench_leaderboard.index import open_index
+
+        return open_index(self.store(), self.url)
+
+
+def find_place(context: Any) -> Place:
+    """As the group was told."""
+    return context.obj if isinstance(context.obj, Place) else Place()

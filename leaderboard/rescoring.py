@@ -1,0 +1,182 @@
+"""Scoring again: a new evaluator over kept estimates. Records are appended, each in place of the one it was made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from oysterbench.errors import OysterbenchError, ResultError, TrajectoryError
+from oysterbench.hub.canonical import sha256
+from oysterbench.results import ResultRecord, now
+from oysterbench.trajectory import Trajectory, read_trajectory
+from oysterbench.version import VERSION
+from oysterbench_leaderboard.curves import curves_document, sequence_curve
+from oysterbench_leaderboard.record import Record
+
+COSTS = ("wall_s", "cpu_s", "realtime_factor", "peak_memory_mb", "images_per_s")
+"""Metrics of the run and not of its estimate: they stay as they were measured."""
+
+
+@dataclass(frozen=True)
+class Again:
+    """What came of a record. record: None where it was not scored again, with the reason in `why`; curves: to be kept
+    with it, where the split is public."""
+
+    old: str
+    record: Record | None
+    why: str = ""
+    curves: dict[str, Any] | None = None
+
+
+def evaluator_of(track: str) -> tuple[str, dict[str, Any]]:
+    """Version and settings by which this version of oysterbench scores for the board."""
+    from oysterbench_leaderboard.submissions.bundle import evaluator
+
+    return evaluator(track)
+
+
+def is_outdated(record: Record) -> bool:
+    """Whether another evaluator, or other settings, scored it."""
+    version, settings = evaluator_of(record.track)
+    return record.evaluator_version != version or dict(record.results[0].settings) != settings
+
+
+def score_again(record: Record, estimates: Path, truth: Path | None, reason: str, created: str | None = None) -> Again:
+    """Score what a record was made of; estimates: folder of files named by their SHA-256; truth: of a hidden split.
+
+    What an upload holds is read and scored in a limited process, as when it came. Nothing is written.
+    """
+    if not record.estimates:
+        return Again(record.digest, None, "its estimates were not kept")
+    try:
+        files = {digest: _file(estimates, digest) for digest in set(record.estimates.values())}
+        if record.tier == "scored":
+            results, data_set, curves = _score_upload(record, files, truth)
+        else:
+            results, data_set, curves = _score_paths(record, files, _truths(record, truth))
+    except OysterbenchError as error:
+        return Again(record.digest, None, str(error))
+    made = replace(
+        record,
+        results=results,
+        data_set=data_set,
+        curves="",
+        supersedes=record.digest,
+        reason=reason,
+        created=created or now(),
+    )
+    return Again(record.digest, made, curves=curves)
+
+
+def _file(folder: Path, digest: str) -> Path:
+    path = folder / digest
+    if not path.is_file():
+        raise ResultError(f"its estimate {digest[:12]} is not in {folder}")
+    if sha256(path.read_bytes()) != digest:
+        raise ResultError(f"{path}: its bytes are not those it is named for; it was changed, and was not used")
+    return path
+
+
+Made = tuple[tuple[ResultRecord, ...], Mapping[str, Any] | None, dict[str, Any] | None]
+"""Results, what is known over all sequences together, and curves."""
+
+
+def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None) -> Made:
+    """What a team sent, as one file, through the same limited process as when it came."""
+    from oysterbench_leaderboard.submissions import limited
+    from oysterbench_leaderboard.submissions.catalogue import serve_split
+    from oysterbench_leaderboard.submissions.settings import Settings
+
+    if len(files) > 1:
+        raise ResultError(f"expected one upload, got {len(files)} files")
+    ((digest, path),) = files.items()
+    served = serve_split(record.split, truth, path.parent / "images")
+    wanted = served.wanted[record.track]
+    _check_recipe(record, wanted.split_digest)
+    if not served.truth:
+        raise ResultError(f"{record.split} is not rendered here: `oysterbench render {record.split}`")
+    settings = Settings(folder=path.parent.parent)
+    job = {
+        "do": "score",
+        "path": str(path.resolve()),
+        "wanted": wanted.to_dict(),
+        "limits": asdict(limited.limits_of(settings)),
+        "truth": {name: str(place.resolve()) for name, place in served.truth.items()},
+        "method": record.method,
+        "created": record.created,
+    }
+    ended = limited.run(job, limited.scoring(settings))
+    if ended.answer is None:
+        raise ResultError(f"scoring {digest[:12]} ended without an answer ({ended.cause})")
+    if "refused" in ended.answer:
+        raise ResultError(f"{digest[:12]} is refused now: {ended.answer['refused']['reason']}")
+    results = tuple(ResultRecord.from_dict(values) for values in ended.answer["results"])
+    return results, ended.answer["data_set"], ended.answer["curves"]
+
+
+def _truths(record: Record, folder: Path | None) -> dict[str, Trajectory]:
+    """Sequence -> true path, of the split as it is here."""
+    from oysterbench.generate import digest, sequence_files, split_folder
+    from oysterbench.recipe import load_split
+    from oysterbench.sequence import open_sequence
+
+    split = load_split(record.split)
+    _check_recipe(record, digest(split))
+    files = sequence_files(split, folder or split_folder(split))
+    wanted = {name.rpartition("/")[0] for name in record.estimates}
+    for name in sorted(wanted):
+        if not files[name].is_file():
+            raise ResultError(f"{files[name]} is not there: `oysterbench render {record.split}`, or --truth FOLDER")
+    return {name: open_sequence(files[name]).truth() for name in sorted(wanted)}
+
+
+def _check_recipe(record: Record, here: str) -> None:
+    if record.split_digest != here:
+        raise ResultError(
+            f"it is of another recipe of {record.split} ({record.split_digest[:12]}) than the one here ({here[:12]})"
+        )
+
+
+def _score_paths(record: Record, files: Mapping[str, Path], truths: Mapping[str, Trajectory]) -> Made:
+    """Kept paths, one file per run; a run without one stays the failure that it was, and costs stay as measured."""
+    from oysterbench.evaluate.slam import SlamSettings, score
+
+    if record.track != "slam":
+        raise ResultError(f"expected paths, got answers of the track {record.track}; run the method again")
+    version, settings = evaluator_of("slam")
+    results: list[ResultRecord] = []
+    curves: dict[str, Any] = {}
+    for old in record.results:
+        common: dict[str, Any] = {"evaluator_version": version, "settings": settings, "oysterbench_version": VERSION}
+        digest = record.estimates.get(f"{old.sequence}/{old.run + 1}")
+        if digest is None:
+            results.append(_unscored(old, old.failure or "its estimate was not kept", common))
+            continue
+        try:
+            found = score(truths[old.sequence], read_trajectory(files[digest]), SlamSettings())
+        except TrajectoryError as error:
+            results.append(_unscored(old, str(error), common))
+            continue
+        costs = {key: old.metrics[key] for key in COSTS if key in old.metrics}
+        results.append(
+            replace(
+                old,
+                metrics={**found.metrics, **costs},
+                reasons={**found.reasons, **{key: old.reasons[key] for key in costs if key in old.reasons}},
+                failure=None,
+                notes=found.notes,
+                **common,
+            )
+        )
+        curves.setdefault(old.sequence, sequence_curve(found, old.run))
+    shown = curves_document(curves, settings["align"]) if curves and record.curves else None
+    return tuple(results), None, shown
+
+
+def _unscored(old: ResultRecord, failure: str, common: dict[str, Any]) -> ResultRecord:
+    costs = {key: old.metrics[key] for key in COSTS if key in old.metrics}
+    return replace(
+        old, metrics=costs, reasons={k: v for k, v in old.reasons.items() if k in costs}, failure=failure, **common
+    )

@@ -1,0 +1,167 @@
+"""Boards, records and literature as tables of the report: for the terminal, Markdown, LaTeX; and as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from oysterbench.evaluate.statistics import LEVEL
+from oysterbench.report.columns import ABSENT, STANDING_OF_TRACK, find_column
+from oysterbench.report.tables import Heading, Line, Table
+from oysterbench_leaderboard.board import BoardInfo, BoardPage, Literature, Row
+
+SHORT = 8
+"""Digits of a digest that is shown."""
+
+
+def board_name(board: BoardInfo) -> str:
+    """Track, split, evaluator."""
+    return f"{board.track} on {board.split} ({board.evaluator_version})"
+
+
+def board_table(page: BoardPage, most: int | None = None) -> Table:
+    """Rows by rank: score with interval, coverage beside the errors, who vouches for them, and when.
+
+    most: rows that are shown; those of the page after them tell whether the last one shares its rank
+    """
+    board, rows = page.board, page.rows[:most]
+    metric = find_column(board.metric)
+    beside = STANDING_OF_TRACK[board.track]
+    texts = {column.key: column.texts([row.metrics.get(column.key) for row in rows]) for column in beside}
+    scores = metric.texts([row.score for row in rows])
+    lines = [
+        Line(
+            (
+                rank_text(row, page.rows),
+                row.method,
+                row.team,
+                scores[i],
+                interval_text(row, metric),
+                *(texts[column.key][i] for column in beside),
+                str(row.failures) if row.failures else "",
+                row.tier,
+                row.created[:10],
+                row.digest[:SHORT],
+            )
+        )
+        for i, row in enumerate(rows)
+    ]
+    headings = (
+        Heading("rank"),
+        Heading("method", number=False, name=True),
+        Heading("team", number=False, name=True),
+        Heading(metric.heading, metric.unit, metric.key),
+        Heading(f"{LEVEL:.0%}", "interval"),
+        *(Heading(column.heading, column.unit, column.key) for column in beside),
+        Heading("failed"),
+        Heading("tier", number=False),
+        Heading("date", number=False),
+        Heading("record", number=False),
+    )
+    return Table(board_name(board), headings, tuple(lines), tuple(_notes(page, rows)))
+
+
+def rank_text(row: Row, rows: Sequence[Row]) -> str:
+    """The rank, with "=" where others have it; a place in brackets where nothing can be told apart; the state where
+    there is neither."""
+    if row.place is None:
+        return row.state if row.state != "current" else ABSENT
+    if row.rank is None:
+        shared = sum(other.place == row.place for other in rows) > 1
+        return f"({row.place}{'=' if shared else ''})"
+    return f"{row.rank}{'=' if sum(other.rank == row.rank for other in rows) > 1 else ''}"
+
+
+def interval_text(row: Row, metric: Any) -> str:
+    """Both ends, or a dash."""
+    if row.low is None or row.high is None:
+        return ABSENT
+    return f"{row.low * metric.factor:.{metric.decimals}f} to {row.high * metric.factor:.{metric.decimals}f}"
+
+
+def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
+    board = page.board
+    count = f"{len(board.sequences)} sequence{'' if len(board.sequences) == 1 else 's'}"
+    notes = []
+    if page.total > len(rows):
+        notes.append(f"{len(rows)} of {page.total} rows.")
+    if any(row.place is not None and row.rank is None for row in rows):
+        notes.append(f"{count}: too few to tell methods apart; places in brackets are the order of these means.")
+    elif rows:
+        notes.append(f"Over {count}; one that is lacking or failed counts as nothing, and is among 'failed'.")
+    if not board.newest:
+        notes.append("A later evaluator has taken over: this board is history.")
+    return notes
+
+
+def boards_csv(pages: Sequence[BoardPage]) -> str:
+    """One line per row, every digit; an empty field where there is no value. No field begins a formula."""
+    columns = list(dict.fromkeys(key for page in pages for key in page.board.columns))
+    facts = [key for key in Row.__dataclass_fields__ if key not in ("metrics", "board")]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["board", "track", "split", "evaluator_version", "metric", *facts, *(c for c in columns)])
+    for page in pages:
+        board = page.board
+        for row in page.rows:
+            values = [board.id, board.track, board.split, board.evaluator_version, board.metric]
+            values += [getattr(row, key) for key in facts]
+            values += [row.metrics.get(key) for key in columns]
+            writer.writerow([csv_field(value) for value in values])
+    return text.getvalue()
+
+
+def csv_field(value: Any) -> str:
+    """As text; what a spreadsheet would take for a formula is quoted."""
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return repr(value)
+    text = str(value)
+    return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else text
+
+
+def page_plain(page: BoardPage) -> dict[str, Any]:
+    """For JSON."""
+    return {"board": asdict(page.board), "rows": [asdict(row) for row in page.rows], "total": page.total}
+
+
+def record_table(row: Row, means: Mapping[str, Mapping[str, float | None]], keys: Sequence[str]) -> Table:
+    """A record's numbers by sequence; keys: of metrics."""
+    columns = [find_column(key) for key in keys]
+    names = list(means)
+    texts = {column.key: column.texts([means[name].get(column.key) for name in names]) for column in columns}
+    lines = [Line((name, *(texts[column.key][i] for column in columns))) for i, name in enumerate(names)]
+    headings = (Heading("sequence", number=False), *(Heading(c.heading, c.unit, c.key) for c in columns))
+    return Table(f"{row.method} by sequence", headings, tuple(lines))
+
+
+def history_table(rows: Sequence[Row], boards: Mapping[str, BoardInfo]) -> Table:
+    """Records of a method: where, what became of them, what they reached."""
+    lines = []
+    for row in rows:
+        board = boards[row.board]
+        score = find_column(board.metric).texts([row.score])[0]
+        place = f"{row.rank if row.rank is not None else f'({row.place})'}" if row.place is not None else ABSENT
+        cells = (row.created[:10], row.digest[:SHORT], row.team, board.split, board.evaluator_version)
+        lines.append(Line((*cells, row.state, place, score, row.tier, row.supersedes[:SHORT])))
+    names = ("date", "record", "team", "split", "evaluator", "state", "rank", "score", "tier", "in place of")
+    headings = tuple(Heading(name, number=name in ("rank", "score")) for name in names)
+    return Table(f"Records of {rows[0].method}", headings, tuple(lines))
+
+
+def literature_tables(rows: Sequence[Literature]) -> list[Table]:
+    """What others reported: a table for each source, metric and data."""
+    groups: dict[tuple[str, ...], list[Literature]] = {}
+    for row in rows:
+        groups.setdefault((row.track, row.metric, row.data, row.source, row.url), []).append(row)
+    headings = (Heading("method", number=False), Heading("value"), Heading("note", number=False))
+    found = []
+    for (track, metric, data, source, url), group in groups.items():
+        lines = tuple(Line((row.method, row.value, row.note)) for row in group)
+        said = (f"{metric}", f"Source: {source}{f', {url}' if url else ''}")
+        found.append(Table(f"{track}: {data}", headings, lines, said))
+    return found

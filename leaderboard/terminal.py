@@ -1,0 +1,221 @@
+"""The commands that show boards, records and histories: parse, call, print."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from oysterbench.cli_outputs import print_rich
+from oysterbench.errors import ResultError
+from oysterbench_leaderboard.options import Place, find_place
+
+if TYPE_CHECKING:
+    from oysterbench_leaderboard.board import BoardInfo
+    from oysterbench_leaderboard.index import SqlIndex
+
+TOP = 5
+"""Rows of each board, where there are several."""
+
+MOST = 100_000
+"""Rows of a single one."""
+
+
+def show_boards(
+    place: Place,
+    track: str | None,
+    split: str | None,
+    board: str | None,
+    rows: int | None,
+    words: str,
+    every: bool,
+    as_json: bool,
+    csv_file: Path | None,
+    tex_file: Path | None,
+    md_file: Path | None,
+) -> None:
+    """Print boards, or write them: what `oysterbench leaderboard` does without a command."""
+    from oysterbench.report import latex_table, markdown_table, terminal_table
+    from oysterbench.results import dump
+    from oysterbench_leaderboard.board import Query
+    from oysterbench_leaderboard.tables import board_table, boards_csv, page_plain
+
+    files = {"csv": csv_file, "tex": tex_file, "md": md_file}
+    if as_json + list(files.values()).count(Path("-")) > 1:
+        raise click.UsageError("--json, --csv, --tex, --md: expected one of them at most on stdout")
+    index = place.index()
+    chosen = _chosen(index, track, split, board, every)
+    size = rows or (MOST if len(chosen) == 1 else TOP)
+    longer = [index.page(each.id, Query(text=words, size=size + 1)) for each in chosen]
+    tables = [board_table(page, size) for page in longer]
+    pages = [replace(page, rows=page.rows[:size]) for page in longer]
+    makers = {
+        "csv": lambda: boards_csv(pages),
+        "tex": lambda: "\n".join(["% needs \\usepackage{booktabs}", *map(latex_table, tables)]),
+        "md": lambda: "\n".join(map(markdown_table, tables)),
+    }
+    for form, path in files.items():
+        if path is not None:
+            _write(path, makers[form]())
+    if as_json:
+        click.echo(dump({"revision": index.revision, "boards": [page_plain(page) for page in pages]}))
+    elif Path("-") not in files.values():
+        if not tables:
+            click.echo(f"no board is in {place.path} yet; `oysterbench leaderboard add` puts results on one", err=True)
+        for table in tables:
+            print_rich(terminal_table(table))
+    for file, why in index.problems().items():
+        click.echo(f"left out: {file[:12]}: {why}", err=True)
+
+
+def _chosen(index: SqlIndex, track: str | None, split: str | None, board: str | None, every: bool) -> list[BoardInfo]:
+    known = index.boards()
+    found = [
+        each
+        for each in known
+        if (track is None or each.track == track)
+        and (split is None or each.split == split)
+        and (board is None or each.id == board)
+        and (every or board is not None or each.newest)
+    ]
+    if not found and (track or split or board):
+        there = ", ".join(dict.fromkeys(f"{each.track} on {each.split}" for each in known)) or "none yet"
+        asked = " on ".join(filter(None, (track, split))) or board
+        raise ResultError(f"no board {asked}; there are: {there}")
+    return found
+
+
+def _write(path: Path, text: str) -> None:
+    from oysterbench.files import write_atomically
+
+    if path == Path("-"):
+        click.echo(text, nl=False)
+    else:
+        write_atomically(path, text.encode())
+        click.echo(f"written: {path}", err=True)
+
+
+AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print as JSON on stdout, and nothing else.")
+
+
+@click.command("show", short_help="A record: its place, and its numbers by sequence.")
+@click.argument("digest")
+@AS_JSON
+@click.pass_context
+def show_command(context: click.Context, digest: str, as_json: bool) -> None:
+    """Show a record: who made it, its place, and its numbers by sequence.
+
+    \b
+    Examples:
+      oysterbench leaderboard show 3f9c21ab
+      oysterbench leaderboard show 3f9c21ab --json      the whole record
+
+    DIGEST is the record's name, or its first 8 digits or more.
+    """
+    from oysterbench.report import terminal_table
+    from oysterbench.report.columns import OF_TRACK
+    from oysterbench.results import dump
+    from oysterbench_leaderboard.tables import record_table
+
+    place = find_place(context)
+    index = place.index()
+    row = index.row(digest)
+    record = index.store.record(row.digest)
+    if as_json:
+        click.echo(dump({"row": asdict(row), "record": record.to_dict()}))
+        return
+    board = next(each for each in index.boards() if each.id == row.board)
+    for name, value in _facts(row, record, board):
+        if value:
+            click.echo(f"{name:<12}{value}")
+    reasons = [n for n in index.store.read_notices()[0] if n.record == row.digest]
+    for notice in reasons:
+        click.echo(f"{notice.action:<12}{notice.created[:10]}: {notice.reason}")
+    keys = [column.key for column in OF_TRACK[board.track]]
+    print_rich(terminal_table(record_table(row, index.sequence_means(row.digest), keys)))
+    for result in record.results:
+        if result.failure is not None:
+            click.echo(f"{result.sequence}, run {result.run + 1} failed: {result.failure}")
+
+
+def _facts(row: Any, record: Any, board: BoardInfo) -> list[tuple[str, str]]:
+    from oysterbench.report.columns import find_column
+    from oysterbench_leaderboard.tables import board_name, interval_text
+
+    column = find_column(board.metric)
+    score = f"{column.texts([row.score])[0]} ({column.heading}), 95 % interval {interval_text(row, column)}"
+    place = "" if row.place is None else f"rank {row.rank}, " if row.rank is not None else ""
+    return [
+        ("method", row.method),
+        ("team", row.team),
+        ("record", row.digest),
+        ("board", f"{board_name(board)}, {board.id}"),
+        ("state", row.state),
+        ("standing", "" if row.place is None else f"{place}place {row.place} of {board.entries}"),
+        ("score", score),
+        ("runs", f"{row.runs}, sequences: {row.sequences}, failed or lacking: {row.failures}"),
+        ("tier", row.tier),
+        ("created", row.created),
+        ("summary", row.summary),
+        ("url", row.url),
+        ("in place of", row.supersedes),
+        ("because", record.reason),
+        ("manifest", record.manifest),
+    ]
+
+
+@click.command("history", short_help="All records of a method, the newest first.")
+@click.argument("method")
+@click.option("--team", help="Of this team alone.")
+@AS_JSON
+@click.pass_context
+def history_command(context: click.Context, method: str, team: str | None, as_json: bool) -> None:
+    """Show all records of a method, superseded and withdrawn ones too.
+
+    \b
+    Examples:
+      oysterbench leaderboard history gtsam_vi
+      oysterbench leaderboard history gtsam_vi --team "reef lab" --json
+    """
+    from oysterbench.report import terminal_table
+    from oysterbench.results import dump
+    from oysterbench_leaderboard.tables import history_table
+
+    index = find_place(context).index()
+    rows = index.method(method, team)
+    if not rows:
+        known = ", ".join(dict.fromkeys(name for name, _, _ in index.methods())) or "none yet"
+        raise ResultError(f"no record of {method!r:.80}{f' by {team}' if team else ''}; the methods are: {known:.300}")
+    if as_json:
+        click.echo(dump([asdict(row) for row in rows]))
+        return
+    print_rich(terminal_table(history_table(rows, {board.id: board for board in index.boards()})))
+
+
+@click.command("literature", short_help="What others reported on other data.")
+@click.option("--track", help="Of this track alone.")
+@AS_JSON
+def literature_command(track: str | None, as_json: bool) -> None:
+    """Show what others reported on other data, each number with its source. It is never ranked with ours.
+
+    \b
+    Examples:
+      oysterbench leaderboard literature
+      oysterbench leaderboard literature --track slam --json
+    """
+    from oysterbench.report import terminal_table
+    from oysterbench.results import dump
+    from oysterbench_leaderboard.literature import REPORTED, literature
+    from oysterbench_leaderboard.tables import literature_tables
+
+    rows = literature(track)
+    if not rows:
+        raise ResultError(f"nothing is listed for the track {track!r:.40}")
+    if as_json:
+        click.echo(dump({"note": REPORTED, "rows": [asdict(row) for row in rows]}))
+        return
+    click.echo(REPORTED)
+    for table in literature_tables(rows):
+        print_rich(terminal_table(table))
