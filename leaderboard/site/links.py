@@ -45,7 +45,7 @@ class ServerLinks:
 class FileLinks:
     """Ways from the file of the page at `here` to others, of which `there` are all paths that are written.
 
-    Of a query only the number of the page is known: its other keys need a server.
+    Of a query only the number of the page is known, and which two are compared: its other keys need a server.
     """
 
     here: str
@@ -54,7 +54,10 @@ class FileLinks:
 
     def page(self, path: str, query: Query | None = None, suffix: str = "") -> str:
         known = {key: str(value) for key, value in (query or {}).items() if str(value)}
+        known.pop("size", None)  # pages are written in one size
         target = numbered(path, int(known.pop("page", "1")))
+        if path == "/compare":
+            target = pair_path(known.pop("a", ""), known.pop("b", ""))
         if known or target not in self.there:
             return ""
         return self._to(file_of(target, suffix))
@@ -69,6 +72,11 @@ class FileLinks:
 def numbered(path: str, page: int) -> str:
     """The path of a further page of a list."""
     return path if page == 1 else f"{path}/page-{page}"
+
+
+def pair_path(a: str, b: str) -> str:
+    """The path of two records head to head, by their digests, where no server could read them from a query."""
+    return f"/compare/{a[:16]}-{b[:16]}"
 
 
 def file_of(path: str, suffix: str = "") -> str:

@@ -6,6 +6,7 @@ import dataclasses
 import re
 import types
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from oysterbench.version import VERSION
@@ -22,8 +23,8 @@ ABOUT = {
 }
 
 
-def describe(root: str = "") -> dict[str, Any]:
-    """The document. root: what a proxy puts before our addresses."""
+def describe(root: str = "", static: bool = False) -> dict[str, Any]:
+    """The document. root: what a proxy puts before our addresses; static: of exported files, which answer no query."""
     schemas: dict[str, Any] = {
         "Error": {
             "type": "object",
@@ -33,6 +34,10 @@ def describe(root: str = "") -> dict[str, Any]:
     }
     paths: dict[str, Any] = {}
     for route in ROUTES:
+        if static:
+            route = replace(route, query=())
+            if route.path == "/compare":
+                continue
         bare = "/index" if route.path == "/" else route.path
         paths[route.path] = {"get": _operation(route, "", {"text/html": {"schema": {"type": "string"}}})}
         for suffix, (_, media) in TWINS.items():
@@ -40,6 +45,8 @@ def describe(root: str = "") -> dict[str, Any]:
             content = {media.partition(";")[0]: {"schema": schema}}
             paths[f"{bare}{suffix}"] = {"get": _operation(route, suffix, content)}
     for path, summary in FILES.items():
+        if static and path == "/health":
+            continue
         content = {"application/json": {"schema": {"type": "object"}}}
         paths[path] = {"get": _get(_name(path, ""), summary, _parts(path), content)}
     return {
@@ -50,7 +57,7 @@ def describe(root: str = "") -> dict[str, Any]:
             "description": "Every page has twins: its address with .json, .csv or .tex behind it.",
             "license": {"name": "CC BY 4.0", "url": "https://creativecommons.org/licenses/by/4.0/"},
         },
-        "servers": [{"url": root or "/"}],
+        "servers": [{"url": "." if static else root or "/"}],
         "paths": paths,
         "components": {"schemas": schemas},
     }

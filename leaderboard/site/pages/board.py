@@ -167,11 +167,11 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     columns = (
         Column("rank", "Rank", number=True, sort="rank", about="Place of the best of its group; equals share one."),
         Column("method", "Method", sort="method"),
-        Column("tier", "Tier", about="Who vouches for the numbers."),
         numbers.heading(info.metric, sort=True),
         Column("interval", "Interval", numbers.LEVEL, number=True, about="Of the mean, by bootstrap over sequences."),
         *(replace(numbers.heading(key, sort=True), hidden=key not in shown) for key in keys[1:]),
         Column("failures", "Failed", "runs", number=True, about="Runs that failed, and sequences not answered."),
+        Column("tier", "Tier", about="Who vouches for the numbers."),
         Column("created", "Date", "UTC", sort="created"),
         *(
             Column(key, number=number, hidden=True)
@@ -205,11 +205,11 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
                         small=row.team,
                         mark=state_mark(row),
                     ),
-                    Cell(row.tier, about=TIERS.get(row.tier, "")),
                     scores[i],
                     Cell(interval, bar=numbers.bar(row.low, row.score, row.high), kind="soft"),
                     *(values[key][i] for key in keys[1:]),
                     Cell(f"{row.failures} of {row.runs}", row.failures, kind="warn" if row.failures else ""),
+                    Cell(row.tier, about=TIERS.get(row.tier, "")),
                     Cell(row.created[:10], row.created),
                     *_hidden(row),
                 ),

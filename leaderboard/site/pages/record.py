@@ -71,6 +71,7 @@ def record_page(site: Site, digest: str) -> Page:
         "remarks": failures_and_notes(results),
         "making": making(record),
         "raw": f"{record_path(row.digest)}/record",
+        "raw_curves": f"{record_path(row.digest)}/curves",
     }
     data = {
         "row": asdict(row),

@@ -1,0 +1,97 @@
+"""`oysterbench leaderboard serve` and `build`: parse, call, print."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from oysterbench.errors import ResultError
+from oysterbench_leaderboard.options import Place, find_place
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+def _place(context: click.Context, folder: Path | None, url: str | None) -> Place:
+    """As this command was told, or else its group."""
+    given = find_place(context)
+    return Place(folder or given.folder, url or given.url)
+
+
+@click.command("serve", short_help="Serve the site, and take submissions.")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all.")
+@click.option("--port", default=8000, show_default=True, type=click.IntRange(0, 65535))
+@click.option("--board", "folder", type=FOLDER, help="Folder of the records.  [default: OYSTERBENCH_BOARD, or ours]")
+@click.option("--index", "url", help="Index: a file (SQLite) or postgresql://...  [default: a file under the home]")
+@click.option("--submissions", type=FOLDER, help="Take submissions; private folder of tokens, queue and estimates.")
+@click.option("--truth", "truths", multiple=True, metavar="SPLIT=DIR", help="What is scored against. Repeatable.")
+@click.option(
+    "--workers", type=click.IntRange(min=1), help="Submissions scored at once.  [default: as the folder says]"
+)
+@click.option("--root", default="", help="Path that a proxy puts before our addresses, such as /board.")
+@click.pass_context
+def serve_command(
+    context: click.Context,
+    host: str,
+    port: int,
+    folder: Path | None,
+    url: str | None,
+    submissions: Path | None,
+    truths: tuple[str, ...],
+    workers: int | None,
+    root: str,
+) -> None:
+    """Serve the site: boards, records, data sets; with --submissions, take estimates and score them.
+
+    \b
+    Examples:
+      oysterbench leaderboard serve
+      oysterbench leaderboard serve --board board --index postgresql://board@db/board --host 0.0.0.0
+      oysterbench leaderboard serve --board board --submissions private --truth slam-test=truth/slam-test
+
+    Records that come into the folder while it runs are shown within seconds. For the world, put a proxy with TLS before
+    it; teams and their tokens are made by `oysterbench leaderboard team`.
+    """
+    import uvicorn
+
+    from oysterbench_leaderboard.site.running import settings, whole
+
+    if truths and submissions is None:
+        raise click.UsageError("--truth says what submissions are scored against: give --submissions, too")
+    if root and (not root.startswith("/") or root.endswith("/")):
+        raise click.UsageError(f"--root: expected a path like /board, got {root!r}")
+    app = whole(_place(context, folder, url).index(), submissions, truths, workers, root)
+    click.echo(f"serving http://{host}:{port}{root}/ (stop with Ctrl-C)", err=True)
+    uvicorn.run(**settings(app, host, port))
+
+
+@click.command("build", short_help="Write the whole site as files, for any web host.")
+@click.argument("target", metavar="DIR", type=FOLDER)
+@click.option("--board", "folder", type=FOLDER, help="Folder of the records.  [default: OYSTERBENCH_BOARD, or ours]")
+@click.option("--index", "url", help="Index: a file (SQLite) or postgresql://...  [default: a file under the home]")
+@click.pass_context
+def build_command(context: click.Context, target: Path, folder: Path | None, url: str | None) -> None:
+    """Write the whole site as files: pages, their JSON, CSV and LaTeX, records, curves, OpenAPI.
+
+    \b
+    Examples:
+      oysterbench leaderboard build site
+      rsync -a --delete site/ host:/var/www/board/
+
+    It works from any web host, in any folder, and from the disk. DIR is replaced as a whole when all is written; files
+    that are the same as before keep their times.
+    """
+    import sys
+
+    from oysterbench_leaderboard.site.export import export
+    from oysterbench_leaderboard.site.running import site_of
+
+    def progress(done: int, of: int) -> None:
+        if sys.stderr.isatty() and (done % 20 == 0 or done == of):
+            click.echo(f"\r{done} of {of} pages", err=True, nl=done == of)
+
+    try:
+        count = export(site_of(_place(context, folder, url).index()), target, progress)
+    except OSError as error:
+        raise ResultError(f"{target}: cannot be written: {error.strerror or error}") from None
+    click.echo(f"{target}: {count} files; open {target / 'index.html'}", err=True)

@@ -1,0 +1,120 @@
+"""Running the site: the application with all that belongs to it, and new records taken in while it is up."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Iterable
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import anyio.to_thread
+from starlette.applications import Starlette
+
+from oysterbench.errors import OysterbenchError
+from oysterbench.hub.serve import CLIENTS, LARGEST_HEADERS, LOGGING
+from oysterbench_leaderboard.index import Index
+from oysterbench_leaderboard.literature import literature
+from oysterbench_leaderboard.site import datasets, render
+from oysterbench_leaderboard.site.server import application
+from oysterbench_leaderboard.site.site import Site
+
+LOOK_S = 2.0
+"""How often the folder of records is looked at."""
+
+LOG = logging.getLogger("uvicorn.error")
+
+
+def site_of(index: Index, form: str = "") -> Site:
+    """All that pages are made of."""
+    return Site(index, literature(), form)
+
+
+class Watch:
+    """Whether something came into the folders of records and notices since they were last looked at."""
+
+    def __init__(self, index: Index) -> None:
+        self.index = index
+        self._seen = self._times()
+
+    def _times(self) -> tuple[int, ...]:
+        found = []
+        for kind in ("records", "notices"):
+            try:
+                found.append((self.index.store.folder / kind).stat().st_mtime_ns)
+            except FileNotFoundError:
+                found.append(0)
+        return tuple(found)
+
+    def look(self) -> bool:
+        """Take in what is new; whether there was anything."""
+        times = self._times()
+        if times == self._seen:
+            return False
+        self.index.refresh()
+        self._seen = times
+        return True
+
+
+async def _keep_up(index: Index) -> None:
+    watch = Watch(index)
+    while True:
+        await asyncio.sleep(LOOK_S)
+        try:
+            await anyio.to_thread.run_sync(watch.look)
+        except (OysterbenchError, OSError) as error:  # a disk that is full now may not be later
+            LOG.error("new records were not taken in: %s", error)
+
+
+def whole(
+    index: Index,
+    submissions: Path | None = None,
+    truths: Iterable[str] = (),
+    workers: int | None = None,
+    root: str = "",
+) -> Starlette:
+    """The application. submissions: private folder of a service that takes them, None for none; truths: SPLIT=FOLDER
+    of what it scores against; root: what a proxy puts before our addresses."""
+    taken: Any = None
+    if submissions is not None:
+        from oysterbench_leaderboard.submissions.opening import open_service
+        from oysterbench_leaderboard.submissions.web import Submissions
+
+        service = open_service(submissions, truths, index.store, index.refresh)
+        taken = Submissions(service, render.server_links(root), workers)
+    app = application(site_of(index, taken.form if taken else ""), taken.routes() if taken else (), root)
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        async with AsyncExitStack() as stack:
+            if taken is not None:
+                await stack.enter_async_context(taken.running())
+            await anyio.to_thread.run_sync(datasets.known)  # seconds, which no visitor should wait for
+            task = asyncio.create_task(_keep_up(index))
+            try:
+                yield
+            finally:
+                task.cancel()
+                with suppress(asyncio.CancelledError):
+                    await task
+
+    app.router.lifespan_context = lifespan
+    return app
+
+
+def settings(app: Starlette, host: str, port: int) -> dict[str, Any]:
+    """How uvicorn serves it."""
+    return {
+        "app": app,
+        "host": host,
+        "port": port,
+        "http": "h11",
+        "ws": "none",
+        "lifespan": "on",
+        "server_header": False,
+        "h11_max_incomplete_event_size": LARGEST_HEADERS,
+        "limit_concurrency": CLIENTS,
+        "timeout_keep_alive": 30,
+        "log_config": LOGGING,
+    }
