@@ -11,7 +11,6 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
 
 from oysterbench.errors import OysterbenchError
-from oysterbench_leaderboard.record import check_text
 from oysterbench_leaderboard.submissions.archive import (
     Archive,
     Budget,
@@ -24,6 +23,7 @@ from oysterbench_leaderboard.submissions.archive import (
 from oysterbench_leaderboard.submissions.catalogue import Wanted
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
+# A reader of what was sent is started for each submission: what only some kinds need is imported where it is needed.
 if TYPE_CHECKING:
     from oysterbench.evaluate.detection import ImageInstances
     from oysterbench.evaluate.segmentation import EstimateImage
@@ -388,7 +388,9 @@ LONGEST = 2000
 
 
 def _check_texts(value: Any, where: str) -> None:
-    """Refuse texts in results that no page could show, and numbers that JSON does not have."""
+    """Refuse texts in results that no page could show."""
+    from oysterbench_leaderboard.record import check_text
+
     if isinstance(value, str):
         try:
             check_text("text", value, LONGEST)

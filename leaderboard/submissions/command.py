@@ -17,7 +17,7 @@ TOKEN = "OYSTERBENCH_TOKEN"
 
 @click.command("submit", short_help="Send results or estimates to a leaderboard.")
 @click.argument("place", metavar="RESULT_OR_ESTIMATES", type=click.Path(path_type=Path))
-@click.option("--to", "url", required=True, envvar="OYSTERBENCH_BOARD", help="Address of the leaderboard.")
+@click.option("--to", "url", required=True, envvar="OYSTERBENCH_BOARD_URL", help="Address of the leaderboard.")
 @click.option("--method", required=True, help="Name of the method, for the board.")
 @click.option("--split", help="What it answers.  [default: as the results or the names say]")
 @click.option("--track", help="Of a split with several.  [default: its first]")

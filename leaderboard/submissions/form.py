@@ -79,7 +79,7 @@ class WebForm:
             "team": holder.team if holder else "",
             "submissions": own,
             "splits": self.service.catalogue.public(),
-            "fields": getattr(request.state, "fields", {}),
+            "fields": getattr(request.state, "fields", dict.fromkeys(FIELDS, "")),
             "most": MOST_TEXT,
             "limits": self.service.settings,
             "error": error,
@@ -165,7 +165,8 @@ class WebForm:
 
         def check(fields: dict[str, str]) -> None:
             self.sessions.check(request, value, fields.get("csrf", ""))
-            request.state.fields = {key: fields.get(key, "") for key in FIELDS}
+            if not hasattr(request.state, "fields"):
+                request.state.fields = {key: fields.get(key, "") for key in FIELDS}
             if " " in fields.get("split", ""):  # "SPLIT TRACK", one choice of the form
                 fields["split"], _, fields["track"] = fields["split"].partition(" ")
 

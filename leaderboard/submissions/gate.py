@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import Response
+from starlette.responses import PlainTextResponse, Response
 
 from oysterbench_leaderboard.submissions.intake import (
     Received,
@@ -119,8 +119,7 @@ class Gate:
                 raise
             except Exception:
                 self.service.log.exception("%s %s", request.method, request.url.path)
-                response = await show(request, FAILED)
-                response.headers["Connection"] = "close"
+                response = PlainTextResponse(FAILED.reason, FAILED.status, {"Connection": "close"})
             for key, value in HEADERS.items():
                 response.headers.setdefault(key, value)
             return response

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
+from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.routing import Route
 
@@ -19,7 +20,7 @@ __all__ = ["NEW", "TEMPLATES", "Submissions"]
 
 
 class Submissions:
-    """Of a service; `async with submissions.running(): ...` while the site is up.
+    """Of a service. `application(site, more=submissions.routes())`, then `submissions.attach(app)`.
 
     Requests reach it with all their bytes still to come: no middleware may read bodies before it.
     """
@@ -38,6 +39,16 @@ class Submissions:
         """To be put before the site's own, which has /submit itself: how to submit."""
         gate = Gate(self.service)
         return [*api_routes(gate), *WebForm(gate, self._links).routes()]
+
+    def attach(self, app: Starlette) -> None:
+        """Score for as long as an application is up."""
+
+        @asynccontextmanager
+        async def lifespan(app: Starlette) -> AsyncIterator[None]:
+            async with self.running():
+                yield
+
+        app.router.lifespan_context = lifespan
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:

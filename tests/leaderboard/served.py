@@ -1,6 +1,6 @@
 """A hidden split with truth that nobody rendered, a server of submissions for it, and answers to send.
 
-    python served.py FOLDER PORT    serves what `lay` has laid out there
+python served.py FOLDER PORT    serves what `lay` has laid out there
 """
 
 from __future__ import annotations
@@ -245,22 +245,20 @@ def make_service(folder: Path, **changes: Any) -> Any:
 
 def serve(folder: Path, port: int) -> None:
     """Until it is killed."""
-    import contextlib
-
     import uvicorn
-    from starlette.applications import Starlette
 
+    from oysterbench_leaderboard.index import open_index
     from oysterbench_leaderboard.site.render import server_links
+    from oysterbench_leaderboard.site.server import application
+    from oysterbench_leaderboard.site.site import Site
     from oysterbench_leaderboard.submissions.web import Submissions
 
-    submissions = Submissions(make_service(folder), server_links())
-
-    @contextlib.asynccontextmanager
-    async def lifespan(app: Starlette) -> Any:
-        async with submissions.running():
-            yield
-
-    app = Starlette(routes=submissions.routes(), lifespan=lifespan)
+    service = make_service(folder)
+    index = open_index(service.store, str(folder / "index.sqlite"))
+    service.changed = index.refresh
+    submissions = Submissions(service, server_links())
+    app = application(Site(index, form=submissions.form), more=submissions.routes())
+    submissions.attach(app)
     uvicorn.run(app, host="127.0.0.1", port=port, log_level="warning", access_log=False)
 
 
@@ -272,14 +270,15 @@ def free_port() -> int:
 
 
 class Server:
-    """A server in a process of its own, and requests to it."""
+    """A server in a process of its own, and requests to it. seen: all that was answered."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.port = folder, free_port()
         self.process: subprocess.Popen[bytes] | None = None
+        self.seen = bytearray()
 
-    def start(self) -> None:
-        """Returns when it answers."""
+    def begin(self) -> subprocess.Popen[bytes]:
+        """A process that will answer in a moment."""
         environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         with open(self.folder / "server.log", "ab") as log:
             self.process = subprocess.Popen(
@@ -289,9 +288,14 @@ class Server:
                 start_new_session=True,
                 env=environment,
             )
+        return self.process
+
+    def start(self) -> None:
+        """Returns when it answers."""
+        process = self.begin()
         end = time.monotonic() + 60
         while not self.alive():
-            assert self.process.poll() is None, (self.folder / "server.log").read_text()
+            assert process.poll() is None, (self.folder / "server.log").read_text()
             assert time.monotonic() < end
             time.sleep(0.05)
 
@@ -310,7 +314,9 @@ class Server:
             bearer = {"Authorization": f"Bearer {token}"} if token else {}
             connection.request(method, path, body, {**bearer, **(headers or {})})
             answer = connection.getresponse()
-            return answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read()
+            data = answer.read()
+            self.seen += repr(answer.getheaders()).encode() + data
+            return answer.status, {k.lower(): v for k, v in answer.getheaders()}, data
 
     def send(self, token: str, body: bytes, kind: str = "application/zip", **asked: str) -> tuple[int, dict[str, Any]]:
         """Send a submission: status, and what was answered."""
