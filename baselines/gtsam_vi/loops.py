@@ -72,6 +72,7 @@ class LoopCloser:
             self._waiting = self._waiting[-self.settings.init_max_keyframes :]
             return
         self._settle(keyframes)
+        limit = self.settings.most_places
         for k, stored in self._waiting:
             if keyframes[k].state is None:
                 continue
@@ -82,8 +83,8 @@ class LoopCloser:
             self._centres.append(np.median(place.points, axis=0))
             self._count("places", begin)
             begin = time.process_time()
-            if k == keyframes[-1].index:
-                self._look(keyframes, picture)
+            if k == keyframes[-1].index and self._look(keyframes, picture) and len(self.places) > limit:
+                place.forget()
             self.index.add(place.descriptors)
             self._count("search", begin)
             begin = time.process_time()
@@ -149,17 +150,17 @@ class LoopCloser:
         position += (settings.drift_blind * (blind + blind**2)) ** 2 + (settings.unknown_speed * lost) ** 2
         return Drift(heading, position)
 
-    def _look(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> None:
-        """Loops between the newest place and settled ones."""
+    def _look(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> bool:
+        """Loops between the newest place and settled ones; whether one of them leaves no doubt."""
         settings = self.settings
         now = len(self.places) - 1
         place = self.places[now]
         if self._settled < 2:
-            return
+            return False
         anchor = self._settled - 1  # the newest place in the graph; the newest of all hangs on it by the window
         T_anchor_now = invert(self.graph.odometry[anchor]) @ level_pose(keyframes[place.keyframe].state.matrix)
         T_odom_now = self.graph.poses[anchor] @ T_anchor_now
-        candidates = self._candidates(keyframes, now, anchor, T_odom_now)
+        candidates, certain = self._candidates(keyframes, now, anchor, T_odom_now), False
         for n in candidates:
             loop = self._verify(n, now, anchor, T_odom_now, picture)
             if loop is None:
@@ -171,11 +172,14 @@ class LoopCloser:
             T = loop.T_first_second @ invert(T_anchor_now)
             covariance = loop.covariance + np.diag([settings.loop_heading_floor**2] + [settings.loop_floor_m**2] * 3)
             self.graph.close(n, anchor, T, covariance)
+            certain |= len(loop.ids) >= settings.loop_strong
+        return certain
 
     def joined(self, keyframes: list[Keyframe]) -> list[Keyframe]:
         """The key frames with what the loops have taught: states of the pose graph, merged tracks."""
         if not self.loops:
             return keyframes
+        self.graph.solve()
         corrected = [replace(k, state=_moved(k.state, self._correction_at(k.index))) for k in keyframes]
         return join(corrected, self.places, self.loops, self.model, self.settings.merge_px)
 

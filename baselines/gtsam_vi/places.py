@@ -80,6 +80,10 @@ class Place:
         """The picture (H, W)."""
         return decode(self.picture)
 
+    def forget(self) -> None:
+        """Keep what a node of the pose graph needs, and nothing by which it is known again."""
+        self.descriptors, self.corners, self.picture = self.descriptors[:0], self.corners[:0], b""
+
     @property
     def size(self) -> int:
         """Memory, bytes."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
@@ -181,8 +183,8 @@ def square(generator: np.random.Generator, laps: int = 2) -> tuple[list[Array], 
     return true, drifted
 
 
-def graph_of(drifted: list[Array]) -> PoseGraph:
-    graph = PoseGraph(SETTINGS)
+def graph_of(drifted: list[Array], settings: Settings = SETTINGS) -> PoseGraph:
+    graph = PoseGraph(settings)
     for pose in drifted:
         graph.add(pose, Drift(0.004**2, 0.008**2))
     return graph
@@ -235,3 +237,31 @@ def test_the_uncertainty_of_odometry_is_that_of_many_drifts():
     # The bound is on any one axis: on the worst it is nearly met, and on none exceeded.
     assert 0.8 * measured[1:].max() < position
     assert position > 0.9 * measured[1:].max()
+
+
+def test_loops_wait_for_each_other_in_a_large_graph_and_lose_nothing_by_it():
+    true, drifted = square(np.random.default_rng(0))
+    prompt, patient = graph_of(drifted), graph_of(drifted, dataclasses.replace(SETTINGS, loop_wait_places=13))
+    for graph in (prompt, patient):  # of 65 places: five loops are solved for at a time
+        for k in range(0, 16, 4):
+            graph.close(k, k + 32, invert(true[k]) @ true[k + 32], np.diag([1e-6] + [1e-5] * 3))
+    np.testing.assert_allclose(patient.poses, drifted, atol=1e-9)
+    patient.solve()
+    np.testing.assert_allclose(patient.poses, prompt.poses, atol=2e-3)
+    assert error(patient.poses, true) < 0.8 * error(drifted, true)
+
+
+def test_a_place_that_is_forgotten_takes_no_more_memory_and_gets_no_votes():
+    generator = np.random.default_rng(0)
+    index, described = Index(SETTINGS), generator.integers(0, 256, size=(200, 32), dtype=np.uint8)
+    points = np.zeros((0, 3))
+    ids = np.zeros(0, dtype=np.int64)
+    place = Place(0, np.eye(4), np.zeros(3), ids, points[:, :2], points, described, points, b"1" * 9999)
+    large = place.size
+    place.forget()
+    assert place.size < large - 9999
+    index.add(place.descriptors)
+    index.add(described)
+    votes = index.votes(described)
+    assert votes[0] == 0.0
+    assert votes[1] > 0.0
