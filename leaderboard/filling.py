@@ -31,7 +31,7 @@ def schema() -> str:
 
 def meta(connection: Connection) -> dict[str, str]:
     """What an index says of itself."""
-    return dict(connection.execute(select(META.c.key, META.c.value)).tuples().all())
+    return {row[0]: row[1] for row in connection.execute(select(META.c.key, META.c.value))}
 
 
 def inputs_of(store: RecordStore) -> str:
@@ -93,7 +93,7 @@ def take_in(connection: Connection, store: RecordStore) -> None:
     inputs, present = inputs_of(store), store.digests()
     notices, problems = store.read_notices()
     gone = withdrawn(notices)
-    known: dict[str, str] = dict(connection.execute(select(ROWS.c.digest, ROWS.c.state)).tuples().all())
+    known: dict[str, str] = {row[0]: row[1] for row in connection.execute(select(ROWS.c.digest, ROWS.c.state))}
     new, wrong = read(store.folder / "records", [digest for digest in present if digest not in known])
     lost = known.keys() - set(present)
     changed = {digest for digest, state in known.items() if (state == "withdrawn") != (digest in gone)} | lost

@@ -210,7 +210,7 @@ class SqlIndex:
     def problems(self) -> dict[str, str]:
         with self._reading() as connection:
             asked = select(PROBLEMS.c.file, PROBLEMS.c.reason).order_by(PROBLEMS.c.file)
-            return dict(connection.execute(asked).tuples().all())
+            return {row[0]: row[1] for row in connection.execute(asked)}
 
     def _connected(self) -> Engine:
         """The engine; a new one where the file was replaced since. Connections in use keep the old file."""

@@ -6,7 +6,7 @@ import json
 import math
 import os
 import platform
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -311,8 +311,13 @@ def read_results(path: str | os.PathLike[str]) -> list[ResultRecord]:
     return [ResultRecord.from_dict(values, f"{path}: results[{i}]") for i, values in enumerate(content["results"])]
 
 
-def labelled_results(names: Iterable[str]) -> list[ResultRecord]:
-    """The records of files, or of folders that hold results.json, each as a path or as LABEL=PATH.
+Finder = Callable[[str], "list[ResultRecord] | None"]
+"""Gives the records that a text names which is no file; None where it names none."""
+
+
+def labelled_results(names: Iterable[str], find: Finder | None = None) -> list[ResultRecord]:
+    """The records of files, or of folders that hold results.json, each as a path or as LABEL=PATH; or of what else
+    `find` knows by a name.
 
     A label takes the place of the method's name, or stands before it where the file holds several methods. Raises
     ResultError where two different records say that they are the same run of one method.
@@ -324,7 +329,9 @@ def labelled_results(names: Iterable[str]) -> list[ResultRecord]:
         if label and Path(name).exists():  # a name that has the sign in it
             label, rest = "", name
         path = Path(rest)
-        found = read_results(path / "results.json" if path.is_dir() else path)
+        found = find(rest) if find is not None and not path.exists() else None
+        if found is None:
+            found = read_results(path / "results.json" if path.is_dir() else path)
         if not found:
             raise ResultError(f"{path}: holds no result; expected what `oysterbench eval` writes")
         methods = {record.method for record in found}

@@ -38,6 +38,22 @@ MAY_IMPORT = {
     "mapping": GROUND | {"sequence"},
     "cli_map": GROUND | {"mapping", "sequence"},
     "labelled": GROUND | {"sequence"},
+    "density": GROUND | {"sequence", "mapping", "labelled", "answers", "page"},
+    "surveys": GROUND
+    | {
+        "sequence",
+        "mapping",
+        "density",
+        "generate",
+        "conditions",
+        "evaluate",
+        "results",
+        "report",
+        "tracks",
+        "imaging",
+        "answers",
+        "methods",
+    },
     "evaluate": GROUND,
     "answers": GROUND | {"sequence", "labelled", "evaluate"},
     "imaging": GROUND
@@ -55,7 +71,7 @@ MAY_IMPORT = {
     | {"cli_outputs", "cli_render", "cli_scoring", "evaluate", "generate", "methods", "report", "results", "running"},
     "cli_imaging": GROUND
     | {"cli_outputs", "cli_render", "evaluate", "generate", "imaging", "methods", "report", "results"},
-    "cli_compare": {"cli_outputs", "results", "comparison", "report"},
+    "cli_compare": {"errors", "cli_outputs", "results", "comparison", "report"},
     "hub": GROUND | {"sequence", "page"},
     "cli_hub": GROUND | {"generate", "hub", "salt"},
     "cli_learn": {"errors"},
