@@ -1,0 +1,49 @@
+"""Records for `oysterbench compare`: by their digest, or as the method that is on a board."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+from oysterbench.errors import ResultError
+from oysterbench.results import ResultRecord
+from oysterbench_leaderboard.board import Row
+from oysterbench_leaderboard.index import LEAST_DIGITS, SqlIndex
+from oysterbench_leaderboard.options import Place
+from oysterbench_leaderboard.tables import SHORT
+
+_DIGEST = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
+
+
+def results_of(text: str, split: str | None, place: Place | None = None) -> list[ResultRecord] | None:
+    """The results of a method on the board, or of a record by its digest; None where the board has neither.
+
+    split: only these, where it is given. A record that is named by its digest carries it in its method's name, as
+    another of the same method may stand beside it. Raises ResultError where several records could be meant.
+    """
+    index = (place or Place()).index()
+    rows = [row for row in index.method(text) if row.state == "current"]
+    if rows:
+        return [
+            r for row in _one_of_each_board(text, rows, index, split) for r in index.store.record(row.digest).results
+        ]
+    if not _DIGEST.fullmatch(text):
+        return None
+    record = index.store.record(index.row(text).digest)
+    if split is not None and record.split != split:
+        raise ResultError(f"{text}: is a record on {record.split}, not on {split}")
+    return [replace(result, method=f"{record.method} {record.digest[:SHORT]}") for result in record.results]
+
+
+def _one_of_each_board(text: str, rows: Sequence[Row], index: SqlIndex, split: str | None) -> list[Row]:
+    boards = {board.id: board for board in index.boards() if board.newest}
+    chosen = [row for row in rows if row.board in boards and split in (None, boards[row.board].split)]
+    if not chosen:
+        there = ", ".join(dict.fromkeys(board.split for board in boards.values())) or "none"
+        raise ResultError(f"{text} is on no board of {split or 'the present evaluators'}; the splits are: {there}")
+    teams = {row.team for row in chosen}
+    if len(teams) > 1:
+        named = ", ".join(f"{row.digest[:SHORT]} ({row.team})" for row in chosen)
+        raise ResultError(f"several teams have a method named {text}: give the record, one of {named:.300}")
+    return chosen

@@ -1,0 +1,395 @@
+"""The index: what it answers, that it can be made anew, and that nobody ever sees half of it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from records_made import fill, record_made, records_made
+
+from oysterbench.errors import ResultError
+from oysterbench.evaluate.statistics import summarise
+from oysterbench.hub.canonical import canonical, sha256
+from oysterbench.results import samples, weights_of
+from oysterbench.streams import stream
+from oysterbench_leaderboard.board import BoardPage, Query
+from oysterbench_leaderboard.index import SqlIndex, open_index
+from oysterbench_leaderboard.store import Notice, RecordStore
+
+ALL = Query(states=("current", "superseded", "withdrawn"))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> RecordStore:
+    return RecordStore(tmp_path / "board")
+
+
+def opened(store: RecordStore, name: str = "index.sqlite") -> SqlIndex:
+    return open_index(store, str(store.folder.parent / name))
+
+
+def pages(index: SqlIndex, query: Query = ALL) -> list[BoardPage]:
+    return [index.page(board.id, query) for board in index.boards()]
+
+
+def state_of(index: SqlIndex, digest: str) -> str:
+    return index.row(digest).state
+
+
+def test_rows_hold_the_means_of_the_statistics(store):
+    digests = fill(store)
+    index = opened(store)
+    for name in ("carp2", "unet"):
+        record, row = store.record(digests[name]), index.row(digests[name])
+        for key, value in row.metrics.items():
+            expected = summarise(samples(record.results, key), weights_of(record.results, key)).mean
+            assert value == pytest.approx(expected, rel=1e-14), key
+        board = index.find_board(record.track, record.split)
+        expected = summarise(samples(record.results, board.metric), weights_of(record.results, board.metric))
+        assert row.score == expected.mean
+        assert (row.low, row.high) == pytest.approx((expected.interval.low, expected.interval.high), rel=1e-11)
+    assert index.row(digests["carp2"]).coverage == index.row(digests["carp2"]).metrics["coverage"]
+
+
+def test_what_failed_or_is_lacking_counts_as_nothing_and_is_counted(store):
+    digests = fill(store)
+    index = opened(store)
+    gap, eel = index.row(digests["gap"]), index.row(digests["eel"])
+    assert (gap.failures, gap.sequences) == (1, 7)
+    assert (eel.failures, eel.sequences) == (2, 8)
+    values = [r.metrics["score"] for r in store.record(digests["gap"]).results]
+    assert gap.score == pytest.approx(sum(values) / 8, rel=1e-12)
+    assert gap.coverage is not None
+    assert gap.coverage < 7 / 8
+
+
+def test_a_rebuilt_index_equals_one_that_grew(store, tmp_path):
+    records = list(records_made().values())
+    index = opened(store)
+    for record in records[::-1]:
+        store.add(record)
+        index.refresh()
+    fill(store)
+    index.refresh()
+    grown, revision = pages(index), index.revision
+    fresh = opened(store, "fresh.sqlite")
+    assert pages(fresh) == grown
+    assert fresh.revision == revision
+    assert fresh.boards() == index.boards()
+    index.rebuild()
+    assert pages(index) == grown
+
+
+def test_the_revision_changes_with_every_change_and_not_without(store):
+    index = opened(store)
+    seen = [index.revision]
+    digest = store.add(record_made())
+    index.refresh()
+    seen.append(index.revision)
+    store.say(digest, "withdrawn", "A mistake.")
+    index.refresh()
+    seen.append(index.revision)
+    assert len(set(seen)) == 3
+    index.refresh()
+    index.rebuild()
+    assert index.revision == seen[-1]
+
+
+def test_the_later_record_of_a_method_team_and_board_is_the_current_one(store):
+    first = store.add(record_made(created="2026-01-01T00:00:00Z"))
+    second = store.add(record_made(skill=0.5, created="2026-02-01T00:00:00Z"))
+    other = store.add(record_made(team="another", created="2026-01-01T00:00:00Z"))
+    index = opened(store)
+    assert [state_of(index, d) for d in (first, second, other)] == ["superseded", "current", "current"]
+    assert index.row(first).place is None
+    assert [row.digest for row in index.method("carp", "reef lab")] == [second, first]
+
+
+def test_a_record_is_superseded_by_one_of_its_team_alone_on_whatever_board(store):
+    old = record_made(evaluator="slam 2", created="2026-01-01T00:00:00Z")
+    digest = store.add(old)
+    index = opened(store)
+    store.add(record_made("thief", "another", supersedes=digest, created="2026-02-01T00:00:00Z"))
+    index.refresh()
+    assert state_of(index, digest) == "current"
+    again = store.add(record_made(supersedes=digest, created="2026-03-01T00:00:00Z"))
+    index.refresh()
+    assert state_of(index, digest) == "superseded"
+    store.announce(Notice(again, "withdrawn", "The evaluator was wrong.", "2026-04-01T00:00:00Z"))
+    index.refresh()
+    assert [state_of(index, d) for d in (digest, again)] == ["current", "withdrawn"]
+    store.announce(Notice(again, "restored", "It was right.", "2026-05-01T00:00:00Z"))
+    index.refresh()
+    assert [state_of(index, d) for d in (digest, again)] == ["superseded", "current"]
+
+
+def test_two_notices_of_one_second_keep_their_order(store):
+    digest = store.add(record_made())
+    for action in ("withdrawn", "restored", "withdrawn", "restored"):
+        store.say(digest, action, "To and fro.")
+    assert state_of(opened(store), digest) == "current"
+
+
+def test_damaged_records_are_named_and_left_out_and_the_rest_goes_on(store):
+    digests = fill(store)
+    folder = store.folder / "records"
+    path = folder / f"{digests['cod']}.json"
+    path.write_bytes(path.read_bytes().replace(b"harbour group", b"harbor  group"))
+    made = {
+        "not JSON": b"{",
+        "not a record": canonical({"format": "something"}),
+        "a list": canonical([1, 2]),
+        "of an unknown track": record_made().data.replace(b'"track":"slam"', b'"track":"golf"'),
+        "text for a number": record_made().data.replace(b'"matched":', b'"x":').replace(b'"runs"', b'"rums"')[:-2]
+        + b"}",
+        "numbers as keys": canonical({**record_made().to_dict(), "results": [7]}),
+        "settings of a wrong kind": canonical({**record_made().to_dict(), "results": "none"}),
+        "several boards": canonical(
+            {
+                **record_made().to_dict(),
+                "results": [
+                    record_made().results[0].to_dict(),
+                    record_made(evaluator="slam 1").results[1].to_dict(),
+                ],
+            }
+        ),
+    }
+    wrong = {}
+    for name, data in made.items():
+        wrong[sha256(data)] = name
+        (folder / f"{sha256(data)}.json").write_bytes(data)
+    (folder / "notes.txt").write_text("not a record, and not in the way")
+    index = opened(store)
+    assert set(index.problems()) == {digests["cod"], *wrong}
+    assert all(index.problems().values())
+    assert [row.method for row in index.page(index.find_board("slam", "slam-val").id, Query()).rows][:2] == [
+        "carp",
+        "gap",
+    ]
+    with pytest.raises(ResultError, match="it was changed"):
+        index.row(digests["cod"])
+    path.unlink()
+    store.add(records_made()["cod"])
+    index.rebuild()
+    assert set(index.problems()) == set(wrong)
+    assert state_of(index, digests["cod"]) == "current"
+
+
+def test_damaged_notices_are_named_and_left_out(store):
+    digests = fill(store)
+    (store.folder / "notices" / f"{'0' * 64}.json").write_bytes(b"{}")
+    index = opened(store)
+    assert set(index.problems()) == {"0" * 64}
+    assert state_of(index, digests["fraud"]) == "withdrawn"
+
+
+def test_a_record_that_is_taken_away_leaves_the_board(store):
+    digests = fill(store)
+    index = opened(store)
+    (store.folder / "records" / f"{digests['carp2']}.json").unlink()
+    index.refresh()
+    assert state_of(index, digests["carp1"]) == "current"
+    assert pages(index) == pages(opened(store, "fresh.sqlite"))
+
+
+def test_pages_sort_search_and_choose(store):
+    digests = fill(store)
+    index = opened(store)
+    board = index.find_board("slam", "slam-val").id
+
+    def methods(**query: object) -> list[str]:
+        return [row.method for row in index.page(board, Query(**query)).rows]  # type: ignore[arg-type]
+
+    by_rank = methods()
+    assert by_rank[0] == "carp"
+    assert methods(descending=True) == by_rank[::-1]
+    assert methods(sort="created")[0] == "drift"
+    by_drift = index.page(board, Query(sort="ate_percent")).rows
+    values = [row.metrics["ate_percent"] for row in by_drift]
+    assert values == sorted(values, key=lambda v: v or 0)
+    assert methods(text="HARBOUR") == [m for m in by_rank if m in ("cod", "gap", "eel")]
+    assert methods(text="100 %") == ["\\input{/etc/passwd}"]
+    assert methods(text="%") == [m for m in by_rank if m.startswith("\\")]
+    assert methods(tiers=("baseline",)) == ["carp", "drift"]
+    assert methods(states=("withdrawn",)) == ["fraud"]
+    assert methods(size=3) + methods(size=3, page=2) + methods(size=3, page=3) == by_rank
+    page = index.page(board, Query(size=3, page=9))
+    assert (page.rows, page.total, page.pages) == ((), len(by_rank), 3)
+    with pytest.raises(ResultError, match="sort: expected one of rank"):
+        methods(sort="summary")
+    assert index.row(digests["cod"][:8]).digest == digests["cod"]
+    for odd in ("abc", "x" * 64, "0" * 64, "../../etc/passwd"):
+        with pytest.raises(ResultError):
+            index.row(odd)
+
+
+def test_the_newest_evaluator_has_the_board(store):
+    fill(store)
+    index = opened(store)
+    boards = index.boards("slam")
+    assert [(board.evaluator_version, board.newest) for board in boards] == [("slam 3", True), ("slam 2", False)]
+    assert index.find_board("slam", "slam-val").evaluator_version == "slam 3"
+    assert index.find_board("slam", "slam-val", boards[1].id).evaluator_version == "slam 2"
+    with pytest.raises(ResultError, match="slam slam-val, segmentation seg-val"):
+        index.find_board("slam", "nowhere")
+
+
+def test_sequence_means_are_those_of_the_runs(store):
+    digests = fill(store)
+    means = opened(store).sequence_means(digests["carp2"][:12])
+    found = samples(store.record(digests["carp2"]).results, "score")
+    assert {name: of["score"] for name, of in means.items()} == pytest.approx(
+        {name: sum(values) / len(values) for name, values in found.items()}
+    )
+
+
+def test_many_records_are_read_in_processes_to_the_same_board(store):
+    for k in range(30):
+        store.add(record_made(f"method {k}", skill=0.3 + 0.02 * k))
+    index = opened(store)
+    alone = pages(index)
+    from oysterbench_leaderboard import building
+
+    few, building.FEW, chunk, building.CHUNK = building.FEW, 1, building.CHUNK, 7
+    try:
+        index.rebuild()
+    finally:
+        building.FEW, building.CHUNK = few, chunk
+    assert pages(index) == alone
+
+
+def test_readers_see_one_whole_index_while_it_is_made_anew(store):
+    fill(store)
+    index = opened(store)
+    expected, wrong, stop = pages(index), [], threading.Event()
+
+    def read() -> None:
+        while not stop.is_set():
+            try:
+                if pages(index) != expected:
+                    wrong.append("another page")
+            except Exception as error:
+                wrong.append(repr(error))
+
+    threads = [threading.Thread(target=read) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for _ in range(4):
+        index.rebuild()
+    stop.set()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
+
+
+REBUILD = """
+import sys
+from oysterbench_leaderboard.index import SqlIndex
+from oysterbench_leaderboard.store import RecordStore
+index = SqlIndex(sys.argv[2], RecordStore(sys.argv[1]))
+print("begun", flush=True)
+while True:
+    index.rebuild()
+"""
+
+
+def test_a_killed_rebuild_leaves_the_old_index_and_the_next_one_cleans_up(store):
+    fill(store)
+    index = opened(store)
+    expected = pages(index)
+    draw = stream(1, b"", "tests", "kills")
+    for _ in range(3):
+        process = subprocess.Popen(
+            [sys.executable, "-c", REBUILD, str(store.folder), str(store.folder.parent / "index.sqlite")],
+            stdout=subprocess.PIPE,
+        )
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"begun\n"
+        time.sleep(float(draw.uniform(0, 0.4)))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        assert pages(index) == expected
+    index.rebuild()
+    assert pages(index) == expected
+    assert list(store.folder.parent.glob(".index.sqlite.*.new")) == []
+
+
+def test_an_index_of_another_version_or_none_is_made_anew(store):
+    fill(store)
+    path = store.folder.parent / "index.sqlite"
+    expected = pages(opened(store))
+    path.write_bytes(b"this is no database, and never was one" * 100)
+    assert pages(opened(store)) == expected
+    path.unlink()
+    with pytest.raises(ResultError, match="oysterbench leaderboard rebuild"):
+        SqlIndex(path, store).boards()
+    assert pages(opened(store)) == expected
+
+
+def test_an_index_in_a_wrong_place_is_refused_in_one_line_without_its_password(store):
+    with pytest.raises(ResultError, match="expected SQLite or PostgreSQL"):
+        SqlIndex("mysql+pymysql://user@host/name", store)
+    pytest.importorskip("psycopg")
+    index = SqlIndex("postgresql://user:secret@127.0.0.1:1/name", store)
+    with pytest.raises(ResultError) as caught:
+        index.boards()
+    assert "\n" not in str(caught.value)
+    assert "secret" not in str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def postgres() -> Iterator[str]:
+    """The URL of a server that lives as long as these tests."""
+    pytest.importorskip("psycopg")
+    if shutil.which("initdb") is None or shutil.which("pg_ctl") is None:
+        pytest.skip("PostgreSQL is not installed")
+    folder = Path(tempfile.mkdtemp(prefix="oysterbench-postgres-"))
+    as_user: dict[str, str] = {}
+    if os.geteuid() == 0:  # which the server refuses to be run as
+        shutil.chown(folder, "postgres")
+        as_user = {"user": "postgres"}
+    data = folder / "data"
+    try:
+        run = {"check": True, "capture_output": True, "timeout": 120, "cwd": folder, **as_user}
+        subprocess.run(["initdb", "-D", data, "-U", "board", "-A", "trust", "-E", "UTF8"], **run)
+        subprocess.run(
+            ["pg_ctl", "-D", data, "-l", folder / "log", "-w", "-o", f"-c listen_addresses='' -k {folder}", "start"],
+            **{**run, "capture_output": False, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL},
+        )
+        yield f"postgresql+psycopg://board@/postgres?host={folder}"
+    finally:
+        subprocess.run(["pg_ctl", "-D", data, "-m", "immediate", "stop"], capture_output=True, cwd="/", **as_user)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def test_postgresql_gives_the_same_answers(store, postgres):
+    records = records_made()
+    half = dict(list(records.items())[:5])
+    for record in half.values():
+        store.add(record)
+    index = open_index(store, postgres)
+    before, revision = pages(index), index.revision
+    assert before == pages(opened(store))
+    fill(store)
+    index.refresh()
+    assert pages(index) == pages(opened(store))
+    assert index.revision != revision
+    index.rebuild()
+    fresh = opened(store)
+    assert pages(index) == pages(fresh)
+    assert index.methods() == fresh.methods()
+    assert pages(index, replace(ALL, sort="method")) == pages(fresh, replace(ALL, sort="method"))
+    assert pages(index, replace(ALL, sort="coverage", descending=True, text="%")) == pages(
+        fresh, replace(ALL, sort="coverage", descending=True, text="%")
+    )
