@@ -17,7 +17,7 @@ from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Comparison, Sample, Standing, Summary, compare, rank, summarise
 from oysterbench.results import ResultRecord, comparable_key, method_key, plain, samples, weights_of
 
-PRIMARY = {"slam": "score", "segmentation": "iou", "detection": "ap_mask"}
+PRIMARY = {"slam": "score", "segmentation": "iou", "detection": "ap_mask", "density": "map_score"}
 """Track -> the metric that ranks."""
 
 

@@ -36,7 +36,7 @@ MAY_IMPORT = {
     "gallery": GROUND | {"stage"},
     "methods": GROUND | {"sequence"},
     "mapping": GROUND | {"sequence"},
-    "cli_map": GROUND | {"mapping", "sequence"},
+    "cli_map": GROUND | {"mapping", "density", "sequence"},
     "labelled": GROUND | {"sequence"},
     "density": GROUND | {"sequence", "mapping", "labelled", "answers", "page"},
     "surveys": GROUND

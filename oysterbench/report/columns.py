@@ -79,17 +79,39 @@ DETECTION = (
     Column("density_error_per_m2", "density", "err/m\N{SUPERSCRIPT TWO}", decimals=1, small=0.0),
 )
 
-OF_TRACK = {"slam": COLUMNS, "segmentation": SEGMENTATION, "detection": DETECTION}
+DENSITY = (
+    Column("map_score", "score", "", decimals=3, small=0.0),
+    Column("count_error_percent", "count", "% error", decimals=1, small=0.0),
+    Column("live_error_percent", "live", "% error", decimals=1, small=0.0),
+    Column("cell_mae_per_m2", "MAE", "per m\N{SUPERSCRIPT TWO}", decimals=1, small=0.0),
+    Column("cell_bias_per_m2", "bias", "per m\N{SUPERSCRIPT TWO}", decimals=1, small=0.0),
+    Column("right_class", "class", "% right", factor=100.0, decimals=0, small=0.0),
+    Column("twice_percent", "twice", "%", decimals=1, small=0.0),
+    Column("lost_percent", "lost", "%", decimals=1, small=0.0),
+    Column("coverage", "cover", "%", factor=100.0),
+)
+
+OF_TRACK = {"slam": COLUMNS, "segmentation": SEGMENTATION, "detection": DETECTION, "density": DENSITY}
 """Track -> columns of its results."""
 
-STANDING_OF_TRACK = {"slam": STANDING, "segmentation": SEGMENTATION[1:], "detection": DETECTION[1:]}
+STANDING_OF_TRACK = {
+    "slam": STANDING,
+    "segmentation": SEGMENTATION[1:],
+    "detection": DETECTION[1:],
+    "density": DENSITY[1:],
+}
 """Track -> columns of its standings, beside the metric that ranks."""
 
-ERROR_OF_TRACK = {"slam": "ate_percent", "segmentation": "boundary_iou", "detection": "count_mae"}
+ERROR_OF_TRACK = {
+    "slam": "ate_percent",
+    "segmentation": "boundary_iou",
+    "detection": "count_mae",
+    "density": "cell_mae_per_m2",
+}
 """Track -> the metric that is shown beside the one that ranks, over conditions and over runs."""
 
 
 def find_column(key: str) -> Column:
     """The column of a metric."""
-    known = (*COLUMNS, *STANDING, *SEGMENTATION, *DETECTION)
+    known = (*COLUMNS, *STANDING, *SEGMENTATION, *DETECTION, *DENSITY)
     return next(column for column in known if column.key == key)

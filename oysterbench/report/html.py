@@ -20,6 +20,7 @@ from oysterbench.files import write_atomically
 from oysterbench.page import STYLES, page
 from oysterbench.plots import Curve, point_swatch, scatter_plot
 from oysterbench.report.columns import ERROR_OF_TRACK, OF_TRACK, STANDING_OF_TRACK
+from oysterbench.report.density import DensityRun, maps_section
 from oysterbench.report.images import DatasetRow, ImageRun, curves_section, dataset_tables, samples_section
 from oysterbench.report.sequences import SlamRun, card, sequence_section
 from oysterbench.report.tables import (
@@ -41,9 +42,9 @@ OPEN_SEQUENCES = 3  # more are folded away, all but the first
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
 
 
-Runs = Sequence[SlamRun] | Sequence[ImageRun]
+Runs = Sequence[SlamRun] | Sequence[ImageRun] | Sequence[DensityRun]
 
-TITLES = {"slam": "SLAM", "segmentation": "Segmentation", "detection": "Detection"}
+TITLES = {"slam": "SLAM", "segmentation": "Segmentation", "detection": "Detection", "density": "Oyster maps"}
 
 
 def write_html_report(
@@ -89,6 +90,7 @@ def html_report(runs: Runs, command: str, title: str | None = None, data_set: Se
     drawn = any(run.result is not None for run in runs)
     parts += [_board(board, styles, compared=len(board.sequences) > 1 or not drawn) for board in found]
     parts.append(samples_section([run for run in runs if isinstance(run, ImageRun)]))
+    parts.append(maps_section([run for run in runs if isinstance(run, DensityRun)]))
     for i, sequence in enumerate(sequences if slam else ()):
         of_sequence = [run for run in slam if run.record.sequence == sequence]
         failed = all(run.record.failure is not None for run in of_sequence)
