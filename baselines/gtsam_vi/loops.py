@@ -179,7 +179,6 @@ class LoopCloser:
         """The key frames with what the loops have taught: states of the pose graph, merged tracks."""
         if not self.loops:
             return keyframes
-        self.graph.solve()
         corrected = [replace(k, state=_moved(k.state, self._correction_at(k.index))) for k in keyframes]
         return join(corrected, self.places, self.loops, self.model, self.settings.merge_px)
 

@@ -42,7 +42,7 @@ class PoseGraph:
         self.poses: list[Array] = []  # with what the loops have corrected
         self._sums = np.zeros((1, 5))  # of heading variance times 1, x, y, x^2 + y^2; of position variance
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self._waiting = 0  # loops that have not been solved for
+        self._passed_by = 0  # loops since the last one that was taken in
 
     @property
     def correction(self) -> Array:
@@ -76,20 +76,16 @@ class PoseGraph:
         """A loop: the second place's level pose as seen from the first's; covariance (4, 4) of heading and position in
         the first's axes. Robust: one that all others contradict loses its weight (Cauchy).
 
-        To solve costs as much as the graph is large: in a large one, some loops wait for the next.
+        Time and memory grow with the graph and its loops, and neighbouring loops say the same: a large graph takes one
+        of several, the fewer the larger it is.
         """
+        if self._passed_by + 1 < len(self.poses) // self.settings.loop_places:
+            self._passed_by += 1
+            return
+        self._passed_by = 0
         cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(self.settings.loop_cauchy)
         noise = gtsam.noiseModel.Robust.Create(cauchy, _noise(T_first_second, covariance))
         self._graph.push_back(gtsam.BetweenFactorPose3(X(first), X(second), gtsam.Pose3(T_first_second), noise))
-        self._waiting += 1
-        if self._waiting >= len(self.poses) // self.settings.loop_wait_places:
-            self.solve()
-
-    def solve(self) -> None:
-        """Correct all poses by all loops."""
-        if self._waiting == 0:
-            return
-        self._waiting = 0
         self._isam.update(self._graph, self._values)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for _ in range(self.settings.loop_iterations):

@@ -124,7 +124,7 @@ class Settings:
     loop_heading_floor: float = 0.002  # rad, 1 sigma: of landmarks and window, added to each loop
     loop_floor_m: float = 0.01  # likewise
     loop_iterations: int = 3
-    loop_wait_places: int = 100  # of the pose graph, for each of which one more loop waits to be solved for
+    loop_places: int = 100  # of the pose graph, per each of which one loop more is passed by before one is taken in
     most_places: int = 300  # beyond, ground that a loop has shown to be known is not kept again
     merge_px: float = 1.5  # a landmark found again this near a track is that track
 

@@ -239,16 +239,16 @@ def test_the_uncertainty_of_odometry_is_that_of_many_drifts():
     assert position > 0.9 * measured[1:].max()
 
 
-def test_loops_wait_for_each_other_in_a_large_graph_and_lose_nothing_by_it():
+def test_a_large_graph_takes_in_one_loop_of_several_and_is_as_right():
     true, drifted = square(np.random.default_rng(0))
-    prompt, patient = graph_of(drifted), graph_of(drifted, dataclasses.replace(SETTINGS, loop_wait_places=13))
-    for graph in (prompt, patient):  # of 65 places: five loops are solved for at a time
-        for k in range(0, 16, 4):
+    all_of_them, few = graph_of(drifted), graph_of(drifted, dataclasses.replace(SETTINGS, loop_places=16))
+    for k in range(16):  # of 65 places: every fourth
+        for graph in (all_of_them, few):
             graph.close(k, k + 32, invert(true[k]) @ true[k + 32], np.diag([1e-6] + [1e-5] * 3))
-    np.testing.assert_allclose(patient.poses, drifted, atol=1e-9)
-    patient.solve()
-    np.testing.assert_allclose(patient.poses, prompt.poses, atol=2e-3)
-    assert error(patient.poses, true) < 0.8 * error(drifted, true)
+        if k == 2:
+            np.testing.assert_allclose(few.poses, drifted, atol=1e-9)
+    assert error(few.poses, true) < 0.9 * error(drifted, true)
+    assert error(few.poses, true) < error(all_of_them.poses, true) + 0.01
 
 
 def test_a_place_that_is_forgotten_takes_no_more_memory_and_gets_no_votes():
