@@ -1,0 +1,397 @@
+"""What a server does with submissions, without a server: quotas, states, publication, and what a crash leaves."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from served import FAST, answers, lay_split, make_service
+
+from oysterbench.errors import ResultError
+from oysterbench_leaderboard.submissions import limited, queue
+from oysterbench_leaderboard.submissions.bundle import check_bundle, open_bundle
+from oysterbench_leaderboard.submissions.catalogue import Wanted
+from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.scoring import score_bundle
+from oysterbench_leaderboard.submissions.service import Form, upload_of
+from oysterbench_leaderboard.submissions.settings import Settings, load_settings
+from oysterbench_leaderboard.submissions.state import State, find, log, submissions
+from oysterbench_leaderboard.submissions.tokens import Guesses, issue, listed, network, recognise, revoke
+
+FORM = Form("carp", "pool-test")
+
+
+@pytest.fixture(scope="module")
+def laid(tmp_path_factory):
+    """Splits alone, which every test copies."""
+    folder = tmp_path_factory.mktemp("laid")
+    lay_split(folder / "splits", "pool-test")
+    lay_split(folder / "splits", "pool-val", hidden=False)
+    return folder
+
+
+class Clock:
+    """Time that passes when it is told to."""
+
+    def __init__(self) -> None:
+        self.now = 1_800_000_000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """What the limited process does, done in this one: its answers are the same, and quicker."""
+
+    def check(settings, path, wanted, log):
+        return check_bundle(open_bundle(path, (w := Wanted.from_dict(wanted)), limited.limits_of(settings)), w)
+
+    def run(job, allowance, stop=None, beat=None, beat_s=10.0):
+        wanted = Wanted.from_dict(job["wanted"])
+        bundle = open_bundle(Path(job["path"]), wanted, limited.Limits(**job["limits"]))
+        scored = score_bundle(bundle, wanted, job["truth"], job["method"], job["created"], wanted.hidden)
+        results = [record.to_dict() for record in scored.results]
+        return limited.Ended({"results": results, "data_set": scored.data_set, "curves": scored.curves}, "", "")
+
+    monkeypatch.setattr(limited, "check", check)
+    monkeypatch.setattr(limited, "run", run)
+
+
+@pytest.fixture
+def service(laid, tmp_path, here):
+    shutil.copytree(laid / "splits", tmp_path / "splits")
+    made = make_service(tmp_path, **FAST)
+    made.clock = Clock()
+    issue(made.state, "reef lab")
+    issue(made.state, "others")
+    yield made
+    made.close()
+
+
+def send(service, tmp_path, case=0, form=FORM, team="reef lab"):
+    file = service.incoming / f"x{case}"
+    file.write_bytes(answers(tmp_path, case))
+    return service.submit(team, form, upload_of(file))
+
+
+def events(service, what=""):
+    with service.state.reading() as connection:
+        return [event for event in log(connection, limit=10_000) if event["what"] == what or not what]
+
+
+# Tokens:
+
+
+def test_a_token_is_shown_once_and_only_its_hash_is_kept(tmp_path):
+    state = State(Settings(folder=tmp_path / "private"))
+    one, two = issue(state, "reef lab"), issue(state, "reef lab")
+    assert one != two
+    with state.reading() as connection:
+        assert recognise(connection, one).team == recognise(connection, two).team == "reef lab"
+        for wrong in (one[:-1], one + "x", one.replace("oyb", "oya"), one.upper(), "", "oyb__", "x" * 10_000):
+            assert recognise(connection, wrong) is None
+    kept = b"".join(path.read_bytes() for path in (tmp_path / "private").iterdir())
+    assert one.split("_", 2)[2].encode() not in kept
+    assert (tmp_path / "private").stat().st_mode & 0o77 == 0
+    assert [row["team"] for row in listed(state)] == ["reef lab", "reef lab"]
+    state.close()
+
+
+def test_tokens_are_revoked_one_by_one_or_with_their_team(tmp_path):
+    state = State(Settings(folder=tmp_path))
+    one, two = issue(state, "reef lab"), issue(state, "reef lab")
+    assert revoke(state, one.split("_")[1]) == [one.split("_")[1]]
+    with state.reading() as connection:
+        assert recognise(connection, one) is None
+        assert recognise(connection, two) is not None
+    assert revoke(state, "reef lab") == [two.split("_")[1]]
+    with state.reading() as connection:
+        assert recognise(connection, two) is None
+    with pytest.raises(ResultError, match="no team and no token is named 'nobody'"):
+        revoke(state, "nobody")
+    state.close()
+
+
+@pytest.mark.parametrize("name", ["", " x", "a\nb", "x" * 81])
+def test_a_team_has_a_plain_name(tmp_path, name):
+    state = State(Settings(folder=tmp_path))
+    with pytest.raises(ResultError):
+        issue(state, name)
+    state.close()
+
+
+def test_guesses_are_counted_by_address_and_all_together(tmp_path):
+    guesses = Guesses(Settings(folder=tmp_path, guesses_of_address=3, guesses=5))
+    for _ in range(3):
+        guesses.check("10.0.0.1")
+        guesses.failed("10.0.0.1")
+    with pytest.raises(Refusal, match="too many wrong tokens"):
+        guesses.check("10.0.0.1")
+    guesses.check("10.0.0.2")
+    guesses.failed("10.0.0.2")
+    guesses.failed("2001:db8::1")
+    with pytest.raises(Refusal):
+        guesses.check("10.0.0.2")
+    with pytest.raises(Refusal):
+        guesses.check("2001:db8::ffff")  # of the same network
+    guesses.check("10.0.0.3")  # has never sent a wrong one
+    assert network("::ffff:10.0.0.1") == "10.0.0.1"
+
+
+# Sending:
+
+
+def test_the_same_bytes_for_the_same_place_are_one_submission(service, tmp_path):
+    first, new = send(service, tmp_path)
+    assert new
+    again, new = send(service, tmp_path)
+    assert (again, new) == (first, False)
+    other, new = send(service, tmp_path, form=replace(FORM, method="pike"))
+    assert new
+    assert other.id != first.id
+    _, new = send(service, tmp_path, team="others")
+    assert new
+    assert len(events(service, "queued")) == 3
+    assert len(list(service.estimates.iterdir())) == 1, "kept once"
+
+
+def test_quotas_count_what_was_accepted_in_a_day_and_on_a_split(service, tmp_path):
+    service.settings = replace(service.settings, per_day=2, per_split=3)
+    send(service, tmp_path, 1)
+    bad = service.incoming / "bad"
+    bad.write_bytes(b"1 2 3\n")
+    with pytest.raises(Refusal, match="has 2 sequences, and one file does not say"):
+        service.submit("reef lab", FORM, upload_of(bad))
+    service.clock.now += 3600
+    send(service, tmp_path, 2)
+    with pytest.raises(Refusal, match="2 submissions in 24 hours are all that a team has") as refused:
+        send(service, tmp_path, 3)
+    assert 82_000 < refused.value.retry_s <= 82_801
+    send(service, tmp_path, 3, team="others")
+    service.clock.now += 86_400
+    send(service, tmp_path, 3)
+    with pytest.raises(Refusal, match="3 submissions to pool-test are all that a team has"):
+        send(service, tmp_path, 4)
+    send(service, tmp_path, 4, form=replace(FORM, split="pool-val"))
+
+
+# Scoring:
+
+
+def test_what_is_queued_is_scored_once_and_stays_private(service, tmp_path):
+    made, _ = send(service, tmp_path)
+    assert queue.drain(service) == 1
+    assert queue.drain(service) == 0
+    found = service.get("reef lab", made.id)
+    assert (found.state, found.attempt, found.reason) == ("done", 1, "")
+    record = service.record(found)
+    assert (record.method, record.team, record.tier, record.split) == ("carp", "reef lab", "scored", "pool-test")
+    assert record.created == found.created
+    assert set(record.estimates.values()) == {found.digest}
+    assert record.curves == ""
+    assert all(not result.hardware and result.created == found.created for result in record.results)
+    assert service.store.digests() == []
+    with pytest.raises(Refusal, match="no such submission of yours"):
+        service.get("others", made.id)
+
+
+def test_a_second_scoring_gives_the_same_bytes(service, tmp_path):
+    send(service, tmp_path)
+    mine = queue.claim(service)
+    queue.score(service, mine, threading.Event())
+    first = service.get("reef lab", mine.id).record
+    with service.state.writing() as connection:
+        queue.change(connection, mine.id, service.now(), state="queued")
+    service.clock.now += 1000
+    queue.drain(service)
+    assert service.get("reef lab", mine.id).record == first
+
+
+def test_a_worker_that_is_not_heard_of_is_replaced_and_comes_back_too_late(service, tmp_path):
+    made, _ = send(service, tmp_path)
+    lost = queue.claim(service)
+    assert queue.claim(service) is None, "it is somebody's"
+    service.clock.now += FAST["lease_s"] / 2
+    assert queue.renew(service, lost)
+    service.clock.now += FAST["lease_s"] - 0.1
+    assert queue.claim(service) is None, "the lease was renewed"
+    service.clock.now += 0.2
+    other = queue.claim(service)
+    assert (other.id, other.attempt) == (made.id, 2)
+    assert not queue.renew(service, lost)
+    assert not queue.finish(service, lost, "done", record="0" * 64)
+    assert service.get("reef lab", made.id).state == "running"
+    assert queue.finish(service, other, "failed", reason="x")
+    assert not queue.finish(service, other, "done", record="0" * 64)
+    assert len(events(service, "done")) == 0
+    assert len(events(service, "failed")) == 1
+
+
+def test_what_was_begun_most_often_comes_last(service, tmp_path):
+    first, _ = send(service, tmp_path, 1)
+    queue.claim(service)
+    service.clock.now += 100
+    second, _ = send(service, tmp_path, 2)
+    assert queue.claim(service).id == second.id
+    assert queue.claim(service).id == first.id
+
+
+@pytest.mark.parametrize(
+    ("cause", "reason"),
+    [("time", "scoring took longer than is allowed"), ("memory", "more memory"), ("crash", "ended without a result")],
+)
+def test_a_scoring_without_an_answer_fails_with_a_sentence_of_the_list(service, tmp_path, monkeypatch, cause, reason):
+    said = "Traceback: truth at /secret/place is 1.234"
+    monkeypatch.setattr(limited, "run", lambda *args: limited.Ended(None, cause, said))
+    made, _ = send(service, tmp_path)
+    tries = queue.drain(service)
+    found = service.get("reef lab", made.id)
+    assert found.state == "failed"
+    assert reason in found.reason
+    assert found.reason in queue.FAILED.values()
+    assert tries == (service.settings.attempts if cause == "crash" else 1)
+    assert "/secret/place" in (service.settings.folder / "private.log").read_text()
+    assert "/secret/place" not in str(events(service))
+
+
+def test_nothing_that_can_be_scored_is_a_failure(service, tmp_path):
+    from served import NAMES, estimate, tum, zipped
+
+    late = {
+        f"{name}.tum": tum(replace(e := estimate(k), stamps_ns=e.stamps_ns + 10**15), tmp_path)
+        for k, name in enumerate(NAMES)
+    }
+    file = service.incoming / "late"
+    file.write_bytes(zipped(late))
+    made, _ = service.submit("reef lab", FORM, upload_of(file))
+    queue.drain(service)
+    found = service.get("reef lab", made.id)
+    assert found.state == "failed"
+    assert found.reason.startswith("no sequence could be scored; pool-01: the path is refused: it has no pose at")
+
+
+# Publishing:
+
+
+def done(service, tmp_path, case=0, **form):
+    made, _ = send(service, tmp_path, case, replace(FORM, **form))
+    queue.drain(service)
+    return made.id
+
+
+def test_a_record_comes_onto_the_board_when_its_team_says_so(service, tmp_path):
+    told = []
+    service.changed = lambda: told.append(1)
+    id = done(service, tmp_path)
+    with pytest.raises(Refusal, match="no such submission of yours"):
+        service.publish("others", id)
+    found = service.publish("reef lab", id)
+    assert service.store.digests() == [found.published]
+    assert service.store.record(found.published).team == "reef lab"
+    assert service.publish("reef lab", id).published == found.published
+    assert len(told) == 1
+    assert len(events(service, "published")) == 1
+
+
+def test_only_what_is_done_is_published(service, tmp_path):
+    made, _ = send(service, tmp_path)
+    with pytest.raises(Refusal, match="this submission is queued"):
+        service.publish("reef lab", made.id)
+
+
+def test_a_later_submission_takes_the_place_of_the_one_before(service, tmp_path):
+    ids = [done(service, tmp_path, case) for case in range(3)]
+    digests = [service.publish("reef lab", id).published for id in ids]
+    records = [service.store.record(digest) for digest in digests]
+    assert [record.supersedes for record in records] == ["", digests[0], digests[1]]
+    service.withdraw("reef lab", ids[2])
+    last = service.publish("reef lab", done(service, tmp_path, 3))
+    other = service.publish("reef lab", done(service, tmp_path, 4, method="pike"))
+    assert service.store.record(last.published).supersedes == digests[1]
+    assert service.store.record(other.published).supersedes == ""
+
+
+def test_paths_are_kept_with_records_of_public_splits_alone(service, tmp_path):
+    found = service.publish("reef lab", done(service, tmp_path, split="pool-val"))
+    record = service.store.record(found.published)
+    assert set(service.store.curves(record.curves)["sequences"]) == {"pool-01", "pool-02"}
+    assert "path_length_m" in record.results[0].metrics
+    hidden = service.publish("reef lab", done(service, tmp_path))
+    record = service.store.record(hidden.published)
+    assert record.curves == ""
+    assert "path_length_m" not in record.results[0].metrics
+
+
+def test_a_withdrawal_is_announced_and_logged(service, tmp_path):
+    found = service.publish("reef lab", done(service, tmp_path))
+    gone = service.withdraw("reef lab", found.id, "a mistake in the calibration")
+    assert (gone.state, gone.reason) == ("withdrawn", "a mistake in the calibration")
+    (notice,) = service.store.notices()
+    assert (notice.record, notice.action, notice.reason) == (found.published, "withdrawn", gone.reason)
+    assert events(service, "withdrawn")[0]["who"] == "reef lab"
+    assert service.withdraw("reef lab", found.id, "again") == gone
+    assert service.store.digests() == [found.published], "records stay"
+    with pytest.raises(Refusal, match="this submission is withdrawn"):
+        service.publish("reef lab", found.id)
+
+
+def test_what_is_withdrawn_while_it_is_scored_stays_withdrawn(service, tmp_path):
+    made, _ = send(service, tmp_path)
+    mine = queue.claim(service)
+    service.withdraw("reef lab", made.id)
+    queue.score(service, mine, threading.Event())
+    assert service.get("reef lab", made.id).state == "withdrawn"
+    assert service.store.notices() == []
+
+
+def test_what_a_crash_left_between_database_and_board_is_done_at_the_next_start(service, tmp_path):
+    service._show = lambda record: None  # the server dies before
+    service._announce = lambda found: None
+    one = service.publish("reef lab", done(service, tmp_path, split="pool-val"))
+    two = service.publish("reef lab", done(service, tmp_path, 1))
+    service.withdraw("reef lab", two.id)
+    assert service.store.digests() == []
+    service.close()
+    again = make_service(tmp_path)
+    assert again.store.digests() == sorted([one.published, two.published])
+    assert again.store.record(one.published).curves
+    assert [notice.record for notice in again.store.notices()] == [two.published]
+    again.close()
+
+
+def test_a_file_without_a_submission_is_no_harm(service, tmp_path):
+    """A crash after the file was kept, before it was counted: the sender has no answer, and sends it again."""
+    file = service.incoming / "x"
+    file.write_bytes(answers(tmp_path))
+    service._keep(upload_of(file))
+    made, new = send(service, tmp_path)
+    assert new
+    assert queue.drain(service) == 1
+    assert service.get("reef lab", made.id).state == "done"
+
+
+# Settings:
+
+
+def test_settings_come_from_the_private_folder(tmp_path):
+    (tmp_path / "settings.toml").write_text("per_day = 3\nlease_s = 5\n")
+    assert load_settings(tmp_path).per_day == 3
+    for text, said in (("per_dya = 3", "unknown key 'per_dya'"), ("per_day = 'x'", "expected a value like 10")):
+        (tmp_path / "settings.toml").write_text(text)
+        with pytest.raises(ResultError, match=said):
+            load_settings(tmp_path)
+
+
+def test_the_database_keeps_what_it_has_said(service, tmp_path):
+    made, _ = send(service, tmp_path)
+    with service.state.reading() as connection:
+        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
+        assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2
+    other = State(service.settings)
+    with other.reading() as connection:
+        assert [one.id for one in find(connection, submissions.c.team == "reef lab")] == [made.id]
+    other.close()
