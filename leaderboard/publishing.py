@@ -24,7 +24,7 @@ from oysterbench_leaderboard.store import RecordStore
 SAME = 1e-6
 """Of a value: how near a score that is computed again must be to the one in the results."""
 
-_FOLDERS = re.compile(r"(?<![^\s=:,'\"])(?:~|\.{1,2})?/(?:[^/\s=:,'\"]+/)*")
+_FOLDERS = re.compile(r"(?<![^\s=,'\"])(?:~|\.{1,2})?/(?:[^/\s=:,'\"]+/)*")
 """Of a path, all but its last part, wherever in an argument it begins."""
 
 Say = Callable[[str], None]
