@@ -10,6 +10,8 @@ from typing import Any
 import click
 
 from oysterbench.cli_compare import compare_command
+from oysterbench.cli_density import TRACK as DENSITY
+from oysterbench.cli_density import Mapping, density_options, evaluate_density
 from oysterbench.cli_hub import COMMANDS as HUB_COMMANDS
 from oysterbench.cli_imaging import TRACKS as IMAGE_TRACKS
 from oysterbench.cli_imaging import Imaging, evaluate_images, imaging_options
@@ -24,7 +26,7 @@ from oysterbench.cli_splits import splits
 from oysterbench.errors import OysterbenchError
 from oysterbench.version import VERSION
 
-TRACKS = ("slam", *IMAGE_TRACKS)
+TRACKS = ("slam", *IMAGE_TRACKS, DENSITY)
 DEFAULT_SPLIT = {"slam": "slam-mini"}
 DEFAULT_METHODS = {"slam": ("gtsam_vi", "dead_reckoning")}
 """On slam-mini, one camera and an inertial unit: gtsam_full has nothing there that gtsam_vi has not, and visual_only,
@@ -120,6 +122,7 @@ for _command in (
 @reading_options
 @scoring_options
 @imaging_options
+@density_options
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of the results.  [default: under the home]"
 )
@@ -135,6 +138,7 @@ def eval_command(
     reading: Reading,
     settings: Scoring,
     imaging: Imaging,
+    mapping: Mapping,
     out: Path | None,
     workers: int | None,
     times: int | None,
@@ -152,6 +156,8 @@ def eval_command(
       oysterbench eval --track segmentation --method my_net:MyNet --split seg-val
       oysterbench eval --track segmentation --truth masks/ --estimate probabilities/ --threshold 0.4
       oysterbench eval --track detection --truth instances.json --estimate results.json
+      oysterbench eval --track density --split slam-val --method gtsam_full --method dead_reckoning
+      oysterbench eval --track density --split slam-val --poses results --masks answers --depth stereo
 
     The split is rendered on first use. The folder of results has them as JSON, CSV, LaTeX, Markdown and as an HTML
     report. Run k of a method that draws random numbers has the method's seed + k.
@@ -164,6 +170,15 @@ def eval_command(
         raise click.UsageError(
             "--truth and --estimate score two files: --split, --method, --workers and --runs do not apply"
         )
+    if track == DENSITY:
+        names = [*reading.given, *(["--runs"] if times else []), *(["--truth"] if truth else [])]
+        names += [name for name in settings.given if name != "--align"]
+        if names:
+            raise click.UsageError(f"{', '.join(names)}: of other tracks, not of {track}")
+        imaging.refuse(tuple(imaging.given), "of the tracks segmentation and detection")
+        evaluate_density(split_name, method_names, mapping, settings.values.get("align"), out, workers, outputs)
+        return
+    mapping.refuse()
     if track in IMAGE_TRACKS:
         if names := [*reading.given, *(["--runs"] if times else []), *settings.given]:
             raise click.UsageError(f"{', '.join(names)}: of the track slam, not of {track}")

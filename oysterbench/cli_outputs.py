@@ -14,6 +14,7 @@ import click
 
 if TYPE_CHECKING:
     from oysterbench.report import DatasetRow, ImageRun, SlamRun
+    from oysterbench.report.density import DensityRun
 
 TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs", "md": "tables in Markdown"}
 """Forms of text, by their suffix."""
@@ -34,7 +35,7 @@ class Outputs:
 
     def write(
         self,
-        runs: Sequence[SlamRun] | Sequence[ImageRun],
+        runs: Sequence[SlamRun] | Sequence[ImageRun] | Sequence[DensityRun],
         folder: Path | None = None,
         data_set: Sequence[DatasetRow] = (),
     ) -> list[Path]:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -101,11 +102,10 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
     return TrueMap(count, oysters, cover)
 
 
-def oyster_centres(table: object) -> Array:
+def oyster_centres(table: Any) -> Array:
     """(N, 3) m in `map`: from the umbo half of the height towards the bill (the shell's x)."""
-    frame: object = table
-    quaternions = frame[["qx", "qy", "qz", "qw"]].to_numpy()  # type: ignore[index]
-    umbos, heights = frame[["x", "y", "z"]].to_numpy(), frame["height_m"].to_numpy()  # type: ignore[index]
+    quaternions = table[["qx", "qy", "qz", "qw"]].to_numpy()
+    umbos, heights = table[["x", "y", "z"]].to_numpy(), table["height_m"].to_numpy()
     if len(umbos) == 0:
         return np.zeros((0, 3))
     return umbos + 0.5 * heights[:, None] * Rotation.from_quat(quaternions).as_matrix()[:, :, 0]
@@ -142,7 +142,7 @@ def run_survey(
     sequence, camera = survey.sequence, survey.camera
     truth = true_map(sequence, camera, settings)
     poses = sequence.truth()
-    about = {
+    about: dict[str, Any] = {
         "track": "density",
         "split": "" if split is None else split.name,
         "split_digest": "" if split is None else digest(split),

@@ -38,7 +38,7 @@ MAY_IMPORT = {
     "mapping": GROUND | {"sequence"},
     "cli_map": GROUND | {"mapping", "density", "sequence"},
     "labelled": GROUND | {"sequence"},
-    "density": GROUND | {"sequence", "mapping", "labelled", "answers", "page"},
+    "density": GROUND | {"sequence", "mapping", "labelled", "answers", "evaluate", "page"},
     "surveys": GROUND
     | {
         "sequence",
@@ -71,6 +71,23 @@ MAY_IMPORT = {
     | {"cli_outputs", "cli_render", "cli_scoring", "evaluate", "generate", "methods", "report", "results", "running"},
     "cli_imaging": GROUND
     | {"cli_outputs", "cli_render", "evaluate", "generate", "imaging", "methods", "report", "results"},
+    "cli_density": GROUND
+    | {
+        "cli_map",
+        "cli_outputs",
+        "cli_render",
+        "density",
+        "surveys",
+        "answers",
+        "imaging",
+        "evaluate",
+        "generate",
+        "methods",
+        "report",
+        "results",
+        "running",
+        "sequence",
+    },
     "cli_compare": {"errors", "cli_outputs", "results", "comparison", "report"},
     "hub": GROUND | {"sequence", "page"},
     "cli_hub": GROUND | {"generate", "hub", "salt"},
@@ -84,6 +101,7 @@ MAY_IMPORT = {
     | {
         "cli_compare",
         "cli_map",
+        "cli_density",
         "cli_imaging",
         "cli_outputs",
         "cli_hub",

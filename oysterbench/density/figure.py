@@ -19,6 +19,12 @@ EDGES = (5.0, 15.0, 30.0, 50.0, 100.0)
 LIVE, DEAD, UNKNOWN = "#f7f7f7", "#d95f02", "#ffd92f"
 STATE_COLOURS = {"live": LIVE, "dead": DEAD, "unknown": UNKNOWN}
 NONE = "#e5e8eb"
+DEPTHS = {
+    "stereo": "depth from the pair of cameras",
+    "motion": "depth from the camera's way",
+    "plane": "depth from echoes, as a plane",
+    "layer": "true depth",
+}
 
 PANEL, MARGIN, TOP, FOOT = 560.0, 28.0, 118.0, 128.0
 SQUARED = "\N{SUPERSCRIPT TWO}"
@@ -45,7 +51,7 @@ def figure(found: OysterMap) -> Drawing:
         sheet.rect(panel.left, panel.top, panel.width, panel.height, stroke=SOFT)
         sheet.text(panel.left, panel.top - 8, title, 14, bold=True)
     _scale_bar(sheet, panels[0])
-    _north(sheet, panels[0].left + panels[0].width - 18, TOP - 8)
+    _north(sheet, panels[0].left + panels[0].width - 22, TOP + 34)
     _legends(sheet, lefts, TOP + height + 24, found)
     return sheet
 
@@ -163,10 +169,14 @@ def _cells(sheet: Drawing, panel: _Panel, found: OysterMap, seen: NDArray[np.boo
     if edge < TEXT_CELL:
         return
     density: Array = grid.density
+    per_cell = round(grid.cell_m / found.cover.raster.edge_m)
     for row, column in zip(*np.nonzero(grid.known), strict=True):
-        x, y = panel.place(grid.west_m + (column + 0.5) * grid.cell_m, grid.north_m - (row + 0.5) * grid.cell_m)
+        part = seen[row * per_cell : (row + 1) * per_cell, column * per_cell : (column + 1) * per_cell]
+        down, right = (float(np.mean(at) + 0.5) * found.cover.raster.edge_m for at in np.nonzero(part))
+        x, y = panel.place(grid.west_m + column * grid.cell_m + right, grid.north_m - row * grid.cell_m - down)
         value = float(density[row, column])
-        dark = int(np.searchsorted(EDGES, value, side="right")) >= 4
+        # On little colour, white letters would stand on the paper beside it.
+        dark = int(np.searchsorted(EDGES, value, side="right")) >= 4 and part.mean() > 0.6
         text = f"{value:.0f}" if value >= 9.95 or value == 0 else f"{value:.1f}"
         text += "" if grid.sure[row, column] else "?"
         sheet.text(x, y + 4, text, min(14.0, 0.34 * edge), "middle", fill="#ffffff" if dark else INK)
@@ -199,7 +209,7 @@ def _legends(sheet: Drawing, lefts: tuple[float, float], top: float, found: Oyst
             sheet.dot(x + 6, top - 4, 5, STATE_COLOURS[state], INK)
             sheet.text(x + 17, top, name, 13)
             x += 34 + 7.2 * len(name)
-    pictures = f"{len(found.path)} of {found.pictures} pictures of {found.camera}, depth from {found.depth}"
+    pictures = f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}"
     sheet.text(lefts[0], top + 26, pictures, 12.5, fill=SOFT)
     sheet.text(lefts[0], top + 44, "What no picture shows, as others lie on it, is not counted.", 12.5, fill=SOFT)
     sheet.text(

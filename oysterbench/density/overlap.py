@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from oysterbench.density.projection import Patch
@@ -13,6 +14,7 @@ from oysterbench.density.settings import MapSettings
 from oysterbench.density.track import Track
 from oysterbench.geometry import Array
 
+Numbers = NDArray[np.integer]
 NEIGHBOURS = 6  # points near a point that are asked whose they are
 
 
@@ -56,7 +58,7 @@ def _sigma(patches: Sequence[Patch], settings: MapSettings) -> float:
     return float(np.sqrt(settings.shell_m**2 + 2.0 * np.mean([patch.sigma_m for patch in patches]) ** 2))
 
 
-def _laid(a: Array, of_a: Array, b: Array, of_b: Array, shape: tuple[int, int], sigma_m: float) -> Array:
+def _laid(a: Array, of_a: Numbers, b: Array, of_b: Numbers, shape: tuple[int, int], sigma_m: float) -> Array:
     """(N, M): mean over the points of each a of exp(-d^2 / 2 sigma^2), d to the nearest point of each b."""
     distances, nearest = cKDTree(b).query(a, k=NEIGHBOURS, distance_upper_bound=3.0 * sigma_m)
     closeness = np.exp(-0.5 * (distances / sigma_m) ** 2)  # 0 of what is too far

@@ -17,6 +17,8 @@ from oysterbench.answers.coco import CocoFile
 from oysterbench.answers.masks import Form, read_png
 from oysterbench.density.projection import Seen
 from oysterbench.errors import LabelError
+from oysterbench.evaluate.detection import ImageInstances
+from oysterbench.evaluate.detection.instances import mask_tools
 from oysterbench.recipe import CLASSES
 from oysterbench.sequence.types import Sequence
 
@@ -135,6 +137,18 @@ def components(
         means = np.bincount(numbers.ravel(), weights=probability.ravel(), minlength=count) / pixels
         scores = dict(enumerate(means.tolist()))
     return Seen(stamp_ns, camera, np.asarray(numbers, np.int32), scores=scores)
+
+
+def stacked(found: ImageInstances) -> tuple[NDArray[np.int32], dict[int, float]]:
+    """Numbers (H, W) and scores of single oysters with masks, the surest on top. Raises LabelError for boxes alone."""
+    numbers = np.zeros((found.height, found.width), dtype=np.int32)
+    scores = {}
+    for k, one in enumerate(sorted(found.instances, key=lambda one: one.score), start=1):
+        if one.mask is None:
+            raise LabelError(f"{found.name}: boxes alone have no footprint: expected masks of single oysters")
+        numbers[mask_tools().decode(one.mask) > 0] = k
+        scores[k] = one.score
+    return numbers, scores
 
 
 def _coco(place: Path, sequence: Sequence, camera: str, threshold: float) -> Iterator[Seen]:
