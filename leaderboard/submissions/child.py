@@ -29,12 +29,13 @@ def limit(allowance):
     memory, files = int(allowance["memory_bytes"]), int(allowance["file_bytes"])
     for kind, most in (
         (resource.RLIMIT_CORE, 0),
-        (resource.RLIMIT_CPU, int(allowance["cpu_s"])),
         (resource.RLIMIT_AS, memory),
         (resource.RLIMIT_FSIZE, files),
         (resource.RLIMIT_NOFILE, OPEN_FILES),
     ):
         resource.setrlimit(kind, (most, most))
+    # At the first limit the kernel says why it ends the process, at the second it does not.
+    resource.setrlimit(resource.RLIMIT_CPU, (int(allowance["cpu_s"]), int(allowance["cpu_s"]) + 2))
 
 
 def alone():
