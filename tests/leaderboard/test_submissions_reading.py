@@ -1,0 +1,303 @@
+"""What may be sent, read as the limited process reads it; and scored, against the same numbers by another way."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from served import IMAGES, NAMES, answers, classes, estimate, image_names, lay_split, path, tum, zipped
+
+from oysterbench.answers import sequence_clip
+from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, SegmentationSettings
+from oysterbench.evaluate.slam import SlamSettings, score
+from oysterbench.results import ResultRecord, document, read_results, write_results
+from oysterbench_leaderboard.submissions.archive import Limits
+from oysterbench_leaderboard.submissions.bundle import check_bundle, evaluator, open_bundle
+from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted, serve_split
+from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.scoring import OF_TRUTH, UNANSWERED, score_bundle, significant
+
+LIMITS = Limits(4_000_000, 1_000_000, 200, 20_000_000, 100.0)
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """The splits, by name."""
+    folder = tmp_path_factory.mktemp("splits")
+    kinds = (("pool-test", "slam", True), ("pool-val", "slam", False), ("pool-masks", "segmentation", True))
+    found = {}
+    for name, track, hidden in kinds:
+        recipe, truth = lay_split(folder, name, track, hidden)
+        found[name] = serve_split(str(recipe), truth, folder / "cache")
+    return found
+
+
+def wanted_of(served, split: str, track: str = "slam") -> Wanted:
+    made = served[split].wanted[track]
+    assert Wanted.from_dict(json.loads(json.dumps(made.to_dict()))) == made
+    return made
+
+
+def opened(tmp_path: Path, data: bytes, wanted: Wanted):
+    file = tmp_path / "upload"
+    file.write_bytes(data)
+    bundle = open_bundle(file, wanted, LIMITS)
+    return bundle, check_bundle(bundle, wanted)
+
+
+def npz(**arrays) -> bytes:
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays)
+    return out.getvalue()
+
+
+def masks(sequence: int, shift: int = 1) -> dict[str, np.ndarray]:
+    """Answers to the images of a sequence: the truth, moved by some pixels."""
+    names = image_names(sequence)
+    return {name: np.roll(classes(sequence, k)[1] > 0, shift, axis=1) for k, name in enumerate(names)}
+
+
+def as_png(mask: np.ndarray) -> bytes:
+    return cv2.imencode(".png", mask.astype(np.uint8) * 255)[1].tobytes()
+
+
+def as_coco(found: dict[str, np.ndarray]) -> bytes:
+    """COCO annotations: each connected piece of each mask, as uncompressed run lengths."""
+    document_ = {"images": [], "annotations": [], "categories": [{"id": 1, "name": "oyster"}]}
+    for k, (name, mask) in enumerate(found.items()):
+        document_["images"].append({"id": k, "file_name": f"{name}.png", "width": 64, "height": 48})
+        count, numbers = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+        for number in range(1, count):
+            flat = (numbers == number).ravel(order="F").astype(np.int8)
+            changes = np.flatnonzero(np.diff(flat, prepend=0))
+            counts = np.diff([0, *changes.tolist(), flat.size]).tolist()
+            row = {"id": len(document_["annotations"]) + 1, "image_id": k, "category_id": 1, "score": 1.0}
+            row["segmentation"] = {"size": [48, 64], "counts": counts}
+            document_["annotations"].append(row)
+    return json.dumps(document_).encode()
+
+
+# Paths:
+
+
+def test_paths_are_read_in_every_format_and_score_the_same(served, tmp_path):
+    wanted = wanted_of(served, "pool-test")
+    one, two = estimate(0), estimate(1)
+    columns = "#timestamp, p_x, p_y, p_z, q_w, q_x, q_y, q_z\n"
+    rows = [
+        ",".join([str(t), *(repr(float(v)) for v in (*p, q[3], *q[:3]))])
+        for t, p, q in zip(two.stamps_ns, two.positions, two.quaternions, strict=True)
+    ]
+    arrays = npz(stamps_ns=one.stamps_ns, positions=one.positions, quaternions=one.quaternions)
+    files = {"pool-01.npz": arrays, "pool-02.csv": (columns + "\n".join(rows)).encode()}
+    bundle, facts = opened(tmp_path, zipped(files), wanted)
+    assert facts == {"kind": "poses", "sequences": list(NAMES), "poses": 400, "images": 0}
+    text, _ = opened(tmp_path, zipped({"pool-01.txt": tum(one, tmp_path), "pool-02.tum": tum(two, tmp_path)}), wanted)
+    for name, trajectory in zip(NAMES, (one, two), strict=True):
+        assert np.allclose(bundle.poses[name]().positions, trajectory.positions, atol=1e-8)
+        assert np.allclose(text.poses[name]().positions, trajectory.positions, atol=1e-6)
+
+
+def test_a_score_is_the_evaluators(served, tmp_path):
+    wanted = wanted_of(served, "pool-val")
+    bundle, _ = opened(tmp_path, answers(tmp_path), wanted)
+    scored = score_bundle(bundle, wanted, served["pool-val"].truth, "carp", "2026-11-01T00:00:00Z", hidden=False)
+    for k, record in enumerate(scored.results):
+        (tmp_path / "y.tum").write_bytes(tum(estimate(k), tmp_path))
+        from oysterbench.trajectory import read_trajectory
+
+        expected = score(path(k), read_trajectory(tmp_path / "y.tum"), SlamSettings())
+        assert record.metrics["ate_rmse_m"] == pytest.approx(expected.metrics["ate_rmse_m"], rel=1e-9)
+        assert record.metrics["score"] == pytest.approx(expected.metrics["score"], rel=1e-9)
+        assert (record.evaluator_version, dict(record.settings)) == evaluator("slam")
+        assert record.split_digest == wanted.split_digest
+    hidden = wanted_of(served, "pool-test")
+    again = score_bundle(bundle, hidden, served["pool-test"].truth, "carp", "2026-11-01T00:00:00Z", hidden=True)
+    for open_, kept in zip(scored.results, again.results, strict=True):
+        assert set(open_.metrics) - set(kept.metrics) == {key for key in OF_TRUTH if key in open_.metrics}
+        for key, value in kept.metrics.items():
+            assert value == significant(value)
+            assert value == pytest.approx(open_.metrics[key], rel=1e-3, nan_ok=True)
+        assert kept.notes == ()
+    assert again.curves is None
+    assert set(scored.curves["sequences"]) == set(NAMES)
+
+
+def test_a_sequence_without_a_file_counts_as_failed(served, tmp_path):
+    wanted = wanted_of(served, "pool-test")
+    bundle, facts = opened(tmp_path, zipped({"pool-02.tum": tum(estimate(1), tmp_path)}), wanted)
+    assert facts["sequences"] == ["pool-02"]
+    first, second = score_bundle(bundle, wanted, served["pool-test"].truth, "carp", "x", hidden=True).results
+    assert (first.failure, first.metrics["score"], first.metrics["coverage"]) == (UNANSWERED, 0.0, 0.0)
+    assert second.failure is None
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b"1 2 3 4 0 0 0 1\n2 2 3 4 0 0 0\n", r"pool-01\.tum:2: expected 8 numbers"),
+        (b"1 2 3 4 0 0 0 1\n\n# x\n2 2 3 inf 0 0 0 1\n", r"pool-01\.tum:4: expected finite numbers, got z = inf"),
+        (b"1 2 3 4 0 0 0 1\n1 2 3 5 0 0 0 1\n", r"pool-01\.tum:2: expected one pose for each stamp"),
+        (b"1 2 3 4 0 0 0 9\n", r"pool-01\.tum:1: expected a unit quaternion"),
+        (b"\xff\xfe\x00", r"pool-01\.tum is not text"),
+        (b"", r"pool-01\.tum holds no pose"),
+        (b"1 0 0 0 0 1 0 0 0 0 1 0\n", r"pool-01\.tum: KITTI poses carry no stamps"),
+    ],
+)
+def test_what_is_wrong_with_a_path_is_said_by_line(served, tmp_path, text, said):
+    with pytest.raises(Refusal, match=said):
+        opened(tmp_path, zipped({"pool-01.tum": text}), wanted_of(served, "pool-test"))
+
+
+# Images:
+
+
+def test_masks_arrays_and_annotations_score_the_same(served, tmp_path):
+    both = {**masks(0), **masks(1)}
+    forms = {
+        "png": zipped({f"{name}.png": as_png(mask) for name, mask in both.items()}),
+        "npz": npz(**both),
+        "npz of each": zipped({f"{name}.npz": npz(**masks(k)) for k, name in enumerate(NAMES)}),
+        "coco": as_coco(both),
+        "coco of each": zipped({f"{name}.json": as_coco(masks(k)) for k, name in enumerate(NAMES)}),
+    }
+    truth = served["pool-masks"].truth
+    for track, key in (("segmentation", "iou"), ("detection", "ap_mask")):
+        wanted = wanted_of(served, "pool-masks", track)
+        found = {}
+        for form, data in forms.items():
+            bundle, facts = opened(tmp_path, data, wanted)
+            assert facts == {"kind": "answers", "sequences": list(NAMES), "poses": 0, "images": 2 * IMAGES}
+            scored = score_bundle(bundle, wanted, truth, "net", "2026-11-01T00:00:00Z", hidden=True)
+            found[form] = [record.metrics[key] for record in scored.results]
+            assert scored.data_set["metrics"][key] > 0
+        assert len({tuple(values) for values in found.values()}) == 1, found
+        assert all(0.3 < value <= 1 for value in found["png"])
+
+
+def test_an_iou_is_the_evaluators(served, tmp_path):
+    wanted = wanted_of(served, "pool-masks", "segmentation")
+    bundle, _ = opened(tmp_path, npz(**masks(0, 2)), wanted)
+    first, second = score_bundle(bundle, wanted, served["pool-masks"].truth, "net", "x", hidden=True).results
+    scorer = ClipScorer(SegmentationSettings())
+    for truth, _ in sequence_clip(served["pool-masks"].truth["pool-01"]).images():
+        scorer.add(truth, EstimateImage(truth.name, oyster=masks(0, 2)[truth.name]))
+    assert first.metrics["iou"] == significant(scorer.result().metrics["iou"])
+    assert second.failure == UNANSWERED
+    assert second.metrics["union_px"] > 0, "it counts by the pixels that it missed"
+    assert "cover" not in first.metrics
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda: npz(**dict(list(masks(0).items())[:2])), "pool-01: 1 of 3 images are not answered"),
+        (lambda: npz(**{"pool-01/cam/7": np.ones((48, 64), bool)}), "names no image of pool-masks"),
+        (lambda: npz(**{name: mask[:, :60] for name, mask in masks(0).items()}), "expected 64 x 48 pixels"),
+        (lambda: npz(**{name: mask * 2.0 for name, mask in masks(0).items()}), "expected probabilities from 0 to 1"),
+        (lambda: npz(**{name: np.where(mask, np.nan, 0) for name, mask in masks(0).items()}), "from 0 to 1, got nan"),
+        (lambda: zipped({f"{name}.png": as_png(mask)[:-9] for name, mask in masks(0).items()}), "not a whole PNG"),
+        (lambda: zipped({f"{name}.png": b"<svg/>" for name in image_names(0)}), "not a PNG file"),
+        (lambda: as_coco(masks(0)).replace(b'"counts": [', b'"counts": [9, '), "add up to 3072 pixels, got 3081"),
+        (lambda: as_coco(masks(0)).replace(b'"width": 64', b'"width": 64000000'), "expected 64 x 48 pixels"),
+        (lambda: as_coco(masks(0)).replace(b'"image_id": 0', b'"image_id": 99'), r"annotations\[0\]: image_id 99"),
+        (lambda: b"[" * 100_000, "not valid JSON"),
+        (lambda: b"1 2 3 4 0 0 0 1\n", "expected COCO annotations"),
+    ],
+)
+def test_what_is_wrong_with_masks_is_said_by_name(served, tmp_path, made, said):
+    with pytest.raises(Refusal, match=said) as refused:
+        opened(tmp_path, made(), wanted_of(served, "pool-masks", "segmentation"))
+    assert "/proc/" not in refused.value.reason
+    assert str(tmp_path) not in refused.value.reason
+
+
+# Results:
+
+
+def reported(served, tmp_path, **changes) -> bytes:
+    """A results.json of the public split."""
+    wanted = wanted_of(served, "pool-val")
+    bundle, _ = opened(tmp_path, answers(tmp_path), wanted)
+    scored = score_bundle(bundle, wanted, served["pool-val"].truth, "mine", "2026-11-01T00:00:00Z", hidden=False)
+    write_results(tmp_path / "results.json", [replace(record, **changes) for record in scored.results])
+    return (tmp_path / "results.json").read_bytes()
+
+
+def test_results_of_a_public_split_are_taken_as_their_authors_computed_them(served, tmp_path):
+    wanted = wanted_of(served, "pool-val")
+    data = reported(served, tmp_path, conditions={"water": "clear"}, seed=3)
+    bundle, facts = opened(tmp_path, data, wanted)
+    assert facts["kind"] == "results"
+    scored = score_bundle(bundle, wanted, {}, "carp", "x", hidden=False)
+    before = read_results(tmp_path / "results.json")
+    assert [dict(record.metrics) for record in scored.results] == [dict(record.metrics) for record in before]
+    assert {record.method for record in scored.results} == {"carp"}
+    assert scored.results[0].conditions == wanted.conditions["pool-01"], "what it was like says the server"
+    assert scored.results[0].seed == 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"split_digest": "0" * 64}, r"results\[0\]: key 'split_digest': expected"),
+        ({"split": "slam-val"}, r"results\[0\]: key 'split': expected pool-val"),
+        ({"sequence": "pool-99"}, "'pool-99' is no sequence of pool-val"),
+        ({"evaluator_version": "slam 99"}, "expected the evaluator 'slam 3'"),
+        ({"settings": {"align": "sim3"}}, "with its usual settings"),
+        ({"metrics": {"<script>": 1.0}}, "'<script>' is no metric"),
+        ({"info": {"x": "a\u202eb"}}, "plain text in one line"),
+        ({"info": {"x": "y" * 3000}}, "at most 2000 characters"),
+        ({"run": 1, "sequence": "pool-01"}, "each run of a sequence once"),
+    ],
+)
+def test_results_that_would_not_stand_on_the_board_are_refused(served, tmp_path, changes, said):
+    data = reported(served, tmp_path, **changes)
+    with pytest.raises(Refusal, match=said):
+        opened(tmp_path, data, wanted_of(served, "pool-val"))
+
+
+def test_results_of_a_hidden_split_are_refused(served, tmp_path):
+    with pytest.raises(Refusal, match="pool-test is hidden: results are computed here"):
+        opened(tmp_path, reported(served, tmp_path), wanted_of(served, "pool-test"))
+
+
+def test_results_with_half_a_character_are_refused(served, tmp_path):
+    row = ResultRecord.from_json(json.dumps(json.loads(reported(served, tmp_path))["results"][0]))
+    text = json.dumps(document([replace(row, info={"x": "MARK"})])).replace("MARK", "\\ud800")
+    with pytest.raises(Refusal):
+        opened(tmp_path, text.encode(), wanted_of(served, "pool-val"))
+
+
+# Splits:
+
+
+def test_a_truth_of_another_split_is_refused(tmp_path):
+    from oysterbench.errors import ResultError
+
+    recipe, truth = lay_split(tmp_path, "pool-test")
+    _, other = lay_split(tmp_path, "pool-val", hidden=False)
+    with pytest.raises(ResultError, match="expected split 'pool-test', got 'pool-val'"):
+        serve_split(str(recipe), other)
+    with pytest.raises(ResultError, match="is hidden: expected --truth"):
+        serve_split(str(recipe))
+    (truth / "pool-02.mcap").unlink()
+    with pytest.raises(ResultError, match=r"expected .*pool-02\.mcap"):
+        serve_split(str(recipe), truth)
+
+
+def test_a_catalogue_says_what_there_is(served):
+    catalogue = Catalogue(served.values())
+    with pytest.raises(Refusal, match="the splits are pool-test, pool-val, pool-masks"):
+        catalogue.find("slam-test", "")
+    with pytest.raises(Refusal, match="pool-masks has the tracks segmentation, detection, got 'slam'"):
+        catalogue.find("pool-masks", "slam")
+    assert catalogue.find("pool-masks", "")[1].track == "segmentation"
+    told = json.dumps(catalogue.public())
+    assert "mcap" not in told
+    assert "truth" not in told
