@@ -225,7 +225,7 @@ def verify_command(context: click.Context, as_json: bool) -> None:
     type=click.Path(path_type=Path, exists=True, file_okay=False),
     help="Folder with the sequences of a hidden split.  [default: where public ones are rendered]",
 )
-@click.option("--split", help="Records of this split alone; needed with --truth.")
+@click.option("--split", help="Records of this split alone, by its name or its .toml recipe; needed with --truth.")
 @click.option("--reason", default="", help="Why.  [default: the evaluator's version]")
 @click.option("--again", is_flag=True, help="Also what this version has scored.")
 @click.option("--dry-run", is_flag=True, help="Score and show what would change; keep nothing.")
@@ -258,8 +258,12 @@ def rescore_command(
 
     if truth is not None and split is None:
         raise click.UsageError("--truth: expected --split with it: the truth is of one split")
-    place = find_place(context)
-    index = place.index()
+    recipe = None
+    if split is not None and split.endswith(".toml"):
+        from oysterbench.recipe import load_split
+
+        recipe, split = split, load_split(split).name
+    index = find_place(context).index()
     wanted = [index.row(digest) for digest in digests] or [
         row for board in index.boards() for row in _current(index, board.id) if split in (None, board.split)
     ]
@@ -272,7 +276,7 @@ def rescore_command(
             continue
         say(f"scoring {record.method} by {record.team} on {record.split}")
         why = reason or f"Scored again by {evaluator_of(record.track)[0]}, earlier by {record.evaluator_version}."
-        done = score_again(record, estimates, truth, why)
+        done = score_again(record, estimates, truth, why, recipe)
         if done.record is None:
             say(f"{before.digest[:8]} ({record.method} on {record.split}) was not scored again: {done.why}")
             continue

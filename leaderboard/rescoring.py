@@ -43,8 +43,18 @@ def is_outdated(record: Record) -> bool:
     return record.evaluator_version != version or dict(record.results[0].settings) != settings
 
 
-def score_again(record: Record, estimates: Path, truth: Path | None, reason: str, created: str | None = None) -> Again:
-    """Score what a record was made of; estimates: folder of files named by their SHA-256; truth: of a hidden split.
+def score_again(
+    record: Record,
+    estimates: Path,
+    truth: Path | None,
+    reason: str,
+    recipe: str | None = None,
+    created: str | None = None,
+) -> Again:
+    """Score what a record was made of.
+
+    estimates: folder of files named by their SHA-256; truth: folder with the sequences of a hidden split; recipe: of
+    the split, where it does not come with oysterbench
 
     What an upload holds is read and scored in a limited process, as when it came. Nothing is written.
     """
@@ -53,9 +63,10 @@ def score_again(record: Record, estimates: Path, truth: Path | None, reason: str
     try:
         files = {digest: _file(estimates, digest) for digest in set(record.estimates.values())}
         if record.tier == "scored":
-            results, data_set, curves = _score_upload(record, files, truth)
+            results, data_set, curves = _score_upload(record, files, truth, recipe or record.split)
         else:
-            results, data_set, curves = _score_paths(record, files, _truths(record, truth))
+            truths = _truths(record, truth, recipe or record.split)
+            results, data_set, curves = _score_paths(record, files, truths)
     except OysterbenchError as error:
         return Again(record.digest, None, str(error))
     made = replace(
@@ -83,7 +94,7 @@ Made = tuple[tuple[ResultRecord, ...], Mapping[str, Any] | None, dict[str, Any] 
 """Results, what is known over all sequences together, and curves."""
 
 
-def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None) -> Made:
+def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None, split: str) -> Made:
     """What a team sent, as one file, through the same limited process as when it came."""
     from oysterbench_leaderboard.submissions import limited
     from oysterbench_leaderboard.submissions.catalogue import serve_split
@@ -92,7 +103,7 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None)
     if len(files) > 1:
         raise ResultError(f"expected one upload, got {len(files)} files")
     ((digest, path),) = files.items()
-    served = serve_split(record.split, truth, path.parent / "images")
+    served = serve_split(split, truth, path.parent / "images")
     wanted = served.wanted[record.track]
     _check_recipe(record, wanted.split_digest)
     if not served.truth:
@@ -116,13 +127,13 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None)
     return results, ended.answer["data_set"], ended.answer["curves"]
 
 
-def _truths(record: Record, folder: Path | None) -> dict[str, Trajectory]:
+def _truths(record: Record, folder: Path | None, recipe: str) -> dict[str, Trajectory]:
     """Sequence -> true path, of the split as it is here."""
     from oysterbench.generate import digest, sequence_files, split_folder
     from oysterbench.recipe import load_split
     from oysterbench.sequence import open_sequence
 
-    split = load_split(record.split)
+    split = load_split(recipe)
     _check_recipe(record, digest(split))
     files = sequence_files(split, folder or split_folder(split))
     wanted = {name.rpartition("/")[0] for name in record.estimates}

@@ -11,8 +11,7 @@ from oysterbench.geometry import Array
 from oysterbench.results import ResultRecord, write_results
 from oysterbench.trajectory import Trajectory, write_tum
 from oysterbench_leaderboard.curves import MOST_POINTS, curves_document, sequence_curve
-from oysterbench_leaderboard.publishing import Entry, keep_estimates, publish, records_of, without_places
-from oysterbench_leaderboard.rescoring import score_again
+from oysterbench_leaderboard.publishing import Entry, publish, records_of, without_places
 from oysterbench_leaderboard.store import RecordStore
 
 EPOCH = 1_600_000_000_000_000_000
@@ -41,9 +40,7 @@ def test_points_lie_on_the_truths_stamps_aligned_as_scored():
     assert (curve["t_s"][0], curve["t_s"][-1]) == (0.0, 39.99)
     apart = np.linalg.norm(np.array(curve["path"]) - np.array(curve["truth"]), axis=1)
     np.testing.assert_allclose(apart, curve["error_m"], atol=3e-3)
-    assert np.sqrt(np.mean(apart**2)) == np.float64(result.metrics["ate_rmse_m"]).round(12) or np.isclose(
-        np.sqrt(np.mean(apart**2)), result.metrics["ate_rmse_m"], rtol=0.05
-    )
+    np.testing.assert_allclose(np.sqrt(np.mean(apart**2)), result.metrics["ate_rmse_m"], rtol=0.05)
 
 
 def test_there_are_gaps_where_nothing_was_answered():
@@ -111,27 +108,3 @@ def test_no_folder_of_the_machine_is_published():
     truth = loop(200, 10.0)
     command = without_places(results_of(truth, moved(truth, np.zeros(3)))).info["run"]["command"]
     assert command == ["python3", "-m", "wave", "--out=out.tum", "rate=1/2"]
-
-
-def test_kept_paths_are_scored_again_into_a_record_in_place_of_the_old_one(tmp_path, monkeypatch):
-    truth = loop()
-    estimate = moved(truth, np.ones(3))
-    write_tum(tmp_path / "mini-01-wave.tum", estimate)
-    write_tum(tmp_path / "mini-01-truth.tum", truth)
-    old_result = results_of(truth, estimate, evaluator="slam 2")
-    write_results(tmp_path / "results.json", [old_result])
-    ((old, _),) = records_of(tmp_path, Entry("x", "baseline"))
-    old = keep_estimates(old, tmp_path, tmp_path / "estimates")
-    monkeypatch.setattr("oysterbench_leaderboard.rescoring._truths", lambda record, folder: {"mini-01": truth})
-    done = score_again(old, tmp_path / "estimates", None, "A new evaluator.", "2026-12-01T00:00:00Z")
-    assert done.record is not None, done.why
-    (result,) = done.record.results
-    assert (done.record.supersedes, done.record.reason) == (old.digest, "A new evaluator.")
-    assert result.evaluator_version == "slam 3"
-    assert result.metrics["wall_s"] == 3.0
-    assert abs(result.metrics["score"] - old_result.metrics["score"]) < 1e-6
-    (name,) = old.estimates.values()
-    (tmp_path / "estimates" / name).write_text("changed")
-    assert "it was changed" in score_again(old, tmp_path / "estimates", None, "x").why
-    (tmp_path / "estimates" / name).unlink()
-    assert "is not in" in score_again(old, tmp_path / "estimates", None, "x").why

@@ -1,0 +1,106 @@
+"""A new evaluator over kept estimates: appended, in place of the old record, with what changed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from click.testing import CliRunner
+from served import answers, lay_split
+from test_curves import loop, moved, results_of
+
+from oysterbench.cli import main
+from oysterbench.hub.canonical import sha256
+from oysterbench.results import ResultRecord, write_results
+from oysterbench.trajectory import write_tum
+from oysterbench_leaderboard.publishing import Entry, keep_estimates, records_of
+from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.rescoring import score_again
+from oysterbench_leaderboard.store import RecordStore
+
+
+def test_kept_paths_are_scored_again_into_a_record_in_place_of_the_old_one(tmp_path, monkeypatch):
+    truth = loop()
+    estimate = moved(truth, np.ones(3))
+    write_tum(tmp_path / "mini-01-wave.tum", estimate)
+    write_tum(tmp_path / "mini-01-truth.tum", truth)
+    old_result = results_of(truth, estimate, evaluator="slam 2")
+    write_results(tmp_path / "results.json", [old_result])
+    ((old, _),) = records_of(tmp_path, Entry("x", "baseline"))
+    old = keep_estimates(old, tmp_path, tmp_path / "estimates")
+    monkeypatch.setattr("oysterbench_leaderboard.rescoring._truths", lambda *_: {"mini-01": truth})
+    done = score_again(old, tmp_path / "estimates", None, "A new evaluator.")
+    assert done.record is not None, done.why
+    (result,) = done.record.results
+    assert (done.record.supersedes, done.record.reason) == (old.digest, "A new evaluator.")
+    assert result.evaluator_version == "slam 3"
+    assert result.metrics["wall_s"] == 3.0
+    assert abs(result.metrics["score"] - old_result.metrics["score"]) < 1e-6
+    (name,) = old.estimates.values()
+    (tmp_path / "estimates" / name).write_text("changed")
+    assert "it was changed" in score_again(old, tmp_path / "estimates", None, "x").why
+    (tmp_path / "estimates" / name).unlink()
+    assert "is not in" in score_again(old, tmp_path / "estimates", None, "x").why
+
+
+def uploaded(folder: Path, recipe: Path) -> Record:
+    """What a team sent, as an earlier evaluator is said to have scored it."""
+    from oysterbench.evaluate.settings import SlamSettings
+    from oysterbench.generate import digest
+    from oysterbench.recipe import load_split
+
+    data = answers(folder)
+    (folder / "estimates").mkdir()
+    (folder / "estimates" / sha256(data)).write_bytes(data)
+    results = [
+        ResultRecord(
+            track="slam",
+            split="pool-test",
+            split_digest=digest(load_split(str(recipe))),
+            sequence=name,
+            method="carp",
+            metrics={"score": 0.125, "coverage": 1.0},
+            settings=SlamSettings().as_dict(),
+            evaluator_version="slam 1",
+            created="2026-01-01T00:00:00Z",
+        )
+        for name in ("pool-01", "pool-02")
+    ]
+    return Record(
+        method="carp",
+        team="reef lab",
+        tier="scored",
+        results=tuple(results),
+        estimates={f"{result.sequence}/1": sha256(data) for result in results},
+        created="2026-01-01T00:00:00Z",
+    )
+
+
+def test_uploads_on_a_hidden_split_are_scored_again_and_what_changed_is_said(tmp_path, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("OYSTERBENCH_BOARD", str(tmp_path / "board"))
+    recipe, truth = lay_split(tmp_path / "splits")
+    store, old = RecordStore(tmp_path / "board"), uploaded(tmp_path, recipe)
+    store.add(old)
+    store.add(replace(old, team="others", estimates={}))
+    words = ["leaderboard", "rescore", "--estimates", str(tmp_path / "estimates"), "--json"]
+    words += ["--split", str(recipe), "--truth", str(truth)]
+    tried = CliRunner().invoke(main, [*words, "--dry-run"])
+    assert tried.exit_code == 0, tried.output
+    assert len(store.digests()) == 2
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    assert "others" in done.stderr
+    assert "its estimates were not kept" in done.stderr
+    (change,) = json.loads(done.stdout)
+    assert change["before"] == {"record": old.digest, "score": 0.125, "place": 1, "rank": None}
+    made = store.record(change["after"]["record"])
+    assert (made.supersedes, made.evaluator_version, made.estimates) == (old.digest, "slam 3", old.estimates)
+    assert made.curves == ""  # a path would give the hidden truth away
+    assert change["after"]["score"] == json.loads(tried.stdout)[0]["after"]["score"]
+    assert 0.5 < change["after"]["score"] < 1
+    again = CliRunner().invoke(main, words)
+    assert json.loads(again.stdout) == []
+    assert len(store.digests()) == 3
