@@ -249,6 +249,7 @@ def serve(folder: Path, port: int) -> None:
 
     from oysterbench_leaderboard.index import open_index
     from oysterbench_leaderboard.site.render import server_links
+    from oysterbench_leaderboard.site.running import settings
     from oysterbench_leaderboard.site.server import application
     from oysterbench_leaderboard.site.site import Site
     from oysterbench_leaderboard.submissions.web import Submissions
@@ -259,7 +260,7 @@ def serve(folder: Path, port: int) -> None:
     submissions = Submissions(service, server_links())
     app = application(Site(index, form=submissions.form), more=submissions.routes())
     submissions.attach(app)
-    uvicorn.run(app, host="127.0.0.1", port=port, log_level="warning", access_log=False)
+    uvicorn.run(**settings(app, "127.0.0.1", port))
 
 
 def free_port() -> int:
