@@ -215,6 +215,18 @@ def test_counts_are_errors_by_image_and_by_square_metre():
     assert "seabed" in unknown.reasons["density_error_per_m2"]
 
 
+def test_counts_by_cells_do_not_let_errors_here_make_up_for_errors_there():
+    """120 px: at level 1 cells of 60 px, at level 2 of 30 px, at level 3 of 15 px."""
+    here, there = square(5, 5, 9), replace(square(100, 100, 9), score=0.9)
+    near = replace(square(20, 5, 9), score=0.9)  # the same cell of 30 px, another one of 15 px
+    found = {name: scored((image(here), image(one))).metrics for name, one in (("far", there), ("near", near))}
+    assert [found["far"][key] for key in ("count_mae", "game_1", "game_2", "game_3")] == [0, 2, 2, 2]
+    assert [found["near"][key] for key in ("count_mae", "game_1", "game_2", "game_3")] == [0, 0, 0, 2]
+    for seed in range(5):
+        metrics = scored(*random_images(4, seed)).metrics
+        assert metrics["count_mae"] <= metrics["game_1"] <= metrics["game_2"] <= metrics["game_3"]
+
+
 def test_boxes_alone_have_precision_and_counts_and_say_what_they_lack():
     truth = image(square(5, 5, 20))
     result = scored((truth, image(Instance((5.0, 5.0, 20.0, 20.0), None, 400.0, 0.9))))

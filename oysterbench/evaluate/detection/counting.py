@@ -8,19 +8,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oysterbench.evaluate.detection.instances import ImageInstances, mask_tools, numpy_2
+from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools, numpy_2
+from oysterbench.geometry import Array
+
+LEVELS = (1, 2, 3)
+"""Of GAME: at level L an image has 4^L cells."""
 
 NO_FOOTPRINT = "it is not known how much of the seabed the images show"
 
 
 @dataclass(frozen=True)
 class ImageCount:
-    """Of one image: true and estimated number of oysters, and the seabed that it shows in m^2, NaN if unknown."""
+    """Of one image: true and estimated number of oysters, and the seabed that it shows in m^2, NaN if unknown.
+
+    cells: errors of the numbers in the cells of each of `LEVELS`, absolute, added
+    """
 
     name: str
     truth: int
     estimate: int
     footprint_m2: float
+    cells: tuple[int, ...]
 
     @property
     def error(self) -> int:
@@ -31,6 +39,7 @@ class ImageCount:
 def count(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> ImageCount:
     """Estimates from a score on, without those that lie on crowd regions by more than half."""
     crowds = [one for one in truth.instances if one.crowd]
+    true = [one for one in truth.instances if not one.crowd]
     said = [one for one in estimate.instances if one.score >= threshold]
     if crowds and said:
         tools = mask_tools()
@@ -41,7 +50,17 @@ def count(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> 
             share = tools.iou(parts, regions, [True] * len(regions)).max(axis=1)
         said = [one for one, on_crowd in zip(said, share, strict=True) if on_crowd <= 0.5]
     footprint = math.nan if truth.footprint_m2 is None else truth.footprint_m2
-    return ImageCount(truth.name, len(truth.instances) - len(crowds), len(said), footprint)
+    cells = tuple(int(np.abs(_in_cells(said, truth, level) - _in_cells(true, truth, level)).sum()) for level in LEVELS)
+    return ImageCount(truth.name, len(true), len(said), footprint, cells)
+
+
+def _in_cells(instances: Sequence[Instance], image: ImageInstances, level: int) -> Array:
+    """(4^level,) instances by the cell of the image that the centre of their box lies in."""
+    side = 2**level
+    boxes = np.array([one.box for one in instances], dtype=float).reshape(-1, 4)
+    centres = (boxes[:, :2] + boxes[:, 2:] / 2) / (image.width, image.height)
+    columns, rows = np.clip(np.floor(centres * side).astype(int), 0, side - 1).T
+    return np.bincount(rows * side + columns, minlength=side**2).astype(float)
 
 
 def count_metrics(counts: Sequence[ImageCount]) -> tuple[dict[str, float], dict[str, str]]:
@@ -55,6 +74,8 @@ def count_metrics(counts: Sequence[ImageCount]) -> tuple[dict[str, float], dict[
         "count_truth": float(sum(each.truth for each in counts)),
         "count_estimate": float(sum(each.estimate for each in counts)),
     }
+    for level, values in zip(LEVELS, np.array([each.cells for each in counts], dtype=float).T, strict=True):
+        metrics[f"game_{level}"] = float(values.mean())
     metrics["count_error"] = metrics["count_estimate"] - metrics["count_truth"]
     known = ~np.isnan(areas) & (areas > 0)
     if not known.any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from oysterbench.evaluate.detection.counting import LEVELS
 from oysterbench.evaluate.metric import Metric
 
 _AP = "average precision of {}: the mean over 101 recalls and the overlaps (IoU) 0.50, 0.55, ... 0.95 (COCO)"
@@ -40,6 +41,16 @@ DETECTION: dict[str, Metric] = {
     "count_mae": Metric("", "lower", "Mean over images of the absolute error of the number of oysters.", "Count MAE"),
     "count_rmse": Metric("", "lower", "Root mean square over images of that error.", "Count RMSE"),
     "count_bias": Metric("", "", "Mean over images of that error: above 0 where too many are counted.", "Count bias"),
+    **{
+        f"game_{level}": Metric(
+            "",
+            "lower",
+            f"Grid average mean error (Guerrero-Gomez-Olmedo et al. 2015): as count_mae, the errors of {4**level} "
+            "cells of the image added, so that oysters too many here do not make up for those missed there.",
+            f"GAME({level})",
+        )
+        for level in LEVELS
+    },
     "count_error": Metric("", "", "Estimated less true number of oysters over all images of the clip.", "Clip count"),
     "count_truth": Metric("", "", "True number of oysters over all images of the clip.", "True count"),
     "count_estimate": Metric("", "", "Estimated number of oysters over all images of the clip.", "Estimated count"),
