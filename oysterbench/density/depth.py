@@ -89,16 +89,15 @@ class _Pictures:
             self.second = Pinhole(self.other, sequence.cameras[self.other], self.settings.width_px)
         self.distance_m = FIRST_DISTANCE_M
         pixels = lens.rays @ self.pinhole.matrix.T
-        self._maps = pixels[..., 0].astype(np.float32), pixels[..., 1].astype(np.float32)
+        self._maps: tuple[Any, Any] = pixels[..., 0].astype(np.float32), pixels[..., 1].astype(np.float32)
 
     def at(self, stamp_ns: int) -> Array | None:
         found = self._pair(stamp_ns) if self.other is not None else self._way(stamp_ns)
         if found is None or np.isfinite(found.depth).mean() < LEAST_KNOWN:
             return None
         self.distance_m = float(np.nanmedian(found.depth))
-        dense = carried_on(found.depth)
-        maps: Any = self._maps
-        inverse: Any = cv2.remap(1.0 / dense, *maps, cv2.INTER_LINEAR, borderValue=math.nan)
+        dense: Any = 1.0 / carried_on(found.depth)
+        inverse: Any = cv2.remap(dense, self._maps[0], self._maps[1], cv2.INTER_LINEAR, borderValue=math.nan)
         return np.asarray(1.0 / inverse, dtype=float)
 
     def _pair(self, stamp_ns: int) -> DepthMap | None:
@@ -200,8 +199,8 @@ def fit_plane(points: Array) -> tuple[float, float, float]:
     middle = points[:, :2].mean(axis=0)
     design = np.column_stack([points[:, :2] - middle, np.ones(len(points))])
     prior = np.diag([LEVEL_SLOPE**-2, LEVEL_SLOPE**-2, 0.0])
-    weights = np.ones(len(points))
-    solution = np.zeros(3)
+    weights: Array = np.ones(len(points))
+    solution: Array = np.zeros(3)
     for _ in range(5):
         normal = design.T @ (design * weights[:, None]) / ECHO_SIGMA_M**2 + prior
         solution = np.linalg.solve(normal, design.T @ (weights * points[:, 2]) / ECHO_SIGMA_M**2)

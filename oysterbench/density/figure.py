@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +29,7 @@ DEPTHS = {
 
 PANEL, MARGIN, TOP, FOOT = 560.0, 28.0, 118.0, 128.0
 SQUARED = "\N{SUPERSCRIPT TWO}"
-MOSAIC_PX = 1000  # along the longer side
+MOSAIC_PX = 1200  # along the longer side
 TEXT_CELL = 26.0  # units of a cell's edge, from which on its number is written into it
 
 
@@ -120,7 +121,9 @@ def _heading(sheet: Drawing, found: OysterMap) -> None:
 
 
 def _mosaic(sheet: Drawing, panel: _Panel, found: OysterMap, seen: NDArray[np.bool_]) -> None:
-    sheet.image(panel.left, panel.top, panel.width, panel.height, mosaic(found, seen)[panel.rows, panel.columns])
+    sheet.image(
+        panel.left, panel.top, panel.width, panel.height, _small(mosaic(found, seen)[panel.rows, panel.columns])
+    )
     radius = min(3.2, max(1.3, 0.025 * panel.per_m))
     for oyster in sorted(found.oysters, key=lambda one: one.state == "live"):
         x, y = panel.place(float(oyster.centre[0]), float(oyster.centre[1]))
@@ -139,9 +142,12 @@ def mosaic(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return made
 
 
-def colour_of(per_m2: float) -> str:
-    """Of a density."""
-    return COLOURS[int(np.searchsorted(EDGES, per_m2, side="right"))]
+def _small(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """At most MOSAIC_PX along the longer side."""
+    scale = MOSAIC_PX / max(pixels.shape[:2])
+    if scale >= 1:
+        return pixels
+    return np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def density_pixels(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -160,7 +166,7 @@ def _cells(sheet: Drawing, panel: _Panel, found: OysterMap, seen: NDArray[np.boo
     pixels = density_pixels(found, seen)[panel.rows, panel.columns]
     plain = np.where(pixels[..., 3:] > 0, pixels[..., :3], np.array(rgb(NONE), dtype=np.uint8))
     plain[(pixels[..., 3] == 0) & seen[panel.rows, panel.columns]] = rgb("#c5ccd3")
-    sheet.image(panel.left, panel.top, panel.width, panel.height, plain.astype(np.uint8))
+    sheet.image(panel.left, panel.top, panel.width, panel.height, _small(plain.astype(np.uint8)))
     grid, edge = found.grid, found.settings.cell_m * panel.per_m
     for k in range(1, round(panel.width / edge)):
         sheet.line(panel.left + k * edge, panel.top, panel.left + k * edge, panel.top + panel.height, "#9aa5b1", 0.5)

@@ -114,10 +114,10 @@ def patches(
         return []
     numbers, starts = np.unique(flat[rows], return_index=True)
     near = usable(depth_m, settings).ravel()
-    edge = np.ones(seen.numbers.shape, dtype=bool)
+    border = np.ones(seen.numbers.shape, dtype=bool)
     b = settings.border_px
-    edge[b:-b, b:-b] = False
-    edge, depths, places = edge.ravel(), depth_m.ravel(), points.reshape(-1, 3)
+    border[b:-b, b:-b] = False
+    edge, depths, places = border.ravel(), depth_m.ravel(), points.reshape(-1, 3)
     found = []
     for number, pixels in zip(numbers.tolist(), np.split(rows, starts[1:]), strict=True):
         score = float(seen.scores.get(number, 1.0))

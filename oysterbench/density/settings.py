@@ -19,14 +19,14 @@ class MapSettings:
     """All settings. Raises OysterbenchError where one makes no sense."""
 
     cell_m: float = 1.0  # edge of the grid's cells
-    raster_m: float = 0.02  # edge of the squares by which cover is measured: half of the smallest shell
+    raster_m: float = 0.01  # edge of the squares by which cover is measured: its edge is half of one too far out
     least_cover: float = 0.25  # of a cell, below which it has no number
 
     # What of a picture is used.
     near_m: float = 0.2  # along the optical axis
     far_m: float = 2.5  # beyond, a shell of 8 cm has fewer than 15 pixels across, and is seen at a grazing angle
     least_px: int = 16  # of an oyster in a picture: of less, not even a person could say what it is
-    border_px: int = 2  # from the picture's edge, within which an oyster is cut by it
+    border_px: int = 1  # along the picture's edge: an oyster that has one of these is cut by it
     threshold: float = 0.5  # of scores and probabilities
 
     # Association.

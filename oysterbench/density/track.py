@@ -10,7 +10,7 @@ import numpy as np
 from oysterbench.density.projection import Patch
 from oysterbench.geometry import Array
 
-KEPT = 128  # points of an oyster
+KEPT = 200  # points of an oyster
 
 
 class Track:
