@@ -19,6 +19,11 @@ UNITS = {"x": "\N{MULTIPLICATION SIGN} real time", "% false": "%"}
 """Unit in a terminal's narrow column -> unit on a page."""
 
 
+def track_name(track: str) -> str:
+    """As headings write it."""
+    return "SLAM" if track == "slam" else track.capitalize()
+
+
 def column_of(key: str) -> columns.Column:
     """How a metric is written; one that the reports do not show by its definition, with three decimals."""
     try:

@@ -173,7 +173,7 @@ ROUTES = (
         "/log",
         "What was withdrawn, put back, superseded or scored again.",
         lambda site, given, asked: log_page(site),
-        {"events": list[dict]},
+        {"events": list[dict], "left_out": dict[str, str]},
     ),
     Route(
         "/about",

@@ -4,6 +4,7 @@ but that there was one."""
 from __future__ import annotations
 
 import asyncio
+import logging
 import re
 import time
 from collections.abc import Hashable, Sequence
@@ -21,7 +22,7 @@ from starlette.routing import BaseRoute
 from starlette.routing import Route as HttpRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from oysterbench.errors import IntegrityError, ResultError
+from oysterbench.errors import OysterbenchError
 from oysterbench.hub.canonical import canonical
 from oysterbench.hub.serve import HeaderLimit
 from oysterbench.version import VERSION
@@ -32,6 +33,8 @@ from oysterbench_leaderboard.site.page import PageError
 from oysterbench_leaderboard.site.routes import PATTERNS, ROUTES, Route
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.site.twins import twin
+
+LOG = logging.getLogger("uvicorn.error")
 
 FRESH_S = 1.0
 """For so long the index is not asked again whether it has changed."""
@@ -160,16 +163,16 @@ def application(
         return HttpRoute(_pattern(route.path, suffix), get, methods=["GET"])
 
     async def _to_full(request: Request, route: Route, digest: str, suffix: str) -> Response:
-        row = await anyio.to_thread.run_sync(site.index.row, digest)
+        row = await anyio.to_thread.run_sync(site.row, digest)
         return RedirectResponse(pages.links.page(route.path.format(digest=row.digest), None, suffix), 302)
 
     async def record(request: Request) -> Response:
         digest = request.path_params["digest"]
-        row = await anyio.to_thread.run_sync(site.index.row, digest)
+        row = await anyio.to_thread.run_sync(site.row, digest)
         return send(request, Kept.of(await anyio.to_thread.run_sync(site.store.data, row.digest), "application/json"))
 
     async def curves(request: Request) -> Response:
-        row = await anyio.to_thread.run_sync(site.index.row, request.path_params["digest"])
+        row = await anyio.to_thread.run_sync(site.row, request.path_params["digest"])
         found = (await anyio.to_thread.run_sync(site.record, row.digest)).curves
         if not found:
             raise PageError("this record came without paths: its split is hidden, or none were kept")
@@ -197,14 +200,19 @@ def application(
         """What was expected, and what is there."""
         if isinstance(error, PageError):
             return pages.error(request, error.status, str(error), error.hints)
-        if isinstance(error, ResultError):
-            return pages.error(request, 404, str(error), {"/": "all boards"})
         if isinstance(error, HTTPException) and error.status_code < 500:
             said = "nothing is at this address" if error.status_code == 404 else error.detail
             response = pages.error(request, error.status_code, said, {"/": "all boards", "/data": "data sets"})
             response.headers.update(error.headers or {})
             return response
-        return pages.error(request, 500, "this page could not be made; it has been noted", {"/": "all boards"})
+        if isinstance(
+            error, OysterbenchError
+        ):  # it may name files, which are nobody's business; others are logged anyhow
+            LOG.error("%s: %s", request.url.path, error)
+        response = pages.error(request, 500, "this page could not be made; it has been noted", {"/": "all boards"})
+        for name, value in SECURITY.items():  # what answers a failure stands outside of `Secured`
+            response.headers[name.decode()] = value.decode()
+        return response
 
     return Starlette(
         routes=[
@@ -220,8 +228,7 @@ def application(
         middleware=[Middleware(HeaderLimit), Middleware(Secured)],
         exception_handlers={
             PageError: told,
-            ResultError: told,
-            IntegrityError: told,
+            OysterbenchError: told,
             HTTPException: told,
             Exception: told,
         },

@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from oysterbench.errors import OysterbenchError
-from oysterbench_leaderboard.board import Literature
+from oysterbench.errors import OysterbenchError, ResultError
+from oysterbench_leaderboard.board import Literature, Row
 from oysterbench_leaderboard.index import Index
 from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.site.page import PageError
 from oysterbench_leaderboard.site.paths import slug
 from oysterbench_leaderboard.store import Notice, RecordStore
 
@@ -31,6 +32,16 @@ class Site:
     @property
     def store(self) -> RecordStore:
         return self.index.store
+
+    def row(self, digest: str) -> Row:
+        """Of a record, by its digest or the first digits of it. Raises PageError."""
+        try:
+            return self.index.row(digest)
+        except ResultError:
+            raise PageError(
+                f"no record begins with {digest[:16]}, or several do: expected a record's digest, or enough of it",
+                hints={"/": "all boards", "/log": "what became of records"},
+            ) from None
 
     def record(self, digest: str) -> Record:
         """A record as it was published."""

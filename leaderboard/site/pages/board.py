@@ -15,7 +15,6 @@ from oysterbench_leaderboard.record import TIERS as ALL_TIERS
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.links import Query as Asked
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
-from oysterbench_leaderboard.site.pages.home import TRACKS
 from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells, state_mark
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
@@ -111,7 +110,7 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
     found = site.index.page(info.id, query)
     if query.page > found.pages:
         raise PageError(f"page: expected 1 to {found.pages}, got {query.page}", 404, {path: "the first page"})
-    name = TRACKS.get(info.track, info.track)
+    name = numbers.track_name(info.track)
     title = f"{name} on {info.split}" + ("" if board is None else f", {info.evaluator_version}")
     table = board_table(site, found, f"{title}: {_counted(found)}")
     others = [other for other in site.index.boards(info.track) if other.split == info.split and other.id != info.id]

@@ -15,8 +15,6 @@ from oysterbench_leaderboard.site.site import Site
 LEADERS = 3
 """Records of each board that are shown."""
 
-TRACKS = {"slam": "SLAM", "segmentation": "Segmentation", "detection": "Detection"}
-
 
 @dataclass(frozen=True)
 class Card:
@@ -44,7 +42,7 @@ def home_page(site: Site) -> Page:
         card = Card(
             info, path, metric.text, numbers.count(info.entries, "record"), tuple(zip(ranks, rows, scores, strict=True))
         )
-        cards.setdefault(TRACKS.get(info.track, info.track), []).append(card)
+        cards.setdefault(numbers.track_name(info.track), []).append(card)
         first = rows[0] if rows else None
         lines.append(
             Line(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from oysterbench.results import plain
+from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
-from oysterbench_leaderboard.site.pages.home import TRACKS
 from oysterbench_leaderboard.site.site import Site
 
 
@@ -41,7 +41,7 @@ def literature_page(site: Site) -> Page:
             for one in site.literature
             if one.track == track
         )
-        name = TRACKS.get(track, track)
+        name = numbers.track_name(track)
         tables.append(Table(f"{name}: reported by others, on other data", columns, lines, name="literature"))
     every = Table(
         "Reported by others, on other data", columns, tuple(line for t in tables for line in t.lines), name="literature"

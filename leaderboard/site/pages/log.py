@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 
 from oysterbench.results import plain
@@ -51,7 +52,16 @@ def log_page(site: Site) -> Page:
         )
     notes = (f"Of superseded records the {MOST} latest of each board are listed; every record's own page tells of it.",)
     table = Table("What became of records", columns, tuple(lines), notes, "log")
-    return Page("/log", "Log", "log.html", {}, (table,), plain({"events": [_plain(event) for event in found]}))
+    left_out = site.index.problems()
+    data = {"events": [_plain(event) for event in found], "left_out": left_out}
+    tables = (table, *([_left_out(left_out)] if left_out else []))
+    return Page("/log", "Log", "log.html", {}, tables, plain(data))
+
+
+def _left_out(problems: Mapping[str, str]) -> Table:
+    columns = (Column("file", "File"), Column("why", "Why"))
+    lines = tuple(Line((Cell(name), Cell(why, kind="wrap"))) for name, why in problems.items())
+    return Table("Files that are on no board", columns, lines, name="left-out")
 
 
 def _link(row: Row | None) -> Cell:

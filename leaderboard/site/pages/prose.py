@@ -11,7 +11,6 @@ from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
 from oysterbench.results import plain
 from oysterbench_leaderboard.site import datasets, numbers
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
-from oysterbench_leaderboard.site.pages.home import TRACKS
 from oysterbench_leaderboard.site.pages.ranks import TIERS
 from oysterbench_leaderboard.site.paths import data_path
 from oysterbench_leaderboard.site.site import Site
@@ -42,7 +41,7 @@ def submit_page(site: Site) -> Page:
                 lines.append(
                     Line(
                         (
-                            Cell(TRACKS[track], track),
+                            Cell(numbers.track_name(track), track),
                             Cell(name, path=data_path(name)),
                             Cell("kept back" if found.hidden else "public"),
                             Cell(FORMS[track], kind="wrap"),
@@ -77,7 +76,7 @@ def about_page(site: Site) -> Page:
             lines.append(
                 Line(
                     (
-                        Cell(TRACKS[track], track),
+                        Cell(numbers.track_name(track), track),
                         Cell(heading.text, mark="ranks" if key == PRIMARY[track] else ""),
                         Cell(heading.unit or numbers.ABSENT, heading.unit),
                         Cell(metric.better or "describes", metric.better),
@@ -93,7 +92,7 @@ def about_page(site: Site) -> Page:
         "level": numbers.LEVEL,
         "resamples": f"{RESAMPLES:,}".replace(",", "\N{NARROW NO-BREAK SPACE}"),
         "least": LEAST_SEQUENCES,
-        "ranking": [(TRACKS[track], find_metric(key)) for track, key in PRIMARY.items()],
+        "ranking": [(numbers.track_name(track), find_metric(key)) for track, key in PRIMARY.items()],
         "coverage": find_metric("coverage"),
     }
     return Page(

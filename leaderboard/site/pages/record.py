@@ -18,7 +18,6 @@ from oysterbench_leaderboard.site import numbers, standing
 from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.history import successor
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
-from oysterbench_leaderboard.site.pages.home import TRACKS
 from oysterbench_leaderboard.site.pages.ranks import TIED, TIERS, rank_cells
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
@@ -37,8 +36,8 @@ class Notes:
 
 
 def record_page(site: Site, digest: str) -> Page:
-    """A record by its digest, or the first digits of it. Raises ResultError where there is none."""
-    row = site.index.row(digest)
+    """A record by its digest, or the first digits of it. Raises PageError where there is none."""
+    row = site.row(digest)
     record = site.record(row.digest)
     info = next(info for info in site.index.boards() if info.id == row.board)
     results = standing.filled(standing.named(record, record.method), info.sequences, ())
@@ -54,7 +53,7 @@ def record_page(site: Site, digest: str) -> Page:
         "row": row,
         "record": record,
         "info": info,
-        "track": TRACKS.get(info.track, info.track),
+        "track": numbers.track_name(info.track),
         "board": board_path(info),
         "method": method_path(record.method),
         "rank": rank,
