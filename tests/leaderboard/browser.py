@@ -9,6 +9,7 @@ import os
 import select
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -20,15 +21,25 @@ WAIT_S = 120.0
 """For a page or an answer, on a machine that does much else."""
 
 
+START = """
+import fcntl, os, sys
+ends = [fcntl.fcntl(int(given), fcntl.F_DUPFD, 10) for given in sys.argv[1:3]]
+for wanted, end in zip((3, 4), ends):
+    os.dup2(end, wanted)
+    os.close(end)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+"""Begins the browser, which reads commands from descriptor 3 and writes answers to 4."""
+
+
 class Browser:
     """One tab. said: what the page logged, and errors."""
 
     def __init__(self, folder: Path) -> None:
         assert CHROMIUM is not None
         here, there = os.pipe(), os.pipe()  # commands to it, answers from it
-        # It reads from descriptor 3 and writes to 4.
         command = [
-            "sh", "-c", f'exec 3<&{here[0]} 4>&{there[1]} {here[0]}<&- {there[1]}>&-; exec "$@"', "sh", CHROMIUM,
+            sys.executable, "-I", "-c", START, str(here[0]), str(there[1]), CHROMIUM,
             "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--hide-scrollbars",
             "--no-first-run", "--disable-extensions", "--remote-debugging-pipe", f"--user-data-dir={folder}",
         ]  # fmt: skip
