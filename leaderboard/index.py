@@ -9,7 +9,9 @@ import os
 import re
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from array import array
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -27,6 +29,12 @@ from oysterbench_leaderboard.filling import fill, inputs_of, meta, schema, take_
 from oysterbench_leaderboard.intake import COLUMNS, by_sequence, run_means
 from oysterbench_leaderboard.schema import BOARDS, METADATA, PROBLEMS, ROWS
 from oysterbench_leaderboard.store import RecordStore
+
+MOST_REMEMBERED = 128
+"""Orders of a board, at 8 bytes a row."""
+
+MOST_WANTED = 500
+"""Rows that one statement fetches by their positions."""
 
 LEAST_DIGITS = 8
 """Of a digest that is given short."""
@@ -111,6 +119,7 @@ class SqlIndex:
         self._switch = threading.Lock()
         self._of_file: tuple[int, int] | None = None
         self._engine: Engine | None = None
+        self._memory: OrderedDict[Hashable, Any] = OrderedDict()
         if url.get_backend_name() == "sqlite":
             if not url.database or url.database == ":memory:":
                 raise ResultError("index: expected a file for SQLite, got none")
@@ -143,7 +152,7 @@ class SqlIndex:
 
     def boards(self, track: str | None = None) -> list[BoardInfo]:
         with self._reading() as connection:
-            return _boards(connection, track)
+            return [each for each in self._boards(connection) if track in (None, each.track)]
 
     def find_board(self, track: str, split: str, board: str | None = None) -> BoardInfo:
         known = self.boards()
@@ -158,19 +167,18 @@ class SqlIndex:
 
     def page(self, board: str, query: Query) -> BoardPage:
         with self._reading() as connection:
-            info = next((each for each in _boards(connection, None) if each.id == board), None)
+            info = next((each for each in self._boards(connection) if each.id == board), None)
             if info is None:
                 raise ResultError(f"no board {board!r:.40}; `oysterbench leaderboard` lists what there is")
-            chosen = [ROWS.c.board == board, ROWS.c.state.in_(query.states)]
-            if query.tiers:
-                chosen.append(ROWS.c.tier.in_(query.tiers))
-            if query.text:
-                chosen.append(ROWS.c.words.contains(query.text.casefold(), autoescape=True))
-            total = connection.scalar(select(func.count()).select_from(ROWS).where(*chosen)) or 0
             size, page = max(1, query.size), max(1, query.page)
-            asked = select(ROWS).where(*chosen).order_by(*_order(info, query)).limit(size).offset((page - 1) * size)
-            rows = tuple(_row(found, info.columns) for found in connection.execute(asked).mappings())
-            return BoardPage(info, replace(query, page=page, size=size), rows, total)
+            order = self._order(connection, info, query)
+            wanted = order[(page - 1) * size : page * size]
+            found: dict[int, Row] = {}
+            for i in range(0, len(wanted), MOST_WANTED):
+                asked = select(ROWS).where(ROWS.c.board == board, ROWS.c.position.in_(wanted[i : i + MOST_WANTED]))
+                found |= {row["position"]: _row(row, info.columns) for row in connection.execute(asked).mappings()}
+            rows = tuple(found[position] for position in wanted)
+            return BoardPage(info, replace(query, page=page, size=size), rows, len(order))
 
     def row(self, digest: str) -> Row:
         if not _PREFIX.fullmatch(digest):
@@ -211,6 +219,36 @@ class SqlIndex:
         with self._reading() as connection:
             asked = select(PROBLEMS.c.file, PROBLEMS.c.reason).order_by(PROBLEMS.c.file)
             return {row[0]: row[1] for row in connection.execute(asked)}
+
+    def close(self) -> None:
+        """Let go of all connections; the next question opens new ones."""
+        with self._switch:
+            if self._engine is not None:
+                self._engine.dispose()
+
+    def _boards(self, connection: Connection) -> list[BoardInfo]:
+        key = (meta(connection).get("revision"), "boards")
+        return self._remembered(key, lambda: _boards(connection))
+
+    def _order(self, connection: Connection, board: BoardInfo, query: Query) -> array[int]:
+        """Positions of all rows that a query asks for, in its order: sorting a large board takes longer than all else
+        of a page, and most pages ask for the same."""
+        chosen = replace(query, page=1, size=1)
+        key = (meta(connection).get("revision"), board.id, chosen)
+        return self._remembered(key, lambda: array("l", connection.scalars(_positions(board, chosen))))
+
+    def _remembered(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """What was made before, of this revision; the least used of MOST_REMEMBERED things is forgotten."""
+        with self._switch:
+            if key in self._memory:
+                self._memory.move_to_end(key)
+                return self._memory[key]
+        made = make()
+        with self._switch:
+            self._memory[key] = made
+            while len(self._memory) > MOST_REMEMBERED:
+                self._memory.popitem(last=False)
+        return made
 
     def _connected(self) -> Engine:
         """The engine; a new one where the file was replaced since. Connections in use keep the old file."""
@@ -351,16 +389,24 @@ def _sqlite(path: Path, durable: bool = True) -> Engine:
     return engine
 
 
-def _boards(connection: Connection, track: str | None) -> list[BoardInfo]:
+def _boards(connection: Connection) -> list[BoardInfo]:
     asked = select(BOARDS).order_by(BOARDS.c.position)
-    if track is not None:
-        asked = asked.where(BOARDS.c.track == track)
     found = []
     for row in connection.execute(asked).mappings():
         values = {key: row[key] for key in row if key != "position"}
         values["settings"], values["sequences"] = json.loads(row["settings"]), tuple(json.loads(row["sequences"]))
         found.append(BoardInfo(**values, columns=COLUMNS[row["track"]]))
     return found
+
+
+def _positions(board: BoardInfo, query: Query) -> Select[Any]:
+    """Positions of the rows that a query asks for, in its order."""
+    chosen = [ROWS.c.board == board.id, ROWS.c.state.in_(query.states)]
+    if query.tiers:
+        chosen.append(ROWS.c.tier.in_(query.tiers))
+    if query.text:
+        chosen.append(ROWS.c.words.contains(query.text.casefold(), autoescape=True))
+    return select(ROWS.c.position).where(*chosen).order_by(*_order(board, query))
 
 
 def _order(board: BoardInfo, query: Query) -> list[Any]:

@@ -37,6 +37,7 @@ assert all(len(columns) <= MOST_COLUMNS for columns in COLUMNS.values())
 
 _KEYS = {"format", *(f.name for f in fields(Record))}
 _RESULT_KEYS = {"format", *(f.name for f in fields(ResultRecord))}
+_NUMBERS = {float, int, type(None)}
 _TEXTS = ("method", "team", "tier", "url", "summary", "created", "supersedes")
 
 
@@ -133,9 +134,8 @@ def _check(result: Any, first: Any) -> None:
         raise ResultError("expected results of one split, evaluator and setting, got several")
     if not isinstance(result["settings"], dict) or not isinstance(result["metrics"], dict):
         raise ResultError("key 'results': expected objects as settings and metrics")
-    for value in result["metrics"].values():
-        if value is not None and type(value) is not float and type(value) is not int:
-            raise ResultError(f"key 'results': key 'metrics': expected numbers, got {value!r:.60}")
+    if not _NUMBERS.issuperset(map(type, result["metrics"].values())):
+        raise ResultError("key 'results': key 'metrics': expected numbers or null")
 
 
 @lru_cache(maxsize=256)
@@ -167,6 +167,10 @@ def run_means(
     means: dict[str, float] = {}
     weights: dict[str, float] = {}
     for name, results in runs.items():
+        if len(results) == 1 and not weight:  # as most are
+            if (value := results[0]["metrics"].get(key)) is not None:
+                means[name] = float(value)
+            continue
         values = [result["metrics"].get(key) for result in results]
         known = [float(value) for value in values if value is not None]
         if not known:

@@ -275,16 +275,11 @@ def _off_zero(differences: Array, n: int) -> Any:
     A quantile lies between two neighbours of the sorted values: where both have one sign, so has it, and counting is
     enough. Only where zero falls between just these two is it computed.
     """
-    size = differences.shape[1]
     tails = _tails(n)
-    told = np.zeros(len(differences), bool)
-    unsure = np.zeros(len(differences), bool)
-    for signed in (differences, -differences):
-        below = np.count_nonzero(signed <= 0, axis=1)
-        neighbour = math.floor(tails[0] * (size - 1))
-        told |= below <= neighbour
-        unsure |= below == neighbour + 1
-    for k in np.flatnonzero(unsure & ~told):
+    neighbour = math.floor(tails[0] * (differences.shape[1] - 1))
+    beyond = np.array([np.count_nonzero(differences <= 0, axis=1), np.count_nonzero(differences >= 0, axis=1)])
+    told = (beyond <= neighbour).any(axis=0)
+    for k in np.flatnonzero((beyond == neighbour + 1).any(axis=0) & ~told):
         low, high = np.quantile(differences[k], tails)
         told[k] = low > 0 or high < 0
     return told

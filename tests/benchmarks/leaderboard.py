@@ -38,7 +38,7 @@ BOARDS = 8
 """The first holds half of the records, the next half of the rest, and so on."""
 
 CLIENTS = 50
-PAGES = 40  # of each client
+PAGES = 20  # of each client
 CHUNK = 500
 
 
@@ -111,7 +111,7 @@ def timed(name: str, action: object) -> None:
     print(f"{name}: {time.perf_counter() - clock:.2f} s, {cpu_s() - cpu:.2f} CPU s", flush=True)
 
 
-def query_ms(index: SqlIndex, board: str, query: Query, times: int = 30) -> str:
+def query_ms(index: SqlIndex, board: str, query: Query, times: int = 20) -> str:
     """Median and 95th percentile of a page, one client."""
     took = []
     for _ in range(times):

@@ -374,12 +374,13 @@ def postgres() -> Iterator[str]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def test_postgresql_gives_the_same_answers(store, postgres):
+def test_postgresql_gives_the_same_answers(store, postgres, request):
     records = records_made()
     half = dict(list(records.items())[:5])
     for record in half.values():
         store.add(record)
     index = open_index(store, postgres)
+    request.addfinalizer(index.close)
     before, revision = pages(index), index.revision
     assert before == pages(opened(store))
     fill(store)
