@@ -24,7 +24,14 @@ if TYPE_CHECKING:
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
 @click.option("--sizes", default="5,10,20,40,all", show_default=True, help="Numbers of real training images.")
 @click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Trainings of each kind.")
-@click.option("--steps", type=click.IntRange(min=1), help="Of the optimiser, of each training.  [default: 600]")
+@click.option("--steps", type=click.IntRange(min=1), help="Of the optimiser, of each training.  [default: 1200]")
+@click.option(
+    "--schedule",
+    default="tuned",
+    show_default=True,
+    help="Of real + synthetic: tuned (synthetic images, then a sixth of the steps real ones) or mixed (half of the "
+    "steps, a quarter of each batch stays synthetic).",
+)
 @click.option("--hold-out", multiple=True, metavar="CLIP", help="Test on this training clip instead; repeatable.")
 @click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
 @click.option("--only-table", is_flag=True, help="Train nothing; sum up what is finished.")
@@ -35,6 +42,7 @@ def command(
     sizes: str,
     seeds: int,
     steps: int | None,
+    schedule: str,
     hold_out: tuple[str, ...],
     device: str,
     only_table: bool,
@@ -60,7 +68,7 @@ def command(
     from oysterbench.files import home
     from oysterbench.labelled import joined
     from oysterbench_baselines.sim2real.experiment import run
-    from oysterbench_baselines.sim2real.settings import Settings
+    from oysterbench_baselines.sim2real.settings import SCHEDULES, Settings
 
     parts: dict[str, list[LabelledSet]] = {}
     for text in names:
@@ -69,7 +77,9 @@ def command(
             raise click.UsageError(f"--synthetic: expected NAME=SPLIT or NAME=PATH, and a name but real, got {text!r}")
         parts.setdefault(name, []).append(open_data(place))
     sets = {name: one[0] if len(one) == 1 else joined(one, name) for name, one in parts.items()}
-    settings = Settings(sizes=_sizes(sizes), seeds=seeds)
+    if schedule not in SCHEDULES:
+        raise click.UsageError(f"--schedule: expected one of {', '.join(SCHEDULES)}, got {schedule!r}")
+    settings = Settings(sizes=_sizes(sizes), seeds=seeds, schedule=SCHEDULES[schedule])
     if steps is not None:
         settings = dataclasses.replace(settings, fit=dataclasses.replace(settings.fit, steps=steps))
     run(

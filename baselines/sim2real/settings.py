@@ -17,12 +17,27 @@ REAL = "real"
 
 
 @dataclass(frozen=True)
+class Schedule:
+    """How real and synthetic images follow each other: synthetic ones alone first.
+
+    share: of the steps, from when on real images are seen; rate: learning rate of these; kept: crops of each of their
+    batches that stay synthetic, so that what was learnt of them is not forgotten
+    """
+
+    share: float
+    rate: float
+    kept: int
+
+
+SCHEDULES = {"tuned": Schedule(1 / 6, 2e-3, 0), "mixed": Schedule(1 / 2, 5e-3, 2)}
+
+
+@dataclass(frozen=True)
 class Settings:
     """sizes:       numbers of real training images; `ALL` for all
     seeds:       trainings of each kind; seed k draws the real images, the weights and the crops
     batch:       crops of a step
-    tuned:       share of the steps of real + synthetic that are on real images; those before are on synthetic ones
-    tuned_rate:  learning rate of these: lower, so that what was learnt before is not forgotten
+    schedule:    of real + synthetic: of `SCHEDULES`
     block:       neighbouring test images that are resampled together
     alike:       correlation with a test image from which a training image is left out
     """
@@ -30,8 +45,7 @@ class Settings:
     sizes: tuple[int, ...] = (5, 10, 20, 40, ALL)
     seeds: int = 3
     batch: int = 8
-    tuned: float = 1 / 6
-    tuned_rate: float = 2e-3
+    schedule: Schedule = SCHEDULES["tuned"]
     block: int = 8
     alike: float = ALIKE
     network: NetworkSettings = field(default_factory=lambda: NetworkSettings(base=8, scale=0.2))
@@ -40,9 +54,9 @@ class Settings:
 
     def fit_of(self, cell: Cell) -> FitSettings:
         """Of the training of a cell itself, without what it begins from (`Cell.begun`)."""
-        tuned = round(self.tuned * self.fit.steps)
+        tuned = round(self.schedule.share * self.fit.steps)
         if cell.begun is not None:
-            return replace(self.fit, steps=tuned, learning_rate=self.tuned_rate)
+            return replace(self.fit, steps=tuned, learning_rate=self.schedule.rate)
         return replace(self.fit, steps=self.fit.steps - tuned) if cell.synthetic else self.fit
 
 

@@ -62,21 +62,28 @@ class Bench:
 
     def identity(self, cell: Cell) -> dict[str, Any]:
         """What decides the weights of a cell, as plain values."""
-        plain = json.loads(json.dumps(dataclasses.asdict(self.settings)))
-        for key in ("sizes", "seeds", "block", "alike"):  # which cells and images there are, how all is summed up
-            del plain[key]
+        settings = self.settings
+        parts = {
+            "network": settings.network,
+            "augmentation": settings.augmentation,
+            "fit": settings.fit_of(cell),
+            "begun": settings.fit_of(cell.begun) if cell.begun else None,
+        }
+        plain = {key: dataclasses.asdict(value) if value else None for key, value in parts.items()}
+        batch = {"crops": settings.batch, "synthetic": self._kept(cell)}
         data = {
             "synthetic": self._digests.get(cell.synthetic, ""),
             "real": self._real_digest(cell.size, cell.seed),
             "test": self.test_digest,
         }
-        return {
+        found = {
             "method": "unet",
             "cell": [cell.synthetic, cell.size, cell.seed],
-            "settings": plain,
+            "settings": {**plain, "batch": batch},
             "data": data,
             "device": pick_device(self.device).type,
         }
+        return dict(json.loads(json.dumps(found)))
 
     def _real_digest(self, size: int | None, seed: int) -> str:
         """Of the real images of a cell; empty where it has none."""
@@ -112,12 +119,20 @@ class Bench:
         )
 
     def _images(self, cell: Cell) -> Mixture:
-        """What a cell itself is trained on: real images where it has any, and synthetic ones elsewhere."""
+        """What a cell itself is trained on, without what was before it (`Cell.begun`)."""
+        batch, kept = self.settings.batch, self._kept(cell)
+        synthetic = [self._datasets[cell.synthetic]] if kept else []
         if cell.size is None:
-            return Mixture([self._datasets[cell.synthetic]], [self.settings.batch])
+            return Mixture(synthetic, [kept])
         chosen = drawn(self.real.train, cell.size, cell.seed)
         real = Subset(self._train, [self._place[entry.name] for entry in chosen.entries], chosen)
-        return Mixture([real], [self.settings.batch])
+        return Mixture([*synthetic, real], [kept, batch - kept] if kept else [batch])
+
+    def _kept(self, cell: Cell) -> int:
+        """Crops of a batch of a cell that are synthetic."""
+        if cell.size is None:
+            return self.settings.batch
+        return self.settings.schedule.kept if cell.synthetic else 0
 
     def answers(self, model: Model) -> Iterator[Floats]:
         """(2, h, w) logits of each test image, at the working scale, to `STEP`."""

@@ -24,7 +24,7 @@ from oysterbench_baselines.sim2real.data import drawn, real_data  # noqa: E402
 from oysterbench_baselines.sim2real.experiment import run  # noqa: E402
 from oysterbench_baselines.sim2real.report import lines, plot  # noqa: E402
 from oysterbench_baselines.sim2real.scoring import WHOLE, Truth, score  # noqa: E402
-from oysterbench_baselines.sim2real.settings import ALL, Cell, Settings, cells_of  # noqa: E402
+from oysterbench_baselines.sim2real.settings import ALL, SCHEDULES, Cell, Schedule, Settings, cells_of  # noqa: E402
 from oysterbench_baselines.sim2real.table import table  # noqa: E402
 from oysterbench_baselines.sim2real.trivial import TRIVIAL, answers  # noqa: E402
 from oysterbench_baselines.sim2real.work import Answer, Bench  # noqa: E402
@@ -110,15 +110,15 @@ def test_a_training_image_that_is_a_test_image_under_another_name_is_left_out_an
 def test_real_and_synthetic_begin_with_the_weights_of_synthetic_alone_and_all_have_as_many_steps(
     real, synthetic, tmp_path
 ):
-    settings = dataclasses.replace(SETTINGS, tuned=0.4)
+    settings = dataclasses.replace(SETTINGS, schedule=Schedule(share=0.4, rate=2e-3, kept=0))
     bench = Bench(real_data(real, (), 0.99), {"made": synthetic}, settings, "cpu")
     alone, both, only = Cell("made", None, 0), Cell("made", 2, 0), Cell("", 2, 0)
     assert both.begun == alone
     assert only.begun is None is alone.begun
     steps = {cell: settings.fit_of(cell).steps for cell in (alone, both, only)}
     assert steps[alone] + steps[both] == steps[only] == 5
-    assert settings.fit_of(both).learning_rate == settings.tuned_rate < settings.fit_of(only).learning_rate
-    still = dataclasses.replace(settings, tuned_rate=0.0)  # a training that learns nothing shows where it began
+    assert settings.fit_of(both).learning_rate == 2e-3 < settings.fit_of(only).learning_rate
+    still = dataclasses.replace(settings, schedule=Schedule(0.4, 0.0, 0))  # learning nothing shows where it began
     bench = Bench(bench.real, bench.synthetic, still, "cpu")
     bench.train(both, tmp_path / both.folder, lambda done: None)
     first, last = (read_checkpoint(tmp_path / cell.folder / "checkpoint.pt") for cell in (alone, both))
@@ -126,12 +126,28 @@ def test_real_and_synthetic_begin_with_the_weights_of_synthetic_alone_and_all_ha
     assert all(torch.equal(first.weights[key], value) for key, value in last.weights.items())
 
 
-def test_each_training_sees_its_own_images(real, synthetic):
-    bench = Bench(real_data(real, (), 0.99), {"made": synthetic}, SETTINGS, "cpu")
-    for cell, name, count in ((Cell("made", 2, 0), "real train", 2), (Cell("made", None, 0), "made", 4)):
+@pytest.mark.parametrize(("kept", "both"), [(0, {"real train": (2, 4)}), (1, {"made": (4, 1), "real train": (2, 3)})])
+def test_each_training_sees_its_own_images(real, synthetic, kept, both):
+    settings = dataclasses.replace(SETTINGS, schedule=Schedule(0.4, 2e-3, kept))
+    bench = Bench(real_data(real, (), 0.99), {"made": synthetic}, settings, "cpu")
+    cells = {Cell("made", None, 0): {"made": (4, 4)}, Cell("", 2, 0): {"real train": (2, 4)}, Cell("made", 2, 0): both}
+    for cell, expected in cells.items():
         images = bench._images(cell)
-        assert [dataset.labelled.name for dataset in images.datasets] == [name]
-        assert (list(images.counts), len(images.datasets[0])) == ([SETTINGS.batch], count)
+        found = {
+            dataset.labelled.name: (len(dataset), count)
+            for dataset, count in zip(images.datasets, images.counts, strict=True)
+        }
+        assert found == expected
+
+
+def test_what_a_cell_is_does_not_depend_on_schedules_of_other_cells(real, synthetic):
+    data = real_data(real, (), 0.99)
+    benches = [
+        Bench(data, {"made": synthetic}, dataclasses.replace(SETTINGS, schedule=schedule), "cpu")
+        for schedule in SCHEDULES.values()
+    ]
+    same = {cell: benches[0].identity(cell) == benches[1].identity(cell) for cell in cells_of(("made",), SETTINGS)}
+    assert [cell for cell, equal in same.items() if equal] == [cell for cell in same if not cell.synthetic]
 
 
 # Running
