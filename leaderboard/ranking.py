@@ -84,14 +84,10 @@ def standings(
 
     sign = -1 if better == "higher" else 1
     has_place = [one.digest in chosen and not math.isnan(score) for one, score in zip(known, scores, strict=True)]
+    keys = (sign * scores).tolist()
     order = sorted(
         range(len(known)),
-        key=lambda i: (
-            not has_place[i],
-            math.isnan(scores[i]),
-            sign * float(np.nan_to_num(scores[i])),
-            known[i].digest,
-        ),
+        key=lambda i: (not has_place[i], math.isnan(keys[i]), 0.0 if math.isnan(keys[i]) else keys[i], known[i].digest),
     )
     table, scores = table.take(order), scores[order]
     count = sum(has_place)
