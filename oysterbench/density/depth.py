@@ -205,7 +205,7 @@ def fit_plane(points: Array) -> tuple[float, float, float]:
         normal = design.T @ (design * weights[:, None]) / ECHO_SIGMA_M**2 + prior
         solution = np.linalg.solve(normal, design.T @ (weights * points[:, 2]) / ECHO_SIGMA_M**2)
         residuals = np.abs(points[:, 2] - design @ solution) / ECHO_SIGMA_M
-        weights = np.where(residuals > 1.345, 1.345 / np.maximum(residuals, 1e-9), 1.0)
+        weights = np.asarray(np.minimum(1.0, 1.345 / np.maximum(residuals, 1e-9)), dtype=np.float64)
     a, b, c = solution
     return float(a), float(b), float(c - a * middle[0] - b * middle[1])
 
