@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+from pathlib import Path
 from urllib.parse import urlencode
 
 import numpy as np
 import pytest
+from browser import CHROMIUM, browsing
 from click.testing import CliRunner
 from served import NAMES, Server, answers, estimate, image_names, lay, running, tum, zipped
 
@@ -221,6 +224,44 @@ def test_the_form_takes_a_submission_from_its_sending_to_its_withdrawal(site, tm
     out = urlencode({"csrf": csrf_in(ask("GET", "/submit/new", headers=cookie)[2])})
     assert ask("POST", "/submit/sign-out", out, {**plain, **cookie})[0] == 303
     assert ask("GET", place, headers=cookie)[0] == 401
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
+def test_a_browser_without_scripts_walks_from_signing_in_to_the_record(site, tmp_path):
+    """On a phone. With OYSTERBENCH_PICTURES naming a folder, pictures of the pages are left there."""
+    file = tmp_path / "answers.zip"
+    file.write_bytes(answers(tmp_path, case=21))
+
+    def fits(name):
+        if pictures := os.environ.get("OYSTERBENCH_PICTURES"):
+            (Path(pictures) / f"{name}.png").write_bytes(browser.picture())
+        assert browser.value("document.documentElement.scrollWidth <= innerWidth"), name
+
+    with browsing() as browser:
+        browser.look(390, dark=True, script=False)
+        browser.go(f"{site.url}/submit/new")
+        fits("submit-sign-in")
+        browser.value(f"document.querySelector('#token').value = {site.token!r}")
+        browser.follow("document.querySelector('main form button').click()")
+        assert "Signed in as reef lab" in browser.value("document.querySelector('main').textContent")
+        assert "oysterbench_session" not in browser.value("document.cookie"), "no script can read it"
+        fits("submit-new")
+        browser.value("document.querySelector('#split').value = 'pool-test slam'")
+        browser.value("document.querySelector('#method').value = 'by browser'")
+        chosen = browser.call("Runtime.evaluate", expression="document.querySelector('#file')")["result"]["objectId"]
+        browser.call("DOM.setFileInputFiles", files=[str(file)], objectId=chosen)
+        browser.follow("document.querySelector('form[enctype] button').click()")
+        place = browser.value("location.pathname")
+        browser.go(f"{site.url}/submit/new")  # its page asks again by itself, which is no good moment to look
+        site.server.wait(site.token, place.rpartition("/")[2])
+        browser.go(f"{site.url}{place}")
+        assert "is scored, and private" in browser.value("document.querySelector('main').textContent")
+        fits("submit-done")
+        browser.follow("document.querySelector('form[action$=publish] button').click()")
+        assert "and published" in browser.value("document.querySelector('main').textContent")
+        fits("submit-published")
+        browser.follow("document.querySelector('a[href^=\"/records/\"]').click()")
+        assert browser.value("document.querySelector('h1').textContent") == "by browser"
 
 
 def test_a_zip_archive_without_the_command(site, tmp_path):
