@@ -52,14 +52,14 @@ def method_page(site: Site, slug: str) -> Page:
 def _table(boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str) -> Table:
     columns = (
         Column("board", "Board"),
-        Column("evaluator", "Evaluator"),
-        Column("team", "Team"),
         Column("rank", "Rank", "of records", number=True),
         Column("metric", "Metric"),
         Column("value", "Value", number=True),
         Column("interval", "Interval", numbers.LEVEL, number=True),
         Column("coverage", "Coverage", "%", number=True),
         Column("failures", "Failed", "runs", number=True),
+        Column("evaluator", "Evaluator"),
+        Column("team", "Team"),
         Column("tier", "Tier"),
         Column("created", "Record", "UTC"),
         Column("record", hidden=True),
@@ -76,8 +76,6 @@ def _table(boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str)
             Line(
                 (
                     Cell(info.split, path=board_path(info), small=info.track),
-                    Cell(info.evaluator_version),
-                    Cell(row.team, kind="wrap"),
                     Cell(rank, row.rank if row.rank is not None else ""),
                     Cell(numbers.heading(info.metric).text, info.metric),
                     score,
@@ -88,6 +86,8 @@ def _table(boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str)
                     ),
                     numbers.cells("coverage", [row.coverage])[0],
                     Cell(f"{row.failures} of {row.runs}", row.failures, kind="warn" if row.failures else ""),
+                    Cell(info.evaluator_version),
+                    Cell(row.team),
                     Cell(row.tier, about=TIERS.get(row.tier, "")),
                     Cell(row.created[:10], row.created, path=record_path(row.digest), mark=state_mark(row)),
                     Cell(row.digest),
