@@ -203,7 +203,8 @@ def fit_plane(points: Array) -> tuple[float, float, float]:
     solution: Array = np.zeros(3)
     for _ in range(5):
         normal = design.T @ (design * weights[:, None]) / ECHO_SIGMA_M**2 + prior
-        solution = np.linalg.solve(normal, design.T @ (weights * points[:, 2]) / ECHO_SIGMA_M**2)
+        right = design.T @ (weights * points[:, 2]) / ECHO_SIGMA_M**2
+        solution = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
         residuals = np.abs(points[:, 2] - design @ solution) / ECHO_SIGMA_M
         weights = np.asarray(np.minimum(1.0, 1.345 / np.maximum(residuals, 1e-9)), dtype=np.float64)
     a, b, c = solution
