@@ -317,55 +317,14 @@ def _open_json(data: bytes, wanted: Wanted, limits: Limits) -> Bundle:
     except (ValueError, RecursionError) as error:
         raise Refusal("format", f"upload.json: not valid JSON: {' '.join(str(error).split())[:120]}") from None
     if isinstance(content, dict) and "results" in content:
+        from oysterbench_leaderboard.submissions.reported import read_results
+
         return Bundle("results", results=read_results(data, content, wanted, limits))
     if not wanted.of_images:
         raise Refusal(
             "type", f"upload.json: {wanted.track}: expected paths (TUM, EuRoC, CSV, .npz), or results with 'results'"
         )
     return Bundle("answers", answers=_coco_answers(data, "upload.json", wanted))
-
-
-def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: Limits) -> tuple[ResultRecord, ...]:
-    """Results that somebody else computed: of this split, by an evaluator of this version, with no key that is not of
-    the track."""
-    from oysterbench.evaluate.metrics import find_metric
-    from oysterbench.results import ResultRecord, aggregate, method_key
-
-    if wanted.hidden:
-        raise Refusal("type", f"{wanted.split} is hidden: results are computed here; expected estimates")
-    if len(data) > limits.results_bytes:
-        raise Refusal("size", f"results.json: expected at most {limits.results_bytes // 1_000_000} MB, got {len(data)}")
-    rows = content["results"]
-    if not isinstance(rows, list) or not rows:
-        raise Refusal("format", "results.json: key 'results': expected a list of results, as `oysterbench eval` writes")
-    found = []
-    with told("results.json"):
-        found = [ResultRecord.from_dict(row, f"results.json: results[{i}]") for i, row in enumerate(rows)]
-    for i, record in enumerate(found):
-        where = f"results.json: results[{i}]"
-        expected = (("track", wanted.track), ("split", wanted.split), ("split_digest", wanted.split_digest))
-        for key, value in expected:
-            if getattr(record, key) != value:
-                raise Refusal("format", f"{where}: key {key!r}: expected {value}, got {getattr(record, key)!r:.80}")
-        if record.sequence not in wanted.sequences:
-            raise Refusal("format", f"{where}: {shown(record.sequence)} is no sequence of {wanted.split}")
-        for key in record.metrics:
-            if find_metric(key) is None:
-                raise Refusal("format", f"{where}: {shown(key)} is no metric that this version of oysterbench knows")
-        if (record.evaluator_version, dict(record.settings)) != evaluator(wanted.track):
-            raise Refusal(
-                "format",
-                f"{where}: expected the evaluator {evaluator(wanted.track)[0]!r} with its usual settings, got "
-                f"{record.evaluator_version!r:.40}; evaluate again with this version of oysterbench",
-            )
-    if len({method_key(record) for record in found}) > 1:
-        raise Refusal("format", "results.json: expected results of one method with one setting, got several")
-    if len({(record.sequence, record.run) for record in found}) < len(found):
-        raise Refusal("format", "results.json: expected each run of a sequence once, got one of them twice")
-    with told("results.json"):
-        aggregate(found)
-        _check_texts([record.to_dict() for record in found], "results.json")
-    return tuple(found)
 
 
 def evaluator(track: str) -> tuple[str, dict[str, Any]]:
@@ -381,29 +340,6 @@ def evaluator(track: str) -> tuple[str, dict[str, Any]]:
     from oysterbench.evaluate import detection
 
     return detection.EVALUATOR, detection.DetectionSettings().as_dict()
-
-
-LONGEST = 2000
-"""Characters of a text in results, and of a key."""
-
-
-def _check_texts(value: Any, where: str) -> None:
-    """Refuse texts in results that no page could show."""
-    from oysterbench_leaderboard.record import check_text
-
-    if isinstance(value, str):
-        try:
-            check_text("text", value, LONGEST)
-            value.encode()
-        except (OysterbenchError, UnicodeEncodeError) as error:
-            raise Refusal("text", f"{where}: {' '.join(str(error).split())}") from None
-    elif isinstance(value, dict):
-        for key, item in value.items():
-            _check_texts(key, f"{where}: key {shown(key)}")
-            _check_texts(item, f"{where}: key {shown(key)}")
-    elif isinstance(value, list):
-        for item in value:
-            _check_texts(item, where)
 
 
 def check_bundle(bundle: Bundle, wanted: Wanted) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -74,7 +75,9 @@ class Settings:
     @property
     def url(self) -> str:
         """Of the database."""
-        return self.database or f"sqlite:///{self.folder / 'submissions.sqlite'}"
+        if not self.database:
+            return f"sqlite:///{self.folder / 'submissions.sqlite'}"
+        return re.sub(r"^postgres(ql)?://", "postgresql+psycopg://", self.database)
 
 
 def load_settings(folder: Path, **changes: Any) -> Settings:

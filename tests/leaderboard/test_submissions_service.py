@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from served import FAST, answers, lay_split, make_service
+from test_index import postgres  # noqa: F401
 
 from oysterbench.errors import ResultError
 from oysterbench_leaderboard.submissions import limited, queue
@@ -395,3 +396,25 @@ def test_the_database_keeps_what_it_has_said(service, tmp_path):
     with other.reading() as connection:
         assert [one.id for one in find(connection, submissions.c.team == "reef lab")] == [made.id]
     other.close()
+
+
+def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):  # noqa: F811
+    """Each of two servers, with two workers, takes what the other one has not: nothing is scored twice."""
+    shutil.copytree(laid / "splits", tmp_path / "splits")
+    hosts = [make_service(tmp_path, database=postgres.replace("+psycopg", ""), **FAST) for _ in range(2)]
+    issue(hosts[0].state, "reef lab")
+    made = [send(hosts[k % 2], tmp_path, k)[0].id for k in range(6)]
+    assert send(hosts[1], tmp_path, 0) == (hosts[1].get("reef lab", made[0]), False)
+    workers = [threading.Thread(target=queue.drain, args=(host,)) for host in hosts for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    found = hosts[0].of_team("reef lab")
+    assert sorted(one.id for one in found) == sorted(made)
+    assert {(one.state, one.attempt) for one in found} == {("done", 1)}
+    assert sorted(event["submission"] for event in events(hosts[1], "done")) == sorted(made)
+    published = hosts[1].publish("reef lab", made[0]).published
+    assert hosts[0].store.digests() == [published]
+    for host in hosts:
+        host.close()
