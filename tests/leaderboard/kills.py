@@ -15,7 +15,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,9 @@ from served import Server, answers, lay, make_service
 
 from oysterbench.streams import stream
 from oysterbench_leaderboard.submissions import limited
-from oysterbench_leaderboard.submissions.state import find, log, submissions
+from oysterbench_leaderboard.submissions.bundle import open_bundle
+from oysterbench_leaderboard.submissions.scoring import score_bundle
+from oysterbench_leaderboard.submissions.state import Submission, find, log, submissions
 
 SENDERS = 2
 
@@ -162,22 +164,20 @@ def _look(folder: Path, outcome: Outcome) -> None:
         outcome.scored[one.id] = done[one.id]
         outcome.records[one.id] = one.record
         outcome.attempts += one.attempt
-        served = service.catalogue.splits[one.split]
-        job = {
-            "do": "score",
-            "path": str(service.estimates / one.digest),
-            "wanted": served.wanted[one.track].to_dict(),
-            "limits": asdict(limited.limits_of(service.settings)),
-            "truth": {name: str(path) for name, path in served.truth.items()},
-            "method": one.method,
-            "created": one.created,
-        }
-        ended = limited.run(job, limited.scoring(service.settings))
-        assert ended.answer is not None, ended
-        outcome.again[one.id] = service.build(one, ended.answer).digest
+        outcome.again[one.id] = _scored_again(service, one)
     outcome.board = service.store.digests()
     outcome.published = sorted(one.published for one in found if one.published)
     service.close()
+
+
+def _scored_again(service: Any, one: Submission) -> str:
+    """Digest of the record that scoring a submission once more gives, in this process."""
+    served = service.catalogue.splits[one.split]
+    wanted = served.wanted[one.track]
+    bundle = open_bundle(service.estimates / one.digest, wanted, limited.limits_of(service.settings))
+    scored = score_bundle(bundle, wanted, served.truth, one.method, one.created, wanted.hidden)
+    results = [record.to_dict() for record in scored.results]
+    return service.build(one, {"results": results, "data_set": scored.data_set, "curves": scored.curves}).digest
 
 
 def check(outcome: Outcome, kills: int) -> None:
