@@ -84,7 +84,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Table:
-    """Its caption, columns, lines, and sentences that stand below it. name: of the file, in ASCII."""
+    """Its caption, columns, lines, and sentences that stand below it. name: what a paper refers to it by."""
 
     title: str
     columns: tuple[Column, ...]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Sequence
 
 import orjson
@@ -73,6 +74,7 @@ def _tex(table: Table) -> str:
         r"\begin{table}",
         r"\centering",
         rf"\caption{{{_escape(table.title)}}}",
+        rf"\label{{tab:{re.sub('[^a-z0-9-]+', '-', table.name)}}}",
         rf"\begin{{tabular}}{{{''.join('r' if column.number else 'l' for _, column in shown)}}}",
         r"\toprule",
         f"{' & '.join(_escape(column.text) for _, column in shown)} \\\\",
