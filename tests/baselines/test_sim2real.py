@@ -22,7 +22,8 @@ from oysterbench_baselines.sim2real import data, work  # noqa: E402
 from oysterbench_baselines.sim2real.command import command  # noqa: E402
 from oysterbench_baselines.sim2real.data import drawn, real_data  # noqa: E402
 from oysterbench_baselines.sim2real.experiment import run  # noqa: E402
-from oysterbench_baselines.sim2real.report import lines, plot  # noqa: E402
+from oysterbench_baselines.sim2real.plot import curves_of, plot  # noqa: E402
+from oysterbench_baselines.sim2real.report import lines  # noqa: E402
 from oysterbench_baselines.sim2real.scoring import WHOLE, Truth, score  # noqa: E402
 from oysterbench_baselines.sim2real.settings import ALL, SCHEDULES, Cell, Schedule, Settings, cells_of  # noqa: E402
 from oysterbench_baselines.sim2real.table import table  # noqa: E402
@@ -262,6 +263,23 @@ def test_too_few_blocks_have_no_interval_and_the_table_says_none():
     assert not rows[0].interval.known
     assert lines(rows)[0][3] == "0.500"
     assert plot(rows).startswith("<svg")
+
+
+def test_every_variant_has_a_curve_of_its_own_that_begins_with_its_synthetic_images_alone():
+    names = [f"set{k}" for k in range(6)]
+    records = [record("all", 0, None, [(1, 1, 0)] * 4)]
+    for name in names:
+        records += [record(f"{name} only", 0, None, [(10, 5, 5)] * 4)]
+    for variant in ("real", *(f"real + {name}" for name in names)):
+        records += [record(variant, 0, size, [(10, 5, size)] * 4) for size in (10, 5)]
+    rows = table(records, block=2)
+    drawn = plot(rows)
+    curves = curves_of(rows)
+    assert list(curves) == ["real", *(f"real + {name}" for name in names)]
+    assert [row.images for row in curves["real"]] == [5, 10]
+    assert [row.size for row in curves["real + set3"]] == [None, 5, 10]
+    for k, variant in enumerate(curves, start=1):
+        assert f'<title>{variant}</title><path class="c{k}"' in drawn
 
 
 def test_synthetic_sets_of_one_name_are_joined(real, tmp_path, monkeypatch):
