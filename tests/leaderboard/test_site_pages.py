@@ -115,6 +115,7 @@ def test_ranks_are_those_of_the_index_and_ties_are_marked(site):
     assert shown[:2] == ["=1", "=1"]
     for text, row in zip(shown, rows, strict=True):
         assert text.startswith("=") == (sum(other.rank == row.rank for other in rows) > 1)
+    assert [line.cells[1].text for line in method_page(site, "cod").table.lines] == ["=1 of 8"]
     # On a page of one row nothing else tells of the tie.
     assert board_page(site, "slam", "slam-val", None, Query(size=1)).table.lines[0].cells[0].text == "=1"
     assert [card[0].text for cards in home_page(site).context["cards"].values() for c in cards for card in c.leaders][

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from oysterbench.errors import ResultError
 from oysterbench.results import plain
 from oysterbench_leaderboard.board import BoardInfo, Row
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
-from oysterbench_leaderboard.site.pages.ranks import TIERS, state_mark
+from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells, state_mark
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site
 
@@ -34,9 +34,9 @@ def method_page(site: Site, slug: str) -> Page:
     rows = [row for row in rows if row.board in boards]
     current = sorted((row for row in rows if row.state == "current"), key=lambda row: order[row.board])
     past = [row for row in rows if row.state != "current"]
-    tables = [_table(boards, current, f"Current records of {name}", "current")]
+    tables = [_table(site, boards, current, f"Current records of {name}", "current")]
     if past:
-        tables.append(_table(boards, past, f"Superseded and withdrawn records of {name}", "past"))
+        tables.append(_table(site, boards, past, f"Superseded and withdrawn records of {name}", "past"))
     teams = list(dict.fromkeys(row.team for row in rows))
     newest = current[0] if current else rows[0]
     return Page(
@@ -49,7 +49,7 @@ def method_page(site: Site, slug: str) -> Page:
     )
 
 
-def _table(boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str) -> Table:
+def _table(site: Site, boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str) -> Table:
     columns = (
         Column("board", "Board"),
         Column("rank", "Rank", "of records", number=True),
@@ -68,15 +68,13 @@ def _table(boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str)
     lines = []
     for row in rows:
         info = boards[row.board]
-        rank = numbers.ABSENT
-        if row.place is not None:
-            rank = f"{row.rank} of {info.entries}" if row.rank is not None else f"({row.place}) of {info.entries}"
+        rank = rank_cells(site, info, [row])[0]
         score = numbers.cells(info.metric, [row.score])[0]
         lines.append(
             Line(
                 (
                     Cell(info.split, path=board_path(info), small=info.track),
-                    Cell(rank, row.rank if row.rank is not None else ""),
+                    rank if row.place is None else replace(rank, text=f"{rank.text} of {info.entries}"),
                     Cell(numbers.heading(info.metric).text, info.metric),
                     score,
                     Cell(
