@@ -37,6 +37,8 @@ class Settings(VisualInertialSettings):
     start_s: float = 1.5
     start_keyframes: int = 4
     pixel_sigma_px: float = 3.0  # beside a DVL: corners under moving light err together, and as one they count for less
+    huber: float = 0.43  # sigmas, 1.3 px: a track that slides off its point does so by less than 3 px at a time
+    max_slide_px: float = 4.0  # likewise: DVL and inertial unit predict better than the inertial unit alone
     alike: float = 1.0  # which is in those 3 px
     alike_online: float = 1.0
     aiding_huber: float = 3.0  # sigmas; beyond, a residual of a DVL or compass counts linearly
