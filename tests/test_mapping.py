@@ -256,7 +256,8 @@ def test_a_trajectory_of_another_time_and_a_length_of_nothing_are_named():
 
 def test_the_command_writes_a_cloud_and_says_how_large_it_is(dive_file, tmp_path):
     write_tum(tmp_path / "poses.tum", oysterbench.open(dive_file).truth())
-    words = [COMMAND, "map", dive_file, "--trajectory", tmp_path / "poses.tum", "--from", "echoes", "--voxel", "0.05", "--json"]
+    along = ["--trajectory", tmp_path / "poses.tum", "--from", "echoes", "--voxel", "0.05"]
+    words = [COMMAND, "map", dive_file, *along, "--json"]
     done = subprocess.run([*words, "--out", tmp_path / "a.ply"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout)
