@@ -21,6 +21,9 @@ MOST_POINTS = 300
 DECIMALS = 3
 """Of metres: millimetres are less than a line is thick."""
 
+ERROR_DECIMALS = 5
+"""Of errors in m: the best paths err by a millimetre."""
+
 
 def sequence_curve(result: SlamResult, run: int) -> dict[str, Any]:
     """A path on its sequence, thinned to stamps evenly over those of the truth, the first and the last among them.
@@ -42,7 +45,7 @@ def sequence_curve(result: SlamResult, run: int) -> dict[str, Any]:
         "t_s": np.round(seconds, DECIMALS).tolist(),
         "truth": _points(truth.positions[chosen]),
         "path": [None if k < 0 else _points(result.estimate.positions[k : k + 1])[0] for k in places],
-        "error_m": [None if k < 0 else round(float(result.error_m[k]), DECIMALS) for k in places],
+        "error_m": [None if k < 0 else round(float(result.error_m[k]), ERROR_DECIMALS) for k in places],
     }
 
 
