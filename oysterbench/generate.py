@@ -28,7 +28,15 @@ from oysterbench.recipe import CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, 
 from oysterbench.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
 from oysterbench.scheduling import Results, run_here, run_in_processes, run_on_cluster
 from oysterbench.sequence import topics
-from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, McapSequence, read_attachments, read_messages
+from oysterbench.sequence.read import (
+    CALIBRATION,
+    METADATA,
+    OYSTERS,
+    STEERING,
+    McapSequence,
+    read_attachments,
+    read_messages,
+)
 from oysterbench.sequence.topics import EPOCH_NS, Message
 from oysterbench.sequence.write import SequenceWriter, pack
 from oysterbench.version import VERSION
@@ -224,6 +232,10 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
     else:
         messages = sensor_messages(stage)
         tables[OYSTERS] = oyster_csv(stage)
+        if split.steering is not None:
+            from oysterbench.steering import steering_csv
+
+            tables[STEERING] = steering_csv(stage, split.steering)
     kinds = topics.rig_topics(split.rig)
     types = {name: kinds[name] for name, source in _sources(split.rig).items() if source == job.source}
     return pack(messages, types, tables)

@@ -28,6 +28,7 @@ SPLITS = {
     "seg-quadrat": (10, 60),
     "seg-reefview": (10, 60),
     "seg-random": (12, 108),
+    "steer-mini": (2, 40),
     "steer-train": (20, 4_000),
     "steer-val": (10, 500),
     "steer-test": (10, 500),

@@ -33,6 +33,7 @@ from oysterbench.recipe.sensors import (
     VibrationRecipe,
 )
 from oysterbench.recipe.split import SplitRecipe, carry, load_split, parse_split, split_names, vary_split
+from oysterbench.recipe.steering import SteeringRecipe
 
 __all__ = [
     "BOTTOMS",
@@ -59,6 +60,7 @@ __all__ = [
     "SiteRecipe",
     "SonarRecipe",
     "SplitRecipe",
+    "SteeringRecipe",
     "VibrationRecipe",
     "WaterRecipe",
     "as_plain",

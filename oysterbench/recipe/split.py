@@ -22,6 +22,7 @@ from oysterbench.recipe.path import check_path
 from oysterbench.recipe.rig import LENSES, CameraRecipe, RigRecipe
 from oysterbench.recipe.scene import WATER_TYPES, SequenceRecipe
 from oysterbench.recipe.sensors import ImuRecipe, SensorRecipe
+from oysterbench.recipe.steering import SteeringRecipe, check_steering
 
 TRACKS = ("slam", "segmentation", "steering")
 """What a split is made for; one with masks of every oyster serves segmentation and detection alike."""
@@ -42,6 +43,7 @@ class SplitRecipe:
     summary: str
     hidden: bool = False  # whether it is made with a secret salt only, so that nobody else can make its truth
     sequence: tuple[SequenceRecipe, ...]
+    steering: SteeringRecipe | None = None  # of the track steering, and of no other
     rig: RigRecipe
     rig_source: str = field(repr=False)  # text of the rig's file
     source: str = field(repr=False)  # text of the split's file
@@ -170,6 +172,11 @@ def _read_rig(source: str, where: str) -> RigRecipe:
 
 def _check_split(split: SplitRecipe, where: str) -> None:
     """What no single key can say."""
+    if (split.steering is not None) != (split.track == "steering"):
+        wanted = "a table [steering]" if split.track == "steering" else "no table [steering]"
+        raise RecipeError(f"{where}: key 'steering': expected {wanted} for track = {split.track!r}")
+    if split.steering is not None:
+        check_steering(split.steering, where)
     if not split.sequence:
         raise RecipeError(f"{where}: expected at least one [[sequence]], got none")
     names = [sequence.name for sequence in split.sequence]

@@ -138,6 +138,13 @@ class CameraRenderer:
             )
             return Frame(*(array.numpy().copy() for array in (self._colour, *self._truth)))
 
+    def truth(self, T_map_cam: Pose) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.uint16]]:
+        """Depth, classes and instances at a pose, as in Frame, without the light: a tenth of a picture's time."""
+        self._place(np.asarray(T_map_cam, dtype=float) @ np.linalg.inv(camera_pose(self.camera)))
+        self._cast(self._view(T_map_cam))
+        depth, classes, instances = (array.numpy().copy() for array in self._truth)
+        return depth, classes, instances
+
     def layers(
         self, T_map_cam: Pose, names: Sequence[str], time_s: float = 0.0, T_map_base: Pose | None = None
     ) -> dict[str, NDArray[np.generic]]:
@@ -191,13 +198,18 @@ class CameraRenderer:
             self._waves.move(time_s)
             self._optics.caustics = self._waves.light
             self._clear.caustics = self._waves.light
-        if self._geometry.vehicle.mesh:
-            self._geometry.vehicle.rotation = wp.mat33(*T_map_base[:3, :3].astype(np.float32).ravel().tolist())
-            self._geometry.vehicle.position = wp.vec3(*T_map_base[:3, 3].tolist())
+        self._place(T_map_base)
         if self._optics.lamps.count:
             lamps.place_lamps(self._optics.lamps, self._lamps, T_map_base, self.device)
             self._clear.lamps.positions = self._optics.lamps.positions
             self._clear.lamps.axes = self._optics.lamps.axes
+
+    def _place(self, T_map_base: Pose) -> None:
+        """Move the vehicle to its place."""
+        if self._geometry.vehicle.mesh:
+            T_map_base = np.round(T_map_base, 9)
+            self._geometry.vehicle.rotation = wp.mat33(*T_map_base[:3, :3].astype(np.float32).ravel().tolist())
+            self._geometry.vehicle.position = wp.vec3(*T_map_base[:3, 3].tolist())
 
     def _view(self, T_map_cam: Pose) -> View:
         view = View()
@@ -239,10 +251,7 @@ class CameraRenderer:
         shape, device = self._radiance.shape, self.device
         scene = [self._geometry, self._looks, optics, view]
         surfaces = [self._hits, self._normals]
-        with self._stage("primary rays"):
-            wp.launch(
-                kernels.trace, shape, inputs=[self._geometry, view], outputs=[*surfaces, *self._truth], device=device
-            )
+        self._cast(view)
         with self._stage("shadow rays"):
             wp.launch(kernels.shadow, shape, inputs=[*scene, *surfaces], outputs=[self._lit], device=device)
         if optics.occlusion > 0:
@@ -262,6 +271,13 @@ class CameraRenderer:
             inputs = [self._geometry, view, self._hits, self._level, *self._jagged]
             outputs = [self._sharp, self._glow, self._haze]
             wp.launch(edges.refine, shape, inputs=inputs, outputs=outputs, device=device)
+
+    def _cast(self, view: View) -> None:
+        """The nearest surface in each pixel of a view."""
+        with self._stage("primary rays"):
+            outputs = [self._hits, self._normals, *self._truth]
+            inputs = [self._geometry, view]
+            wp.launch(kernels.trace, self._radiance.shape, inputs=inputs, outputs=outputs, device=self.device)
 
     def _scattering(self, optics: Optics) -> wp.vec3:
         return wp.vec3(0.0, 0.0, 0.0) if optics is self._clear else self._water_scattering

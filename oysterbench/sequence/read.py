@@ -43,6 +43,7 @@ __all__ = [
     "CALIBRATION",
     "METADATA",
     "OYSTERS",
+    "STEERING",
     "McapSequence",
     "camera_calibration",
     "inertial_calibration",
@@ -53,6 +54,7 @@ __all__ = [
 METADATA = "oysterbench"
 CALIBRATION = "calibration.json"
 OYSTERS = "truth/oysters.csv"
+STEERING = "truth/steering.csv"
 
 
 class McapSequence(Sequence):
@@ -176,6 +178,16 @@ class McapSequence(Sequence):
         import pandas as pd
 
         return self._decoded(pd.read_csv, io.BytesIO(self.attachments[OYSTERS]))
+
+    def steering(self) -> pd.DataFrame:
+        """What an expert would command at each picture of the front camera, a row each: stamp_ns; yaw and pitch, the
+        numbers of the classes; heading_rad, pitch_rad (bow down positive), depth_m and altitude_m of the vehicle; and
+        value_Y_P, the oysters that the expert's best plan would gain if it began with classes Y and P."""
+        if STEERING not in self.attachments:
+            raise SequenceError(f"{self.path} has no truth about steering: no attachment {STEERING}")
+        import pandas as pd
+
+        return self._decoded(pd.read_csv, io.BytesIO(self.attachments[STEERING]))
 
     def _check(self, name: str, known: Mapping[str, Any], kind: str) -> None:
         if name not in known:

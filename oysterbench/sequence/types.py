@@ -115,6 +115,10 @@ class Sequence(ABC):
         """The truth about each oyster, a row each."""
         self._lacks("truth about oysters")
 
+    def steering(self) -> pd.DataFrame:
+        """What an expert would command at each picture, a row each."""
+        self._lacks("truth about steering")
+
     def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
         """Messages of a scalar sensor as a table, indexed by stamp_ns."""
         self._lacks(f"table of {topic}")
@@ -233,6 +237,9 @@ class SensorsOnly(Sequence):
 
     def oysters(self) -> pd.DataFrame:
         self._hidden("oysters()")
+
+    def steering(self) -> pd.DataFrame:
+        self._hidden("steering()")
 
     def clouds(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Cloud]:
         self._hidden("clouds()")
