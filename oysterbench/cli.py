@@ -23,10 +23,12 @@ from oysterbench.cli_render import frames_bar, render, render_files
 from oysterbench.cli_run import run_command
 from oysterbench.cli_scoring import Scoring, scoring_options
 from oysterbench.cli_splits import splits
+from oysterbench.cli_steering import TRACK as STEERING
+from oysterbench.cli_steering import Exploring, evaluate_steering, exploring_options
 from oysterbench.errors import OysterbenchError
 from oysterbench.version import VERSION
 
-TRACKS = ("slam", *IMAGE_TRACKS, DENSITY)
+TRACKS = ("slam", *IMAGE_TRACKS, DENSITY, STEERING)
 DEFAULT_SPLIT = {"slam": "slam-mini"}
 DEFAULT_METHODS = {"slam": ("gtsam_vi", "dead_reckoning")}
 """On slam-mini, one camera and an inertial unit: gtsam_full has nothing there that gtsam_vi has not, and visual_only,
@@ -81,6 +83,7 @@ def main() -> None:
       oysterbench eval --track slam                 the demo: render, run the baselines, print the table
       oysterbench eval --track slam --method gtsam_vi --out results
       oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3
+      oysterbench eval --track steering             policies that explore, against an expert
       oysterbench run my_slam --command "..."       run any program on a split, and score it
       oysterbench compare ours theirs               ranks, ties, and who is better where
       oysterbench train unet --data seg-train       a method that learns
@@ -113,9 +116,7 @@ for _command in (
 
 @main.command("eval", short_help="Run methods on a split and score them, or score two files.")
 @click.option("--track", type=click.Choice(TRACKS), required=True, help="What is evaluated.")
-@click.option(
-    "--split", "split_name", help="A split's name or the path of a .toml recipe.  [default: slam-mini, seg-mini]"
-)
+@click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.  [default: the mini one]")
 @click.option("--method", "method_names", multiple=True, help="A method; repeatable.  [default: the track's baselines]")
 @click.option("--truth", type=click.Path(path_type=Path), help="Score files: the true trajectory, or masks.")
 @click.option("--estimate", type=click.Path(path_type=Path), help="Score files: the estimated ones.")
@@ -123,10 +124,11 @@ for _command in (
 @scoring_options
 @imaging_options
 @density_options
+@exploring_options
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of the results.  [default: under the home]"
 )
-@click.option("--workers", type=click.IntRange(min=1), help="Processes that render.  [default: one per core]")
+@click.option("--workers", type=click.IntRange(min=1), help="Processes that render, or dive.  [default: one per core]")
 @click.option("--runs", "times", type=click.IntRange(min=1), help="Runs of each method on each sequence.  [default: 1]")
 @output_options
 def eval_command(
@@ -139,6 +141,7 @@ def eval_command(
     settings: Scoring,
     imaging: Imaging,
     mapping: Mapping,
+    exploring: Exploring,
     out: Path | None,
     workers: int | None,
     times: int | None,
@@ -158,6 +161,8 @@ def eval_command(
       oysterbench eval --track detection --truth instances.json --estimate results.json
       oysterbench eval --track density --split slam-val --method gtsam_full --method dead_reckoning
       oysterbench eval --track density --split slam-val --poses results --masks answers --depth stereo
+      oysterbench eval --track steering --method my_pilot:MyPilot --split steer-val
+      oysterbench eval --track steering --closed-loop --method my_pilot:MyPilot --split steer-val --reefs 3
 
     The split is rendered on first use. The folder of results has them as JSON, CSV, LaTeX, Markdown and as an HTML
     report. Run k of a method that draws random numbers has the method's seed + k.
@@ -170,12 +175,19 @@ def eval_command(
         raise click.UsageError(
             "--truth and --estimate score two files: --split, --method, --workers and --runs do not apply"
         )
-    if track == DENSITY:
+    if track in (DENSITY, STEERING):
         names = [*reading.given, *(["--runs"] if times else []), *(["--truth"] if truth else [])]
-        names += [name for name in settings.given if name != "--align"]
+        names += [name for name in settings.given if track == STEERING or name != "--align"]
         if names:
             raise click.UsageError(f"{', '.join(names)}: of other tracks, not of {track}")
         imaging.refuse(tuple(imaging.given), "of the tracks segmentation and detection")
+    if track == STEERING:
+        mapping.refuse(besides=("sequences",))
+        sequences = mapping.given.get("sequences", ())
+        evaluate_steering(split_name, method_names, exploring, sequences, out, workers, outputs)
+        return
+    exploring.refuse()
+    if track == DENSITY:
         evaluate_density(split_name, method_names, mapping, settings.values.get("align"), out, workers, outputs)
         return
     mapping.refuse()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli_map import DEPTHS, KINDS
-from oysterbench.cli_outputs import Outputs, print_rich
-from oysterbench.errors import MethodError, OysterbenchError, TrajectoryError
+from oysterbench.cli_outputs import Outputs, end, print_rich
+from oysterbench.errors import MethodError, TrajectoryError
 
 if TYPE_CHECKING:
     from oysterbench.recipe import SplitRecipe
@@ -43,7 +42,10 @@ OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "depth": ("--depth", {"type": click.Choice(DEPTHS), "help": "Density: where depths come from.  [default: layer]"}),
     "cell_m": ("--cell", {"type": float, "help": "Density: edge of the grid's cells, in m.  [default: 1]"}),
-    "sequences": ("--sequence", {"multiple": True, "metavar": "NAME", "help": "Density: only this one; repeatable."}),
+    "sequences": (
+        "--sequence",
+        {"multiple": True, "metavar": "NAME", "help": "Density, steering: only this one; repeatable."},
+    ),
 }
 """Argument -> the option's name, and what click is told of it."""
 
@@ -54,11 +56,10 @@ class Mapping:
 
     given: dict[str, Any]
 
-    def refuse(self) -> None:
-        """Refuse all: another track was asked for."""
-        if self.given:
-            names = ", ".join(OPTIONS[key][0] for key in self.given)
-            raise click.UsageError(f"{names}: of the track density")
+    def refuse(self, besides: Sequence[str] = ()) -> None:
+        """Refuse all, but those that the track that was asked for has as well."""
+        if names := [OPTIONS[key][0] for key in self.given if key not in besides]:
+            raise click.UsageError(f"{', '.join(names)}: of the track density")
 
 
 def density_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -195,13 +196,7 @@ def _show(runs: list[DensityRun], out: Path, outputs: Outputs) -> None:
         for table in [results_table(records), *(comparison_tables(records) if several else [])]:
             if table.lines:
                 print_rich(terminal_table(table))
-    for path in written:
-        _say(f"written: {path}")
-    failures = [record for record in records if record.failure is not None]
-    for record in failures:
-        _say(f"{record.method} failed on {record.sequence}: {record.failure}")
-    if failures:
-        sys.exit(OysterbenchError.exit_code)
+    end(written, records)
 
 
 def _say(text: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from oysterbench.cli_outputs import Outputs, print_rich
-from oysterbench.errors import MethodError, OysterbenchError
+from oysterbench.cli_outputs import Outputs, end, print_rich
+from oysterbench.errors import MethodError
 
 if TYPE_CHECKING:
     from oysterbench.report import DatasetRow, ImageRun
@@ -161,13 +160,7 @@ def _show(runs: list[ImageRun], rows: list[DatasetRow], out: Path | None, output
         for table in tables:
             if table.lines:
                 print_rich(terminal_table(table))
-    for path in written:
-        _say(f"written: {path}")
-    failures = [record for record in records if record.failure is not None]
-    for record in failures:
-        _say(f"{record.method} failed on {record.sequence}: {record.failure}")
-    if failures:
-        sys.exit(OysterbenchError.exit_code)
+    end(written, records)
 
 
 def _say(text: str) -> None:

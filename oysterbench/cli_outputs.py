@@ -12,9 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.errors import OysterbenchError
+
 if TYPE_CHECKING:
-    from oysterbench.report import DatasetRow, ImageRun, SlamRun
-    from oysterbench.report.density import DensityRun
+    from oysterbench.report import DatasetRow
+    from oysterbench.report.html import Runs
+    from oysterbench.report.steering import Figure
+    from oysterbench.report.tables import Table
+    from oysterbench.results import ResultRecord
 
 TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs", "md": "tables in Markdown"}
 """Forms of text, by their suffix."""
@@ -35,13 +40,16 @@ class Outputs:
 
     def write(
         self,
-        runs: Sequence[SlamRun] | Sequence[ImageRun] | Sequence[DensityRun],
+        runs: Runs,
         folder: Path | None = None,
         data_set: Sequence[DatasetRow] = (),
+        first: Sequence[Table] = (),
+        figures: Sequence[Figure] = (),
     ) -> list[Path]:
         """Write all files that were asked for, those of a folder in all forms; returns what was written.
 
-        data_set: of tracks of images, each method over all clips together.
+        data_set: of tracks of images, each method over all clips together; first: tables that stand before all
+        others; figures: of the report.
         """
         from oysterbench.files import write_atomically
         from oysterbench.report import csv_text, dataset_tables, latex_text, markdown_text, write_html_report
@@ -54,13 +62,14 @@ class Outputs:
             places += [(form, folder / f"results.{form}") for form in TEXTS]
             reports.append(folder / "report.html")
         for form, path in places:
-            text = makers[form](records, dataset_tables(data_set))
+            text = makers[form](records, [*first, *dataset_tables(data_set)])
             if path == Path("-"):
                 click.echo(text, nl=False)
             else:
                 write_atomically(path, text.encode())
         for path in reports:
-            write_html_report(path, runs, shlex.join(["oysterbench", *sys.argv[1:]]), data_set=data_set)
+            command = shlex.join(["oysterbench", *sys.argv[1:]])
+            write_html_report(path, runs, command, data_set=data_set, first=first, figures=figures)
         return [*(path for _, path in places if path != Path("-")), *reports]
 
 
@@ -93,3 +102,14 @@ def print_rich(table: Any) -> None:
     if not console.is_terminal:
         console = Console(width=200)
     console.print(table)
+
+
+def end(written: Sequence[Path], records: Sequence[ResultRecord]) -> None:
+    """Say what was written and what failed; the command ends with an error where something did."""
+    for path in written:
+        click.echo(f"written: {path}", err=True)
+    failures = [record for record in records if record.failure is not None]
+    for record in failures:
+        click.echo(f"{record.method} failed on {record.sequence}: {record.failure}", err=True)
+    if failures:
+        sys.exit(OysterbenchError.exit_code)

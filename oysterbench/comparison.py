@@ -17,7 +17,14 @@ from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Comparison, Sample, Standing, Summary, compare, rank, summarise
 from oysterbench.results import ResultRecord, comparable_key, method_key, plain, samples, weights_of
 
-PRIMARY = {"slam": "score", "segmentation": "iou", "detection": "ap_mask", "density": "map_score"}
+PRIMARY = {
+    "slam": "score",
+    "segmentation": "iou",
+    "detection": "ap_mask",
+    "density": "map_score",
+    "steering": "skill",
+    "exploration": "oysters_per_min",
+}
 """Track -> the metric that ranks."""
 
 

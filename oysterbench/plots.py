@@ -169,7 +169,7 @@ def share_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) 
 
 
 def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, top: float | None = None) -> str:
-    """Points, not lines: one for each sequence and method; from zero up to `top`.
+    """Points, not lines: one for each sequence and method; from zero, or what lies below it, up to `top`.
 
     Without a top the axis ends above the highest point, and is logarithmic where they differ greatly.
     """
@@ -182,7 +182,7 @@ def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str
         y_axis = Axis(low, high, TOP + 170.0, TOP, logarithmic=True)
         y_label += ", logarithmic"
     else:
-        y_axis = Axis(0.0, top or 1.08 * max(highest, 1e-9), TOP + 170.0, TOP, 40.0)
+        y_axis = Axis(min(0.0, 1.08 * lowest), top or 1.08 * max(highest, 1e-9), TOP + 170.0, TOP, 40.0)
     points = []
     for k, curve in enumerate(curves):
         shift = 3.0 * (k - (len(curves) - 1) / 2)  # px, so that equal values of two methods are both seen

@@ -8,6 +8,7 @@ from dataclasses import replace
 from oysterbench.evaluate.density_metrics import DENSITY
 from oysterbench.evaluate.detection.metrics import DETECTION
 from oysterbench.evaluate.metric import Metric
+from oysterbench.evaluate.navigation.metrics import DIVES, PICTURES
 from oysterbench.evaluate.segmentation.metrics import SEGMENTATION, find_segmentation
 
 
@@ -271,7 +272,7 @@ _WRITTEN = {"percent": "%", "frames": "poses"}
 
 def find_metric(key: str) -> Metric | None:
     """The metric of that key; those over another time, path, angle or share than the listed are found as well."""
-    for known in (SLAM, SEGMENTATION, DETECTION, DENSITY):
+    for known in (SLAM, SEGMENTATION, DETECTION, DENSITY, PICTURES, DIVES):
         if key in known:
             return known[key]
     if (of_images := find_segmentation(key)) is not None:
@@ -293,5 +294,7 @@ FAILED = {
     "segmentation": {"iou": 0.0},
     "detection": {"ap_mask": 0.0},
     "density": {"map_score": 0.0, "right_class": 0.0, "coverage": 0.0},
+    "steering": {"skill": 0.0},
+    "exploration": {"oysters_per_min": 0.0},
 }
 """Track -> what a run without a scored estimate is worth: it answers nothing, and its errors do not exist."""

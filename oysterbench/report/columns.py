@@ -91,7 +91,38 @@ DENSITY = (
     Column("coverage", "cover", "%", factor=100.0),
 )
 
-OF_TRACK = {"slam": COLUMNS, "segmentation": SEGMENTATION, "detection": DETECTION, "density": DENSITY}
+STEERING = (
+    Column("skill", "skill", "", decimals=3, small=0.0),
+    Column("regret_oysters", "regret", "oysters", small=0.0),
+    *(
+        column
+        for axis in ("yaw", "pitch")
+        for column in (
+            Column(f"{axis}_accuracy", axis, "% right", factor=100.0, decimals=1, small=0.0),
+            Column(f"{axis}_macro_f1", axis, "F1", decimals=3, small=0.0),
+            Column(f"{axis}_cost_deg", axis, "deg off", decimals=1, small=0.0),
+        )
+    ),
+)
+EXPLORATION = (
+    Column("oysters_per_min", "oysters", "per min", decimals=1, small=0.0),
+    Column("found_share", "found", "%", factor=100.0, decimals=1, small=0.0),
+    Column("covered_share", "covered", "%", factor=100.0, decimals=1, small=0.0),
+    Column("contacts_per_min", "contacts", "per min", small=0.0),
+    Column("in_band_share", "in band", "%", factor=100.0, decimals=1, small=0.0),
+    Column("turned_back", "turned", "times", decimals=1, small=0.0),
+    Column("distance_m", "way", "m", decimals=1, small=0.0),
+    Column("steps_per_s", "speed", "steps/s", decimals=1, small=0.0),
+)
+
+OF_TRACK = {
+    "slam": COLUMNS,
+    "segmentation": SEGMENTATION,
+    "detection": DETECTION,
+    "density": DENSITY,
+    "steering": STEERING,
+    "exploration": EXPLORATION,
+}
 """Track -> columns of its results."""
 
 STANDING_OF_TRACK = {
@@ -99,6 +130,8 @@ STANDING_OF_TRACK = {
     "segmentation": SEGMENTATION[1:],
     "detection": DETECTION[1:],
     "density": DENSITY[1:],
+    "steering": STEERING[1:],
+    "exploration": EXPLORATION[1:],
 }
 """Track -> columns of its standings, beside the metric that ranks."""
 
@@ -107,11 +140,13 @@ ERROR_OF_TRACK = {
     "segmentation": "boundary_iou",
     "detection": "count_mae",
     "density": "cell_mae_per_m2",
+    "steering": "regret_oysters",
+    "exploration": "contacts_per_min",
 }
 """Track -> the metric that is shown beside the one that ranks, over conditions and over runs."""
 
 
 def find_column(key: str) -> Column:
     """The column of a metric."""
-    known = (*COLUMNS, *STANDING, *SEGMENTATION, *DETECTION, *DENSITY)
+    known = (*COLUMNS, *STANDING, *(column for columns in OF_TRACK.values() for column in columns))
     return next(column for column in known if column.key == key)

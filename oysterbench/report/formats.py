@@ -145,9 +145,9 @@ def latex_table(table: Table) -> str:
 
 
 def latex_escape(text: str) -> str:
-    """Text in which nothing is a command; a bracket after a line break would be taken for its length."""
+    """Text in which nothing is a command; a bracket or a star after a line break would be taken for a part of it."""
     escaped = "".join(_LATEX.get(character, character) for character in text)
-    return f"{{{escaped}}}" if escaped.startswith("[") else escaped
+    return f"{{{escaped}}}" if escaped.startswith(("[", "*")) else escaped
 
 
 def terminal_table(table: Table, colour: bool = True, titled: bool = True) -> RichTable:

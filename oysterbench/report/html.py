@@ -23,6 +23,7 @@ from oysterbench.report.columns import ERROR_OF_TRACK, OF_TRACK, STANDING_OF_TRA
 from oysterbench.report.density import DensityRun, maps_section
 from oysterbench.report.images import DatasetRow, ImageRun, curves_section, dataset_tables, samples_section
 from oysterbench.report.sequences import SlamRun, card, sequence_section
+from oysterbench.report.steering import DiveRun, Figure, PictureRun, figures_section
 from oysterbench.report.tables import (
     COMPLETE,
     Heading,
@@ -42,9 +43,16 @@ OPEN_SEQUENCES = 3  # more are folded away, all but the first
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
 
 
-Runs = Sequence[SlamRun] | Sequence[ImageRun] | Sequence[DensityRun]
+Runs = Sequence[SlamRun] | Sequence[ImageRun] | Sequence[DensityRun] | Sequence[PictureRun] | Sequence[DiveRun]
 
-TITLES = {"slam": "SLAM", "segmentation": "Segmentation", "detection": "Detection", "density": "Oyster maps"}
+TITLES = {
+    "slam": "SLAM",
+    "segmentation": "Segmentation",
+    "detection": "Detection",
+    "density": "Oyster maps",
+    "steering": "Steering",
+    "exploration": "Exploration",
+}
 
 
 def write_html_report(
@@ -53,15 +61,25 @@ def write_html_report(
     command: str,
     title: str | None = None,
     data_set: Sequence[DatasetRow] = (),
+    first: Sequence[Table] = (),
+    figures: Sequence[Figure] = (),
 ) -> None:
     """Write `html_report` to a file, nothing half-written."""
-    write_atomically(path, html_report(runs, command, title, data_set).encode())
+    write_atomically(path, html_report(runs, command, title, data_set, first, figures).encode())
 
 
-def html_report(runs: Runs, command: str, title: str | None = None, data_set: Sequence[DatasetRow] = ()) -> str:
+def html_report(
+    runs: Runs,
+    command: str,
+    title: str | None = None,
+    data_set: Sequence[DatasetRow] = (),
+    first: Sequence[Table] = (),
+    figures: Sequence[Figure] = (),
+) -> str:
     """Table, standings, trajectories, errors and recall, frames, definitions, and how it was all made.
 
-    Of tracks of images: the data set as a whole, curves and pictures in place of trajectories.
+    Of tracks of images: the data set as a whole, curves and pictures in place of trajectories. first, figures: what a
+    track shows before and after the tables of every track.
     """
     records = [run.record for run in runs]
     splits = list(dict.fromkeys(record.split for record in records if record.split))
@@ -79,7 +97,7 @@ def html_report(runs: Runs, command: str, title: str | None = None, data_set: Se
         else '<p class="lead">No runs.</p>',
         *(f'<p class="small">{escape(remark[0].upper() + remark[1:])}.</p>' for remark in remarks(found)),
     ]
-    for table in dataset_tables(data_set):
+    for table in (*first, *dataset_tables(data_set)):
         notes = "".join(f'<p class="small">{escape(note)}</p>' for note in table.notes)
         parts.append(f"<h2>{escape(table.title)}</h2>{_table(table)}{notes}")
     parts.append(curves_section(data_set, styles))
@@ -91,6 +109,7 @@ def html_report(runs: Runs, command: str, title: str | None = None, data_set: Se
     parts += [_board(board, styles, compared=len(board.sequences) > 1 or not drawn) for board in found]
     parts.append(samples_section([run for run in runs if isinstance(run, ImageRun)]))
     parts.append(maps_section([run for run in runs if isinstance(run, DensityRun)]))
+    parts.append(figures_section(figures))
     for i, sequence in enumerate(sequences if slam else ()):
         of_sequence = [run for run in slam if run.record.sequence == sequence]
         failed = all(run.record.failure is not None for run in of_sequence)
@@ -235,8 +254,9 @@ def _short(board: Board) -> str:
 def _over(board: Board, condition: str, values: Mapping[str, float], styles: Mapping[str, int]) -> str:
     """The ranking metric, and the error beside it, of every sequence over a condition."""
     cards = []
+    ranking = find_metric(board.metric)
     for key, top in (
-        (board.metric, 1.0),
+        (board.metric, None if ranking is not None and ranking.unit else 1.0),
         *((key, None) for key in (ERROR_OF_TRACK[board.track],) if key in board.keys),
     ):
         metric = find_metric(key)

@@ -1,0 +1,118 @@
+"""What is measured of policies that explore: name, unit, direction and definition of every metric."""
+
+from __future__ import annotations
+
+from oysterbench.evaluate.metric import Metric
+
+PER_MIN = "per min"
+
+
+def _axis(axis: str, sides: str) -> dict[str, Metric]:
+    """Metrics of one axis of the command."""
+    name = axis.capitalize()
+    return {
+        f"{axis}_accuracy": Metric(
+            "", "higher", f"Share (0 to 1) of the pictures whose class of {axis} is the expert's.", f"{name} right"
+        ),
+        f"{axis}_balanced_accuracy": Metric(
+            "",
+            "higher",
+            f"Mean over the classes of {axis} that the expert commands somewhere of the share of their pictures in "
+            "which they are commanded: classes count alike however often they occur.",
+            f"{name} balanced",
+        ),
+        f"{axis}_macro_f1": Metric(
+            "",
+            "higher",
+            f"Mean of F1 over the classes of {axis}; one that neither the expert nor the policy commands in any "
+            "picture is left out, one that only one of them commands counts 0.",
+            f"{name} F1",
+        ),
+        f"{axis}_within_one": Metric(
+            "",
+            "higher",
+            f"Share (0 to 1) of the pictures whose class of {axis} is the expert's or one next to it.",
+            f"{name} within one",
+        ),
+        f"{axis}_cost_classes": Metric(
+            "classes",
+            "lower",
+            f"Expected cost: mean over pictures of the distance to the expert's class of {axis}, {sides}, each class "
+            "weighed by its probability; a policy that only says which class gives it all of it.",
+            f"{name} cost",
+        ),
+        f"{axis}_cost_deg": Metric(
+            "deg", "lower", f"The same cost of {axis} in degrees of the task's turns.", f"{name} cost"
+        ),
+    }
+
+
+PICTURES: dict[str, Metric] = {
+    "skill": Metric(
+        "",
+        "higher",
+        "1 - regret / regret of commands drawn evenly from all pairs of classes, over all pictures: 1 of the expert's "
+        "own commands, 0 of chance, below 0 of what is worse than chance. Where several commands are as good, any of "
+        "them is right. A failed run counts 0.",
+        "Skill",
+    ),
+    "regret_oysters": Metric(
+        "oysters",
+        "lower",
+        "Mean over pictures of the value of the expert's best pair of classes less that of the commanded pair: oysters "
+        "lost per decision, by the expert's own plans, in which leaving the altitude band and touching cost oysters.",
+        "Regret",
+    ),
+    **_axis("yaw", "which lie from left to right"),
+    **_axis("pitch", "which lie from up to down"),
+    "joint_accuracy": Metric(
+        "", "higher", "Share (0 to 1) of the pictures in which both classes are the expert's.", "Both right"
+    ),
+    "pictures": Metric("", "", "Number of pictures that were answered.", "Pictures"),
+    "pictures_per_s": Metric("per s", "higher", "Pictures answered by the wall time of the policy.", "Speed"),
+}
+"""Metrics of the track steering, over labelled pictures, by their key."""
+
+DIVES: dict[str, Metric] = {
+    "oysters_per_min": Metric(
+        PER_MIN,
+        "higher",
+        "Live oysters of the dive's area that were seen, each once, by the length of the dive; those in the first view "
+        "included. An oyster is seen when it is near enough for the water, and large enough in the picture, for the "
+        "task's limits. A failed dive counts 0.",
+        "Oysters",
+    ),
+    "oysters_seen": Metric("", "higher", "Those oysters.", "Seen"),
+    "found_share": Metric(
+        "", "higher", "Those oysters by all live ones of the area (0 to 1): what can be found in a dive.", "Found"
+    ),
+    "covered_share": Metric(
+        "", "higher", "Share (0 to 1) of the bottom within the fence that was seen from near enough.", "Covered"
+    ),
+    "contacts": Metric(
+        "",
+        "lower",
+        "Times that the hull would have touched something and was held above it: steps in a row count once.",
+        "Contacts",
+    ),
+    "contacts_per_min": Metric(PER_MIN, "lower", "The same by the length of the dive.", "Contacts"),
+    "contact_share": Metric("", "lower", "Share (0 to 1) of the steps with a contact.", "In contact"),
+    "in_band_share": Metric(
+        "",
+        "higher",
+        "Share (0 to 1) of the commands after which the altitude is in the task's band.",
+        "Band",
+    ),
+    "turned_back": Metric("", "lower", "Times that the fence turned the vehicle: steps in a row count once.", "Turned"),
+    "distance_m": Metric("m", "", "Length of the way, in chords from step to step.", "Way"),
+    "oysters_per_m": Metric("per m", "higher", "Oysters seen by that length.", "Oysters"),
+    "steps_per_s": Metric(
+        "per s",
+        "higher",
+        "Commands by the wall time of the dive: steering, moving, and, for a policy, rendering what it sees; the "
+        "references are shown no picture.",
+        "Steps",
+    ),
+    "dive_s": Metric("s", "", "Length of the dive.", "Dive"),
+}
+"""Metrics of a dive in a closed loop by their key."""

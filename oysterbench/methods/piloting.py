@@ -1,0 +1,77 @@
+"""A method of the track steering at work: views in, commands out, one at a time and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from oysterbench.errors import MethodError, OysterbenchError
+from oysterbench.methods.steering import Steering, SteeringMethod, View
+from oysterbench.recipe import SteeringRecipe
+
+
+class _Views:
+    def __init__(self, task: SteeringRecipe, views: Iterator[View]) -> None:
+        self.task = task
+        self._views = views
+
+    def __iter__(self) -> Iterator[View]:
+        return self._views
+
+
+def commands(
+    pilot: SteeringMethod, task: SteeringRecipe, views: Iterator[View], where: str
+) -> Iterator[tuple[View, Steering, tuple[int, int]]]:
+    """Each view, what a method answers it with, and the classes of yaw and pitch that this means.
+
+    Raises MethodError where the method fails, answers another view or takes one before it has answered the last.
+    """
+    last: list[View] = []
+
+    def remembered() -> Iterator[View]:
+        for view in views:
+            last[:] = [view]
+            yield view
+            if last:
+                raise MethodError(f"method {pilot.name!r}, {where}: took a view before it had answered {view.name}")
+
+    try:
+        for answer in pilot.run(_Views(task, remembered())):
+            if not last or not isinstance(answer, Steering) or answer.name != last[0].name:
+                raise MethodError(
+                    f"method {pilot.name!r}, {where}: expected a Steering of the view "
+                    f"{last[0].name if last else '(none was taken)'}, got {answer!r:.80}"
+                )
+            view = last.pop()
+            yield view, answer, classes_of(answer, task, f"method {pilot.name!r}, {where}, view {view.name}")
+    except OysterbenchError:
+        raise
+    except Exception as error:
+        line = " ".join(f"{type(error).__name__}: {error}".split())
+        raise MethodError(f"method {pilot.name!r} failed, {where}: {line}") from error
+
+
+def classes_of(answer: Steering, task: SteeringRecipe, where: str) -> tuple[int, int]:
+    """The classes of yaw and pitch that an answer names, or finds likeliest; of equals the one nearest to straight."""
+    found = []
+    for axis, degrees in (("yaw", task.yaw_deg), ("pitch", task.pitch_deg)):
+        number, shares = getattr(answer, axis), getattr(answer, f"{axis}_probability")
+        if shares is not None:
+            shares = np.asarray(shares, dtype=float)
+            if (
+                shares.shape != (len(degrees),)
+                or not np.isfinite(shares).all()
+                or (shares < 0).any()
+                or not shares.any()
+            ):
+                raise MethodError(
+                    f"{where}: {axis}_probability: expected {len(degrees)} numbers, none below 0 and not all 0, got "
+                    f"{np.round(shares, 3).tolist()!s:.80}"
+                )
+            near = -np.abs(np.arange(len(degrees)) - degrees.index(0.0))
+            number = int(np.lexsort((near, shares))[-1])
+        if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < len(degrees):
+            raise MethodError(f"{where}: {axis}: expected a class from 0 to {len(degrees) - 1}, got {number!r}")
+        found.append(int(number))
+    return found[0], found[1]

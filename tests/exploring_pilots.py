@@ -1,0 +1,126 @@
+"""Policies for the tests: one that reads the expert's classes off the picture, and ones that do not do as agreed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oysterbench.methods.steering import Steering
+
+
+class Reader:
+    """Reads what `exploring_made.picture` wrote."""
+
+    name, track = "reader", "steering"
+
+    def run(self, dive):
+        for view in dive:
+            yaw, pitch = (round((int(value) - 20) / 30) for value in view.pixels[12, 16, :2])
+            yield Steering(view.name, yaw, pitch)
+
+
+class Unsure(Reader):
+    """Knows the classes, and says so with half its probability."""
+
+    name = "unsure"
+
+    def run(self, dive):
+        for answer in super().run(dive):
+            yield Steering(
+                answer.name,
+                yaw_probability=np.eye(7)[answer.yaw] + 1 / 7,
+                pitch_probability=np.eye(7)[answer.pitch] + 1 / 7,
+            )
+
+
+class Ahead:
+    """Takes all views before it answers."""
+
+    name, track = "ahead", "steering"
+
+    def run(self, dive):
+        for view in list(dive):
+            yield Steering(view.name, 3, 3)
+
+
+class Wrong(Ahead):
+    """Answers another view."""
+
+    name = "wrong"
+
+    def run(self, dive):
+        for _ in dive:
+            yield Steering("another", 3, 3)
+
+
+class Short(Ahead):
+    """Stops after the first view."""
+
+    name = "short"
+
+    def run(self, dive):
+        for view in dive:
+            yield Steering(view.name, 3, 3)
+            return
+
+
+class Broken(Ahead):
+    """Raises."""
+
+    name = "broken"
+
+    def run(self, dive):
+        for _ in dive:
+            raise ValueError("no such\nweight")
+        yield
+
+
+class Few(Ahead):
+    """Has six classes of yaw."""
+
+    name = "few"
+
+    def run(self, dive):
+        for view in dive:
+            yield Steering(view.name, yaw_probability=np.ones(6), pitch=3)
+
+
+class NotNumbers(Ahead):
+    """Gives a NaN."""
+
+    name = "nan"
+
+    def run(self, dive):
+        for view in dive:
+            yield Steering(view.name, 3, pitch_probability=np.full(7, np.nan))
+
+
+class Negative(Ahead):
+    """Gives a probability below 0."""
+
+    name = "negative"
+
+    def run(self, dive):
+        for view in dive:
+            yield Steering(view.name, 3, pitch_probability=np.array([-1.0, 1, 1, 1, 1, 1, 1]))
+
+
+class Outside(Ahead):
+    """Commands a class that is not there."""
+
+    name = "outside"
+
+    def run(self, dive):
+        for view in dive:
+            yield Steering(view.name, 7, 0)
+
+
+class Settled(Reader):
+    """Has an option."""
+
+    name = "settled"
+
+    def __init__(self, gain: float = 1.0) -> None:
+        self.gain = gain
+
+    def as_dict(self):
+        return {"gain": self.gain}
