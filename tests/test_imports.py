@@ -30,9 +30,10 @@ MAY_IMPORT = {
     "view": GROUND | {"sequence", "page"},
     "stage": GROUND | {"scene", "render", "sensors"},
     "recording": GROUND | {"scene", "calibration", "sensors", "sequence", "stage"},
+    "steering": GROUND | {"scene", "render", "sensors", "sequence", "stage", "methods", "evaluate"},
     "salt": {"errors"},
     "scheduling": {"errors"},
-    "generate": GROUND | {"calibration", "render", "sequence", "stage", "recording", "salt", "scheduling"},
+    "generate": GROUND | {"calibration", "render", "sequence", "stage", "recording", "salt", "scheduling", "steering"},
     "gallery": GROUND | {"stage"},
     "methods": GROUND | {"sequence"},
     "mapping": GROUND | {"sequence"},
@@ -54,6 +55,22 @@ MAY_IMPORT = {
         "answers",
         "methods",
     },
+    "exploring": GROUND
+    | {
+        "sequence",
+        "generate",
+        "methods",
+        "conditions",
+        "evaluate",
+        "results",
+        "report",
+        "density",
+        "plots",
+        "render",
+        "salt",
+        "scheduling",
+        "steering",
+    },
     "evaluate": GROUND,
     "answers": GROUND | {"sequence", "labelled", "evaluate"},
     "imaging": GROUND
@@ -66,7 +83,7 @@ MAY_IMPORT = {
     "report": GROUND | {"evaluate", "results", "comparison", "page", "plots"},
     "tracks": GROUND | {"sequence", "generate", "methods", "conditions", "evaluate", "results", "report"},
     "running": GROUND | {"sequence", "generate", "methods", "evaluate", "results", "report", "tracks"},
-    "cli_outputs": {"files", "report"},
+    "cli_outputs": {"errors", "files", "report", "results"},
     "cli_run": GROUND
     | {"cli_outputs", "cli_render", "cli_scoring", "evaluate", "generate", "methods", "report", "results", "running"},
     "cli_imaging": GROUND
@@ -88,6 +105,9 @@ MAY_IMPORT = {
         "running",
         "sequence",
     },
+    "cli_steering": GROUND
+    | {"cli_outputs", "cli_render", "comparison", "evaluate", "exploring", "generate", "methods", "report", "results"}
+    | {"salt"},
     "cli_compare": {"errors", "cli_outputs", "results", "comparison", "report"},
     "hub": GROUND | {"sequence", "page"},
     "cli_hub": GROUND | {"generate", "hub", "salt"},
@@ -106,6 +126,7 @@ MAY_IMPORT = {
         "cli_outputs",
         "cli_hub",
         "cli_splits",
+        "cli_steering",
         "cli_learn",
         "cli_reading",
         "cli_render",

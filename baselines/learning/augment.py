@@ -39,7 +39,7 @@ def augmented(
     pixels = cv2.warpAffine(sample.pixels, matrix, size, flags=flags, borderMode=mirror)
     truth = cv2.warpAffine(sample.truth, matrix, size, flags=flags, borderMode=mirror)
     known = cv2.warpAffine(sample.known, matrix, size, flags=flags, borderMode=mirror)
-    values = _recoloured(
+    values = recoloured(
         standardised(np.asarray(pixels, np.uint8), sample.mean, sample.contrast), sample.contrast, settings, rng
     )
     return values, np.asarray(truth, np.uint8), np.where(known == 255, 255, 0).astype(np.uint8)
@@ -61,7 +61,8 @@ def _placement(shape: tuple[int, ...], settings: Augmentation, rng: np.random.Ge
     return np.column_stack([turn, offset]).astype(np.float32)
 
 
-def _recoloured(values: Floats, contrast: Floats, settings: Augmentation, rng: np.random.Generator) -> Floats:
+def recoloured(values: Floats, contrast: Floats, settings: Augmentation, rng: np.random.Generator) -> Floats:
+    """(h, w, 3) standardised pixels with other colours, blur and noise. contrast: (3,), of the picture as it was."""
     if rng.random() < settings.blur:
         values = np.asarray(cv2.GaussianBlur(values, (0, 0), rng.uniform(0.4, 1.5)), np.float32)
     if rng.random() < settings.grey:

@@ -12,15 +12,15 @@ from typing import Any
 import torch
 
 from oysterbench.errors import MethodError
-from oysterbench_baselines.learning.batches import Batch
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint, versions
-from oysterbench_baselines.learning.losses import bce_dice
 
 KEEP_S = 30.0
 """Between two checkpoints: what a kill costs at most."""
 
 Progress = Callable[[int, int, float], None]
 """Called with the steps done, the steps wanted, and the loss."""
+Loss = Callable[..., torch.Tensor]
+"""Called with the network and the tensors of a batch; what is to become small."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ def be_deterministic(threads: int, device: torch.device) -> None:
 def fit(
     make: Callable[[], torch.nn.Module],
     network: Mapping[str, Any],
-    batch: Callable[[int], Batch],
+    batch: Callable[[int], tuple[torch.Tensor, ...]],
+    loss: Loss,
     settings: FitSettings,
     identity: Mapping[str, Any],
     path: Path,
@@ -76,8 +77,8 @@ def fit(
     """Train, or go on where `path` was left; the finished checkpoint, which is at `path` as well.
 
     make: the network, its weights drawn from torch's generator; network: what a checkpoint says of it; batch: the
-    batch of a step. Raises MethodError where `path` holds a training of another identity, or where the loss is not
-    finite any more.
+    tensors of a step; loss: of the network on them. Raises MethodError where `path` holds a training of another
+    identity, or where the loss is not finite any more.
     """
     be_deterministic(settings.threads, device)
     known = read_checkpoint(path) if path.is_file() else None
@@ -103,15 +104,15 @@ def fit(
         state.write(path)
 
     for step in range(state.step, settings.steps):
-        pixels, truth, certain = (part.to(device) for part in batch(step))
+        tensors = [part.to(device) for part in batch(step)]
         for group in optimiser.param_groups:
             group["lr"] = settings.rate(step)
         optimiser.zero_grad(set_to_none=True)
-        loss = bce_dice(model(pixels), truth, certain)
-        value = float(loss.detach())
+        found = loss(model, *tensors)
+        value = float(found.detach())
         if not math.isfinite(value):
             raise MethodError(f"the loss is {value} after {step} steps; a lower learning rate may help")
-        loss.backward()
+        found.backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimiser.step()
         state.losses.append(value)

@@ -23,3 +23,8 @@ def bce_dice(logits: torch.Tensor, truth: torch.Tensor, known: torch.Tensor) -> 
     both = 2 * (answer * truth).sum(dim=(0, 2, 3)) + SMOOTH
     dice = both / (answer.sum(dim=(0, 2, 3)) + truth.sum(dim=(0, 2, 3)) + SMOOTH)
     return entropy + 1 - dice.mean()
+
+
+def mask_loss(model: torch.nn.Module, pixels: torch.Tensor, truth: torch.Tensor, known: torch.Tensor) -> torch.Tensor:
+    """`bce_dice` of what a network of masks says of pixels (B, 3, h, w)."""
+    return bce_dice(model(pixels), truth, known)

@@ -19,6 +19,7 @@ from oysterbench.streams import Streams
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
 from oysterbench_baselines.learning.checkpoint import Checkpoint
 from oysterbench_baselines.learning.loop import fit, pick_device
+from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.samples import Floats, LabelledDataset
 from oysterbench_baselines.sim2real.data import Real, drawn
 from oysterbench_baselines.sim2real.locking import alone
@@ -110,6 +111,7 @@ class Bench:
             lambda: new_network(settings.network, begun),
             described(settings.network),
             lambda step: make_batch(images, settings.augmentation, streams, step),
+            mask_loss,
             settings.fit_of(cell),
             self.identity(cell),
             folder / CHECKPOINT,

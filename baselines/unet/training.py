@@ -17,6 +17,7 @@ from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
 from oysterbench_baselines.learning.checkpoint import Checkpoint
 from oysterbench_baselines.learning.loop import FitSettings, Progress, fit
+from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.unet.model import described
 from oysterbench_baselines.unet.network import NetworkSettings, UNetwork
@@ -66,6 +67,7 @@ def train(
         lambda: new_network(settings.network),
         described(settings.network),
         lambda step: make_batch(mixture, settings.augmentation, streams, step),
+        mask_loss,
         settings.fit,
         identity(settings, {labelled.name: labelled.digest()}, seed, device),
         path,

@@ -159,7 +159,7 @@ def test_it_leaves_a_result_for_each_cell_and_goes_on_where_it_was_stopped(real,
     original = work.fit
 
     def stops(*arguments, **options):
-        path = arguments[5]
+        path = arguments[6]
         if not path.is_file():  # where there is one it is finished, and the training another begins with
             begun.append(path.parent.name)
             if len(begun) == 3:

@@ -1,0 +1,216 @@
+"""DAgger (Ross, Gordon & Bagnell 2011, algorithm 3.1): the policy dives, the expert says what it would have done, and
+both what was known and what is new are learnt from. So lessons are of places to which the policy's own mistakes lead.
+
+Everything is kept beside the checkpoint: a finished dive is a file, a finished round a checkpoint, and what was killed
+goes on from these.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oysterbench.errors import LabelError, MethodError
+from oysterbench.files import write_atomically
+from oysterbench.recipe import SplitRecipe
+from oysterbench.scheduling import run_here, run_in_processes
+from oysterbench.sequence import open_sequence
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.steering.lessons import Lessons, joined, recipe_of, senses_of, small
+from oysterbench_baselines.steering.memory import Memory
+from oysterbench_baselines.steering.network import NetworkSettings
+from oysterbench_baselines.steering.training import Settings, train
+
+Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
+"""Given a title and what is counted: what is to be told how many are done, of how many (`cli_render.frames_bar`)."""
+
+
+@contextmanager
+def silent(title: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """No bar."""
+    yield lambda done, total: None
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """rounds: how many. seconds: of a dive; None: the task's own. beta: share of the commands that are the expert's in
+    the first round, squared in the second, and so on. steps, learning_rate: of each round's training, which begins with
+    the weights of the one before."""
+
+    rounds: int = 0
+    seconds: float | None = None
+    beta: float = 0.5
+    steps: int = 600
+    learning_rate: float = 1e-3
+
+    def mixture(self, number: int) -> float:
+        """Share of the expert's commands in a round, from 1."""
+        return self.beta**number
+
+
+@dataclass(frozen=True)
+class Reef:
+    """Where a dive takes place: a sequence of a split."""
+
+    split: SplitRecipe
+    name: str
+
+
+def reef_of(path: Path) -> Reef:
+    """The reef that a sequence file was taken over."""
+    return Reef(recipe_of(path), open_sequence(path).name)
+
+
+def learn_rounds(
+    lessons: Lessons,
+    reefs: Sequence[Reef],
+    path: Path,
+    settings: Settings,
+    plan: Rounds,
+    seed: int,
+    workers: int = 1,
+    bar: Bar = silent,
+) -> Checkpoint:
+    """Train on lessons, then dive over the reefs and train further, round by round; the last round's training, which
+    is at `path` as well.
+
+    bar: what is told of the progress. Raises MethodError where `path` or a file beside it is of another training,
+    LabelError for reefs whose truth is not to be had.
+    """
+    for reef in reefs:
+        if reef.split.hidden:
+            raise LabelError(f"{reef.split.name}: expected reefs to learn on, got those of a hidden split")
+    folder = path.with_suffix(".rounds")
+    known: dict[str, Any] = {"lessons": lessons.digest()}
+    if path.is_file() and read_checkpoint(path).identity.get("data", {}).get("lessons") != known["lessons"]:
+        raise MethodError(f"{path}: holds a training on other lessons; --again trains anew, --out goes elsewhere")
+    parts = [lessons]
+    checkpoint = _trained(parts, folder / "round-0.pt", settings, seed, None, known, bar)
+    fit = dataclasses.replace(settings.fit, steps=plan.steps, learning_rate=plan.learning_rate)
+    for number in range(1, plan.rounds + 1):
+        parts += collect(reefs, checkpoint, folder, settings.network, plan, number, workers, bar)
+        known = {**known, f"round {number}": joined(parts[-len(reefs) :]).digest(), "begun": digest(checkpoint)}
+        further = dataclasses.replace(settings, fit=fit)
+        checkpoint = _trained(parts, folder / f"round-{number}.pt", further, seed + number, checkpoint, known, bar)
+    checkpoint.write(path)
+    return checkpoint
+
+
+def _trained(
+    parts: Sequence[Lessons],
+    path: Path,
+    settings: Settings,
+    seed: int,
+    begun: Checkpoint | None,
+    known: Mapping[str, Any],
+    bar: Bar,
+) -> Checkpoint:
+    lessons = joined(parts)
+    with bar(f"{path.stem}: training on {len(lessons)} views", "steps") as told:
+        return train(lessons, path, settings, seed, lambda done, total, loss: told(done, total), begun, known)
+
+
+def collect(
+    reefs: Sequence[Reef],
+    policy: Checkpoint,
+    folder: Path,
+    network: NetworkSettings,
+    plan: Rounds,
+    number: int,
+    workers: int = 1,
+    bar: Bar = silent,
+) -> list[Lessons]:
+    """The lessons of a round's dives, one over each reef; those whose files are there already are read."""
+    place = folder / f"round-{number}"
+    made_by = {reef.name: _made_by(reef, policy, network, plan, number) for reef in reefs}
+    found = {reef.name: read_dive(place / f"{reef.name}.npz", reef, made_by[reef.name]) for reef in reefs}
+    missing = [reef for reef in reefs if found[reef.name] is None]
+    task = partial(
+        dive, checkpoint=folder / f"round-{number - 1}.pt", network=network, plan=plan, number=number, made_by=made_by
+    )
+    several = workers > 1 and len(missing) > 1
+    with bar(f"round-{number}: diving", "dives") as told:
+        for reef, data in run_in_processes(task, missing, workers, warm_up) if several else run_here(task, missing):
+            write_atomically(place / f"{reef.name}.npz", data)
+            found[reef.name] = read_dive(place / f"{reef.name}.npz", reef, made_by[reef.name])
+            told(sum(one is not None for one in found.values()), len(reefs))
+    return [one for one in found.values() if one is not None]
+
+
+def _made_by(reef: Reef, policy: Checkpoint, network: NetworkSettings, plan: Rounds, number: int) -> str:
+    """All that decides a dive, as text."""
+    size = (network.width, network.height)
+    return json.dumps(
+        [digest(policy), reef.split.digest(), reef.name, number, plan.mixture(number), plan.seconds, size]
+    )
+
+
+def dive(
+    reef: Reef, checkpoint: Path, network: NetworkSettings, plan: Rounds, number: int, made_by: Mapping[str, str]
+) -> bytes:
+    """A dive of the policy, as a file: small pictures, senses, and what the expert holds the commands to be worth."""
+    from oysterbench.steering import explore
+    from oysterbench_baselines.steering.method import SteeringNet
+
+    task = reef.split.steering
+    assert task is not None
+    memory = Memory(task)
+    _, taught = explore(
+        reef.split,
+        reef.name,
+        SteeringNet(str(checkpoint)),
+        seconds=plan.seconds,
+        start=number,
+        teacher=True,
+        mixture=plan.mixture(number),
+    )
+    data = io.BytesIO()
+    np.savez(
+        data,
+        made_by=np.array(made_by[reef.name]),
+        pixels=np.stack([small(view.pixels, network) for view, _ in taught]),
+        senses=np.stack([senses_of(view.state, task) for view, _ in taught]),
+        looked=np.stack([memory.look(view.state, view.time_s) for view, _ in taught]),
+        worth=np.stack([worth for _, worth in taught]).astype(np.float32),
+    )
+    return data.getvalue()
+
+
+def read_dive(path: Path, reef: Reef, made_by: str) -> Lessons | None:
+    """The lessons of a dive's file; none where there is no such file, or one of another policy."""
+    if not path.is_file() or reef.split.steering is None:
+        return None
+    with np.load(path) as held:
+        if str(held["made_by"]) != made_by:
+            return None
+        return Lessons(
+            reef.split.steering,
+            held["pixels"],
+            held["senses"],
+            held["looked"],
+            held["worth"],
+            np.ones(len(held["worth"]), dtype=bool),
+        )
+
+
+def digest(checkpoint: Checkpoint) -> str:
+    """SHA-256 of what a network has learnt."""
+    found = hashlib.sha256()
+    for key, value in checkpoint.weights.items():
+        found.update(key.encode() + value.contiguous().numpy().tobytes())
+    return found.hexdigest()
+
+
+def warm_up() -> None:
+    """Of a process that dives: what it needs is imported."""
+    import oysterbench.steering  # noqa: F401

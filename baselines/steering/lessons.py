@@ -1,0 +1,186 @@
+"""Lessons: views with what each command would be worth, as an expert sees it, read from sequences."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oysterbench.errors import LabelError, MethodError, SequenceError
+from oysterbench.methods.steering import VehicleState
+from oysterbench.recipe import SplitRecipe, SteeringRecipe, load_split, parse_split, split_names
+from oysterbench.sequence import open_sequence
+from oysterbench.sequence.read import read_attachments
+from oysterbench_baselines.steering.memory import Memory
+from oysterbench_baselines.steering.network import SENSES, NetworkSettings
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Lessons:
+    """N views of one task.
+
+    pixels: (N, h, w, 3) uint8 RGB, at the network's size; senses: (N, SENSES) float32
+    looked: (N, *memory.SHAPE) uint8, where the vehicle had looked when it was there
+    worth: (N, Y, P) float32, oysters that the expert's best plan gains which begins with classes of yaw and pitch
+    dived: (N,) bool, whether it was in a dive that the view was met, and not on the way of a sequence
+    """
+
+    task: SteeringRecipe
+    pixels: NDArray[np.uint8]
+    senses: Floats
+    looked: NDArray[np.uint8]
+    worth: Floats
+    dived: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def __getitem__(self, n: int) -> tuple[NDArray[np.uint8], Floats, NDArray[np.uint8], Floats]:
+        """Pixels, senses, looked and worth of a view."""
+        return self.pixels[n], self.senses[n], self.looked[n], self.worth[n]
+
+    def digest(self) -> str:
+        """SHA-256 over all of it."""
+        found = hashlib.sha256(repr((self.task.yaw_deg, self.task.pitch_deg)).encode())
+        for part in (self.pixels, self.senses, self.looked, self.worth, self.dived):
+            found.update(str(part.shape).encode() + np.ascontiguousarray(part).tobytes())
+        return found.hexdigest()
+
+
+def joined(parts: Sequence[Lessons]) -> Lessons:
+    """All of them, in their order. Raises MethodError where their classes differ."""
+    task = parts[0].task
+    for part in parts:
+        check_classes(part.task, task.yaw_deg, task.pitch_deg, "the data")
+    return Lessons(
+        task,
+        np.concatenate([part.pixels for part in parts]),
+        np.concatenate([part.senses for part in parts]),
+        np.concatenate([part.looked for part in parts]),
+        np.concatenate([part.worth for part in parts]),
+        np.concatenate([part.dived for part in parts]),
+    )
+
+
+def check_classes(task: SteeringRecipe, yaw_deg: Sequence[float], pitch_deg: Sequence[float], where: str) -> None:
+    """Raises MethodError where a task has other classes than these."""
+    for axis, known in (("yaw", yaw_deg), ("pitch", pitch_deg)):
+        asked = getattr(task, f"{axis}_deg")
+        if tuple(asked) != tuple(known):
+            raise MethodError(
+                f"steering: {where}: expected the {len(known)} classes of {axis} {degrees(known)} deg, got "
+                f"{len(asked)}: {degrees(asked)} deg; a network steers by the classes that it was trained with"
+            )
+
+
+def degrees(values: Sequence[float]) -> str:
+    """As a recipe has them."""
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def small(pixels: NDArray[np.uint8], settings: NetworkSettings) -> NDArray[np.uint8]:
+    """A picture (H, W, 3) at the network's size, each pixel the mean of those that it covers."""
+    size = (settings.width, settings.height)
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def senses_of(state: VehicleState, task: SteeringRecipe) -> Floats:
+    """(SENSES,) altitude within the band that is to be kept, -1 its lower edge and 1 its upper one, and pitch as a
+    share of the steepest. Heading and depth would only tell one reef from another."""
+    low, high = task.altitude_m
+    steepest = np.radians(task.max_pitch_deg) or 1.0
+    found = (2 * (state.altitude - low) / (high - low) - 1, state.pitch / steepest)
+    assert len(found) == SENSES
+    return np.clip(np.array(found, dtype=np.float32), -3, 3)
+
+
+def worth_of(table: pd.DataFrame, task: SteeringRecipe, where: str) -> Floats:
+    """(N, Y, P) worth of the commands in a table of labels. Raises LabelError where the table is of other classes."""
+    names = [f"value_{y}_{p}" for y in range(len(task.yaw_deg)) for p in range(len(task.pitch_deg))]
+    found = {name for name in table.columns if name.startswith("value_")}
+    if found != set(names):
+        raise LabelError(
+            f"{where}: expected a value for each of {len(task.yaw_deg)} x {len(task.pitch_deg)} commands, got "
+            f"{len(found)} of them"
+        )
+    return table[names].to_numpy(np.float32).reshape(len(table), len(task.yaw_deg), len(task.pitch_deg))
+
+
+def read_lessons(path: Path, settings: NetworkSettings) -> Lessons:
+    """The labelled pictures of a sequence file."""
+    sequence = open_sequence(path)
+    table = sequence.steering()
+    task = task_of(path)
+    rows = {int(row.stamp_ns): row for row in table.itertuples()}
+    pixels, senses, looked, kept = [], [], [], []
+    memory = Memory(task)
+    for image in sequence.images(next(iter(sequence.cameras))):
+        row = rows.get(image.stamp_ns)
+        if row is None:
+            continue
+        pixels.append(small(image.pixels, settings))
+        state = VehicleState(row.heading_rad, row.pitch_rad, row.depth_m, row.altitude_m)
+        senses.append(senses_of(state, task))
+        looked.append(memory.look(state, image.stamp_ns * 1e-9))
+        kept.append(row.Index)
+    if not kept:
+        raise LabelError(f"{path}: expected pictures with labels of steering, got none")
+    worth = worth_of(table, task, str(path))
+    return Lessons(
+        task, np.stack(pixels), np.stack(senses), np.stack(looked), worth[kept], np.zeros(len(kept), dtype=bool)
+    )
+
+
+def recipe_of(path: Path) -> SplitRecipe:
+    """The split that a sequence file was made from. Raises SequenceError where the file does not say."""
+    held = read_attachments(path)
+    try:
+        return parse_split(held["split.toml"].decode(), f"{path}: split.toml", rig_source=held["rig.toml"].decode())
+    except KeyError as error:
+        raise SequenceError(f"{path} has no truth about steering: no attachment {error}") from None
+
+
+def task_of(path: Path) -> SteeringRecipe:
+    """What is steered for in a sequence file."""
+    task = recipe_of(path).steering
+    if task is None:
+        raise LabelError(
+            f"{path}: expected a sequence of a split of the track steering; `oysterbench splits` lists them"
+        )
+    return task
+
+
+def files_of(name: str) -> list[Path]:
+    """The sequence files of a split, which is rendered where it is not there, of a folder, or the one at a path."""
+    if name in split_names() or name.endswith(".toml"):
+        from oysterbench.cli_render import render_files
+
+        split = load_split(name)
+        if split.steering is None:
+            raise LabelError(f"{name}: expected a split of the track steering, got one of {split.track}")
+        return list(render_files(split).values())
+    path = Path(name)
+    found = sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.is_file() else []
+    if not found:
+        raise LabelError(
+            f"{name}: expected a split, a sequence (.mcap) or a folder of them; `oysterbench splits` lists splits"
+        )
+    return found
+
+
+def read_all(paths: Iterable[Path], settings: NetworkSettings, progress=lambda done, total: None) -> Lessons:
+    """The labelled pictures of several files, in their order."""
+    paths = list(paths)
+    parts = []
+    for done, path in enumerate(paths, start=1):
+        parts.append(read_lessons(path, settings))
+        progress(done, len(paths))
+    return joined(parts)

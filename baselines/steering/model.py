@@ -1,0 +1,111 @@
+"""A trained network and what it commands at a view."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from oysterbench.errors import MethodError
+from oysterbench.methods.steering import VehicleState
+from oysterbench.recipe import SteeringRecipe
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.learning.samples import standardised, statistics
+from oysterbench_baselines.steering.lessons import Floats, Lessons, check_classes, senses_of, small
+from oysterbench_baselines.steering.network import NetworkSettings, SteeringNetwork
+
+AT_ONCE = 64
+"""Views that are looked at together, where there are many."""
+
+
+@dataclass
+class Model:
+    """A network with its weights, ready to answer. yaw_deg, pitch_deg: turns of its classes."""
+
+    network: SteeringNetwork
+    settings: NetworkSettings
+    yaw_deg: tuple[float, ...]
+    pitch_deg: tuple[float, ...]
+
+    @classmethod
+    def of(cls, checkpoint: Checkpoint) -> Model:
+        """From a training. Raises MethodError where it is of another network."""
+        known = dict(checkpoint.network)
+        if known.pop("kind", None) != "steering":
+            found = checkpoint.network.get("kind")
+            raise MethodError(f"expected the checkpoint of `oysterbench train steering`, got one of {found!r}")
+        yaw, pitch = tuple(known.pop("yaw_deg")), tuple(known.pop("pitch_deg"))
+        settings = NetworkSettings(**{**known, "channels": tuple(known["channels"])})
+        network = SteeringNetwork(settings, len(yaw), len(pitch))
+        network.load_state_dict(checkpoint.weights)
+        return cls(network.channels_last().eval(), settings, yaw, pitch)
+
+    @classmethod
+    def read(cls, path: Path) -> Model:
+        """From a file."""
+        return cls.of(read_checkpoint(path))
+
+    def check(self, task: SteeringRecipe) -> None:
+        """Raises MethodError where a task has other classes than those of the training."""
+        check_classes(task, self.yaw_deg, self.pitch_deg, "this task")
+
+    def probabilities(
+        self, pixels: NDArray[np.uint8], state: VehicleState, looked: NDArray[np.uint8], task: SteeringRecipe
+    ) -> tuple[Floats, Floats]:
+        """(Y,) and (P,) of the classes at a picture (H, W, 3) uint8 RGB, where the vehicle has looked as `Memory`
+        says."""
+        shown = small(pixels, self.settings)
+        yaw, pitch = self._probabilities(shown[None], senses_of(state, task)[None], looked[None])
+        return yaw[0], pitch[0]
+
+    def answers(self, lessons: Lessons) -> tuple[Floats, Floats]:
+        """(N, Y) and (N, P) of the classes at the pictures of lessons."""
+        self.check(lessons.task)
+        shown = (lessons.pixels, lessons.senses, lessons.looked)
+        parts = [self._probabilities(*(part[chosen] for part in shown)) for chosen in _parts(len(lessons))]
+        yaw, pitch = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return yaw, pitch
+
+    def _probabilities(
+        self, pixels: NDArray[np.uint8], senses: Floats, looked: NDArray[np.uint8]
+    ) -> tuple[Floats, Floats]:
+        """Mean of what the network says of pictures and of their mirror images, where the classes are symmetric: so no
+        side of the reef is preferred."""
+        values = torch.from_numpy(np.stack([as_planes(one) for one in pixels]))
+        told = torch.from_numpy(senses)
+        seen = torch.from_numpy(looked.astype(np.float32))[:, None]
+        with torch.inference_mode():
+            yaw, pitch = self.network(values.contiguous(memory_format=torch.channels_last), told, seen)
+            yaw, pitch = yaw.softmax(1), pitch.softmax(1)
+            if is_symmetric(self.yaw_deg):
+                mirrored = values.flip(3).contiguous(memory_format=torch.channels_last)
+                other_yaw, other_pitch = self.network(mirrored, told, seen.flip(3))
+                yaw = (yaw + other_yaw.softmax(1).flip(1)) / 2
+                pitch = (pitch + other_pitch.softmax(1)) / 2
+        return yaw.numpy(), pitch.numpy()
+
+
+def described(settings: NetworkSettings, task: SteeringRecipe) -> dict[str, Any]:
+    """What a checkpoint says of the network."""
+    plain = {**asdict(settings), "channels": list(settings.channels)}
+    return {"kind": "steering", **plain, "yaw_deg": list(task.yaw_deg), "pitch_deg": list(task.pitch_deg)}
+
+
+def as_planes(pixels: NDArray[np.uint8]) -> Floats:
+    """(3, h, w) of a picture (h, w, 3), by its own mean and contrast: what water and exposure do is taken out."""
+    return np.ascontiguousarray(standardised(pixels, *statistics(pixels)).transpose(2, 0, 1))
+
+
+def is_symmetric(yaw_deg: tuple[float, ...]) -> bool:
+    """Whether each turn to the left has one to the right: only then may a picture be mirrored."""
+    return all(a == -b for a, b in zip(yaw_deg, reversed(yaw_deg), strict=True))
+
+
+def _parts(count: int) -> Iterator[slice]:
+    for begin in range(0, count, AT_ONCE):
+        yield slice(begin, begin + AT_ONCE)

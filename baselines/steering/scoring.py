@@ -1,0 +1,44 @@
+"""How good a network is on lessons that it has not seen: what a training says at its end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from oysterbench.evaluate.navigation.labels import regrets, skill, within_one
+from oysterbench_baselines.steering.lessons import Lessons
+from oysterbench_baselines.steering.model import Model
+
+
+@dataclass(frozen=True)
+class Score:
+    """regret: oysters lost per command; skill: 1 of the expert, 0 of chance; yaw, pitch: share of views whose class is
+    the expert's or one next to it."""
+
+    views: int
+    regret: float
+    skill: float
+    yaw: float
+    pitch: float
+
+    def __str__(self) -> str:
+        return (
+            f"skill {self.skill:.3f}, regret {self.regret:.2f} oysters, within one class {100 * self.yaw:.1f} % of yaw "
+            f"and {100 * self.pitch:.1f} % of pitch, on {self.views} views"
+        )
+
+
+def score(model: Model, lessons: Lessons) -> Score:
+    """Of the likeliest classes."""
+    commanded = np.stack([answer.argmax(axis=1) for answer in model.answers(lessons)], axis=1)
+    worth = lessons.worth.astype(float)
+    flat = worth.reshape(len(worth), -1).argmax(axis=1)
+    truth = np.stack(np.unravel_index(flat, worth.shape[1:]), axis=1)
+    return Score(
+        len(lessons),
+        float(regrets(worth, commanded).mean()),
+        skill(worth, commanded),
+        within_one(truth[:, 0], commanded[:, 0]),
+        within_one(truth[:, 1], commanded[:, 1]),
+    )

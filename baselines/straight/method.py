@@ -1,0 +1,39 @@
+"""The methods: views in, commands out, without a look at them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from oysterbench.methods.steering import Steering, Views
+from oysterbench.streams import stream
+
+
+class Straight:
+    """Always straight on, and neither up nor down: what a policy is worth that never turns."""
+
+    name, track = "straight", "steering"
+
+    def run(self, dive: Views) -> Iterator[Steering]:
+        """The classes that turn by 0."""
+        yaw, pitch = dive.task.yaw_deg.index(0.0), dive.task.pitch_deg.index(0.0)
+        for view in dive:
+            yield Steering(view.name, yaw, pitch)
+
+
+class Chance:
+    """Commands drawn evenly from all pairs of classes, each by the name of its view."""
+
+    name, track = "chance", "steering"
+
+    def __init__(self, seed: int = 0) -> None:
+        self.seed = seed
+
+    def run(self, dive: Views) -> Iterator[Steering]:
+        """Drawn classes."""
+        for view in dive:
+            generator = stream(self.seed, b"", "chance", view.name)
+            yield Steering(
+                view.name,
+                int(generator.integers(len(dive.task.yaw_deg))),
+                int(generator.integers(len(dive.task.pitch_deg))),
+            )

@@ -1,0 +1,186 @@
+"""Lessons from sequence files and from dives: what DAgger collects, and that it goes on where it was stopped."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
+
+from exploring_made import made_split  # noqa: E402
+
+import oysterbench  # noqa: E402
+from oysterbench.errors import LabelError, MethodError, SequenceError  # noqa: E402
+from oysterbench.generate import generate_split  # noqa: E402
+from oysterbench.methods.steering import VehicleState  # noqa: E402
+from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
+from oysterbench_baselines.learning.loop import FitSettings  # noqa: E402
+from oysterbench_baselines.steering import dagger  # noqa: E402
+from oysterbench_baselines.steering.dagger import Reef, Rounds, collect, learn_rounds, reef_of  # noqa: E402
+from oysterbench_baselines.steering.lessons import files_of, joined, read_all, read_lessons, senses_of, small  # noqa: E402
+from oysterbench_baselines.steering.memory import Memory  # noqa: E402
+from oysterbench_baselines.steering.network import NetworkSettings  # noqa: E402
+from oysterbench_baselines.steering.training import Settings, train  # noqa: E402
+
+NETWORK = NetworkSettings(width=32, height=24, channels=(8, 16), columns=8, hidden=32)
+SETTINGS = Settings(batch=4, network=NETWORK, fit=FitSettings(steps=4, warm_up=1, threads=1))
+PLAN = Rounds(rounds=2, seconds=3.0, steps=3)
+SPLIT = made_split()
+REEFS = [Reef(SPLIT, "one"), Reef(SPLIT, "two")]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Two very small reefs, rendered and labelled."""
+    return list(generate_split(SPLIT, tmp_path_factory.mktemp("made")).values())
+
+
+@pytest.fixture(scope="module")
+def lessons(files):
+    return read_all(files, NETWORK)
+
+
+def equal(one, other) -> bool:
+    return one.digest() == other.digest()
+
+
+# From files
+
+
+def test_lessons_are_the_pictures_of_a_file_with_the_labels_of_their_moment(files):
+    sequence = oysterbench.open(files[0])
+    table, found = sequence.steering(), read_lessons(files[0], NETWORK)
+    images = list(sequence.images("cam_front"))
+    assert len(found) == len(table) == len(images) == 10
+    assert found.task == SPLIT.steering
+    memory = Memory(SPLIT.steering)
+    for k, row in enumerate(table.itertuples()):
+        assert images[k].stamp_ns == row.stamp_ns
+        state = VehicleState(row.heading_rad, row.pitch_rad, row.depth_m, row.altitude_m)
+        pixels, senses, looked, worth = found[k]
+        assert np.array_equal(pixels, small(images[k].pixels, NETWORK))
+        assert np.array_equal(senses, senses_of(state, SPLIT.steering))
+        assert np.array_equal(looked, memory.look(state, 2.0 * k))
+        assert worth[row.yaw, row.pitch] == worth.max()
+        assert worth[2, 5] == np.float32(row.value_2_5)
+
+
+def test_several_files_are_one_after_the_other_and_a_folder_is_its_files(files, lessons):
+    assert equal(lessons, joined([read_lessons(path, NETWORK) for path in files]))
+    assert files_of(str(files[0].parent)) == files
+    assert files_of(str(files[0])) == files[:1]
+    assert reef_of(files[1]) == REEFS[1]
+
+
+def test_data_of_another_kind_is_named(tiny_file, tmp_path):
+    with pytest.raises(LabelError, match=r"expected a split, a sequence .* or a folder of them"):
+        files_of(str(tmp_path / "nothing"))
+    with pytest.raises(LabelError, match="slam-mini: expected a split of the track steering, got one of slam"):
+        files_of("slam-mini")
+    with pytest.raises(SequenceError, match="has no truth about steering"):
+        read_lessons(tiny_file, NETWORK)
+
+
+# From dives
+
+
+@pytest.fixture(scope="module")
+def policy(lessons, tmp_path_factory):
+    """The folder of a training before any dive."""
+    folder = tmp_path_factory.mktemp("policy")
+    train(lessons, folder / "round-0.pt", SETTINGS, 0)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def dives(policy):
+    """The lessons of a first round, one dive after the other."""
+    return collect(REEFS, read_checkpoint(policy / "round-0.pt"), policy, NETWORK, PLAN, 1)
+
+
+def test_each_view_of_a_dive_is_a_lesson(dives):
+    assert [len(one) for one in dives] == [3, 3]
+    for one in dives:
+        assert one.pixels.shape == (3, 24, 32, 3)
+        assert one.worth.shape == (3, 7, 7)
+        assert np.isfinite(one.worth).all()
+        assert one.looked.reshape(3, -1).any(axis=1).all()
+    assert not equal(*dives)
+
+
+def test_dives_in_two_processes_are_those_in_one(policy, dives, tmp_path):
+    (tmp_path / "round-0.pt").write_bytes((policy / "round-0.pt").read_bytes())
+    again = collect(REEFS, read_checkpoint(policy / "round-0.pt"), tmp_path, NETWORK, PLAN, 1, workers=2)
+    assert all(equal(one, other) for one, other in zip(dives, again, strict=True))
+
+
+def test_finished_dives_are_read_and_those_of_another_policy_are_done_again(policy, dives, lessons, monkeypatch):
+    done = []
+    original = dagger.dive
+
+    def counted(reef, **options):
+        done.append(reef.name)
+        return original(reef, **options)
+
+    monkeypatch.setattr(dagger, "dive", counted)
+    known = read_checkpoint(policy / "round-0.pt")
+    again = collect(REEFS, known, policy, NETWORK, PLAN, 1)
+    assert done == []
+    assert all(equal(one, other) for one, other in zip(dives, again, strict=True))
+    (policy / "round-1" / "two.npz").unlink()
+    collect(REEFS, known, policy, NETWORK, PLAN, 1)
+    assert done == ["two"]
+    collect(REEFS, known, policy, NETWORK, dataclasses.replace(PLAN, beta=0.9), 1)
+    assert done == ["two", "one", "two"]
+
+
+def test_rounds_that_are_stopped_go_on_to_the_same_weights(lessons, tmp_path, monkeypatch):
+    wanted = learn_rounds(lessons, REEFS, tmp_path / "whole.pt", SETTINGS, PLAN, 0)
+    assert read_checkpoint(tmp_path / "whole.pt").losses == wanted.losses
+    assert set(wanted.identity["data"]) == {"lessons", "round 1", "round 2", "begun"}
+    original, done = dagger.dive, []
+
+    def stopped(reef, **options):
+        done.append(reef.name)
+        if len(done) == 4:
+            raise KeyboardInterrupt
+        return original(reef, **options)
+
+    monkeypatch.setattr(dagger, "dive", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        learn_rounds(lessons, REEFS, tmp_path / "stopped.pt", SETTINGS, PLAN, 0)
+    assert not (tmp_path / "stopped.pt").exists()
+    found = learn_rounds(lessons, REEFS, tmp_path / "stopped.pt", SETTINGS, PLAN, 0)
+    assert done == ["one", "two", "one", "two", "two"]
+    assert all(torch.equal(value, found.weights[key]) for key, value in wanted.weights.items())
+
+
+def test_nobody_learns_on_a_hidden_split(lessons, tmp_path):
+    hidden = Reef(dataclasses.replace(SPLIT, hidden=True), "one")
+    with pytest.raises(LabelError, match="expected reefs to learn on, got those of a hidden split"):
+        learn_rounds(lessons, [hidden], tmp_path / "a.pt", SETTINGS, PLAN, 0)
+
+
+def test_rounds_do_not_take_the_place_of_another_training(lessons, files, tmp_path):
+    train(read_lessons(files[0], NETWORK), tmp_path / "a.pt", SETTINGS, 0)
+    with pytest.raises(MethodError, match="holds a training on other lessons; --again trains anew"):
+        learn_rounds(lessons, REEFS, tmp_path / "a.pt", SETTINGS, PLAN, 0)
+
+
+def test_the_command_trains_and_says_how_good_it_is(files, home):
+    from click.testing import CliRunner
+
+    from oysterbench.cli import main
+
+    data = str(files[0])
+    words = ["train", "steering", "--data", data, "--val", str(files[1]), "--steps", "1", "--threads", "1"]
+    result = CliRunner().invoke(main, words, catch_exceptions=False)
+    assert result.exit_code == 0, result.stderr
+    path = home / "models" / "steering.pt"
+    assert result.stdout.strip() == str(path)
+    assert "training steering on 10 views: 1 of 1 steps" in result.stderr
+    assert f"{files[1]}: skill " in result.stderr
+    assert "on 10 views" in result.stderr
+    assert read_checkpoint(path).finished
