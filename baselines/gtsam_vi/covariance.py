@@ -27,6 +27,7 @@ from oysterbench_baselines.common.filter import (
 )
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
+from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, read_state
 
 FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
@@ -128,14 +129,15 @@ def discounted(graph: gtsam.NonlinearFactorGraph, times: float, huber: float) ->
 def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array, model: Model) -> list[Array]:
     """(6, 6) of the pose of a frame fixed to the IMU at `lever` (3,) in it, at every key frame of a stretch."""
     graph = discounted(bundle.graph, model.alike(model.settings.alike), model.settings.huber)
-    marginals, values = gtsam.Marginals(graph, bundle.values), bundle.values
-    found = []
+    values, found = bundle.values, []
+    marginals = marginal_covariances(graph, values, [X(keyframe.index) for keyframe in keyframes])
     for keyframe in keyframes:
         rotation = values.atPose3(X(keyframe.index)).rotation().matrix()
         change = np.zeros((6, 6))
         change[:3, 3:] = change[3:, :3] = rotation
         change[:3, :3] = -cross(rotation @ lever) @ rotation
-        found.append(change @ marginals.marginalCovariance(X(keyframe.index)) @ change.T + FLOOR)
+        covariance = change @ marginals[X(keyframe.index)] @ change.T + FLOOR
+        found.append(0.5 * (covariance + covariance.T))
     return found
 
 

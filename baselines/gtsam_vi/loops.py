@@ -176,11 +176,11 @@ class LoopCloser:
         return certain
 
     def joined(self, keyframes: list[Keyframe]) -> list[Keyframe]:
-        """The key frames with what the loops have taught: states of the pose graph, merged tracks."""
+        """The key frames with what the loops have taught: states of the pose graph, merged tracks, ties."""
         if not self.loops:
             return keyframes
         corrected = [replace(k, state=_moved(k.state, self._correction_at(k.index))) for k in keyframes]
-        return join(corrected, self.places, self.loops, self.model, self.settings.merge_px)
+        return join(corrected, self.places, self.loops, self.model)
 
     def _correction_at(self, k: int) -> Array:
         """T_corrected_odom (4, 4) at a key frame: between places, between theirs."""

@@ -1,16 +1,24 @@
-"""What loops do to the key frames: tracks of different passes become one landmark."""
+"""What loops do to the key frames: tracks of different passes become one landmark, or two poses are tied.
+
+Key frames that share a landmark are coupled, each with each. Ground that is passed over again and again would couple
+all of a dive, and the time of an adjustment grow with the cube of the passes: what one landmark has seen enough of is
+enough, and a later pass is tied by the relative pose of a loop now and then.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import X
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from oysterbench.geometry import Array
+from oysterbench.geometry import Array, invert
 from oysterbench_baselines.gtsam_vi.graph import Model
-from oysterbench_baselines.gtsam_vi.places import Place
+from oysterbench_baselines.gtsam_vi.places import Place, level_pose
+from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.states import Keyframe
 
 
@@ -56,6 +64,10 @@ class Merger:
             self._parent[other] = one
             self._seen[one] |= self._seen.pop(other)
 
+    def views(self, track: int) -> int:
+        """Key frames that have seen its landmark."""
+        return len(self._seen.get(self.root(track), ()))
+
     def see(self, track: int, keyframe: int) -> bool:
         """One more view of a landmark, in a key frame that had none; False where it had one."""
         seen = self._seen.setdefault(self.root(track), set())
@@ -65,24 +77,63 @@ class Merger:
         return True
 
 
-def join(
-    keyframes: list[Keyframe], places: list[Place], loops: list[Loop], model: Model, tolerance_px: float
-) -> list[Keyframe]:
-    """The key frames with the tracks of different passes merged and with the views that loops have added.
+class Ties:
+    """Chooses loops to tie passes by that share no landmarks: every so many places one, and all of them, pass after
+    pass, to the same few places, so that these are all that the passes are coupled by."""
 
-    A landmark found again within `tolerance_px` of a track is that track. Where the merged views of a landmark do not
-    meet in a point, at the states of the key frames, its tracks stay apart.
+    def __init__(self, step: int) -> None:
+        self._step = step
+        self._anchors: set[int] = set()
+        self.loops: list[Loop] = []
+
+    def offer(self, loop: Loop) -> None:
+        """A loop, not earlier than those before."""
+        if self.loops and loop.second < self.loops[-1].second + self._step:
+            return
+        near = range(loop.first - self._step + 1, loop.first + self._step)
+        if loop.first in self._anchors or self._anchors.isdisjoint(near):
+            self._anchors.add(loop.first)
+            self.loops.append(loop)
+
+
+def tie(loop: Loop, first: Keyframe, second: Keyframe, settings: Settings) -> gtsam.NonlinearFactor:
+    """A loop as a relative pose of its key frames: heading and position as it says, roll and pitch as they are, loosely
+    (they are known by gravity)."""
+    tilts = [invert(level_pose(k.state.matrix)) @ k.state.matrix for k in (first, second)]
+    to_second = loop.T_first_second @ tilts[1]
+    of_loop = np.zeros((6, 6))  # rotation, then position, in the first's level axes
+    of_loop[:2, :2] = np.eye(2) * settings.tie_tilt**2
+    of_loop[2:, 2:] = loop.covariance + np.diag([settings.loop_heading_floor**2] + [settings.loop_floor_m**2] * 3)
+    turn = np.kron(np.eye(2), to_second[:3, :3].T)
+    noise = gtsam.noiseModel.Gaussian.Covariance(turn @ of_loop @ turn.T)
+    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(settings.loop_cauchy)
+    step = gtsam.Pose3(invert(tilts[0]) @ to_second)
+    return gtsam.BetweenFactorPose3(
+        X(first.index), X(second.index), step, gtsam.noiseModel.Robust.Create(cauchy, noise)
+    )
+
+
+def join(keyframes: list[Keyframe], places: list[Place], loops: list[Loop], model: Model) -> list[Keyframe]:
+    """The key frames with the tracks of different passes merged, with the views that loops have added, and with ties.
+
+    A landmark found again within `merge_px` of a track is that track. Where the merged views of a landmark do not
+    meet in a point, at the states of the key frames, its tracks stay apart. A loop on ground that `merge_keyframes` see
+    already is no more than a tie.
     """
-    merger = Merger(keyframes)
+    settings = model.settings
+    merger, ties = Merger(keyframes), Ties(settings.tie_places)
     added: dict[int, list[tuple[int, Array]]] = {}
     involved: set[int] = set()
     for loop in loops:
+        if max(merger.views(track) for track in loop.ids.tolist()) >= settings.merge_keyframes:
+            ties.offer(loop)
+            continue
         k = places[loop.second].keyframe
         view = keyframes[k].view
         distance, nearest = cKDTree(view.rays).query(loop.rays)
         for track, ray, apart, n in zip(loop.ids.tolist(), loop.rays, distance, nearest, strict=True):
             involved.add(track)
-            if apart * model.focal < tolerance_px:
+            if apart * model.focal < settings.merge_px:
                 merger.merge(track, int(view.ids[n]))
                 involved.add(int(view.ids[n]))
             elif merger.see(track, k):
@@ -100,6 +151,10 @@ def join(
         if right is not None:
             right = np.concatenate([right, np.full((len(more), 2), np.nan)])
         joined.append(replace(keyframe, view=replace(view, ids=ids, rays=rays, right=right)))
+    for loop in ties.loops:
+        first, second = (places[n].keyframe for n in (loop.first, loop.second))
+        factor = tie(loop, keyframes[first], keyframes[second], settings)
+        joined[second].aiding = [*joined[second].aiding, factor]
     return joined
 
 

@@ -127,6 +127,9 @@ class Settings:
     loop_places: int = 100  # of the pose graph, per each of which one loop more is passed by before one is taken in
     most_places: int = 300  # beyond, ground that a loop has shown to be known is not kept again
     merge_px: float = 1.5  # a landmark found again this near a track is that track
+    merge_keyframes: int = 100  # that see one landmark, beyond which later passes are tied to its ground instead
+    tie_places: int = 4  # between ties, and between the places that they go to
+    tie_tilt: float = 0.01  # rad, 1 sigma: of roll and pitch, which loops do not measure
 
     # Divergence.
     max_speed: float = 8.0  # m/s; beyond any vehicle meant here

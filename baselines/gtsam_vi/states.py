@@ -31,7 +31,8 @@ class State:
 @dataclass
 class Keyframe:
     """A key frame: its stamp, what it saw, the inertial measurements since the last key frame, its latest estimate;
-    and factors of other sensors, on its states, those of the key frame before it, and what the model shares.
+    and factors of other sensors, on its states, those of the key frame before it, and what the model shares, or of
+    loops, on its state and an earlier one.
 
     trusted: False where the measurements that lead to it have led the estimator astray.
     """

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 import synthetic_dive as dive
+from gtsam.symbol_shorthand import L, X
 from scipy.spatial.transform import Rotation
 from test_gtsam_vi import estimate
 
@@ -26,12 +27,14 @@ from oysterbench_baselines.gtsam_vi.frontend import (
     homogeneous,
     undistort,
 )
+from oysterbench_baselines.gtsam_vi.graph import nested_dissection
 from oysterbench_baselines.gtsam_vi.inertial import (
     integrate,
     preintegrate,
     preintegration_params,
 )
 from oysterbench_baselines.gtsam_vi.initialisation import View, closed_form_start, level_rotation
+from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
 from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.states import insert_state, make_state, read_state
 
@@ -165,6 +168,61 @@ def test_a_joint_covariance_holds_the_marginals():
     np.testing.assert_allclose(joint[:6, :6], marginals.marginalCovariance(11), atol=1e-9)
     np.testing.assert_allclose(joint[6:, 6:], marginals.marginalCovariance(2), atol=1e-9)
     np.testing.assert_allclose(joint[:6, 6:], 0, atol=1e-12)
+
+
+def test_marginal_covariances_are_those_of_gtsam():
+    """Poses in a chain that comes back to its beginning, and points that four of them see, each pass anew."""
+    generator = np.random.default_rng(5)
+    graph, values, steps = gtsam.NonlinearFactorGraph(), gtsam.Values(), 24
+    poses = []
+    for k in range(steps):
+        poses.append(gtsam.Pose3(gtsam.Rot3.RzRyRx(*generator.normal(size=3) * 0.1), np.array([k % 12, 0.0, 0.0])))
+        values.insert(X(k), poses[k])
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.02] * 3 + [0.1] * 3))
+    graph.push_back(gtsam.PriorFactorPose3(X(0), poses[0], noise))
+    for one, other in [*((k, k + 1) for k in range(steps - 1)), (2, 14), (7, 19)]:
+        graph.push_back(gtsam.BetweenFactorPose3(X(one), X(other), poses[one].between(poses[other]), noise))
+    views = gtsam.noiseModel.Isotropic.Sigma(2, 0.01)
+    for j in range(60):
+        first = int(generator.integers(0, steps - 3))
+        across, up = generator.normal(size=2)
+        point = np.array([first % 12 + 1.5, across, 4.0 + up])
+        values.insert(L(j), point)
+        for k in range(first, first + 4):
+            local = poses[k].transformTo(point)
+            factor = gtsam.GenericProjectionFactorCal3_S2(local[:2] / local[2], views, X(k), L(j), gtsam.Cal3_S2())
+            graph.push_back(factor)
+    keys = [X(k) for k in range(steps)] + [L(3)]
+    ours, theirs = marginal_covariances(graph, values, keys), gtsam.Marginals(graph, values)
+    assert set(ours) == set(keys)
+    for key in keys:
+        sigma = np.sqrt(np.diag(theirs.marginalCovariance(key)))
+        scale = np.outer(sigma, sigma)
+        np.testing.assert_array_equal(ours[key], ours[key].T)
+        np.testing.assert_allclose(ours[key] / scale, theirs.marginalCovariance(key) / scale, atol=1e-8)
+
+
+@pytest.mark.parametrize("lone", [1, 4])
+@pytest.mark.parametrize("steps", [2, 3, 50, 500])
+def test_every_variable_is_ordered_once_those_too_that_share_no_factor(lone, steps):
+    graph, one = gtsam.NonlinearFactorGraph(), gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
+    for k in range(steps - 1):
+        graph.push_back(gtsam.BetweenFactorPose3(X(k), X(k + 1), gtsam.Pose3(), one))
+    for k in range(lone):
+        graph.push_back(gtsam.PriorFactorPose3(gtsam.symbol("a", k), gtsam.Pose3(), one))
+    ordering = nested_dissection(graph)
+    keys = [ordering.at(n) for n in range(ordering.size())]
+    assert sorted(keys) == sorted([X(k) for k in range(steps)] + [gtsam.symbol("a", k) for k in range(lone)])
+
+
+def test_marginal_covariances_of_what_is_undetermined_are_refused():
+    graph, values, one = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.noiseModel.Isotropic.Sigma(6, 1.0)
+    for k in range(3):
+        values.insert(X(k), gtsam.Pose3())
+    for k in range(2):
+        graph.push_back(gtsam.BetweenFactorPose3(X(k), X(k + 1), gtsam.Pose3(), one))
+    with pytest.raises(RuntimeError):
+        marginal_covariances(graph, values, [X(0)])
 
 
 def test_views_discounted_say_as_much_less_and_other_factors_as_much_as_before():

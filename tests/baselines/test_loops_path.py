@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import gtsam
 import numpy as np
 import pytest
 import synthetic_dive as dive
+from gtsam.symbol_shorthand import X
 
 from oysterbench.geometry import Array, align_yaw, invert
 from oysterbench.sequence.types import ImuSample
@@ -14,7 +16,7 @@ from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import undistort
-from oysterbench_baselines.gtsam_vi.merging import Loop, Merger, join
+from oysterbench_baselines.gtsam_vi.merging import Loop, Merger, Ties, join, tie
 from oysterbench_baselines.gtsam_vi.places import Place, heading_pose, level_pose, project
 from oysterbench_baselines.gtsam_vi.settings import Settings
 
@@ -63,8 +65,8 @@ class Knowing:
         return T, np.diag([1e-6] + [1e-5] * 3), index, found, undistort(found, camera)
 
 
-def estimate(measured: dive.Dive, loops: bool, false_m: float = 0.0) -> Estimator:
-    estimator = Estimator(measured.camera, measured.inertial, Settings(loops=loops))
+def estimate(measured: dive.Dive, loops: bool, false_m: float = 0.0, **settings: int) -> Estimator:
+    estimator = Estimator(measured.camera, measured.inertial, Settings(loops=loops, **settings))
     if estimator.loops is not None:
         knowing = Knowing(measured, estimator, false_m)
         estimator.loops.viewer = estimator.loops.index = estimator.loops.verifier = knowing  # type: ignore[assignment]
@@ -177,6 +179,66 @@ def test_what_does_not_meet_in_a_point_stays_apart(plain):
     # Landmarks of one place said to be where others are in the other.
     rays = second.view.rays[:20]
     loop = Loop(0, 1, np.eye(4), np.eye(4), ids, rays, rays)
-    joined = join(keyframes, [place, there], [loop], model, 1.5)
+    joined = join(keyframes, [place, there], [loop], model)
     assert np.isin(joined[second.index].view.ids, ids).sum() <= 1
     assert len(joined[second.index].view.ids) <= len(second.view.ids) + 1
+
+
+def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain):
+    """With no landmark shared it is the ties that close the lap."""
+    estimator = estimate(lap_and_a_half, loops=True, merge_keyframes=1)
+    joined = estimator.loops.joined(estimator.keyframes)
+    for keyframe, before in zip(joined, estimator.keyframes, strict=True):
+        np.testing.assert_array_equal(keyframe.view.ids, before.view.ids)
+    assert 1 < sum(len(keyframe.aiding) for keyframe in joined) <= len(estimator.loops.places) / 4
+    assert not any(keyframe.aiding for keyframe in estimator.keyframes)
+    truth = lap_and_a_half.truth
+    assert position_error(truth, estimator.smoothed()) < 0.7 * position_error(truth, plain.smoothed())
+
+
+def test_no_landmark_is_shared_by_more_than_one_pass_beyond_the_limit(lap_and_a_half, closed):
+    def most_seen(estimator: Estimator) -> int:
+        joined = estimator.loops.joined(estimator.keyframes)
+        return int(np.unique(np.concatenate([k.view.ids for k in joined]), return_counts=True)[1].max())
+
+    alone = int(np.unique(np.concatenate([k.view.ids for k in closed.keyframes]), return_counts=True)[1].max())
+    assert most_seen(closed) > alone
+    assert most_seen(estimate(lap_and_a_half, loops=True, merge_keyframes=alone)) < alone + most_seen(closed) / 2
+
+
+def test_ties_are_few_and_go_to_the_same_places_pass_after_pass():
+    ties = Ties(4)
+    empty = np.empty((0, 2))
+    for second in range(100, 1000):
+        first = second % 100
+        ties.offer(Loop(first, second, np.eye(4), np.eye(4), np.empty(0, dtype=np.int64), empty, empty))
+    assert len(ties.loops) == 900 / 4
+    assert len({loop.first for loop in ties.loops}) == 100 / 4
+
+
+def test_a_tie_measures_heading_and_position_in_level_frames(plain):
+    first, second = plain.keyframes[20], plain.keyframes[-1]
+    levels = [level_pose(keyframe.state.matrix) for keyframe in (first, second)]
+    settings = Settings(loop_heading_floor=0.0, loop_floor_m=0.0)
+    variances = np.array([0.003, 0.01, 0.02, 0.03]) ** 2
+    empty = np.empty((0, 2))
+    true = invert(levels[0]) @ levels[1]
+    loop = Loop(0, 1, true, np.diag(variances), np.empty(0, dtype=np.int64), empty, empty)
+    factor = tie(loop, first, second, settings)
+
+    def error(T_odom_second: Array) -> float:
+        values = gtsam.Values()
+        values.insert(X(first.index), first.state.nav.pose())
+        values.insert(X(second.index), gtsam.Pose3(T_odom_second))
+        return 2 * factor.error(values)
+
+    at = second.state.matrix
+    assert error(at) < 1e-9
+    heading = levels[0][:3, :3]
+    for axis, variance in enumerate(variances[1:]):
+        moved = at.copy()
+        moved[:3, 3] += heading[:, axis] * 1e-3
+        np.testing.assert_allclose(error(moved), 1e-6 / variance, rtol=0.01)
+    turned = at.copy()
+    turned[:3, :3] = heading_pose(1e-3, np.zeros(3))[:3, :3] @ at[:3, :3]
+    np.testing.assert_allclose(error(turned), 1e-6 / variances[0], rtol=0.05)
