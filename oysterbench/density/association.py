@@ -116,7 +116,7 @@ class Tracks:
         frames = [track.frames for track in self.tracks]
         if self.exact:
             found = own_overlaps(self.tracks, settings)
-            least = settings.least_overlap
+            least = settings.join_overlap
             chances = {
                 pair: 1.0 - 0.5 * share / least if share < least else 0.5 * (1.0 - share) / (1.0 - least)
                 for pair, share in found.items()

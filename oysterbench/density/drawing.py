@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from oysterbench.errors import OysterbenchError
 
 INK, SOFT, PAPER = "#14202b", "#52606d", "#ffffff"
+HALO = 1.6  # width around letters that have one
 HERSHEY_PX = 22.0  # height of the vector font's capitals at a scale of 1
 ASCII = {"\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "\N{GREATER-THAN OR EQUAL TO}": ">=", "\N{MIDDLE DOT}": "-"}
 
@@ -55,11 +56,11 @@ class Drawing:
         anchor: str = "start",
         bold: bool = False,
         fill: str = INK,
+        halo: str = "",
     ) -> None:
-        """A line of text on its base line; anchor: start, middle or end."""
-        self.marks.append(
-            ("text", {"x": x, "y": y, "text": text, "size": size, "anchor": anchor, "bold": bold, "fill": fill})
-        )
+        """A line of text on its base line; anchor: start, middle or end; halo: colour around its letters."""
+        mark = {"x": x, "y": y, "text": text, "size": size, "anchor": anchor, "bold": bold, "fill": fill, "halo": halo}
+        self.marks.append(("text", mark))
 
     def image(self, x: float, y: float, w: float, h: float, pixels: NDArray[np.uint8]) -> None:
         """A picture (H, W, 3) RGB."""
@@ -118,9 +119,11 @@ def _svg_dot(mark: dict[str, Any]) -> str:
 
 def _svg_text(mark: dict[str, Any]) -> str:
     weight = ' font-weight="600"' if mark["bold"] else ""
+    halo = mark["halo"]
+    around = f";paint-order:stroke;stroke:{halo};stroke-width:{2 * HALO}px;stroke-linejoin:round" if halo else ""
     return (
         f'<text x="{mark["x"]:.1f}" y="{mark["y"]:.1f}" font-size="{mark["size"]:g}" text-anchor="{mark["anchor"]}" '
-        f'fill="{mark["fill"]}"{weight} style="font-size:{mark["size"]:g}px;fill:{mark["fill"]}">'
+        f'fill="{mark["fill"]}"{weight} style="font-size:{mark["size"]:g}px;fill:{mark["fill"]}{around}">'
         f"{escape(mark['text'])}</text>"
     )
 
@@ -172,7 +175,11 @@ def _png_text(sheet: Any, mark: dict[str, Any], scale: float) -> None:
     x = mark["x"] * scale - sum(widths) * {"start": 0.0, "middle": 0.5, "end": 1.0}[mark["anchor"]]
     for (part, up), s, width in zip(parts, sizes, widths, strict=True):
         y = mark["y"] * scale - (0.38 * mark["size"] * scale if up else 0.0)
-        cv2.putText(sheet, part, (round(x), round(y)), font, s, rgb(mark["fill"]), thick, cv2.LINE_AA)
+        place = round(x), round(y)
+        if mark["halo"]:
+            wide = thick + round(2 * HALO * scale)
+            cv2.putText(sheet, part, place, font, s, rgb(mark["halo"]), wide, cv2.LINE_AA)
+        cv2.putText(sheet, part, place, font, s, rgb(mark["fill"]), thick, cv2.LINE_AA)
         x += width
 
 

@@ -181,11 +181,12 @@ def _cells(sheet: Drawing, panel: _Panel, found: OysterMap, seen: NDArray[np.boo
         down, right = (float(np.mean(at) + 0.5) * found.cover.raster.edge_m for at in np.nonzero(part))
         x, y = panel.place(grid.west_m + column * grid.cell_m + right, grid.north_m - row * grid.cell_m - down)
         value = float(density[row, column])
-        # On little colour, white letters would stand on the paper beside it.
-        dark = int(np.searchsorted(EDGES, value, side="right")) >= 4 and part.mean() > 0.6
+        level = int(np.searchsorted(EDGES, value, side="right"))
         text = f"{value:.0f}" if value >= 9.95 or value == 0 else f"{value:.1f}"
         text += "" if grid.sure[row, column] else "?"
-        sheet.text(x, y + 4, text, min(14.0, 0.34 * edge), "middle", fill="#ffffff" if dark else INK)
+        fill = "#ffffff" if level >= 4 else INK
+        # Where the cell is seen in shreds, letters would stand on the paper beside them.
+        sheet.text(x, y + 4, text, min(14.0, 0.34 * edge), "middle", fill=fill, halo=COLOURS[level])
 
 
 def _scale_bar(sheet: Drawing, panel: _Panel) -> None:
@@ -218,9 +219,8 @@ def _legends(sheet: Drawing, lefts: tuple[float, float], top: float, found: Oyst
     pictures = f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}"
     sheet.text(lefts[0], top + 26, pictures, 12.5, fill=SOFT)
     sheet.text(lefts[0], top + 44, "What no picture shows, as others lie on it, is not counted.", 12.5, fill=SOFT)
-    sheet.text(
-        lefts[0], top + 62, "An oyster that the edge always cuts counts a half. N is +y of the path.", 12.5, fill=SOFT
-    )
+    sheet.text(lefts[0], top + 62, "An oyster that the edge always cuts counts a half.", 12.5, fill=SOFT)
+    sheet.text(lefts[0], top + 80, "N is +y of the path.", 12.5, fill=SOFT)
     box = 56.0
     left = lefts[1]
     for k, colour in enumerate(COLOURS):
@@ -230,6 +230,5 @@ def _legends(sheet: Drawing, lefts: tuple[float, float], top: float, found: Oyst
     for first, last, name in ((0, 2, "below threshold"), (2, 4, "threshold"), (4, 6, "target")):
         sheet.line(left + first * box + 2, top + 25, left + last * box - 2, top + 25, INK, 1.4)
         sheet.text(left + (first + last) / 2 * box, top + 41, name, 12.5, "middle")
-    sheet.text(
-        left, top + 62, "? the 95 % interval reaches into another class. Grey: too little seen.", 12.5, fill=SOFT
-    )
+    sheet.text(left, top + 62, "? the 95 % interval reaches into another class.", 12.5, fill=SOFT)
+    sheet.text(left, top + 80, "Grey: too little seen.", 12.5, fill=SOFT)

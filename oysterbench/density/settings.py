@@ -40,6 +40,7 @@ class MapSettings:
     join_gate: float = 4.0  # the same for parts of one shell that were never seen side by side
     exact_m: float = 0.012  # of places surer than this, shells are told apart by how far they overlap
     least_overlap: float = 0.4  # of the lesser of two shells, for them to be one
+    join_overlap: float = 0.25  # the same of parts of one shell that were never seen side by side
     reach_m: float = 0.3  # between the middles of two views of one shell: more than any shell
 
     # Depth from pictures, the seabed as a plane.
@@ -54,7 +55,7 @@ class MapSettings:
             value = getattr(self, name)
             if value is not None and not value >= 0:
                 raise OysterbenchError(f"{name}: expected 0 or more, got {value:g}")
-        for name in ("least_cover", "least_overlap", "threshold"):
+        for name in ("least_cover", "least_overlap", "join_overlap", "threshold"):
             if not 0 < getattr(self, name) < 1:
                 raise OysterbenchError(f"{name}: expected more than 0 and less than 1, got {getattr(self, name):g}")
         if not self.cell_m >= 5 * self.raster_m:
