@@ -45,6 +45,8 @@ class Row:
                of the group is not told from zero (95 %, bootstrap over sequences) belongs to the group
     score:     mean of the ranking metric over all sequences of the board; low, high: its interval, None where there are
                too few sequences
+    data_set:  the ranking metric over all sequences at once, where the record knows it, such as COCO's AP: it is shown,
+               and does not rank, as what tells two records apart is a value on each sequence
     coverage:  mean over sequences, for tracks that have such a thing
     metrics:   means of the columns, coverage among them where it is one; None where there is none
     failures:  runs that failed, and sequences that were not answered
@@ -65,6 +67,7 @@ class Row:
     score: float | None
     low: float | None
     high: float | None
+    data_set: float | None
     coverage: float | None
     metrics: Mapping[str, float | None]
     sequences: int
@@ -76,8 +79,8 @@ class Row:
 class Query:
     """What is asked of a board.
 
-    sort:     "rank", "method", "team", "created", "score", "coverage", or a column's key; descending: the other way
-              round. Records without the value are last either way
+    sort:     "rank", "method", "team", "created", "score", "data_set", "coverage", or a column's key; descending: the
+              other way round. Records without the value are last either way
     text:     in method or team, whatever the case; tiers: none for all
     states:   which records; superseded and withdrawn ones have no place
     page:     from 1; size: rows of a page

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from oysterbench.errors import ResultError
 from oysterbench.evaluate.metrics import FAILED
 from oysterbench_leaderboard.board import State
 from oysterbench_leaderboard.intake import COLUMNS, Kept, keep
-from oysterbench_leaderboard.ranking import Map, standings
+from oysterbench_leaderboard.ranking import Intervals, Map, standings
 
 CHUNK = 200
 """Records that a process reads at a time."""
@@ -30,6 +31,14 @@ FEW = 4 * CHUNK
 
 Progress = Callable[[int, int], None]
 """Called with what is done, and of how much."""
+
+
+@dataclass(frozen=True)
+class Before:
+    """A board as it was: its sequences, and the intervals of its records' scores."""
+
+    sequences: Sequence[str]
+    intervals: Intervals
 
 
 @contextlib.contextmanager
@@ -119,17 +128,23 @@ def by_board(kept: Iterable[Kept]) -> dict[str, list[Kept]]:
 
 
 def board_rows(
-    kept: Sequence[Kept], states: Mapping[str, State], using: Map = map
+    kept: Sequence[Kept],
+    states: Mapping[str, State],
+    using: Map = map,
+    before: Before | None = None,
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """A board (keys of `BoardInfo`, but newest) and the rows of all its records in its order, from all that it has.
 
     Its sequences are those of the current records, or of all where none is current: what was withdrawn takes no part.
+    before: the board as it was, whose intervals are taken where they still hold.
     """
     first = kept[0]
     track, split, split_digest, evaluator, settings = first.about
     current = [one for one in kept if states[one.digest] == "current"]
     sequences = sorted({name for one in current or kept for name in one.sequences})
-    places = standings((one.answers for one in kept), sequences, track, (one.digest for one in current), using)
+    intervals = before.intervals if before is not None and list(before.sequences) == sequences else {}
+    ranked = (one.digest for one in current)
+    places = standings((one.answers for one in kept), sequences, track, ranked, using, intervals)
     of = {one.digest: one for one in kept}
     rows = []
     for position, standing in enumerate(places):
@@ -155,6 +170,7 @@ def board_rows(
                 "score": _number(standing.score),
                 "low": _number(standing.low),
                 "high": _number(standing.high),
+                "data_set": one.data_set,
                 "coverage": coverage,
                 "sequences": len(one.sequences),
                 "runs": one.runs,

@@ -8,19 +8,22 @@ from dataclasses import replace
 
 from oysterbench.errors import ResultError
 from oysterbench.results import ResultRecord
-from oysterbench_leaderboard.board import Row
+from oysterbench_leaderboard.board import Query, Row
 from oysterbench_leaderboard.index import LEAST_DIGITS, SqlIndex
 from oysterbench_leaderboard.options import Place
 from oysterbench_leaderboard.tables import SHORT
+
+MOST_NAMED = 20
+"""Methods of a board, the first ones, that are told to who asks for another."""
 
 _DIGEST = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
 
 
 def results_of(text: str, split: str | None, place: Place | None = None) -> list[ResultRecord] | None:
-    """The results of a method on the board, or of a record by its digest; None where the board has neither.
+    """The results of a method on the board, or of a record by its digest; None where the text can only be a file's.
 
     split: only these, where it is given. A record that is named by its digest carries it in its method's name, as
-    another of the same method may stand beside it. Raises ResultError where several records could be meant.
+    another of the same method may stand beside it. Raises ResultError where several records could be meant, or none is.
     """
     index = (place or Place()).index()
     rows = [row for row in index.method(text) if row.state == "current"]
@@ -29,11 +32,20 @@ def results_of(text: str, split: str | None, place: Place | None = None) -> list
             r for row in _one_of_each_board(text, rows, index, split) for r in index.store.record(row.digest).results
         ]
     if not _DIGEST.fullmatch(text):
-        return None
+        if "/" in text or text.endswith(".json"):
+            return None
+        raise ResultError(f"{text}: is neither a file nor a method on the board; {_methods(index, split)}")
     record = index.store.record(index.row(text).digest)
     if split is not None and record.split != split:
         raise ResultError(f"{text}: is a record on {record.split}, not on {split}")
     return [replace(result, method=f"{record.method} {record.digest[:SHORT]}") for result in record.results]
+
+
+def _methods(index: SqlIndex, split: str | None) -> str:
+    """What could have been meant."""
+    boards = [board for board in index.boards() if board.newest and split in (None, board.split)]
+    there = sorted({row.method for board in boards for row in index.page(board.id, Query(size=MOST_NAMED)).rows})
+    return f"the methods{f' on {split}' if split else ''} are: {', '.join(there) or 'none yet'}"
 
 
 def _one_of_each_board(text: str, rows: Sequence[Row], index: SqlIndex, split: str | None) -> list[Row]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +14,7 @@ from sqlalchemy.orm import aliased
 
 from oysterbench.comparison import PRIMARY
 from oysterbench.version import VERSION
-from oysterbench_leaderboard.building import board_rows, by_board, evaluator_order, read
+from oysterbench_leaderboard.building import Before, board_rows, by_board, evaluator_order, read
 from oysterbench_leaderboard.intake import COLUMNS, Kept
 from oysterbench_leaderboard.ranking import Answers, Map
 from oysterbench_leaderboard.schema import ANSWERS, BOARDS, META, PROBLEMS, ROWS, SCHEMA
@@ -51,9 +52,15 @@ def _insert(connection: Connection, table: Any, rows: Sequence[dict[str, Any]]) 
         connection.execute(insert(table), rows[i : i + MOST_ROWS])
 
 
-def insert_board(connection: Connection, kept: Sequence[Kept], state: Mapping[str, Any], using: Map = map) -> None:
-    """A board and all its records; `finish` says which boards are the newest."""
-    info, rows = board_rows(kept, state, using)
+def insert_board(
+    connection: Connection,
+    kept: Sequence[Kept],
+    state: Mapping[str, Any],
+    using: Map = map,
+    before: Before | None = None,
+) -> None:
+    """A board and all its records; `finish` says which boards are the newest. before: the board as it was."""
+    info, rows = board_rows(kept, state, using, before)
     missing = {f"m{i}": None for i in range(len(COLUMNS[info["track"]]), len(ROWS.c))}
     blank = {key: value for key, value in missing.items() if key in ROWS.c}
     _insert(connection, ROWS, [{**blank, **row} for row in rows])
@@ -104,14 +111,29 @@ def take_in(connection: Connection, store: RecordStore) -> None:
     kept = new + [one for board in sorted(touched) for one in _kept(connection, board) if one.digest not in lost]
     others = [] if not touched else _naming(connection, touched, lost)
     state = states(map(_claim, kept), gone, others)
+    before = {board: _before(connection, board) for board in touched}
     for board in sorted(touched):
         here = select(ROWS.c.digest).where(ROWS.c.board == board).scalar_subquery()
         connection.execute(delete(ANSWERS).where(ANSWERS.c.digest.in_(here)))
         connection.execute(delete(ROWS).where(ROWS.c.board == board))
         connection.execute(delete(BOARDS).where(BOARDS.c.id == board))
-    for of_board in by_board(kept).values():
-        insert_board(connection, of_board, state)
+    for board, of_board in by_board(kept).items():
+        insert_board(connection, of_board, state, before=before[board])
     finish(connection, {**problems, **wrong}, inputs)
+
+
+def _before(connection: Connection, board: str) -> Before | None:
+    names = connection.scalar(select(BOARDS.c.sequences).where(BOARDS.c.id == board))
+    if names is None:
+        return None
+    asked = select(ROWS.c.digest, ROWS.c.low, ROWS.c.high).where(ROWS.c.board == board)
+    ends = {digest: (_nan(low), _nan(high)) for digest, low, high in connection.execute(asked)}
+    return Before(json.loads(names), ends)
+
+
+def _nan(value: float | None) -> float:
+    """What is null in JSON and in the database."""
+    return math.nan if value is None else value
 
 
 def _boards_of(connection: Connection, digests: Iterable[str]) -> set[str]:
@@ -139,7 +161,9 @@ def _kept(connection: Connection, board: str) -> list[Kept]:
 
 def _kept_again(values: dict[str, Any]) -> Kept:
     lists = {key: tuple(values[key]) for key in ("about", "columns", "sequences")}
-    return Kept(**{**values, **lists, "answers": Answers(**values["answers"])})
+    found = values["answers"]
+    of_sequences = {name: _nan(value) for name, value in found["values"].items()}  # JSON has no NaN
+    return Kept(**{**values, **lists, "answers": Answers(**{**found, "values": of_sequences})})
 
 
 def _naming(connection: Connection, boards: Iterable[str], lost: Iterable[str]) -> list[Claim]:

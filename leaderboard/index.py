@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
 import re
-import tempfile
 import threading
 from array import array
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Protocol
-from urllib.parse import quote
 
-from sqlalchemy import Connection, Engine, Select, create_engine, delete, event, func, select, text
-from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+from sqlalchemy import Connection, Select, func, select
 
 from oysterbench.errors import ResultError
-from oysterbench.files import home, locked
+from oysterbench.files import home
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row
 from oysterbench_leaderboard.building import Progress, processes, read
-from oysterbench_leaderboard.filling import fill, inputs_of, meta, schema, take_in
+from oysterbench_leaderboard.database import Database
+from oysterbench_leaderboard.filling import fill, inputs_of, meta, take_in
 from oysterbench_leaderboard.intake import COLUMNS, by_sequence, run_means
-from oysterbench_leaderboard.schema import BOARDS, METADATA, PROBLEMS, ROWS
+from oysterbench_leaderboard.schema import BOARDS, PROBLEMS, ROWS
 from oysterbench_leaderboard.store import RecordStore
 
 MOST_REMEMBERED = 128
@@ -39,7 +34,6 @@ MOST_WANTED = 500
 LEAST_DIGITS = 8
 """Of a digest that is given short."""
 
-_LOCK = 0x6F79_7374_6572  # the advisory lock of PostgreSQL under which the index is written
 _PREFIX = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
 
 
@@ -104,54 +98,37 @@ class SqlIndex:
     """`Index` in SQLite, as one file that is replaced whole, or in PostgreSQL, in one transaction."""
 
     def __init__(self, url_or_path: str | os.PathLike[str], store: RecordStore) -> None:
-        self.store = store
-        place = os.fspath(url_or_path)
-        if "://" not in place:
-            place = f"sqlite:///{place}"
-        try:
-            url = make_url(re.sub(r"^postgres(ql)?://", "postgresql+psycopg://", place))
-        except ArgumentError:
-            raise ResultError(
-                f"index: expected a file or postgresql+psycopg://user@host/name, got {place!r:.80}"
-            ) from None
-        self.name = url.render_as_string(hide_password=True)
-        self._file: Path | None = None
+        self.store, self.database = store, Database(url_or_path)
         self._switch = threading.Lock()
-        self._of_file: tuple[int, int] | None = None
-        self._engine: Engine | None = None
         self._memory: OrderedDict[Hashable, Any] = OrderedDict()
-        if url.get_backend_name() == "sqlite":
-            if not url.database or url.database == ":memory:":
-                raise ResultError("index: expected a file for SQLite, got none")
-            self._file = Path(url.database)
-            self.name = str(self._file)
-        elif url.get_backend_name() == "postgresql":
-            self._engine = create_engine(url, pool_size=16, max_overflow=64)
-        else:
-            raise ResultError(f"index: expected SQLite or PostgreSQL, got {url.get_backend_name()}")
+
+    @property
+    def name(self) -> str:
+        """Where it lies, without a password."""
+        return self.database.name
 
     @property
     def revision(self) -> str:
-        with self._reading() as connection:
+        with self.database.reading() as connection:
             return meta(connection).get("revision", "")
 
     def rebuild(self, progress: Progress | None = None) -> None:
-        with self._told(), self._only_writer():
+        with self.database.told(), self.database.only_writer():
             self._rebuild(progress)
 
     def refresh(self) -> None:
-        with self._told():
+        with self.database.told():
             if self._up_to_date():
                 return
-            with self._only_writer():
-                if not self._usable():
+            with self.database.only_writer():
+                if not self.database.usable():
                     self._rebuild(None)
                     return
-                with self._connected().begin() as connection:
+                with self.database.engine().begin() as connection:
                     take_in(connection, self.store)
 
     def boards(self, track: str | None = None) -> list[BoardInfo]:
-        with self._reading() as connection:
+        with self.database.reading() as connection:
             return [each for each in self._boards(connection) if track in (None, each.track)]
 
     def find_board(self, track: str, split: str, board: str | None = None) -> BoardInfo:
@@ -166,7 +143,7 @@ class SqlIndex:
         return found[0]
 
     def page(self, board: str, query: Query) -> BoardPage:
-        with self._reading() as connection:
+        with self.database.reading() as connection:
             info = next((each for each in self._boards(connection) if each.id == board), None)
             if info is None:
                 raise ResultError(f"no board {board!r:.40}; `oysterbench leaderboard` lists what there is")
@@ -183,7 +160,7 @@ class SqlIndex:
     def row(self, digest: str) -> Row:
         if not _PREFIX.fullmatch(digest):
             raise ResultError(f"expected a digest of {LEAST_DIGITS} to 64 hex digits, got {digest!r:.80}")
-        with self._reading() as connection:
+        with self.database.reading() as connection:
             asked = _with_track().where(ROWS.c.digest >= digest, ROWS.c.digest < digest + "g").limit(2)
             found = connection.execute(asked).mappings().all()
             if not found:
@@ -197,13 +174,13 @@ class SqlIndex:
         asked = _with_track().where(ROWS.c.method == method).order_by(ROWS.c.created.desc(), ROWS.c.digest)
         if team is not None:
             asked = asked.where(ROWS.c.team == team)
-        with self._reading() as connection:
+        with self.database.reading() as connection:
             return [_row(found, COLUMNS[found["track"]]) for found in connection.execute(asked).mappings()]
 
     def methods(self) -> list[tuple[str, str, int]]:
         current = func.sum((ROWS.c.state == "current").cast(ROWS.c.runs.type))
         asked = select(ROWS.c.method, ROWS.c.team, current).group_by(ROWS.c.method, ROWS.c.team)
-        with self._reading() as connection:
+        with self.database.reading() as connection:
             found = connection.execute(asked.order_by(ROWS.c.method, ROWS.c.team)).all()
         return [(method, team, int(count)) for method, team, count in found]
 
@@ -216,15 +193,13 @@ class SqlIndex:
         return {name: {key: means[key].get(name) for key in keys} for name in runs}
 
     def problems(self) -> dict[str, str]:
-        with self._reading() as connection:
+        with self.database.reading() as connection:
             asked = select(PROBLEMS.c.file, PROBLEMS.c.reason).order_by(PROBLEMS.c.file)
             return {row[0]: row[1] for row in connection.execute(asked)}
 
     def close(self) -> None:
         """Let go of all connections; the next question opens new ones."""
-        with self._switch:
-            if self._engine is not None:
-                self._engine.dispose()
+        self.database.close()
 
     def _boards(self, connection: Connection) -> list[BoardInfo]:
         key = (meta(connection).get("revision"), "boards")
@@ -250,73 +225,10 @@ class SqlIndex:
                 self._memory.popitem(last=False)
         return made
 
-    def _connected(self) -> Engine:
-        """The engine; a new one where the file was replaced since. Connections in use keep the old file."""
-        if self._file is None:
-            assert self._engine is not None
-            return self._engine
-        try:
-            status = self._file.stat()
-        except FileNotFoundError:
-            raise ResultError(f"{self.name}: no index is there; make it: `oysterbench leaderboard rebuild`") from None
-        with self._switch:
-            # An inode is not used again while a connection of the pool holds it open.
-            if self._engine is None or self._of_file != (status.st_dev, status.st_ino):
-                if self._engine is not None:
-                    self._engine.dispose()
-                self._engine, self._of_file = _sqlite(self._file), (status.st_dev, status.st_ino)
-            return self._engine
-
-    @contextlib.contextmanager
-    def _reading(self) -> Iterator[Connection]:
-        """A connection whose questions are all answered from one state of the index."""
-        with self._told():
-            engine = self._connected()
-            with engine.connect() as connection:
-                connection.execute(
-                    text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ" if self._file is None else "BEGIN")
-                )
-                yield connection
-
-    @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
-        """What a database says, in one line that names the index and no password."""
-        try:
-            yield
-        except SQLAlchemyError as error:
-            said = " ".join(str(getattr(error, "orig", None) or error).split())
-            raise ResultError(
-                f"index {self.name}: {said:.200}; `oysterbench leaderboard rebuild` makes it anew"
-            ) from None
-
-    @contextlib.contextmanager
-    def _only_writer(self) -> Iterator[None]:
-        if self._file is not None:
-            with locked(self._file.with_name(f".{self._file.name}.lock")):
-                yield
-            return
-        with self._connected().connect() as connection:
-            connection.execute(select(func.pg_advisory_lock(_LOCK)))
-            try:
-                yield
-            finally:
-                connection.execute(select(func.pg_advisory_unlock(_LOCK)))
-
-    def _usable(self) -> bool:
-        """Whether there is an index, of this version and whole."""
-        try:
-            with self._connected().connect() as connection:
-                return meta(connection).get("schema") == schema()
-        except (ResultError, SQLAlchemyError):
-            if self._file is None:
-                with self._connected().connect():  # a server that is not there is no reason to build
-                    pass
-            return False
-
     def _up_to_date(self) -> bool:
-        if not self._usable():
+        if not self.database.usable():
             return False
-        with self._connected().connect() as connection:
+        with self.database.engine().connect() as connection:
             return meta(connection).get("inputs") == inputs_of(self.store)
 
     def _rebuild(self, progress: Progress | None) -> None:
@@ -324,69 +236,8 @@ class SqlIndex:
         inputs, digests = inputs_of(self.store), self.store.digests()
         with processes(len(digests)) as using:
             kept, wrong = read(self.store.folder / "records", digests, using, progress)
-            with self._new_tables() as connection:
+            with self.database.new_tables() as connection:
                 fill(connection, kept, self.store, wrong, inputs, using)
-
-    @contextlib.contextmanager
-    def _new_tables(self) -> Iterator[Connection]:
-        """Empty tables, which take the place of the old ones when the block is left without an error."""
-        if self._file is None:
-            with self._connected().begin() as connection:
-                METADATA.create_all(connection)
-                if meta(connection).get("schema") != schema():
-                    METADATA.drop_all(connection)
-                    METADATA.create_all(connection)
-                for table in METADATA.tables.values():
-                    connection.execute(delete(table))
-                yield connection
-            return
-        self._file.parent.mkdir(parents=True, exist_ok=True)
-        for left in self._file.parent.glob(f".{self._file.name}.*.new"):  # by a rebuild that was killed
-            left.unlink(missing_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=self._file.parent, prefix=f".{self._file.name}.", suffix=".new")
-        os.close(handle)
-        try:
-            engine = _sqlite(Path(temporary), durable=False)
-            with engine.begin() as connection:
-                METADATA.create_all(connection)
-                yield connection
-            engine.dispose()
-            with open(temporary, "rb") as file:
-                os.fsync(file.fileno())
-            self._settle_journal()
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, self._file)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-
-    def _settle_journal(self) -> None:
-        """A journal that a killed writer left must not be taken for the new file's: the old file takes it back now."""
-        assert self._file is not None
-        journal = self._file.with_name(f"{self._file.name}-journal")
-        if not journal.exists():
-            return
-        with contextlib.suppress(ResultError, SQLAlchemyError), self._connected().connect() as connection:
-            meta(connection)
-        journal.unlink(missing_ok=True)
-
-
-def _sqlite(path: Path, durable: bool = True) -> Engine:
-    engine = create_engine(
-        f"sqlite:///file:{quote(str(path.resolve()))}?mode=rw&uri=true",
-        pool_size=16,
-        max_overflow=64,
-        connect_args={"timeout": 60, "check_same_thread": False},
-    )
-
-    @event.listens_for(engine, "connect")
-    def settings(connection: Any, _: Any) -> None:
-        connection.execute("PRAGMA mmap_size = 268435456")
-        if not durable:
-            connection.execute("PRAGMA journal_mode = OFF")
-            connection.execute("PRAGMA synchronous = OFF")
-
-    return engine
 
 
 def _boards(connection: Connection) -> list[BoardInfo]:
@@ -412,7 +263,7 @@ def _positions(board: BoardInfo, query: Query) -> Select[Any]:
 def _order(board: BoardInfo, query: Query) -> list[Any]:
     """What a page is ordered by: records without the value come last, whichever way round; equal ones by rank."""
     columns = {"rank": ROWS.c.position, "method": ROWS.c.words, "team": ROWS.c.team, "created": ROWS.c.created}
-    columns |= {board.metric: ROWS.c.score, "score": ROWS.c.score, "coverage": ROWS.c.coverage}
+    columns |= {key: ROWS.c[key] for key in ("score", "coverage", "data_set")} | {board.metric: ROWS.c.score}
     columns |= {key: ROWS.c[f"m{i}"] for i, key in enumerate(board.columns)}
     column = columns.get(query.sort)
     if column is None:

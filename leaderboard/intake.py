@@ -47,6 +47,7 @@ class Kept:
 
     board:    its id; about: track, split, recipe, evaluator and its settings, which the id is the hash of
     answers:  what ranks it
+    data_set: the ranking metric over all sequences at once, where the record knows it
     coverage: of the sequences that have one
     columns:  means of `COLUMNS` over its own sequences, without coverage; None where there is none
     failed:   runs that failed
@@ -63,6 +64,7 @@ class Kept:
     created: str
     supersedes: str
     answers: Answers
+    data_set: float | None
     coverage: Mapping[str, float]
     columns: tuple[float | None, ...]
     sequences: tuple[str, ...]
@@ -104,6 +106,8 @@ def keep(data: bytes, digest: str) -> Kept:
     metric, columns = PRIMARY[about[0]], COLUMNS[about[0]]
     means, weights = run_means(runs, metric)
     missed = run_means(runs, MISSED[_weight(metric)])[0] if _weight(metric) in MISSED else None
+    # Answered, and yet without a value, as AP is where nothing is to be found: no failure, and in no mean.
+    without = dict.fromkeys((name for name in runs if name not in means), math.nan)
     if weights is not None:  # a failed run without a weight answers nothing: the board knows what that weighs
         means = {name: value for name, value in means.items() if name in weights}
     return Kept(
@@ -111,7 +115,8 @@ def keep(data: bytes, digest: str) -> Kept:
         board=board_id(about),
         about=about,
         **{key: values[key] for key in _TEXTS},
-        answers=Answers(digest, means, weights, missed),
+        answers=Answers(digest, means | without, weights, missed),
+        data_set=_data_set(values["data_set"], metric),
         coverage=run_means(runs, "coverage")[0] if "coverage" in FAILED[about[0]] else {},
         columns=tuple(None if key == "coverage" else column_mean(runs, key) for key in columns),
         sequences=tuple(runs),
@@ -136,6 +141,13 @@ def _check(result: Any, first: Any) -> None:
         raise ResultError("key 'results': expected objects as settings and metrics")
     if not _NUMBERS.issuperset(map(type, result["metrics"].values())):
         raise ResultError("key 'results': key 'metrics': expected numbers or null")
+
+
+def _data_set(found: Any, metric: str) -> float | None:
+    """Of a record's `data_set`, the ranking metric."""
+    metrics = found.get("metrics") if isinstance(found, dict) else None
+    value = metrics.get(metric) if isinstance(metrics, dict) else None
+    return float(value) if isinstance(value, int | float) else None
 
 
 @lru_cache(maxsize=256)

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -33,6 +34,9 @@ BATCH = 256
 FIRST_LOOK = 8
 """Records that are held against a new leader at once; each look after that takes twice as many."""
 
+Intervals = Mapping[str, tuple[float, float]]
+"""Digest -> low and high, NaN where there is none."""
+
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 """As the built-in `map`: in order, here or in other processes."""
 
@@ -51,6 +55,10 @@ class Answers:
     weights: Mapping[str, float] | None = None
     missed: Mapping[str, float] | None = None
 
+    def answers_all(self, names: Iterable[str]) -> bool:
+        """Whether it has a value, and a weight where values have one, on each of these sequences."""
+        return all(name in self.values and (self.weights is None or name in self.weights) for name in names)
+
 
 @dataclass(frozen=True)
 class Standing:
@@ -65,13 +73,20 @@ class Standing:
 
 
 def standings(
-    answers: Iterable[Answers], sequences: Sequence[str], track: str, ranked: Iterable[str], using: Map = map
+    answers: Iterable[Answers],
+    sequences: Sequence[str],
+    track: str,
+    ranked: Iterable[str],
+    using: Map = map,
+    known_intervals: Intervals = MappingProxyType({}),
 ) -> list[Standing]:
     """All records in the board's order: those that are ranked first, by their score, equal ones by digest.
 
     sequences: of the board; a record that lacks one failed there
     ranked:    digests of the records that have a place; the others have a score alone, and follow in their own order
     using:     runs the intervals, batch by batch
+    known_intervals: of records on a board of the same sequences, from before; those of records that answer all of them
+               hold whatever else is on the board, and take longer than all else
     """
     metric = PRIMARY[track]
     found = find_metric(metric)
@@ -91,8 +106,16 @@ def standings(
     )
     table, scores = table.take(order), scores[order]
     count = sum(has_place)
-    batches = [table.take(range(i, min(i + BATCH, len(order)))) for i in range(0, len(order), BATCH)]
-    intervals = np.concatenate([np.empty((0, 2)), *using(Table.intervals, batches)])
+    intervals = np.full((len(order), 2), np.nan)
+    wanted = []
+    for k, i in enumerate(order):
+        if known[i].digest in known_intervals and known[i].answers_all(names):
+            intervals[k] = known_intervals[known[i].digest]
+        else:
+            wanted.append(k)
+    batches = [wanted[i : i + BATCH] for i in range(0, len(wanted), BATCH)]
+    for rows, found_here in zip(batches, using(Table.intervals, map(table.take, batches)), strict=True):
+        intervals[rows] = found_here
     places = _places(scores[:count])
     ranks = _ranks(table.take(range(count)), places, better)
     return [

@@ -31,14 +31,19 @@ class Again:
 
 
 def evaluator_of(track: str) -> tuple[str, dict[str, Any]]:
-    """Version and settings by which this version of oysterbench scores for the board."""
-    from oysterbench_leaderboard.submissions.bundle import evaluator
+    """Version and settings by which this version of oysterbench scores for the board. Raises Refusal for a track whose
+    estimates are never kept."""
+    from oysterbench_leaderboard.submissions.evaluators import evaluator
 
     return evaluator(track)
 
 
 def is_outdated(record: Record) -> bool:
-    """Whether another evaluator, or other settings, scored it."""
+    """Whether another evaluator, or other settings, scored it: of tracks that can be scored again."""
+    from oysterbench_leaderboard.submissions.catalogue import SCORED
+
+    if record.track not in SCORED:
+        return False
     version, settings = evaluator_of(record.track)
     return record.evaluator_version != version or dict(record.results[0].settings) != settings
 

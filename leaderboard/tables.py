@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import LEVEL
 from oysterbench.report.columns import ABSENT, STANDING_OF_TRACK, find_column
 from oysterbench.report.tables import Heading, Line, Table
@@ -15,6 +16,9 @@ from oysterbench_leaderboard.board import BoardInfo, BoardPage, Literature, Row
 
 SHORT = 8
 """Digits of a digest that is shown."""
+
+DATA_SET = "{} ranks by its mean over sequences; 'data set' is of all sequences at once, and does not rank."
+"""Said of a ranking metric, or a record, that has both."""
 
 
 def board_name(board: BoardInfo) -> str:
@@ -32,6 +36,7 @@ def board_table(page: BoardPage, most: int | None = None) -> Table:
     beside = STANDING_OF_TRACK[board.track]
     texts = {column.key: column.texts([row.metrics.get(column.key) for row in rows]) for column in beside}
     scores = metric.texts([row.score for row in rows])
+    whole = metric.texts([row.data_set for row in rows]) if has_data_set(board, rows) else []
     lines = [
         Line(
             (
@@ -40,6 +45,7 @@ def board_table(page: BoardPage, most: int | None = None) -> Table:
                 row.team,
                 scores[i],
                 interval_text(row, metric),
+                *whole[i : i + 1],
                 *(texts[column.key][i] for column in beside),
                 str(row.failures) if row.failures else "",
                 row.tier,
@@ -55,6 +61,7 @@ def board_table(page: BoardPage, most: int | None = None) -> Table:
         Heading("team", number=False, name=True),
         Heading(metric.heading, metric.unit, metric.key),
         Heading(f"{LEVEL:.0%}", "interval"),
+        *([Heading(metric.heading, "data set")] if whole else []),
         *(Heading(column.heading, column.unit, column.key) for column in beside),
         Heading("failed"),
         Heading("tier", number=False),
@@ -62,6 +69,13 @@ def board_table(page: BoardPage, most: int | None = None) -> Table:
         Heading("record", number=False),
     )
     return Table(board_name(board), headings, tuple(lines), tuple(_notes(page, rows)))
+
+
+def has_data_set(board: BoardInfo, rows: Sequence[Row]) -> bool:
+    """Whether the ranking metric over the whole data set is another number than the mean, and any record knows it. A
+    metric that is weighed is the same both ways."""
+    metric = find_metric(board.metric)
+    return not (metric is not None and metric.weight) and any(row.data_set is not None for row in rows)
 
 
 def rank_text(row: Row, rows: Sequence[Row]) -> str:
@@ -92,6 +106,8 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
         notes.append(f"{count}: too few to tell methods apart; places in brackets are the order of these means.")
     elif rows:
         notes.append(f"Over {count}; one that is lacking or failed counts as nothing, and is among 'failed'.")
+    if has_data_set(board, rows):
+        notes.append(DATA_SET.format(find_column(board.metric).heading))
     if not board.newest:
         notes.append("A later evaluator has taken over: this board is history.")
     return notes

@@ -40,6 +40,7 @@ def show_boards(
     from oysterbench.report import latex_table, markdown_table, terminal_table
     from oysterbench.results import dump
     from oysterbench_leaderboard.board import Query
+    from oysterbench_leaderboard.latex import needs
     from oysterbench_leaderboard.tables import board_table, boards_csv, page_plain
 
     files = {"csv": csv_file, "tex": tex_file, "md": md_file}
@@ -53,7 +54,7 @@ def show_boards(
     pages = [replace(page, rows=page.rows[:size]) for page in longer]
     makers = {
         "csv": lambda: boards_csv(pages),
-        "tex": lambda: "\n".join(["% needs \\usepackage{booktabs}", *map(latex_table, tables)]),
+        "tex": lambda: "\n".join([*needs(written := "\n".join(map(latex_table, tables))), written]),
         "md": lambda: "\n".join(map(markdown_table, tables)),
     }
     for form, path in files.items():

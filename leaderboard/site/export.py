@@ -19,7 +19,7 @@ from oysterbench_leaderboard.site.links import FileLinks, file_of, numbered, pai
 from oysterbench_leaderboard.site.openapi import describe
 from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.pages.board import MOST_ROWS, STATES, board_page
-from oysterbench_leaderboard.site.pages.compare import compare_page
+from oysterbench_leaderboard.site.pages.compare import PAIRED, compare_page
 from oysterbench_leaderboard.site.pages.data import data_page, split_page
 from oysterbench_leaderboard.site.pages.home import home_page
 from oysterbench_leaderboard.site.pages.literature import literature_page
@@ -33,9 +33,6 @@ from oysterbench_leaderboard.site.twins import twin
 
 MARK = ".oysterbench-board"
 """A file that says that a folder was written here, and may be replaced."""
-
-PAIRED = 10
-"""First records of each newest board of which every two are set head to head."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of pages that are written, and of all."""

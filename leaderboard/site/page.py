@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal
 
 from oysterbench.errors import OysterbenchError
@@ -91,6 +92,26 @@ class Table:
     lines: tuple[Line, ...]
     notes: tuple[str, ...] = ()
     name: str = "table"
+
+
+class Later(Mapping[str, Any]):
+    """Values that are made when somebody asks for them: the JSON of a page that is read as HTML costs nothing."""
+
+    def __init__(self, make: Callable[[], Mapping[str, Any]]) -> None:
+        self._make = make
+
+    @cached_property
+    def _made(self) -> Mapping[str, Any]:
+        return self._make()
+
+    def __getitem__(self, key: str) -> Any:
+        return self._made[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._made)
+
+    def __len__(self) -> int:
+        return len(self._made)
 
 
 @dataclass(frozen=True)

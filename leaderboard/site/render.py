@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -16,7 +16,7 @@ from oysterbench.page import STYLE
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.links import Links, ServerLinks
-from oysterbench_leaderboard.site.page import Page
+from oysterbench_leaderboard.site.page import Column, Page
 from oysterbench_leaderboard.site.paths import slug
 
 TWINS = {
@@ -49,8 +49,14 @@ def environment(*folders: str | os.PathLike[str]) -> Environment:
         auto_reload=False,
     )
     made.globals |= {"VERSION": VERSION, "unit": numbers.unit, "TWINS": TWINS}
-    made.filters |= {"px": px, "slug": slug}
+    made.filters |= {"px": px, "slug": slug, "shown": shown}
     return made
+
+
+def shown(columns: Sequence[Column]) -> list[tuple[int, Column, bool]]:
+    """The columns that a page shows: their numbers, and whether their cells head the lines."""
+    heads = ("method", "sequence", "split")
+    return [(i, column, column.key in heads and i < 2) for i, column in enumerate(columns) if not column.hidden]
 
 
 def px(value: float) -> str:

@@ -72,7 +72,7 @@ def _choice(values: Sequence[str]) -> dict[str, Any]:
 
 
 BOARD_QUERY = (
-    Parameter("sort", "rank, method, team, created, or the key of a metric of the board", {"type": "string"}),
+    Parameter("sort", "rank, method, team, created, data_set, or the key of a metric of the board", {"type": "string"}),
     Parameter("order", "which way round", {"type": "string", "enum": ["asc", "desc"], "default": "asc"}),
     Parameter("q", "text in method or team", {"type": "string", "maxLength": LONGEST_TEXT}),
     Parameter("tier", "who vouches for the numbers; all where none is given", _choice(TIERS)),

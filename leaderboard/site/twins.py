@@ -10,22 +10,11 @@ from collections.abc import Sequence
 
 import orjson
 
-from oysterbench.report.formats import latex_escape
+from oysterbench_leaderboard.latex import escape, needs
 from oysterbench_leaderboard.site.page import Cell, Column, Page, Table
 
 RISKY = ("=", "+", "-", "@", "\t", "\r")
 """What a spreadsheet takes for the begin of a formula."""
-
-
-SYMBOLS = {
-    "↓": r"$\downarrow$",
-    "↑": r"$\uparrow$",
-    "\N{MULTIPLICATION SIGN}": r"$\times$",
-    "\N{SUPERSCRIPT THREE}": r"\textsuperscript{3}",
-    "\N{NARROW NO-BREAK SPACE}": r"\,",
-    "\N{RIGHT SINGLE QUOTATION MARK}": "'",
-}
-"""Characters of our own headings that LaTeX does not know by themselves."""
 
 
 def twin(page: Page, suffix: str) -> bytes:
@@ -62,22 +51,22 @@ def _field(value: str | int | float) -> str:
 
 
 def tex_text(page: Page) -> str:
-    """All tables; \\usepackage{booktabs} is all that they need."""
-    lines = ["% needs \\usepackage{booktabs}", f"% {_comment(page.title)}"]
-    return "\n".join([*lines, *(_tex(table) for table in page.tables)])
+    """All tables; what they need is said before them."""
+    tables = [_tex(table) for table in page.tables]
+    return "\n".join([*needs("\n".join(tables)), f"% {_comment(page.title)}", *tables])
 
 
 def _tex(table: Table) -> str:
     shown = [(i, column) for i, column in enumerate(table.columns) if not column.hidden]
-    units = [_escape(f"[{column.unit}]") if column.unit else "" for _, column in shown]
+    units = [escape(f"[{column.unit}]") if column.unit else "" for _, column in shown]
     lines = [
         r"\begin{table}",
         r"\centering",
-        rf"\caption{{{_escape(table.title)}}}",
+        rf"\caption{{{escape(table.title)}}}",
         rf"\label{{tab:{re.sub('[^a-z0-9-]+', '-', table.name)}}}",
         rf"\begin{{tabular}}{{{''.join('r' if column.number else 'l' for _, column in shown)}}}",
         r"\toprule",
-        f"{' & '.join(_escape(column.text) for _, column in shown)} \\\\",
+        f"{' & '.join(escape(column.text) for _, column in shown)} \\\\",
         *([f"{' & '.join(units)} \\\\"] if any(units) else []),
         r"\midrule",
     ]
@@ -90,12 +79,7 @@ def _tex(table: Table) -> str:
 def _tex_cell(cell: Cell, column: Column) -> str:
     mark = f" ({cell.mark})" if cell.mark else ""
     small = f" ({cell.small})" if cell.small and not column.number else ""
-    return _escape(f"{cell.text}{small}{mark}")
-
-
-def _escape(text: str) -> str:
-    escaped = latex_escape(" ".join(text.split()))
-    return "".join(SYMBOLS.get(character, character) for character in escaped)
+    return escape(f"{cell.text}{small}{mark}")
 
 
 def _comment(text: str) -> str:

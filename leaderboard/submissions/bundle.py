@@ -1,4 +1,4 @@
-"""What was sent, opened: poses by sequence, answers by image, or results. Each reading ends in poses, in answers, or in
+"""What was sent, opened: poses or commands by sequence, answers by image, or results. Each reading ends in these, or in
 a Refusal that names file and line; no truth is needed for it, so that all of it may be told."""
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from oysterbench.errors import OysterbenchError
 from oysterbench_leaderboard.submissions.archive import (
@@ -20,20 +20,23 @@ from oysterbench_leaderboard.submissions.archive import (
     is_zip,
     shown,
 )
-from oysterbench_leaderboard.submissions.catalogue import Wanted
+from oysterbench_leaderboard.submissions.catalogue import Kind, Wanted
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 # A reader of what was sent is started for each submission: what only some kinds need is imported where it is needed.
 if TYPE_CHECKING:
     from oysterbench.evaluate.detection import ImageInstances
     from oysterbench.evaluate.segmentation import EstimateImage
+    from oysterbench.methods.steering import Steering
     from oysterbench.results import ResultRecord
     from oysterbench.trajectory import Trajectory
 
-Kind = Literal["poses", "answers", "results"]
-
 POSES = (".tum", ".txt", ".csv", ".npz")
 ANSWERS = (".json", ".npz")
+COMMANDS = (".csv",)
+FILES: dict[Kind, tuple[str, ...]] = {"poses": POSES, "answers": ANSWERS, "commands": COMMANDS}
+"""What is sent -> how the names of files end that answer a whole sequence."""
+
 IMAGE = ".png"
 
 
@@ -52,17 +55,21 @@ class Answer:
 @dataclass(frozen=True)
 class Bundle:
     """What was sent. poses: sequence -> reader of its path, by the options that its file leaves open; answers: name of
-    an image -> what was said of it; results: as they are in a results.json."""
+    an image -> what was said of it; commands: sequence -> reader of those at each of its pictures; results: as they are
+    in a results.json."""
 
     kind: Kind
     poses: dict[str, Callable[..., Trajectory]] = field(default_factory=dict)
     answers: dict[str, Answer] = field(default_factory=dict)
+    commands: dict[str, Callable[[], tuple[Steering, ...]]] = field(default_factory=dict)
     results: tuple[ResultRecord, ...] = ()
 
     def answered(self, wanted: Wanted) -> list[str]:
         """Sequences that something is said of."""
         if self.kind == "poses":
             return [name for name in wanted.sequences if name in self.poses]
+        if self.kind == "commands":
+            return [name for name in wanted.sequences if name in self.commands]
         if self.kind == "results":
             return sorted({record.sequence for record in self.results})
         found = {name.split("/")[0] for name in self.answers}
@@ -89,7 +96,10 @@ def open_bundle(path: Path, wanted: Wanted, limits: Limits) -> Bundle:
         raise Refusal(
             "type", f"{wanted.track}: expected COCO annotations (.json), arrays (.npz) or PNG masks in a zip archive"
         )
-    return Bundle("poses", {_only(wanted): _poses(data, f"{_only(wanted)}.tum")})
+    only = _only(wanted)
+    if wanted.kind == "commands":
+        return Bundle("commands", commands={only: _commands(data, f"{only}.csv", only, wanted)})
+    return Bundle("poses", {only: _poses(data, f"{only}.tum")})
 
 
 def _open_zip(path: Path, wanted: Wanted, limits: Limits, budget: Budget) -> Bundle:
@@ -102,8 +112,10 @@ def _open_zip(path: Path, wanted: Wanted, limits: Limits, budget: Budget) -> Bun
         data = path.read_bytes()
         if wanted.of_images:
             return Bundle("answers", answers=_array_answers(data, "arrays.npz", wanted, Budget(limits), ""))
+        if wanted.kind == "commands":
+            raise Refusal("type", f"{wanted.track}: expected a table for each sequence (.csv), got arrays")
         return Bundle("poses", {_only(wanted): _poses(data, f"{_only(wanted)}.npz", Budget(limits))})
-    bundle = Bundle("answers" if wanted.of_images else "poses")
+    bundle = Bundle(wanted.kind)
     for name in archive.entries:
         _open_member(bundle, archive, name, wanted, limits, budget)
     return bundle
@@ -127,7 +139,7 @@ def _open_member(bundle: Bundle, archive: Archive, name: str, wanted: Wanted, li
             raise Refusal("name", taken)
         bundle.answers[stem] = _mask_answer(stem, lambda: _png(archive.read(name), name), wanted)
         return
-    allowed = ANSWERS if wanted.of_images else POSES
+    allowed = FILES[wanted.kind]
     if suffix not in allowed or stem not in wanted.sequences:
         sequences = ", ".join(wanted.sequences[:3]) + (", ..." if len(wanted.sequences) > 3 else "")
         images = f", or {wanted.sequences[0]}/CAMERA/STAMP.png" if wanted.of_images else ""
@@ -136,6 +148,9 @@ def _open_member(bundle: Bundle, archive: Archive, name: str, wanted: Wanted, li
             f"{shown(name)} is no name of {wanted.split}; expected SEQUENCE{'|'.join(allowed)}{images}, the sequences "
             f"being {sequences}, with no folder around them",
         )
+    if wanted.kind == "commands":
+        bundle.commands[stem] = _commands(archive.read(name), name, stem, wanted)
+        return
     if not wanted.of_images:
         if stem in bundle.poses:
             raise Refusal("name", taken)
@@ -184,6 +199,12 @@ def _poses(data: bytes, label: str, budget: Budget | None = None) -> Callable[..
         return found
 
     return read
+
+
+def _commands(data: bytes, label: str, sequence: str, wanted: Wanted) -> Callable[[], tuple[Steering, ...]]:
+    from oysterbench_leaderboard.submissions.commands import reader
+
+    return reader(data, label, sequence, wanted)
 
 
 class told:
@@ -321,25 +342,9 @@ def _open_json(data: bytes, wanted: Wanted, limits: Limits) -> Bundle:
 
         return Bundle("results", results=read_results(data, content, wanted, limits))
     if not wanted.of_images:
-        raise Refusal(
-            "type", f"upload.json: {wanted.track}: expected paths (TUM, EuRoC, CSV, .npz), or results with 'results'"
-        )
+        what = "paths (TUM, EuRoC, CSV, .npz)" if wanted.kind == "poses" else "tables of commands (.csv)"
+        raise Refusal("type", f"upload.json: {wanted.track}: expected {what}, or results with 'results'")
     return Bundle("answers", answers=_coco_answers(data, "upload.json", wanted))
-
-
-def evaluator(track: str) -> tuple[str, dict[str, Any]]:
-    """Name and version of a track's evaluator, and its settings: those that boards rank by."""
-    if track == "slam":
-        from oysterbench.evaluate import slam
-
-        return slam.EVALUATOR, slam.SlamSettings().as_dict()
-    if track == "segmentation":
-        from oysterbench.evaluate import segmentation
-
-        return segmentation.EVALUATOR, segmentation.SegmentationSettings().as_dict()
-    from oysterbench.evaluate import detection
-
-    return detection.EVALUATOR, detection.DetectionSettings().as_dict()
 
 
 def check_bundle(bundle: Bundle, wanted: Wanted) -> dict[str, Any]:
@@ -348,6 +353,7 @@ def check_bundle(bundle: Bundle, wanted: Wanted) -> dict[str, Any]:
     poses = images = 0
     for read in bundle.poses.values():
         poses += len(read())
+    images += sum(len(read()) for read in bundle.commands.values())
     sequences = bundle.answered(wanted)
     for sequence in sequences if bundle.kind == "answers" and wanted.images else ():
         missing = [name for name in wanted.images[sequence] if name not in bundle.answers]

@@ -6,18 +6,34 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from oysterbench.errors import OysterbenchError, ResultError
 from oysterbench.files import write_atomically
 from oysterbench.hub.canonical import canonical, sha256
+from oysterbench.results import plain
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
-TRACKS_OF = {"slam": ("slam",), "segmentation": ("segmentation", "detection")}
+TRACKS_OF = {"slam": ("slam",), "segmentation": ("segmentation", "detection"), "steering": ("steering",)}
 """Track of a split's recipe -> tracks of which answers to it are scored."""
+
+SCORED = tuple(track for tracks in TRACKS_OF.values() for track in tracks)
+"""Tracks that can be submitted."""
+
+ELSEWHERE = {
+    "density": "maps are scored where they are made: `oysterbench eval --track density`",
+    "exploration": "dives are scored where they are made: `oysterbench eval --track steering --closed-loop`",
+}
+"""Track that cannot be submitted -> why."""
+
+Kind = Literal["poses", "answers", "commands", "results"]
+"""What is sent: paths, answers to images, commands at pictures, or results that were computed elsewhere."""
+
+KIND_OF: dict[str, Kind] = {"slam": "poses", "segmentation": "answers", "detection": "answers", "steering": "commands"}
+"""Track -> the estimates that it takes."""
 
 Images = Mapping[str, Mapping[str, tuple[int, int]]]
 """Sequence -> name of an image -> height and width."""
@@ -28,7 +44,9 @@ class Wanted:
     """What an answer to a split on a track is made of.
 
     split_digest, conditions: as results hold them; hidden: whether nobody but the server has the truth
-    images: of tracks of images; empty where they are not known, as on a client that has not downloaded them
+    images: that are answered, by masks or commands; empty where they are not known, as on a client that has not
+            downloaded them
+    task:   of the track steering, the table [steering] of the recipe
     """
 
     track: str
@@ -38,11 +56,17 @@ class Wanted:
     sequences: tuple[str, ...]
     conditions: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
     images: Images = field(default_factory=dict)
+    task: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> Kind:
+        """Of the estimates."""
+        return KIND_OF[self.track]
 
     @property
     def of_images(self) -> bool:
-        """Whether images are answered, and not paths estimated."""
-        return self.track != "slam"
+        """Whether what is sent are masks or instances."""
+        return self.kind == "answers"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -85,7 +109,7 @@ class Catalogue:
             raise Refusal("split", f"submissions to {split!r:.60} are not taken here; the splits are {known}")
         served = self.splits[split]
         if track and track not in served.wanted:
-            raise Refusal("split", f"{split} has the tracks {', '.join(served.wanted)}, got {track!r:.60}")
+            raise Refusal("split", f"{split} has the tracks {', '.join(served.wanted)}, got {track!r:.60}{why(track)}")
         return served, served.wanted[track] if track else served.any
 
     def public(self) -> list[dict[str, Any]]:
@@ -98,9 +122,18 @@ class Catalogue:
                 "takes": ["estimates"] * bool(one.truth) + ["results"] * (not one.any.hidden),
                 "sequences": list(one.any.sequences),
                 "images": {sequence: len(named) for sequence, named in one.any.images.items()},
+                "task": dict(one.any.task),
             }
             for name, one in self.splits.items()
         ]
+
+
+def why(track: str) -> str:
+    """Why a track cannot be submitted, to be put behind a refusal of it; empty where it can."""
+    if track in SCORED:
+        return ""
+    reason = f": {ELSEWHERE[track]}" if track in ELSEWHERE else ""
+    return f"{reason}; the tracks that can be submitted are {', '.join(SCORED)}"
 
 
 def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None = None) -> Served:
@@ -129,9 +162,9 @@ def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None
         _check(split, name, path)
     found = {sequence.name: conditions(split, sequence.name) for sequence in split.sequence}
     names = tuple(sequence.name for sequence in split.sequence)
-    images = _images(files, cache) if split.track == "segmentation" else {}
+    images = {name: _images_of(path, split.track, cache) for name, path in files.items() if split.track in NAMED}
     wanted = {
-        track: Wanted(track, split.name, digest(split), split.hidden, names, found, images)
+        track: Wanted(track, split.name, digest(split), split.hidden, names, found, images, _task(split))
         for track in TRACKS_OF[split.track]
     }
     return Served(wanted, files)
@@ -151,13 +184,31 @@ def _check(split: Any, name: str, path: Path) -> None:
             raise ResultError(f"{path}: expected {key} {value!r}, got {said.get(key)!r}: the truth of another split")
 
 
-def _images(files: Mapping[str, Path], cache: Path | None) -> dict[str, dict[str, tuple[int, int]]]:
-    return {name: _images_of(path, cache) for name, path in files.items()}
+def _task(split: Any) -> dict[str, Any]:
+    """The table [steering] as plain values."""
+    return {} if split.steering is None else plain(asdict(split.steering))
 
 
-def _images_of(path: Path, cache: Path | None) -> dict[str, tuple[int, int]]:
-    """Names and sizes of the images of a sequence that have a truth."""
+def _masked(path: Path) -> tuple[str, ...]:
     from oysterbench.answers import sequence_clip
+
+    return tuple(sequence_clip(path).names)
+
+
+def _steered(path: Path) -> tuple[str, ...]:
+    from oysterbench.sequence import open_sequence
+
+    sequence = open_sequence(path)
+    camera = next(iter(sequence.cameras))
+    return tuple(f"{sequence.name}/{camera}/{stamp}" for stamp in sequence.steering()["stamp_ns"].tolist())
+
+
+NAMED: dict[str, Callable[[Path], tuple[str, ...]]] = {"segmentation": _masked, "steering": _steered}
+"""Track of a recipe -> names of the images of a sequence that have a truth."""
+
+
+def _images_of(path: Path, track: str, cache: Path | None) -> dict[str, tuple[int, int]]:
+    """Names and sizes of the images of a sequence that have a truth."""
     from oysterbench.sequence import open_sequence
 
     state = path.stat()
@@ -166,9 +217,8 @@ def _images_of(path: Path, cache: Path | None) -> dict[str, tuple[int, int]]:
     if kept is not None and kept.is_file():
         return {name: (int(h), int(w)) for name, (h, w) in json.loads(kept.read_bytes()).items()}
     cameras = open_sequence(path).cameras
-    clip = sequence_clip(path)
     found = {}
-    for name in clip.names:
+    for name in NAMED[track](path):
         camera = cameras[name.split("/")[1]]
         found[name] = (camera.height, camera.width)
     if kept is not None:
@@ -191,4 +241,4 @@ def local_wanted(split_name: str, track: str) -> Wanted:
     from oysterbench.generate import digest
 
     names = tuple(sequence.name for sequence in split.sequence)
-    return Wanted(track, split.name, digest(split), split.hidden, names)
+    return Wanted(track, split.name, digest(split), split.hidden, names, task=_task(split))

@@ -60,12 +60,14 @@ def command(
       a folder with a file for each sequence: SEQUENCE.tum, .txt, .csv (EuRoC or named columns), .npz
       what `oysterbench run` and `eval` leave; of public splits also their results.json, marked as reported
       masks: SEQUENCE/CAMERA/STAMP.png in a folder, an .npz with an array for each image, COCO annotations
+      commands: SEQUENCE.csv with the columns stamp_ns,yaw,pitch, or the probabilities of all classes
       a zip archive of any of these
 
     The files are read here first, with the server's own checks. Sent twice, they are one submission.
     """
     if publish and not wait:
         raise click.UsageError("--publish waits until the submission is scored: --no-wait does not go with it")
+    from oysterbench_leaderboard.submissions.catalogue import why
     from oysterbench_leaderboard.submissions.client import Client
     from oysterbench_leaderboard.submissions.package import look, packed, split_in, wanted_of
 
@@ -75,9 +77,12 @@ def command(
     told = client.splits()
     said_split, said_track = split_in(place)
     chosen = _choose(told["splits"], split or said_split, place)
-    of_track = track or (said_track if said_track in chosen["tracks"] else chosen["tracks"][0])
+    of_track = track or said_track or chosen["tracks"][0]
     if of_track not in chosen["tracks"]:
-        raise ResultError(f"--track: {chosen['split']} has {', '.join(chosen['tracks'])}, got {of_track!r}")
+        where = "--track" if track else f"{place}: its track"
+        raise ResultError(
+            f"{where}: {chosen['split']} has {', '.join(chosen['tracks'])}, got {of_track!r:.60}{why(of_track)}"
+        )
     results = results or "estimates" not in chosen["takes"]
     found = look(place, chosen["sequences"], of, run, results)
     with packed(found, wanted_of(chosen["split"], of_track, chosen), told["limits"]) as package:

@@ -18,6 +18,7 @@ from oysterbench_leaderboard.record import MOST_TEXT
 from oysterbench_leaderboard.site.links import Links
 from oysterbench_leaderboard.site.render import environment, html
 from oysterbench_leaderboard.submissions.api import small_body
+from oysterbench_leaderboard.submissions.catalogue import ELSEWHERE
 from oysterbench_leaderboard.submissions.gate import Gate
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.sessions import Sessions, check_origin, set_cookie
@@ -82,6 +83,7 @@ class WebForm:
             "fields": getattr(request.state, "fields", dict.fromkeys(FIELDS, "")),
             "most": MOST_TEXT,
             "limits": self.service.settings,
+            "elsewhere": list(ELSEWHERE),
             "error": error,
         }
         return self._page(request, value, "submit_new.html", context, status)

@@ -13,13 +13,16 @@ from typing import Any
 
 from oysterbench.errors import OysterbenchError, RecipeError, ResultError
 from oysterbench_leaderboard.submissions.archive import Limits, pack
-from oysterbench_leaderboard.submissions.bundle import ANSWERS, IMAGE, POSES, check_bundle, open_bundle
+from oysterbench_leaderboard.submissions.bundle import FILES, IMAGE, check_bundle, open_bundle
 from oysterbench_leaderboard.submissions.catalogue import Wanted, local_wanted
 
 RESULTS = "results.json"
 KINDS = {".zip": "application/zip", ".json": "application/json", ".txt": "text/plain", ".tum": "text/plain"}
 KINDS |= {".csv": "text/csv", ".npz": "application/octet-stream"}
 """Suffix of a file that is sent as it is -> its content type."""
+
+SUFFIXES = tuple(dict.fromkeys(suffix for suffixes in FILES.values() for suffix in suffixes))
+"""Of files that answer a sequence."""
 
 NO_RATIO = 1e9  # what is sent is one's own
 
@@ -55,7 +58,7 @@ def look(place: Path, sequences: Sequence[str], method: str = "", run: int = 1, 
     if place.is_file():
         if place.suffix.lower() not in KINDS:
             raise ResultError(f"{place}: expected a file that ends in {', '.join(KINDS)}, got {place.suffix or 'none'}")
-        if place.suffix in POSES and place.stem in sequences and len(sequences) > 1:
+        if place.suffix in FILES["poses"] and place.stem in sequences and len(sequences) > 1:
             return Found(None, {place.name: place})
         return Found(place, {})
     if not place.is_dir():
@@ -66,7 +69,7 @@ def look(place: Path, sequences: Sequence[str], method: str = "", run: int = 1, 
         return Found(place / RESULTS, {})
     files: dict[str, Path] = {}
     for sequence in sequences:
-        own = [place / f"{sequence}{suffix}" for suffix in dict.fromkeys((*POSES, *ANSWERS))]
+        own = [place / f"{sequence}{suffix}" for suffix in SUFFIXES]
         own = [path for path in own if path.is_file()]
         if len(own) > 1:
             raise ResultError(f"{place}: both {own[0].name} and {own[1].name} answer {sequence}; keep one of them")
@@ -78,9 +81,10 @@ def look(place: Path, sequences: Sequence[str], method: str = "", run: int = 1, 
     if not files and (place / RESULTS).is_file():
         files = _of_run(place, sequences, method, run)
     if not files:
+        first = sequences[0] if sequences else "SEQUENCE"
         raise ResultError(
-            f"{place}: expected a file for each sequence, e.g. {sequences[0] if sequences else 'SEQUENCE'}.tum, masks "
-            f"{sequences[0] if sequences else 'SEQUENCE'}/CAMERA/STAMP.png, or what `oysterbench run` leaves"
+            f"{place}: expected a file for each sequence, e.g. {first}.tum or {first}.csv, masks "
+            f"{first}/CAMERA/STAMP.png, or what `oysterbench run` leaves"
         )
     return Found(None, files)
 
@@ -126,7 +130,7 @@ def wanted_of(split: str, track: str, told: dict[str, Any]) -> Wanted:
     try:
         return local_wanted(split, track)
     except (RecipeError, OysterbenchError):
-        return Wanted(track, split, "", bool(told["hidden"]), tuple(told["sequences"]))
+        return Wanted(track, split, "", bool(told["hidden"]), tuple(told["sequences"]), task=told.get("task", {}))
 
 
 @contextmanager

@@ -9,8 +9,9 @@ from oysterbench.evaluate.metrics import find_metric
 from oysterbench.results import ResultRecord, aggregate, method_key
 from oysterbench_leaderboard.record import check_text
 from oysterbench_leaderboard.submissions.archive import Limits, shown
-from oysterbench_leaderboard.submissions.bundle import evaluator, told
-from oysterbench_leaderboard.submissions.catalogue import Wanted
+from oysterbench_leaderboard.submissions.bundle import told
+from oysterbench_leaderboard.submissions.catalogue import Wanted, why
+from oysterbench_leaderboard.submissions.evaluators import evaluator
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 LONGEST = 2000
@@ -34,8 +35,10 @@ def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: L
         where = f"results.json: results[{i}]"
         expected = (("track", wanted.track), ("split", wanted.split), ("split_digest", wanted.split_digest))
         for key, value in expected:
-            if getattr(record, key) != value:
-                raise Refusal("format", f"{where}: key {key!r}: expected {value}, got {getattr(record, key)!r:.80}")
+            got = getattr(record, key)
+            if got != value:
+                more = why(got) if key == "track" else ""
+                raise Refusal("format", f"{where}: key {key!r}: expected {value}, got {got!r:.80}{more}")
         if record.sequence not in wanted.sequences:
             raise Refusal("format", f"{where}: {shown(record.sequence)} is no sequence of {wanted.split}")
         for key in record.metrics:

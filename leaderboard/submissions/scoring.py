@@ -15,8 +15,9 @@ from typing import Any
 
 from oysterbench.errors import LabelError, MethodError, TrajectoryError
 from oysterbench.results import ResultRecord, plain
-from oysterbench_leaderboard.submissions.bundle import Bundle, evaluator
+from oysterbench_leaderboard.submissions.bundle import Bundle
 from oysterbench_leaderboard.submissions.catalogue import Wanted
+from oysterbench_leaderboard.submissions.evaluators import evaluator
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 UNANSWERED = "nothing was sent for this sequence"
@@ -72,8 +73,9 @@ def score_bundle(
     }
     if bundle.kind == "results":
         return Scored(tuple(_reported(record, wanted, method) for record in bundle.results))
-    score = _score_poses if bundle.kind == "poses" else _score_answers
-    scored = score(bundle, wanted, truth, common)
+    scored = {"poses": _score_poses, "answers": _score_answers, "commands": _score_commands}[bundle.kind](
+        bundle, wanted, truth, common
+    )
     if not hidden:
         return scored
     results = tuple(_discreet(record) for record in scored.results)
@@ -211,6 +213,49 @@ def _data_set(track: str, runs: list[Any]) -> Any:
         from oysterbench.imaging.detection import dataset_rows
     rows = dataset_rows(runs)
     return plain(rows[0].as_plain()) if rows else None
+
+
+# Commands at pictures:
+
+
+def _score_commands(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], common: dict[str, Any]) -> Scored:
+    from oysterbench.evaluate.navigation import Commands, Labels, score_pictures
+    from oysterbench.exploring.labelled import labelled_views
+    from oysterbench_leaderboard.submissions.commands import commands_of, task_of
+
+    version, settings = evaluator(wanted.track)
+    task = task_of(wanted.task)
+    results: list[ResultRecord] = []
+    parts: list[tuple[Labels, Commands]] = []
+    for sequence in wanted.sequences:
+        views = labelled_views(truth[sequence], task)
+        record = {
+            **common,
+            "sequence": sequence,
+            "truth_digest": views.digest,
+            "conditions": wanted.conditions[sequence],
+            "settings": settings,
+            "evaluator_version": version,
+        }
+        read = bundle.commands.get(sequence)
+        if read is None:
+            results.append(ResultRecord(**record, failure=UNANSWERED))
+            continue
+        parts.append((views.labels, commands_of(read(), task)))
+        found = score_pictures(*parts[-1])
+        results.append(ResultRecord(**record, metrics=found.metrics, reasons=found.reasons))
+    return Scored(tuple(results), _all_pictures(common["method"], parts) if len(parts) == len(results) else None)
+
+
+def _all_pictures(method: str, parts: list[Any]) -> dict[str, Any]:
+    """Over all pictures of all sequences together, in the words of other tracks."""
+    from oysterbench.evaluate.navigation.dataset import over_sequences
+
+    whole = over_sequences(parts)
+    intervals = {k: {"low": v.low, "high": v.high, "reason": v.reason} for k, v in whole.intervals.items()}
+    known = {"metrics": whole.score.metrics, "reasons": whole.score.reasons, "intervals": intervals}
+    found: dict[str, Any] = plain({"method": method, "clips": whole.sequences, **known})
+    return found
 
 
 # What leaves of a hidden split:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from oysterbench.evaluate.detection import DetectionSettings
 from oysterbench.evaluate.segmentation import SegmentationSettings
 from oysterbench.evaluate.settings import SlamSettings
 from oysterbench.hub.canonical import canonical, sha256
@@ -41,12 +42,16 @@ SLAM_SEQUENCES: dict[str, tuple[str, str, str, str, float]] = {
 
 SEGMENTATION_SEQUENCES = {f"clip-{i:02d}": ("clear", "sun", "dense", "still", 6.0) for i in range(1, 7)}
 
+STEERING_SEQUENCES = {f"dive-{i:02d}": ("clear", "sun", "dense", "free, calm", 6.0) for i in range(1, 7)}
+
 HARDWARE = {"cpu": "a processor", "cores": 2, "platform": "Linux", "python": "3.11"}
 
 
 def conditions_made(sequence: str) -> dict[str, float | str]:
     """Of one of the sequences above."""
-    water, light, density, motion, secchi_m = {**SLAM_SEQUENCES, **SEGMENTATION_SEQUENCES}[sequence]
+    water, light, density, motion, secchi_m = {**SLAM_SEQUENCES, **SEGMENTATION_SEQUENCES, **STEERING_SEQUENCES}[
+        sequence
+    ]
     return {"water": water, "light": light, "density": density, "motion": motion, "secchi_m": secchi_m}
 
 
@@ -100,9 +105,38 @@ def segmentation_metrics(method: str, sequence: str, run: int, skill: float) -> 
     }
 
 
+def detection_metrics(method: str, sequence: str, run: int, skill: float) -> dict[str, float]:
+    """Metrics that belong together; each sequence has one vote."""
+    own = STREAMS.generator("detection", sequence, method, run).normal(size=2)
+    ap = min(0.99, max(0.01, skill + 0.03 * own[0]))
+    return {
+        "ap_mask": ap,
+        "ap50_mask": min(1.0, 1.5 * ap),
+        "ap_box": ap * 1.05,
+        "ar_mask": min(1.0, ap * 1.1),
+        "pq": ap * 0.9,
+        "count_mae": 20 * (1 - ap),
+        "count_bias": 3 * own[1],
+        "density_error_per_m2": 10 * own[1],
+        "count_truth": 100.0,
+        "images": 40.0,
+    }
+
+
+def steering_metrics(method: str, sequence: str, run: int, skill: float) -> dict[str, float]:
+    """Metrics that belong together; a skill below 0 is worse than chance."""
+    own = STREAMS.generator("steering", sequence, method, run).normal(size=2)
+    reached = skill + 0.03 * own[0]
+    axis = {f"{a}_{k}": v for a in ("yaw", "pitch") for k, v in (("accuracy", 0.3), ("macro_f1", 0.25))}
+    costs = {"yaw_cost_deg": 9.0 - 4 * reached, "pitch_cost_deg": 7.0 - 4 * reached}
+    return {"skill": reached, "regret_oysters": 5 * (1 - reached), **axis, **costs, "pictures": 125.0}
+
+
 MADE = {
     "slam": (SLAM_SEQUENCES, slam_metrics, SlamSettings().as_dict(), "slam 3"),
     "segmentation": (SEGMENTATION_SEQUENCES, segmentation_metrics, SegmentationSettings().as_dict(), "segmentation 1"),
+    "detection": (SEGMENTATION_SEQUENCES, detection_metrics, DetectionSettings().as_dict(), "detection 1"),
+    "steering": (STEERING_SEQUENCES, steering_metrics, {}, "navigation 1"),
 }
 
 
@@ -136,7 +170,7 @@ def record_made(
                     method=method,
                     metrics=metrics(method, sequence, run, skill) if ok else {},
                     failure=None if ok else "lost track after 3 s and gave no pose",
-                    split_digest=("5a" if track == "slam" else "7c") * 32,
+                    split_digest={"slam": "5a", "steering": "9e"}.get(track, "7c") * 32,
                     truth_digest="ab" * 32,
                     conditions=conditions_made(sequence),
                     run=run,
@@ -173,14 +207,26 @@ CURVES = {"carp2": ("carp", 0.84), "cod": ("cod", 0.83), "nasty0": (NASTY[0][0],
 """Short names of the records that have curves -> what these are made of."""
 
 
+DATA_SET = {
+    "method": "boxes",
+    "clips": 6,
+    "metrics": {"ap_mask": 0.21, "ap_box": 0.22},
+    "reasons": {},
+    "intervals": {"ap_mask": {"low": 0.18, "high": 0.25, "reason": ""}},
+}
+"""What `oysterbench eval` says of all clips at once."""
+
+
 def records_made() -> dict[str, Record]:
     """A small leaderboard by short names.
 
     On slam-val "carp" and "cod" cannot be told apart, "drift" is far behind, "eel" failed on two sequences and "gap"
     was not run on one; "carp2" takes the place of "carp1", "fraud" is to be withdrawn (`fill`), three names are nasty.
-    "old" is of an earlier evaluator. Two methods are on a board of segmentation.
+    "old" is of an earlier evaluator. Two methods are on a board of segmentation, two on one of steering, of which
+    "straight" is worse than chance, and one on one of detection, whose AP over all images is not the mean over clips.
     """
     carp = record_made(skill=0.84, runs=3, tier="baseline", url="https://example.org/carp", summary="Smooths a window.")
+    segmented: dict[str, Any] = {"track": "segmentation", "split": "seg-val", "tier": "baseline"}
     found = {
         "carp1": replace(carp, created="2026-10-01T09:00:00Z", summary="Smooths a short window."),
         "cod": record_made("cod", "harbour group", 0.83, runs=2, created="2026-11-02T08:00:00Z"),
@@ -189,8 +235,11 @@ def records_made() -> dict[str, Record]:
         "gap": record_made("gap", "harbour group", 0.75, without=("val-08",), created="2026-10-05T10:00:00Z"),
         "fraud": record_made("fraud", "somebody", 0.99, tier="reported", created="2026-10-06T10:00:00Z"),
         "old": record_made("drift", skill=0.25, evaluator="slam 2", tier="baseline", created="2026-08-01T10:00:00Z"),
-        "unet": record_made("unet", skill=0.71, track="segmentation", split="seg-val", tier="baseline"),
-        "colour": record_made("colour", skill=0.4, track="segmentation", split="seg-val", tier="baseline"),
+        "unet": record_made("unet", skill=0.71, **segmented, data_set={"metrics": {"iou": 0.7}}),
+        "colour": record_made("colour", skill=0.4, **segmented),
+        "boxes": record_made("boxes", skill=0.3, track="detection", split="seg-val", data_set=DATA_SET),
+        "steer": record_made("steer", skill=0.5, track="steering", split="steer-val", tier="baseline"),
+        "straight": record_made("straight", skill=-0.1, track="steering", split="steer-val", tier="baseline"),
     }
     found["carp2"] = replace(carp, supersedes=found["carp1"].digest, reason="A longer window.")
     for i, (method, team) in enumerate(NASTY):

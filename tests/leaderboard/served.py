@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.geometry import transform
 from oysterbench.sequence import topics
 from oysterbench.sequence.names import TYPES
-from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
+from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, STEERING
 from oysterbench.sequence.write import SequenceWriter
 from oysterbench.streams import stream
 from oysterbench.trajectory import Trajectory, write_tum
@@ -98,6 +98,14 @@ name = "pool-01"
 name = "pool-02"
 """
 
+TASK = """
+[steering]
+yaw_deg = [20.0, 0.0, -20.0]
+pitch_deg = [-15.0, 0.0, 15.0]
+altitude_m = [0.5, 1.4]
+"""
+"""What a split of the track steering has besides."""
+
 FAST = {"lease_s": 3.0, "per_day": 1000, "per_split": 1000}
 """Settings of the tests' servers, unless they ask for others."""
 
@@ -157,6 +165,23 @@ def image_names(sequence: int) -> list[str]:
     return [f"{NAMES[sequence]}/cam/{EPOCH_NS + k * 500_000_000}" for k in range(IMAGES)]
 
 
+def steered(number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Classes (IMAGES, 2) of the expert at the images of a sequence, and the worth (IMAGES, 3, 3) of each pair."""
+    worth = stream(20261121, b"", "pool", "worth", number).uniform(0, 9, (IMAGES, 3, 3))
+    best = worth.reshape(IMAGES, -1).argmax(axis=1)
+    return np.column_stack([best // 3, best % 3]), worth
+
+
+def steering_table(number: int) -> bytes:
+    """The truth of a sequence about steering, as it is attached to its file."""
+    keys = [f"value_{i}_{j}" for i in range(3) for j in range(3)]
+    lines = [",".join(["stamp_ns", "yaw", "pitch", "heading_rad", "pitch_rad", "depth_m", "altitude_m", *keys])]
+    for k, (named, worth) in enumerate(zip(*steered(number), strict=True)):
+        values = [EPOCH_NS + k * 500_000_000, *named.tolist(), 0.1, 0.0, 3.0, 0.9, *worth.ravel().tolist()]
+        lines.append(",".join(map(str, values)))
+    return "\n".join(lines).encode() + b"\n"
+
+
 def write_sequence(file: Path, number: int, split: str, digest: str) -> None:
     """A sequence with truth and a few images, as if it had been rendered."""
     calibration = {
@@ -182,6 +207,7 @@ def write_sequence(file: Path, number: int, split: str, digest: str) -> None:
         writer.attachment(CALIBRATION, "application/json", json.dumps(calibration).encode())
         oysters = b"id,state,height_m,x,y,z\n7,live,0.08,0.5,0.1,-3.0\n9,live,0.1,0.8,-0.2,-3.0\n"
         writer.attachment(OYSTERS, "text/csv", oysters)
+        writer.attachment(STEERING, "text/csv", steering_table(number))
         for i, stamp in enumerate(true.stamps_ns.tolist()):
             pose = (true.positions[i], true.quaternions[i])
             writer.write(topics.truth_message(stamp, *pose, np.zeros(3), np.zeros(3)))
@@ -205,7 +231,8 @@ def lay_split(folder: Path, name: str = "pool-test", track: str = "slam", hidden
     truth.mkdir(parents=True)
     (folder / "rig.toml").write_text(RIG)
     recipe = folder / f"{name}.toml"
-    recipe.write_text(SPLIT.format(name=name, track=track, hidden=str(hidden).lower()))
+    text = SPLIT.format(name=name, track=track, hidden=str(hidden).lower())
+    recipe.write_text(text + (TASK if track == "steering" else ""))
     made_by = digest(load_split(str(recipe)))
     for k, sequence in enumerate(NAMES):
         write_sequence(truth / f"{sequence}.mcap", k, name, made_by)
@@ -213,12 +240,13 @@ def lay_split(folder: Path, name: str = "pool-test", track: str = "slam", hidden
 
 
 def lay(folder: Path, **settings: Any) -> dict[str, str]:
-    """Lay out a server: three splits, and two teams with a token each, which are returned."""
+    """Lay out a server: four splits, and two teams with a token each, which are returned."""
     splits = folder / "splits"
     for name, track, hidden in (
         ("pool-test", "slam", True),
         ("pool-masks", "segmentation", True),
         ("pool-val", "slam", False),
+        ("pool-steer", "steering", True),
     ):
         lay_split(splits, name, track, hidden)
     private = folder / "private"

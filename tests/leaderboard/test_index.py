@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import signal
@@ -24,6 +25,7 @@ from oysterbench.results import samples, weights_of
 from oysterbench.streams import stream
 from oysterbench_leaderboard.board import BoardPage, Query
 from oysterbench_leaderboard.index import SqlIndex, open_index
+from oysterbench_leaderboard.ranking import Table
 from oysterbench_leaderboard.store import Notice, RecordStore
 
 ALL = Query(states=("current", "superseded", "withdrawn"))
@@ -88,6 +90,55 @@ def test_a_rebuilt_index_equals_one_that_grew(store, tmp_path):
     assert fresh.boards() == index.boards()
     index.rebuild()
     assert pages(index) == grown
+
+
+def test_a_sequence_that_was_answered_without_a_value_is_in_no_mean_and_no_failure(store):
+    """As AP where no oyster is to be found: the board, the record's page and the statistics say the same."""
+    record = record_made()
+    first, *others = record.results
+    bare = replace(first, metrics={**first.metrics, "score": math.nan}, reasons={"score": "nothing is there"})
+    digest = store.add(replace(record, results=(bare, *others)))
+    index = opened(store)
+    row = index.row(digest)
+    expected = summarise(samples(store.record(digest).results, "score"), None)
+    assert expected.sequences == len(others)
+    assert (row.score, row.failures) == (expected.mean, 0)
+    assert (row.low, row.high) == pytest.approx((expected.interval.low, expected.interval.high), rel=1e-11)
+    store.add(record_made("other", skill=0.3, failed=(first.sequence,)))
+    index.refresh()
+    grown = pages(index)
+    assert index.row(digest).score == row.score
+    assert index.row(grown[0].rows[1].digest).failures == 1
+    index.rebuild()
+    assert pages(index) == grown
+
+
+def test_what_one_record_more_does_not_change_is_not_computed_again(store, monkeypatch):
+    for k in range(5):
+        store.add(record_made(f"method {k}", skill=0.3 + 0.1 * k))
+    for name in ("one", "two"):
+        store.add(record_made(name, skill=0.6, track="segmentation", split="seg-val"))
+    lacking = store.add(record_made("lacking", skill=0.6, without=("val-08",)))
+    index = opened(store)
+    computed: list[int] = []
+    whole = Table.intervals
+    monkeypatch.setattr(Table, "intervals", lambda table: (computed.append(len(table.values)), whole(table))[1])
+    new = store.add(record_made("new", skill=0.55))
+    index.refresh()
+    assert sum(computed) == 2, "of the new one, and of the one that does not answer all"
+    store.add(record_made("three", skill=0.6, track="segmentation", split="seg-val"))
+    index.refresh()
+    assert sum(computed) == 3
+    grown = pages(index)
+    index.rebuild()
+    assert pages(index) == grown
+    assert None not in (index.row(new).low, index.row(lacking).low)
+    for row in grown[0].rows:
+        if row.digest != lacking:
+            (store.folder / "records" / f"{row.digest}.json").unlink()
+    index.refresh()
+    assert len(index.find_board("slam", "slam-val").sequences) == 7
+    assert sum(computed) == 3 + 10 + 1, "all by the rebuild; the one that is left, as its board has other sequences now"
 
 
 def test_the_revision_changes_with_every_change_and_not_without(store):

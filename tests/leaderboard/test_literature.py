@@ -17,6 +17,10 @@ def test_every_number_names_its_data_metric_and_source():
         assert any(digit.isdigit() for digit in row.value)
 
 
+def test_every_source_but_one_that_was_not_looked_up_has_an_address():
+    assert [row.method for row in literature() if not row.url] == ["OpenVINS"]
+
+
 def test_coverage_stands_beside_the_errors_of_svin2():
     rows = [row for row in literature("slam") if row.data.startswith("SVIn2")]
     assert len(rows) == 16

@@ -11,6 +11,7 @@ from records_made import NASTY, records_made
 from site_made import LITERATURE, Reading, make_site
 
 from oysterbench.comparison import boards
+from oysterbench.evaluate.metrics import find_metric
 from oysterbench.results import ResultRecord
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import open_index
@@ -53,8 +54,12 @@ def pages(site, digests) -> dict[str, Page]:
         home_page(site),
         board_page(site, "slam", "slam-val"),
         board_page(site, "segmentation", "seg-val"),
+        board_page(site, "detection", "seg-val"),
+        board_page(site, "steering", "steer-val"),
         *(method_page(site, slug(method)) for method in ("carp", "fraud", *(m for m, _ in NASTY))),
         *(record_page(site, digests[name]) for name in ("carp1", "carp2", "gap", "unet", "fraud", "nasty0", "nasty2")),
+        *(record_page(site, digests[name]) for name in ("boxes", "steer")),
+        compare_page(site, "steer", "straight"),
         compare_page(site, digests["carp2"], digests["nasty0"]),
         compare_page(site, "unet", "colour"),
         data_page(site),
@@ -177,6 +182,41 @@ def test_coverage_stands_beside_errors_and_the_interval_beside_the_score(site):
     )
 
 
+def test_the_value_over_the_whole_data_set_stands_beside_the_mean_that_ranks(site, digests):
+    page = board_page(site, "detection", "seg-val")
+    shown = {c.key: cell for c, cell in zip(page.table.columns, page.table.lines[0].cells, strict=True) if not c.hidden}
+    row = site.index.row(digests["boxes"])
+    assert (shown["data_set"].text, shown["data_set"].value) == ("0.210", 0.21)
+    assert shown["ap_mask"].value == row.score != 0.21
+    said = Reading(html(page)).text
+    assert f"{find_metric('ap_mask').short} ranks by its mean over sequences; 'data set' is of all" in said
+    record = record_page(site, digests["boxes"])
+    means = {line.cells[8].text: line for line in record.tables[1].lines}
+    assert [cell.text for cell in means["ap_mask"].cells[6:8]] == ["0.210", "0.180 to 0.250"]
+    assert [cell.text for cell in means["pq"].cells[6:8]] == ["\N{EN DASH}"] * 2
+    assert len(record.table.lines) == 6
+    weighed = board_page(site, "segmentation", "seg-val")  # the mean by pixels is the value over the data set
+    assert site.index.row(digests["unet"]).data_set == 0.7
+    assert all(column.hidden for column in weighed.table.columns if column.key == "data_set")
+
+
+def test_steering_ranks_by_skill_and_draws_no_bar_of_what_is_below_zero(site, digests):
+    page = board_page(site, "steering", "steer-val")
+    assert [(line.cells[0].text, line.cells[1].text) for line in page.table.lines] == [
+        ("1", "steer"),
+        ("2", "straight"),
+    ]
+    keys = [column.key for column in page.table.columns if not column.hidden]
+    assert keys[2] == "skill"
+    assert "regret_oysters" in keys
+    last = page.table.lines[1].cells
+    assert last[2].text.startswith("\N{MINUS SIGN}0.")
+    assert last[3].bar is None
+    assert "steer is better by Skill." in Reading(html(compare_page(site, "straight", "steer"))).text
+    failed = standing.filled(standing.named(site.record(digests["steer"]), "steer")[1:], ("dive-01",), ())
+    assert standing.means(failed, "skill")["dive-01"] == 0.0
+
+
 def test_a_withdrawn_record_says_so_and_has_no_rank(site, digests):
     said = Reading(html(record_page(site, digests["fraud"]))).text
     assert "Withdrawn on 2026-11-05: The estimates were made from the truth." in said
@@ -205,9 +245,9 @@ def test_a_record_page_shows_each_sequence_and_what_was_not_answered(site, diges
 def test_the_means_of_a_record_page_are_those_of_its_board(site, digests):
     for name in ("carp2", "gap", "eel", "unet"):
         page, row = record_page(site, digests[name]), site.index.row(digests[name])
-        mean = next(line for line in page.tables[1].lines if line.cells[6].text == page.context["info"].metric)
+        mean = next(line for line in page.tables[1].lines if line.cells[8].text == page.context["info"].metric)
         assert mean.cells[2].value == pytest.approx(row.score, abs=1e-12)
-        assert [cell.value for cell in mean.cells[7:9]] == pytest.approx([row.low, row.high], abs=1e-9)
+        assert [cell.value for cell in mean.cells[9:11]] == pytest.approx([row.low, row.high], abs=1e-9)
 
 
 def test_paths_are_drawn_over_the_truth_with_what_is_missing_left_out(site, digests):

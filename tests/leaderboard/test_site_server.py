@@ -19,8 +19,11 @@ from oysterbench.errors import ResultError
 from oysterbench_leaderboard.site.cache import Kept, PageCache
 from oysterbench_leaderboard.site.command import build_command, serve_command
 from oysterbench_leaderboard.site.export import export
+from oysterbench_leaderboard.site.links import FileLinks
 from oysterbench_leaderboard.site.openapi import describe
+from oysterbench_leaderboard.site.pages import board as board_pages
 from oysterbench_leaderboard.site.paths import method_path
+from oysterbench_leaderboard.site.render import page_html
 from oysterbench_leaderboard.site.running import Watch
 from oysterbench_leaderboard.site.server import SECURITY, application
 
@@ -315,6 +318,18 @@ def test_every_link_of_the_files_leads_to_a_file_of_them(exported):
     for method, _ in NASTY:
         assert f"{method_path(method)[1:]}/index.html" in there
     assert sum(name.startswith("compare/") and name.endswith(".html") for name in there) > 20
+
+
+def test_files_say_which_pairs_they_have_and_what_to_type_for_others(made, exported, client, digests, monkeypatch):
+    board = Reading((exported / "boards/slam/slam-val/index.html").read_text()).text
+    assert "Every two records have a page head to head; in a terminal, oysterbench compare A B" in board
+    record = Reading((exported / "records" / digests["cod"] / "index.html").read_text()).text
+    assert f"oysterbench compare {digests['cod'][:8]} B --split slam-val sets any two against each other" in record
+    assert "oysterbench compare" not in client.get(BOARD).text
+    monkeypatch.setattr(board_pages, "PAIRED", 3)
+    page = board_pages.board_page(made[0], "slam", "slam-val")
+    said = Reading(page_html(page, FileLinks(page.path, set()))).text
+    assert "Pages head to head are those of the first 3 records; in a terminal" in said
 
 
 def test_files_say_what_the_server_says(exported, client, digests):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, browsing
 from click.testing import CliRunner
-from served import NAMES, Server, answers, estimate, image_names, lay, running, tum, zipped
+from served import NAMES, Server, answers, estimate, image_names, lay, running, steered, tum, zipped
 
 from oysterbench.cli import main
 from oysterbench.errors import HubError, NetworkError
@@ -75,6 +75,37 @@ def test_what_is_wrong_is_found_before_anything_is_sent(site, estimates):
     assert "oysterbench: pool-02.tum:2: expected 8 numbers" in sent.stderr
     assert sent.stderr.count("\n") == 1
     assert site.server.ask("GET", "/api/submissions", token=site.token)[2] == before
+
+
+def test_commands_are_sent_as_tables_and_scored_in_the_limited_process(site, tmp_path):
+    folder = tmp_path / "commands"
+    folder.mkdir()
+    for k, name in enumerate(NAMES):
+        stamps = [image.rpartition("/")[2] for image in image_names(k)]
+        rows = [f"{stamp},{y},{p}" for stamp, (y, p) in zip(stamps, steered(k)[0].tolist(), strict=True)]
+        (folder / f"{name}.csv").write_text("\n".join(["stamp_ns,yaw,pitch", *rows]))
+    sent = submit(site, folder, "--method", "expert", "--split", "pool-steer")
+    assert sent.exit_code == 0, sent.output
+    assert "checked: commands of 2 sequences, 6 images" in sent.stderr
+    assert "expert on pool-steer: done\n  skill: 1\n" in sent.stdout
+    (folder / "pool-02.csv").write_text("stamp_ns,yaw,pitch\n1,2,9\n")
+    wrong = submit(site, folder, "--method", "expert", "--split", "pool-steer")
+    assert (wrong.exit_code, wrong.stderr.count("\n")) == (1, 1)
+    assert "pool-02.csv:2: pitch: expected a class from 0 to 2, got 9" in wrong.stderr
+
+
+def test_a_track_that_cannot_be_submitted_is_refused_before_anything_is_sent(site, estimates, tmp_path):
+    told = submit(site, estimates, "--method", "map", "--split", "pool-val", "--track", "density")
+    assert told.exit_code == 1
+    assert "--track: pool-val has slam, got 'density': maps are scored where they are made" in told.stderr
+    row = {"split": "pool-val", "track": "density", "sequence": "pool-01", "method": "map"}
+    (tmp_path / "results.json").write_text(json.dumps({"results": [row]}))
+    told = submit(site, tmp_path / "results.json", "--method", "map")
+    assert told.exit_code == 1
+    assert "its track: pool-val has slam, got 'density'" in told.stderr
+    status, answer = site.server.send(site.token, b"x", split="pool-val", track="density")
+    assert status in (400, 404, 422)
+    assert "the tracks that can be submitted are slam, segmentation, detection, steering" in answer["reason"]
 
 
 def test_what_a_run_leaves_is_sent_by_the_name_of_its_method(site, tmp_path, estimates):

@@ -185,7 +185,13 @@ def test_compare_takes_methods_and_records_of_the_board(board, tmp_path):
     assert by_digest["comparisons"][0]["pairs"][0]["difference"] == 0
     write_results(tmp_path / "mine.json", record_made("mine", skill=0.6).results)
     assert "mine" in typed("compare", tmp_path / "mine.json", "cod").stdout
-    assert "no such file" in refused("compare", "nobody", "carp")
+    assert "no such file" in refused("compare", "nobody.json", "carp")
+    assert "no such file" in refused("compare", "runs/nobody", "carp")
+    told = refused("compare", "nobody", "carp")
+    assert "nobody: is neither a file nor a method on the board; the methods are: " in told
+    assert all(f" {method}" in told for method in ("carp", "cod", "drift", "unet"))
+    told = refused("compare", "nobody", "carp", "--split", "seg-val")
+    assert told.strip().endswith("the methods on seg-val are: boxes, colour, unet")
     assert "on no board of seg-val" in refused("compare", "carp", "cod", "--split", "seg-val")
     board.add(record_made(team="another"))
     assert "several teams have a method named carp" in refused("compare", "carp", "cod")

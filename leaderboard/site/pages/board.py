@@ -14,10 +14,12 @@ from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, Stat
 from oysterbench_leaderboard.record import TIERS as ALL_TIERS
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.links import Query as Asked
-from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.page import Cell, Column, Later, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells, state_mark
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.tables import DATA_SET, has_data_set
 
 MOST_ROWS = 1000
 LONGEST_TEXT = 100
@@ -27,7 +29,7 @@ MOST_SHOWN = 5
 """Metrics beside the one that ranks, on the page; CSV and JSON have all of them."""
 
 STATES: tuple[State, ...] = get_args(State)
-NAMED = ("rank", "method", "team", "created")
+NAMED = ("rank", "method", "team", "created", "data_set")
 """What a board is sorted by besides its metrics."""
 
 
@@ -116,6 +118,7 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
     others = [other for other in site.index.boards(info.track) if other.split == info.split and other.id != info.id]
     context = {
         "info": info,
+        "paired": PAIRED,
         "name": name,
         "metric": numbers.heading(info.metric),
         "found": found,
@@ -128,14 +131,22 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         "has_ranks": any(row.rank is not None for row in found.rows),
         "settings": {key: value for key, value in info.settings.items() if value not in (None, [], ())},
     }
-    data = {
-        "board": asdict(info),
-        "query": asdict(query),
-        "total": found.total,
-        "pages": found.pages,
-        "rows": [asdict(row) for row in found.rows],
-    }
-    return Page(path, title, "board.html", context, (table,), plain(data), dict(asked_by(query)))
+    data = Later(lambda: _data(found))
+    return Page(path, title, "board.html", context, (table,), data, dict(asked_by(query)))
+
+
+def _data(found: BoardPage) -> dict[str, Any]:
+    """For JSON."""
+    data: dict[str, Any] = plain(
+        {
+            "board": asdict(found.board),
+            "query": asdict(found.query),
+            "total": found.total,
+            "pages": found.pages,
+            "rows": [asdict(row) for row in found.rows],
+        }
+    )
+    return data
 
 
 def _counted(found: BoardPage) -> str:
@@ -161,6 +172,7 @@ def _sorting(table: Table, query: Query) -> dict[str, dict[str, Any]]:
 def board_table(site: Site, found: BoardPage, title: str) -> Table:
     """Rank, method, score with interval, coverage beside errors, failures, tier; digests in CSV."""
     info, rows = found.board, found.rows
+    whole = has_data_set(info, rows)
     keys = [info.metric, *(key for key in info.columns if key != info.metric)]
     shown = {column.key for column in STANDING_OF_TRACK.get(info.track, ())[:MOST_SHOWN]}
     columns = (
@@ -168,6 +180,14 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
         Column("method", "Method", sort="method"),
         numbers.heading(info.metric, sort=True),
         Column("interval", "Interval", numbers.LEVEL, number=True, about="Of the mean, by bootstrap over sequences."),
+        replace(
+            numbers.heading(info.metric),
+            key="data_set",
+            unit="data set",
+            about="Over all sequences at once, and not a mean of them: it does not rank.",
+            sort="data_set",
+            hidden=not whole,
+        ),
         *(replace(numbers.heading(key, sort=True), hidden=key not in shown) for key in keys[1:]),
         Column("failures", "Failed", "runs", number=True, about="Runs that failed, and sequences not answered."),
         Column("tier", "Tier", about="Who vouches for the numbers."),
@@ -190,6 +210,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     )
     values = {key: numbers.cells(key, [row.metrics.get(key) for row in rows]) for key in keys[1:]}
     scores = numbers.cells(info.metric, [row.score for row in rows])
+    of_data_set = numbers.cells(info.metric, [row.data_set for row in rows])
     ranks = rank_cells(site, info, rows)
     lines = []
     for i, row in enumerate(rows):
@@ -206,6 +227,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
                     ),
                     scores[i],
                     Cell(interval, bar=numbers.bar(row.low, row.score, row.high), kind="soft"),
+                    of_data_set[i],
                     *(values[key][i] for key in keys[1:]),
                     Cell(f"{row.failures} of {row.runs}", row.failures, kind="warn" if row.failures else ""),
                     Cell(row.tier, about=TIERS.get(row.tier, "")),
@@ -250,6 +272,8 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
         else f"Means over {numbers.count(len(info.sequences), 'sequence')}, each the mean of its runs"
     )
     said = [f"{mean}; what failed or was not answered scores 0. Errors are of what was answered: mind the coverage."]
+    if has_data_set(info, rows):
+        said.append(DATA_SET.format(numbers.heading(info.metric).text))
     if any(row.rank is not None for row in rows):
         said.append("A rank with = is shared: those records are not told from the first of their group (95 %, paired).")
     elif any(row.place is not None for row in rows):

@@ -23,6 +23,9 @@ from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageErro
 from oysterbench_leaderboard.site.paths import board_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
 
+PAIRED = 10
+"""First records of each newest board of which every two stand head to head where pages are files."""
+
 DIGEST = re.compile("[0-9a-f]{8,64}")
 
 

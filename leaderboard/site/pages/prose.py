@@ -14,16 +14,16 @@ from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
 from oysterbench_leaderboard.site.pages.ranks import TIERS
 from oysterbench_leaderboard.site.paths import data_path
 from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.submissions.catalogue import ELSEWHERE, TRACKS_OF
 
 FORMS = {
     "slam": "a TUM file for each sequence, named like it (val-01.tum): t x y z qx qy qz qw, the body's pose in the map",
     "segmentation": "masks as PNG, or COCO JSON, for each clip",
     "detection": "COCO JSON with the mask of each oyster, for each clip",
+    "steering": "a CSV file for each sequence, named like it (val-01.csv): stamp_ns,yaw,pitch with the classes at each "
+    "picture, or stamp_ns,yaw_0,...,pitch_0,... with their probabilities",
 }
 """Track of a board -> what is sent."""
-
-SERVES = {"slam": ("slam",), "segmentation": ("segmentation", "detection")}
-"""What a split is made for -> the tracks that are scored on it."""
 
 
 def submit_page(site: Site) -> Page:
@@ -36,7 +36,7 @@ def submit_page(site: Site) -> Page:
     )
     lines = []
     for name, found in sorted(datasets.known().items(), key=lambda item: (not item[1].hidden, item[0])):
-        for track in SERVES.get(found.track, ()):
+        for track in TRACKS_OF.get(found.track, ()):
             if name.endswith(("-val", "-test")):
                 lines.append(
                     Line(
@@ -48,11 +48,15 @@ def submit_page(site: Site) -> Page:
                         )
                     )
                 )
-    table = Table("What is compared on", columns, tuple(lines), name="submit")
+    notes = tuple(
+        f"{numbers.track_name(track)} cannot be sent: {reason.replace('`', '')}." for track, reason in ELSEWHERE.items()
+    )
+    table = Table("What is compared on", columns, tuple(lines), notes, "submit")
     keys = [column.key for column in columns]
     splits = [dict(zip(keys, (cell.plain for cell in line.cells), strict=True)) for line in lines]
-    data = plain({"form": site.form or None, "splits": splits})
-    return Page("/submit", "How to submit", "submit.html", {"form": site.form, "tiers": TIERS}, (table,), data)
+    data = plain({"form": site.form or None, "splits": splits, "elsewhere": ELSEWHERE})
+    context = {"form": site.form, "tiers": TIERS}
+    return Page("/submit", "How to submit", "submit.html", context, (table,), data)
 
 
 def about_page(site: Site) -> Page:

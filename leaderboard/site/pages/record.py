@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from oysterbench.comparison import PRIMARY
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Summary
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
 from oysterbench.report.tables import failures_and_notes
@@ -18,9 +20,11 @@ from oysterbench_leaderboard.site import numbers, standing
 from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.history import successor
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
+from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.pages.ranks import TIED, TIERS, rank_cells
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
+from oysterbench_leaderboard.tables import DATA_SET, has_data_set
 
 LEADERS = 3
 """First records of the board that every record may be compared with; its neighbours are offered, too."""
@@ -45,7 +49,7 @@ def record_page(site: Site, digest: str) -> Page:
     name = f"{row.method} on {info.split}"
     tables = (
         sequences_table(results, info.sequences, f"{name}, by sequence"),
-        metrics_table(results, f"{name}: means over {numbers.count(len(info.sequences), 'sequence')}"),
+        metrics_table(results, f"{name}: means over {numbers.count(len(info.sequences), 'sequence')}", record.data_set),
         *([strata] if (strata := strata_table(results, f"{name}, by conditions")).lines else []),
     )
     notes = _notes(site, row)
@@ -53,6 +57,7 @@ def record_page(site: Site, digest: str) -> Page:
         "row": row,
         "record": record,
         "info": info,
+        "paired": PAIRED,
         "track": numbers.track_name(info.track),
         "board": board_path(info),
         "method": method_path(record.method),
@@ -62,6 +67,7 @@ def record_page(site: Site, digest: str) -> Page:
         "metric": numbers.heading(info.metric),
         "interval": numbers.interval(info.metric, row.low, row.high),
         "bar": numbers.bar(row.low, row.score, row.high),
+        "data_set": numbers.texts(info.metric, [row.data_set])[0] if has_data_set(info, [row]) else "",
         "coverage": numbers.texts("coverage", [row.coverage])[0],
         "tier_about": TIERS.get(row.tier, ""),
         "notes": notes,
@@ -77,6 +83,7 @@ def record_page(site: Site, digest: str) -> Page:
         "board": asdict(info),
         "withdrawn": notes.withdrawn,
         "superseded_by": notes.by.digest if notes.by else None,
+        "data_set": record.data_set,
         "per_sequence": _per_sequence(results, info.sequences),
         "notices": [asdict(notice) for notice in site.notices(row.digest)],
     }
@@ -155,8 +162,9 @@ def sequences_table(results: Sequence[ResultRecord], sequences: Sequence[str], t
     return Table(title, columns, tuple(lines), notes, "sequences")
 
 
-def metrics_table(results: Sequence[ResultRecord], title: str) -> Table:
-    """Mean, interval and spread of each metric of the track's tables."""
+def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping[str, Any] | None = None) -> Table:
+    """Mean, interval and spread of each metric of the track's tables; and what the record knows of all sequences at
+    once."""
     track = results[0].track
     keys = dict.fromkeys(column.key for column in (*OF_TRACK[track], *STANDING_OF_TRACK[track]))
     columns = (
@@ -166,20 +174,44 @@ def metrics_table(results: Sequence[ResultRecord], title: str) -> Table:
         Column("interval", "Interval", numbers.LEVEL, number=True),
         Column("spread", "Sequences", "from, to", number=True),
         Column("sequences", "Sequences", "with a value", number=True),
+        Column("data_set", "Data set", "all at once", number=True, hidden=not data_set),
+        Column("data_set_interval", "Interval", numbers.LEVEL, number=True, hidden=not data_set),
         Column("key", hidden=True),
         *(Column(key, number=True, hidden=True) for key in ("interval_low", "interval_high", "lowest", "highest")),
     )
+    known = data_set or {}
     of = standing.entry(results)
     lines = []
     for key in keys:
         if not any(key in result.metrics for result in results):
             continue
         summary = of.summary(key, [result.sequence for result in results])
-        lines.append(Line(_summary_cells(key, summary)))
-    return Table(title, columns, tuple(lines), name="metrics")
+        at_once = _number(known.get("metrics"), key), _interval(known.get("intervals"), key)
+        lines.append(Line(_summary_cells(key, summary, *at_once)))
+    notes = (DATA_SET.format("A record"),) if data_set and not _weighed(results) else ()
+    return Table(title, columns, tuple(lines), notes, "metrics")
 
 
-def _summary_cells(key: str, summary: Summary) -> tuple[Cell, ...]:
+def _weighed(results: Sequence[ResultRecord]) -> bool:
+    """Whether the mean of the ranking metric is its value over all sequences at once."""
+    metric = find_metric(PRIMARY[results[0].track])
+    return metric is not None and bool(metric.weight)
+
+
+def _number(values: Any, key: str) -> float | None:
+    """Of what a record holds besides its results, which nobody has checked."""
+    value = values.get(key) if isinstance(values, Mapping) else None
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _interval(intervals: Any, key: str) -> tuple[float | None, float | None]:
+    found = intervals.get(key) if isinstance(intervals, Mapping) else None
+    return _number(found, "low"), _number(found, "high")
+
+
+def _summary_cells(
+    key: str, summary: Summary, data_set: float | None, of_data_set: tuple[float | None, float | None]
+) -> tuple[Cell, ...]:
     heading = numbers.heading(key)
     low, high = (summary.interval.low, summary.interval.high) if summary.interval.known else (None, None)
     ends = [numbers.finite(value) for value in (low, high, summary.low, summary.high)]
@@ -190,6 +222,8 @@ def _summary_cells(key: str, summary: Summary) -> tuple[Cell, ...]:
         Cell(numbers.interval(key, low, high), about=summary.interval.reason, kind="soft"),
         Cell(numbers.interval(key, summary.low, summary.high), kind="soft"),
         Cell(f"{summary.sequences} of {summary.of_sequences}", summary.sequences),
+        numbers.cells(key, [data_set])[0],
+        Cell(numbers.interval(key, *of_data_set), kind="soft"),
         Cell(key),
         *(Cell("", "" if value is None else value) for value in ends),
     )

@@ -1,0 +1,147 @@
+"""LaTeX twins, read by a strict reader: columns, braces, commands, and names as they were."""
+
+from __future__ import annotations
+
+import pytest
+from latex import Wrong, needed, read, shown
+from records_made import NASTY, fill, record_made
+from site_made import make_site
+
+from oysterbench.report import latex_table
+from oysterbench_leaderboard.board import Query
+from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.latex import escape, needs
+from oysterbench_leaderboard.site.export import _work
+from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.site.twins import tex_text
+from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.tables import board_table, history_table, literature_tables
+
+NAMES = (
+    *(name for pair in NASTY for name in pair),
+    "a & b % c _ d # e ^ f ~ g \\ h { i } j $ k",
+    "[star] brackets",
+    "*star",
+    "--help -- and --- more",
+    "don't ''quote'' ``this``, !`no?`, ,,low",
+    "100 \N{PLUS-MINUS SIGN} 5 \N{MICRO SIGN}m \N{EN DASH} m\N{SUPERSCRIPT TWO}",
+    "\\end{tabular}\\end{table}",
+    "%",
+    "\\\\",
+    "&&",
+    "| < >",
+    'a "b" c',
+)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The small leaderboard, with more names to stumble over."""
+    folder = tmp_path_factory.mktemp("board")
+    store = RecordStore(folder)
+    fill(store)
+    for i, name in enumerate(NAMES):
+        store.add(record_made(name, f"team {name}", 0.3 + 0.01 * i, summary=name))
+    return Site(
+        open_index(store, str(folder / "index.sqlite")), make_site(tmp_path_factory.mktemp("other"))[0].literature
+    )
+
+
+def as_read(text: str) -> str:
+    """What stands on paper for a text: mathematics as the reader shows it, and no line breaks."""
+    for character in "\N{PLUS-MINUS SIGN}\N{MICRO SIGN}\N{MINUS SIGN}":
+        text = text.replace(character, escape(character))
+    text = text.replace("\N{SUPERSCRIPT TWO}", "2").replace("\N{SUPERSCRIPT THREE}", "3")
+    return " ".join(text.split())
+
+
+def test_every_twin_of_the_site_is_whole_latex(site):
+    work = [one for one in _work(site) if not one.path.startswith("/compare")]
+    pairs = [one for one in _work(site) if one.path.startswith("/compare")]
+    assert len(work) > 60
+    for one in work + pairs[::17]:
+        page = one.make()
+        found = read(tex_text(page))
+        assert len(found) == len(page.tables), one.path
+        for made, table in zip(found, page.tables, strict=True):
+            columns = [i for i, column in enumerate(table.columns) if not column.hidden]
+            assert len(made.columns) == len(columns)
+            assert made.caption == as_read(table.title), one.path
+            assert set(made.label) <= set("abcdefghijklmnopqrstuvwxyz0123456789-:")
+            units = any(table.columns[i].unit for i in columns)
+            assert len(made.rows) == 1 + units + len(table.lines), one.path
+
+
+def test_names_are_on_paper_what_they_are(site):
+    info = site.index.find_board("slam", "slam-val")
+    rows = site.index.page(info.id, Query(size=100)).rows
+    page = next(one for one in _work(site) if one.path == "/boards/slam/slam-val").make()
+    cells = [row[1] for row in read(tex_text(page))[0].rows[2:]]
+    assert cells == [as_read(f"{row.method} ({row.team})") for row in rows]
+    assert set(NAMES) <= {row.method for row in rows}
+
+
+def test_tables_of_the_terminal_are_whole_latex(site):
+    boards = site.index.boards()
+    tables = [board_table(site.index.page(info.id, Query(size=100))) for info in boards]
+    tables += [history_table(site.index.method(name), {info.id: info for info in boards}) for name in NAMES]
+    tables += literature_tables(site.literature)
+    written = "\n".join(map(latex_table, tables))
+    found = read("\n".join([*needs(written), written]))
+    assert [len(table.columns) for table in found] == [len(table.headings) for table in tables]
+    assert [len(table.rows) for table in found] == [
+        1 + any(heading.unit for heading in table.headings) + len(table.lines) for table in tables
+    ]
+
+
+@pytest.mark.parametrize("text", NAMES)
+def test_a_text_is_read_as_it_was_written(text):
+    assert shown(escape(text)) == as_read(text)
+    assert not escape(text).startswith(("[", "*"))
+
+
+def test_what_pdflatex_does_not_know_is_said_at_the_head():
+    assert needs(escape("a \N{MINUS SIGN} b \N{EN DASH} m\N{SUPERSCRIPT TWO}")) == ["% needs \\usepackage{booktabs}"]
+    assert needed("\n".join(needs(escape("\u00c1lvarez-Tu\u00f1\u00f3n")))) == {"booktabs", "fontenc"}
+    assert needed("\n".join(needs(escape("\u540d")))) == {"booktabs", "lualatex"}
+    assert needs("% of \u540d\nplain") == ["% needs \\usepackage{booktabs}"]
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        ("& b", "& b & c"),
+        ("& b", ""),
+        ("a &", "a_1 &"),
+        ("a &", "50 % &"),
+        ("a &", "[a] &"),
+        ("a &", "* &"),
+        ("a &", "{a &"),
+        ("a &", "\\input{x} &"),
+        ("a &", "\\textbackslash a &"),
+        ("a &", "$x$ &"),
+        ("a &", "\u540d &"),
+        ("{lr}", "{lrr}"),
+        ("% needs", "% has"),
+    ],
+)
+def test_the_reader_stops_where_latex_would(broken):
+    good = "\n".join(
+        [
+            "% needs \\usepackage{booktabs}",
+            r"\begin{table}",
+            r"\centering",
+            r"\caption{t}",
+            r"\begin{tabular}{lr}",
+            r"\toprule",
+            r"x & y \\",
+            r"\midrule",
+            r"a & b \\",
+            r"\bottomrule",
+            r"\end{tabular}",
+            r"\end{table}",
+        ]
+    )
+    assert read(good)[0].rows == [["x", "y"], ["a", "b"]]
+    with pytest.raises(Wrong):
+        read(good.replace(*broken))
