@@ -201,6 +201,7 @@ def test_the_keyboard_reaches_the_content_and_shows_where_it_is(browser, address
     press("Tab", 9)
     assert browser.value("document.activeElement.className") == "skip"
     assert browser.value("document.activeElement.getBoundingClientRect().left") >= 0
+    browser.value("document.getElementById('board').dataset.kept = 'yes'")
     browser.value("document.activeElement.click()")
     press("Tab", 9)
     assert browser.value("document.activeElement.closest('main') !== null")
@@ -209,5 +210,6 @@ def test_the_keyboard_reaches_the_content_and_shows_where_it_is(browser, address
         press("Tab", 9)
         focus = "(() => { const e = document.activeElement, s = getComputedStyle(e); return [e.tagName, "
         seen.append(browser.value(focus + "parseFloat(s.outlineWidth) > 0 && s.outlineStyle !== 'none'] })()"))
-    assert all(outlined for _, outlined in seen), seen
+    assert all(outlined for _, outlined in seen), str(seen)
     assert {"A", "INPUT", "BUTTON"} <= {tag for tag, _ in seen}
+    assert browser.value("document.getElementById('board').dataset.kept") == "yes"  # else focus would have been lost

@@ -50,8 +50,12 @@ function enliven(root) {
   }
 }
 
+const withoutFragment = (address) => address.split("#")[0];
+let shown = withoutFragment(location.href);
+
 // The part of a page that its address changes, taken from the server and put in the place of what is shown.
 async function show(address, remember) {
+  shown = withoutFragment(address);
   try {
     const answer = await fetch(address, { headers: { Accept: "text/html" } });
     if (!answer.ok) throw new Error(answer.statusText);
@@ -73,7 +77,9 @@ async function show(address, remember) {
   }
 }
 
+// Also what leads to a place within the page pops a state; the board stays then, and with it what has the focus.
 window.addEventListener("popstate", () => {
+  if (withoutFragment(location.href) === shown) return;
   if (document.getElementById("board")) show(location.href, false);
 });
 enliven(document);
