@@ -40,7 +40,6 @@ class Settings(VisualInertialSettings):
     huber: float = 0.43  # sigmas, 1.3 px: a track that slides off its point does so by less than 3 px at a time
     max_slide_px: float = 4.0  # likewise: DVL and inertial unit predict better than the inertial unit alone
     alike: float = 1.0  # which is in those 3 px
-    alike_online: float = 1.0
     aiding_huber: float = 3.0  # sigmas; beyond, a residual of a DVL or compass counts linearly
     dvl: bool = True  # whether it is used where there is one; likewise depth and compass
     depth: bool = True

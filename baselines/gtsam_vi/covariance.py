@@ -8,6 +8,7 @@ Positions are relative to the first pose, which is exact by definition.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -62,7 +63,7 @@ def joint_covariance(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, ke
         last.push_back(key)
     information, _ = linear.eliminatePartialMultifrontal(others)[1].hessian(last)
     try:
-        return np.linalg.inv(information)
+        return np.asarray(np.linalg.inv(information), dtype=float)
     except np.linalg.LinAlgError as error:
         raise RuntimeError(str(error)) from None
 
@@ -110,7 +111,7 @@ def back(filter: InvariantFilter, segment: Segment) -> None:
 def discounted(graph: gtsam.NonlinearFactorGraph, times: float, huber: float) -> gtsam.NonlinearFactorGraph:
     """The graph with the sigma of every view of a landmark so many times as large.
 
-    The views of a track err alike, as its patch drifts: beside each other they say less than their number. What
+    The views of a landmark err alike, as its patch drifts: beside each other they say less than their number. What
     minimises white errors is still about the best estimate; its covariance is that of fewer views.
     """
     if times == 1.0:
@@ -119,7 +120,8 @@ def discounted(graph: gtsam.NonlinearFactorGraph, times: float, huber: float) ->
     for k in range(graph.size()):
         factor = graph.at(k)
         if isinstance(factor, gtsam.GenericProjectionFactorCal3_S2):
-            noise = gtsam.noiseModel.Isotropic.Sigma(2, times * factor.noiseModel().noise().sigma())
+            robust: Any = factor.noiseModel()
+            noise = gtsam.noiseModel.Isotropic.Sigma(2, times * robust.noise().sigma())
             loss = gtsam.noiseModel.mEstimator.Huber.Create(huber)
             factor = factor.cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(loss, noise))
         less.push_back(factor)
@@ -157,7 +159,7 @@ def covariances_until(
     joint = joint_covariance(bundle.graph, bundle.values, [X(first), V(first), B(first)])
     covariance = filter_covariance(joint, filter_slopes(state, first))
     if covariance is not None:
-        filter.covariance = covariance * model.alike(model.settings.alike_online) ** 2
+        filter.covariance = covariance
     for k in range(first, 0, -1):
         if not keyframes[k].at_rest:
             back(filter, keyframes[k].segment)

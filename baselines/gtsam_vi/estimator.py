@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -47,6 +47,7 @@ from oysterbench_baselines.gtsam_vi.states import (
     make_state,
     read_state,
 )
+from oysterbench_baselines.gtsam_vi.trackbook import TrackBook
 from oysterbench_baselines.gtsam_vi.window import Window
 
 Right = Callable[[], Array]
@@ -75,8 +76,8 @@ class Estimator:
         self.model = Model(self.camera, self.imu, self.settings, self.right)
         self._window: Window | None = None
         self._since: list[Segment] = []
-        self._last_ids = np.empty(0, dtype=np.int64)
-        self._kept: list[float] = []  # share of the tracks that each frame since the last key frame left
+        self._book = TrackBook(self.settings, self.model.T_imu_cam[:3, :3])
+        self._landmarks = np.empty(0, dtype=np.int64)  # of the last frame's tracks
         self._next_attempt_s = 0.0
         self._first = 0  # key frame at which the search for a start begins
         self._anchor: State | None = None  # its state, when there was a start before
@@ -99,16 +100,16 @@ class Estimator:
 
         right: gives rays (N, 2) of the second camera to the same, NaN where it does not see them; only key frames ask.
         """
-        order = np.argsort(ids, kind="stable")
-        view = View(np.asarray(ids, dtype=np.int64)[order], np.asarray(rays, dtype=float)[order])
-        self._count_kept(view)
+        self._landmarks = self._book.landmarks(ids, rays, segment, self.gyro_bias)
+        order = np.argsort(self._landmarks, kind="stable")
+        view = View(self._landmarks[order], np.asarray(rays, dtype=float)[order])
         if self.keyframes:
             self._since.append(segment)
         if self._window is not None:
             self._carry(segment)
         predicted = self._predict()
         if self._is_keyframe(view):
-            view = View(view.ids, view.rays, None if right is None else right()[order], self._spread())
+            view = View(view.ids, view.rays, None if right is None else right()[order], self._book.spread())
             self._add_keyframe(stamp_ns, view, predicted)
             predicted = self.keyframes[-1].state if self._window else None
         frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since))
@@ -130,7 +131,7 @@ class Estimator:
     def paint(self, pixels: NDArray[np.uint8], tracks: Tracks) -> None:
         """The picture as it was taken, (H, W, 3) RGB or (H, W) grey, and the tracks of the last frame."""
         if self.frames[-1].stamp_ns == self.keyframes[-1].stamp_ns:
-            self.palette.add(pixels, tracks)
+            self.palette.add(pixels, replace(tracks, ids=self._landmarks))
 
     def has_moved(self, segment: Segment) -> bool:
         """Whether the vehicle has certainly moved or turned over a segment: what repeats a picture is then no picture
@@ -143,20 +144,6 @@ class Estimator:
             return False
         sigma = np.sqrt(np.trace(self.filter.covariance[VELOCITY, VELOCITY]))
         return bool(np.linalg.norm(self.filter.velocity) > max(settings.repeat_speed, 5 * sigma))
-
-    def _count_kept(self, view: View) -> None:
-        if len(view.ids) == 0:
-            return
-        if len(self._last_ids):
-            self._kept.append(float(np.isin(self._last_ids, view.ids).mean()))
-        self._last_ids = view.ids
-
-    def _spread(self) -> float:
-        """How much less certain than usual the tracks are: where light moves over the bottom, most are lost from frame
-        to frame, and it has moved those that are left."""
-        settings, kept = self.settings, max(float(np.mean(self._kept or [1.0])), 1e-3)
-        self._kept = []
-        return min(kept**-settings.spread_power, settings.max_spread)
 
     def _predict(self) -> State | None:
         return None if self._window is None else self._filter_state()
@@ -186,7 +173,6 @@ class Estimator:
         covariance = filter_covariance(joint, slopes)
         if covariance is None:
             return
-        covariance *= self.model.alike(self.settings.alike_online) ** 2
         for key, (rows, unit) in calibrations.items():
             f.extra[rows.start - CORE : rows.stop - CORE] = unit * values.atVector(key)
         untold = np.setdiff1d(np.arange(len(covariance)), np.flatnonzero(np.hstack(list(slopes.values())).any(axis=1)))
@@ -229,7 +215,7 @@ class Estimator:
             self.keyframes[-1].aiding = self._aiding_of(len(self.keyframes) - 1, self.keyframes[-2].state)
             try:
                 self._window.add(self.keyframes, predicted)
-                diverged = self._has_diverged()
+                diverged = self._has_diverged(self._window)
             except RuntimeError:  # GTSAM: the system of equations cannot be solved
                 diverged = True
             if diverged:
@@ -260,10 +246,16 @@ class Estimator:
         if not is_metric(stretch, self.settings):
             self.info["init_scale_sigma"] = scale_sigma(bundle, stretch)
         self.info["init_error_px"] = float(np.median(bundle.errors_px))
-        for keyframe in stretch[1:] if self._anchor else stretch:
+        started = stretch[1:] if self._anchor else stretch
+        for keyframe in started:
             keyframe.state = read_state(bundle.values, keyframe.index)
+        try:
+            self._window = Window(self.model, stretch, bundle)
+        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+            for keyframe in started:
+                keyframe.state = None
+            return
         self.info["init_s"] = now
-        self._window = Window(self.model, stretch, bundle)
         self._good = (self.keyframes[-1].index, self.keyframes[-1].state)
         self._fill_back(stretch[0].index)
         known = covariances_until(bundle, self.keyframes, stretch, self.filter.noise, self.model)
@@ -287,14 +279,14 @@ class Estimator:
 
     # Divergence.
 
-    def _has_diverged(self) -> bool:
+    def _has_diverged(self, window: Window) -> bool:
         """Speed or biases beyond belief, or most landmarks far from where they were predicted, time and again."""
         settings, state = self.settings, self.keyframes[-1].state
         if not np.isfinite(state.matrix).all() or np.linalg.norm(state.nav.velocity()) > settings.max_speed:
             return True
         gyro = np.abs(state.bias.gyroscope()).max() / self.model.gyro_turn_on
         accel = np.abs(state.bias.accelerometer()).max() / self.model.accel_turn_on
-        if self._window.lost_share > settings.max_lost_share:
+        if window.lost_share > settings.max_lost_share:
             self._bad_keyframes += 1
         else:
             self._bad_keyframes = 0
@@ -311,6 +303,7 @@ class Estimator:
         velocity it had, also for the frames whose poses have been given since.
         """
         self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
+        assert self._good is not None  # since the window began
         index, state = self._good
         stamp_ns = self.keyframes[index].stamp_ns
         covariance = next(frame.covariance for frame in self.frames if frame.stamp_ns == stamp_ns)

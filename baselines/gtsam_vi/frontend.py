@@ -32,7 +32,8 @@ def undistort(pixels: Array, calibration: CameraCalibration) -> Array:
     if len(pixels) == 0:
         return np.empty((0, 2))
     points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-    return cv2.undistortPoints(points, calibration.matrix, calibration.distortion).reshape(-1, 2)
+    rays = cv2.undistortPoints(points, calibration.matrix, calibration.distortion)
+    return np.asarray(rays.reshape(-1, 2), dtype=float)
 
 
 def distort(rays: Array, calibration: CameraCalibration) -> Array:

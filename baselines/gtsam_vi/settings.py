@@ -22,6 +22,7 @@ class Settings:
     flow_window_px: int = 21  # side of the tracked patch: smaller ones are lost in murk, larger ones slide over relief
     flow_levels: int = 3  # pyramid levels above the image: with the gyroscope's prediction, 80 px of flow
     backward_error_px: float = 0.7  # a track must return to where it came from
+    max_turn_deg: float = 20.0  # of the ray to a landmark: seen from another side, a track is another landmark
     max_gap_s: float = 0.5  # between pictures; beyond, corners have gone farther than the pyramid reaches
     missing_periods: float = 1.5  # of the camera, after which a frame is missing, and its pose is given without it
     coast_s: float = 5.0  # without a picture; then no more poses: the inertial unit alone is decimetres off
@@ -48,8 +49,7 @@ class Settings:
 
     # Noise models.
     pixel_sigma_px: float = 1.0  # of a tracked corner, drift over the track's life included
-    alike: float = 2.0  # times that sigma, in the covariances of the smoothed path: views of a track err alike
-    alike_online: float = 1.6  # sigmas of the window by that: there, what has left it cannot be weighed anew
+    alike: float = 1.5  # times that sigma, in the covariances of the smoothed path: views of a landmark err alike
     spread_power: float = 1.0  # of the share of tracks kept a frame: caustics that kill tracks move those they leave
     max_spread: float = 4.0  # times pixel_sigma_px
     huber: float = 1.3  # sigmas; beyond, a residual counts linearly

@@ -25,7 +25,8 @@ def between(model: Model, keyframes: list[Keyframe], states: list[State], frames
 
     What the measurements of a whole interval miss at its end is spread evenly over it.
     """
-    slips = [_slip(model, *pair, k.segment) for *pair, k in zip(states, states[1:], keyframes[1:], strict=False)]
+    steps = zip(states, states[1:], keyframes[1:], strict=False)
+    slips = [_slip(model, before, after, keyframe.segment) for before, after, keyframe in steps]
     poses = []
     for frame in frames:
         pose = forward(states[frame.keyframe], frame.since, model.params).matrix

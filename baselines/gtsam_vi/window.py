@@ -15,6 +15,7 @@ from gtsam.symbol_shorthand import B, L, V, X
 
 from oysterbench.geometry import Array
 from oysterbench_baselines.gtsam_vi.covariance import joint_covariance
+from oysterbench_baselines.gtsam_vi.fixed_lag import FixedLagSmoother
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
@@ -34,11 +35,8 @@ class Window:
     def __init__(self, model: Model, keyframes: list[Keyframe], bundle: Bundle) -> None:
         self.model = model
         settings = model.settings
-        params = gtsam.LevenbergMarquardtParams()
-        params.setMaxIterations(settings.lag_iterations)
-        params.setRelativeErrorTol(1e-3)
         # The smoother's clock counts key frames: at rest they are seconds apart, in motion a tenth of one.
-        self._smoother = gtsam.BatchFixedLagSmoother(float(settings.lag_keyframes), params)
+        self._smoother = FixedLagSmoother(settings.lag_keyframes, settings.lag_iterations)
         self._observations: dict[int, list[Sight]] = {}
         self._landmarks = {int(i) for i in bundle.landmarks}
         self._rejected: set[int] = set()
@@ -81,8 +79,8 @@ class Window:
 
     def joint(self, keys: list[int]) -> tuple[gtsam.Values, Array]:
         """The estimate, and the joint covariance (N, N) of some of its variables, in the order of their keys."""
-        values = self._smoother.calculateEstimate()
-        return values, joint_covariance(self._smoother.getFactors(), values, keys)
+        smoother = self._smoother
+        return smoother.estimate, joint_covariance(smoother.factors, smoother.linearised_at, keys)
 
     @property
     def _lag(self) -> int:
@@ -157,7 +155,7 @@ class Window:
 
     def _read(self, keyframes: list[Keyframe], last: int) -> None:
         """Write the smoother's estimate into the key frames."""
-        values = self._smoother.calculateEstimate()
+        values = self._smoother.estimate
         for keyframe in keyframes[-self._lag :]:
             if values.exists(X(keyframe.index)):
                 keyframe.state = read_state(values, keyframe.index)

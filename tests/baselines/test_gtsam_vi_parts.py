@@ -246,7 +246,7 @@ def test_views_discounted_say_as_much_less_and_other_factors_as_much_as_before()
 
 def test_what_is_reported_of_errors_does_not_change_the_estimate():
     measured = dive.make_dive(0, duration_s=8.0)
-    sure, unsure = (estimate(measured, Settings(alike=times, alike_online=times)).smoothed() for times in (1.0, 3.0))
+    sure, unsure = (estimate(measured, Settings(alike=times)).smoothed() for times in (1.0, 3.0))
     assert sure.positions.tobytes() == unsure.positions.tobytes()
     ratio = np.sqrt(unsure.covariances[-1].diagonal() / sure.covariances[-1].diagonal())
     assert (ratio[:3] > 1.3).all()

@@ -66,7 +66,9 @@ class Knowing:
 
 
 def estimate(measured: dive.Dive, loops: bool, false_m: float = 0.0, **settings: int) -> Estimator:
-    estimator = Estimator(measured.camera, measured.inertial, Settings(loops=loops, **settings))
+    # The dive's points, unlike corners of relief, are the same from all sides.
+    chosen = Settings(loops=loops, max_turn_deg=180.0, **settings)
+    estimator = Estimator(measured.camera, measured.inertial, chosen)
     if estimator.loops is not None:
         knowing = Knowing(measured, estimator, false_m)
         estimator.loops.viewer = estimator.loops.index = estimator.loops.verifier = knowing  # type: ignore[assignment]

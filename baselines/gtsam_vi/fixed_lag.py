@@ -1,0 +1,119 @@
+"""Fixed-lag smoothing in which what has left stays consistent with what is left.
+
+What leaves the window remains as a linear factor on its neighbours. Were these linearised anew elsewhere by their other
+factors, the two would disagree about which directions nothing measures, and heading would come to be measured by what
+cannot tell it. So a variable that such a factor touches keeps the point at which it was linearised, for all factors
+(first-estimates Jacobians: Huang, Mourikis & Roumeliotis 2008), and only its error about that point is estimated
+further. GTSAM's `BatchFixedLagSmoother` means to do so, but up to 4.3.0 never notes these points.
+"""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+HALVINGS = 4
+"""Of a step that does not lower the error, before it is given up."""
+DAMPING = 3e-3
+"""1 / sigma, in the units of each variable, of the prior that holds back what is hardly determined."""
+
+
+class FixedLagSmoother:
+    """Gauss-Newton over the latest variables; older ones are marginalised.
+
+    lag: variables whose stamp is earlier than the newest by more than this leave. iterations, tolerance: of an update,
+    which ends when the error falls by less than this share.
+
+    estimate: of all variables in the window. linearised_at: the point at which their factors are linearised; that of a
+    variable which nothing marginalised touches is its estimate. factors: all of them, with holes.
+    """
+
+    def __init__(self, lag: float, iterations: int, tolerance: float = 1e-3) -> None:
+        self._lag, self._iterations, self._tolerance = lag, iterations, tolerance
+        self.factors = gtsam.NonlinearFactorGraph()
+        self.estimate, self.linearised_at = gtsam.Values(), gtsam.Values()
+        self._held = gtsam.Values()  # points of the variables that marginalised ones have left a factor on
+        self._stamps: dict[int, float] = {}
+        self._slots: dict[int, set[int]] = {}  # of the factors on a variable
+        self._free: list[int] = []  # slots
+
+    def update(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamps: dict[int, float]) -> None:
+        """Add factors, and variables with their first values; stamps of these and of any others.
+
+        RuntimeError (GTSAM) where the equations cannot be solved.
+        """
+        self.estimate.insert(values)
+        self.linearised_at.insert(values)
+        self._stamps |= stamps
+        self._insert(factors)
+        self._optimise()
+        oldest = max(self._stamps.values()) - self._lag
+        old = [key for key, stamp in self._stamps.items() if stamp < oldest]
+        if old:
+            self._marginalise(old)
+
+    def _insert(self, factors: gtsam.NonlinearFactorGraph) -> None:
+        for n in range(factors.size()):
+            factor = factors.at(n)
+            if self._free:
+                slot = self._free.pop()
+                self.factors.replace(slot, factor)
+            else:
+                slot = self.factors.size()
+                self.factors.push_back(factor)
+            for key in factor.keys():  # noqa: SIM118 (no dictionary)
+                self._slots.setdefault(key, set()).add(slot)
+
+    def _optimise(self) -> None:
+        error = self.factors.error(self.estimate)
+        for _ in range(self._iterations):
+            step = self._step()
+            before = self.linearised_at.localCoordinates(self.estimate)
+            for _ in range(HALVINGS):
+                estimate = self.linearised_at.retract(step)
+                found = self.factors.error(estimate)
+                if found < error:
+                    break
+                step = before.add(step).scale(0.5)
+            else:
+                return
+            self.estimate, self.linearised_at = estimate, gtsam.Values(estimate)
+            self.linearised_at.update(self._held)
+            if error - found < self._tolerance * error:
+                return
+            error = found
+
+    def _step(self) -> gtsam.VectorValues:
+        """Solves the linearised problem; held back a little where something is hardly determined."""
+        linear = self.factors.linearize(self.linearised_at)
+        try:
+            return linear.optimize()
+        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+            zero = self.linearised_at.zeroVectors()
+            for key in self.linearised_at.keys():  # noqa: SIM118 (no dictionary)
+                size = len(zero.at(key))
+                unit = gtsam.noiseModel.Unit.Create(size)
+                linear.push_back(gtsam.JacobianFactor(key, np.eye(size) * DAMPING, np.zeros(size), unit))
+            return linear.optimize()
+
+    def _marginalise(self, keys: list[int]) -> None:
+        """What the factors on some variables say of their neighbours takes these factors' place."""
+        slots = sorted(set[int]().union(*(self._slots[key] for key in keys)))
+        leaving = gtsam.NonlinearFactorGraph()
+        for slot in slots:
+            factor = self.factors.at(slot)
+            leaving.push_back(factor)
+            for key in factor.keys():  # noqa: SIM118 (no dictionary)
+                self._slots[key].discard(slot)
+            self.factors.remove(slot)
+        self._free += slots
+        left = leaving.linearize(self.linearised_at).eliminatePartialMultifrontal(keys)[1]
+        touched = [key for key in left.keyVector() if not self._held.exists(key)]
+        self._held.insert(self.linearised_at.extract(touched))
+        self._insert(gtsam.LinearContainerFactor.ConvertLinearGraph(left, self.linearised_at))
+        for key in keys:
+            del self._stamps[key], self._slots[key]
+            for values in (self.estimate, self.linearised_at):
+                values.erase(key)
+            if self._held.exists(key):
+                self._held.erase(key)
