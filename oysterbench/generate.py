@@ -122,6 +122,11 @@ def generate_split(
     wanted = [split.find_sequence(name) for name in names] or split.sequence
     made_by = digest(split, salt, device)
     files = {sequence.name: sequence_files(split, folder)[sequence.name] for sequence in wanted}
+    # A file appears when it is whole: who asks for no other need not wait for those that are being rendered.
+    if all(path.exists() and not _parts(folder, name, made_by).exists() for name, path in files.items()):
+        for path in files.values():
+            _check_made_by(path, split, made_by)
+        return files
     with locked(folder / ".lock"):
         for name, path in files.items():
             if path.exists():

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from conftest import TINY_RIG, TINY_SPLIT, make_split
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
 from oysterbench.errors import SequenceError
+from oysterbench.files import locked
 from oysterbench.generate import digest, generate_split, plan, split_folder
 from oysterbench.recipe import count
 
@@ -38,6 +40,16 @@ def test_what_is_there_is_not_rendered_again(tiny_split, tiny_file):
     generate_split(tiny_split, tiny_file.parent, progress=lambda done, total: seen.append(done))
     assert seen == []
     assert tiny_file.stat().st_mtime_ns == before
+
+
+def test_what_is_there_does_not_wait_for_what_is_being_rendered(tiny_split, tiny_file):
+    """As when one sequence of a split is rendered, and a method runs on another."""
+    found: list[dict[str, Path]] = []
+    ask = threading.Thread(target=lambda: found.append(generate_split(tiny_split, tiny_file.parent)), daemon=True)
+    with locked(tiny_file.parent / ".lock"):
+        ask.start()
+        ask.join(30)
+        assert found == [{"tiny-01": tiny_file}]
 
 
 RENDER = """
