@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from oysterbench.report.formats import latex_escape
+from oysterbench.report.formats import LATEX_NEEDS, latex_escape
 
 SYMBOLS = {
     "\N{DOWNWARDS ARROW}": r"$\downarrow$",
@@ -56,7 +56,7 @@ def escape(text: str) -> str:
 
 def needs(written: str) -> list[str]:
     """Comments for the head of a file: the packages, and the engine, that what follows needs."""
-    said = ["% needs \\usepackage{booktabs}"]
+    said = [LATEX_NEEDS]
     code = re.sub(r"(?m)(?<!\\)%.*$", "", written)
     if LATIN.search(code):
         said.append("% needs \\usepackage[T1]{fontenc}")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from oysterbench.report.tables import Table
     from oysterbench.results import ResultRecord
 
-TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs", "md": "tables in Markdown"}
+TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs and graphicx", "md": "tables in Markdown"}
 """Forms of text, by their suffix."""
 
 

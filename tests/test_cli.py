@@ -164,7 +164,7 @@ def test_eval_writes_the_forms_that_are_asked_for(trajectories, tmp_path):
     files = ("--csv", tmp_path / "r.csv", "--md", tmp_path / "r.md", "--report", tmp_path / "new" / "r.html")
     result = run("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--tex", "-", *files)
     assert result.returncode == 0, result.stderr
-    assert result.stdout.startswith("% needs \\usepackage{booktabs}")
+    assert result.stdout.startswith("% needs \\usepackage{booktabs,graphicx}")
     assert "mine.tum" in (tmp_path / "r.csv").read_text()
     assert "| truth.tum | mine.tum |" in (tmp_path / "r.md").read_text()
     assert "oysterbench eval --track slam" in (tmp_path / "new" / "r.html").read_text()

@@ -104,7 +104,7 @@ def test_latex_is_balanced_and_uses_booktabs():
     for rule in (r"\toprule", r"\midrule", r"\bottomrule"):
         assert text.count(rule) >= text.count(r"\begin{tabular}") >= 3
     assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}")
-    assert "usepackage{booktabs}" in text
+    assert "usepackage{booktabs,graphicx}" in text
     columns = re.findall(r"\\begin\{tabular\}\{([lr]+)\}", text)
     assert {len(spec) for spec in columns} >= {len(tables(EVERYTHING)[0].headings)}
 
@@ -112,7 +112,7 @@ def test_latex_is_balanced_and_uses_booktabs():
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="pdflatex is not installed")
 def test_latex_compiles(tmp_path):
     body = latex_text(EVERYTHING)
-    source = rf"\documentclass{{article}}\usepackage{{booktabs}}\begin{{document}}{body}\end{{document}}"
+    source = rf"\documentclass{{article}}\usepackage{{booktabs,graphicx}}\begin{{document}}{body}\end{{document}}"
     (tmp_path / "t.tex").write_text(source)
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import orjson
 
+from oysterbench.report.formats import latex_tabular
 from oysterbench_leaderboard.latex import escape, needs
 from oysterbench_leaderboard.site.page import Cell, Column, Page, Table
 
@@ -64,16 +65,17 @@ def _tex(table: Table) -> str:
         r"\centering",
         rf"\caption{{{escape(table.title)}}}",
         rf"\label{{tab:{re.sub('[^a-z0-9-]+', '-', table.name)}}}",
-        rf"\begin{{tabular}}{{{''.join('r' if column.number else 'l' for _, column in shown)}}}",
-        r"\toprule",
+    ]
+    rows = [
         f"{' & '.join(escape(column.text) for _, column in shown)} \\\\",
         *([f"{' & '.join(units)} \\\\"] if any(units) else []),
         r"\midrule",
     ]
     for line in table.lines:
-        lines.append(f"{' & '.join(_tex_cell(line.cells[i], column) for i, column in shown)} \\\\")
+        rows.append(f"{' & '.join(_tex_cell(line.cells[i], column) for i, column in shown)} \\\\")
     notes = [f"% {_comment(note)}" for note in table.notes]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", *notes, ""])
+    columns = "".join("r" if column.number else "l" for _, column in shown)
+    return "\n".join([*lines, *latex_tabular(columns, rows), r"\end{table}", *notes, ""])
 
 
 def _tex_cell(cell: Cell, column: Column) -> str:

@@ -1,4 +1,4 @@
-"""Tables in text: for the terminal, as Markdown, as LaTeX (booktabs); and all runs as CSV."""
+"""Tables in text: for the terminal, as Markdown, as LaTeX (booktabs, graphicx); and all runs as CSV."""
 
 from __future__ import annotations
 
@@ -31,6 +31,9 @@ RUN_COLUMNS = (
     "created",
 )
 """Of a record, before its conditions and metrics, in CSV."""
+
+LATEX_NEEDS = "% needs \\usepackage{booktabs,graphicx}"
+"""Stands at the head of a file of tables."""
 
 _LATEX = {
     "\\": r"\textbackslash{}",
@@ -113,8 +116,8 @@ def _markdown_text(text: str) -> str:
 
 
 def latex_text(records: Sequence[ResultRecord], first: Sequence[Table] = ()) -> str:
-    """Tables for a paper; \\usepackage{booktabs} is all that they need."""
-    return "\n".join(["% needs \\usepackage{booktabs}", *(latex_table(table) for table in tables(records, first))])
+    """Tables for a paper, which need what `LATEX_NEEDS` says and nothing else."""
+    return "\n".join([LATEX_NEEDS, *(latex_table(table) for table in tables(records, first))])
 
 
 def latex_table(table: Table) -> str:
@@ -125,8 +128,8 @@ def latex_table(table: Table) -> str:
         r"\begin{table}",
         r"\centering",
         rf"\caption{{{latex_escape(table.title)}}}",
-        rf"\begin{{tabular}}{{{columns}}}",
-        r"\toprule",
+    ]
+    rows = [
         f"{' & '.join(latex_escape(heading.text) for heading in table.headings)} \\\\",
         *([f"{' & '.join(units)} \\\\"] if any(units) else []),
         r"\midrule",
@@ -134,14 +137,26 @@ def latex_table(table: Table) -> str:
     before = ""
     for line in table.lines:
         if line.kind == "mean" and before not in ("mean", "") and line is not table.lines[0]:
-            lines.append(r"\midrule")
+            rows.append(r"\midrule")
         before = line.kind or "line"
         cells = [latex_escape(cell) for cell in line.cells]
         best = line.best or (False,) * len(cells)
         marked = [rf"\textbf{{{cell}}}" if mark else cell for cell, mark in zip(cells, best, strict=True)]
-        lines.append(f"{' & '.join(marked)} \\\\")
+        rows.append(f"{' & '.join(marked)} \\\\")
     notes = [f"% {' '.join(note.split())}" for note in table.notes]
-    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", *notes, ""])
+    return "\n".join([*lines, *latex_tabular(columns, rows), r"\end{table}", *notes, ""])
+
+
+def latex_tabular(columns: str, rows: Sequence[str]) -> list[str]:
+    """Lines of a tabular between rules, made smaller where it would not fit into the line. columns: as LaTeX's."""
+    return [
+        r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+        rf"\begin{{tabular}}{{{columns}}}",
+        r"\toprule",
+        *rows,
+        r"\bottomrule",
+        r"\end{tabular}}",
+    ]
 
 
 def latex_escape(text: str) -> str:

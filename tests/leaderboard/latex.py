@@ -1,4 +1,4 @@
-"""A reader of LaTeX that knows the tables which are written here, and refuses all else: the machine has no LaTeX."""
+"""A reader of LaTeX that knows the tables which are written here, and refuses all else: for machines without LaTeX."""
 
 from __future__ import annotations
 
@@ -42,6 +42,9 @@ LIGATURES |= {
 }
 """What is set as one character."""
 
+FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{"
+"""Around a tabular: made smaller where it is wider than the line, never larger."""
+
 TOKEN = re.compile(r"\\[A-Za-z]+|\\.|\$[^$]*\$|---|--|``|''|,,|!`|\?`|.", re.DOTALL)
 
 
@@ -62,7 +65,8 @@ class Table:
 def needed(text: str) -> set[str]:
     """What the head of a file says that it needs, in one word each."""
     head = text.split("\\begin", 1)[0]
-    return {word for word in ("booktabs", "fontenc", "lualatex") if re.search(f"(?m)^% needs .*{word}", head)}
+    known = ("booktabs", "graphicx", "fontenc", "lualatex")
+    return {word for word in known if re.search(f"(?m)^% needs .*{word}", head)}
 
 
 def read(text: str) -> list[Table]:
@@ -71,6 +75,8 @@ def read(text: str) -> list[Table]:
     bare = "\n".join(re.sub(r"(?<!\\)((?:\\\\)*)%.*$", r"\1", line) for line in text.split("\n"))
     if "booktabs" not in known and "rule" in bare:
         raise Wrong("nobody is told of booktabs")
+    if "graphicx" not in known and FITTED in bare:
+        raise Wrong("nobody is told of graphicx")
     for character in set(bare) - set(map(chr, range(32, 127))) - {"\n"}:
         if "lualatex" not in known and not ("fontenc" in known and "\u00a1" <= character <= "\u017f"):
             raise Wrong(f"pdflatex does not know {character!r}")
@@ -82,7 +88,8 @@ def read(text: str) -> list[Table]:
 
 def _table(body: str) -> Table:
     found = re.fullmatch(
-        r"\s*\\centering\s*(?P<head>.*?)\\begin\{tabular\}\{(?P<columns>[lr]+)\}(?P<rows>.*)\\end\{tabular\}\s*",
+        r"\s*\\centering\s*(?P<head>.*?)" + re.escape(FITTED) + r"\s*\\begin\{tabular\}\{(?P<columns>[lr]+)\}"
+        r"(?P<rows>.*)\\end\{tabular\}\}\s*",
         body,
         re.DOTALL,
     )

@@ -371,6 +371,7 @@ def test_csv_runs_nothing_in_a_spreadsheet_and_has_every_digit(site, pages):
 def test_tex_holds_no_command_that_is_not_ours(pages):
     ours = r"begin|end|centering|caption|label|toprule|midrule|bottomrule|textbackslash|textasciitilde|textasciicircum"
     ours += r"|textless|textgreater|textbar|textsuperscript|downarrow|uparrow|times"
+    ours += r"|resizebox|ifdim|width|linewidth|else|fi"
     for name, page in pages.items():
         for line in tex_text(page).split("\n"):
             code = re.split(r"(?<!\\)%", line)[0]
