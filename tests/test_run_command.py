@@ -194,10 +194,12 @@ def test_variants_of_a_method_stand_in_one_table(dive_file, tmp_path):
     assert "[imu_inflation=2" in done.stdout
 
 
-def test_an_unknown_option_is_one_line_with_the_known_ones(home):
-    done = run("dead_reckoning", "--ablate", "loops=false", "--split", "slam-mini")
+def test_an_unknown_option_is_one_line_with_those_like_it(home):
+    done = run("dead_reckoning", "--ablate", "level_s=1", "--split", "slam-mini")
     assert done.returncode == 1
-    assert "method 'dead_reckoning' has no option 'loops'; its options: imu_inflation, start.level_s" in done.stderr
+    assert "method 'dead_reckoning' has no option 'level_s'; did you mean start.level_s? Its " in done.stderr
+    assert "the fields of oysterbench_baselines.dead_reckoning" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
     assert not home.exists()
 
 

@@ -7,6 +7,7 @@ field of a field is written with a dot, as in `dead_reckoning[start.level_s=2]`.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import inspect
 import re
 import tomllib
@@ -18,6 +19,9 @@ from oysterbench.errors import MethodError
 VARIANT = re.compile(r"(?P<method>[^\[\]]+)\[(?P<options>.*)\]", re.DOTALL)
 UNPLAIN = re.compile(r"[^A-Za-z0-9_.+=,-]+")
 """Characters that do not belong into the name of a file."""
+
+FEW_OPTIONS = 8
+"""So many are listed where another one was asked for."""
 
 
 def split_variant(reference: str) -> tuple[str, dict[str, str]]:
@@ -103,8 +107,8 @@ def configure(kind: Callable[..., Any], options: Mapping[str, str], reference: s
     values: dict[str, Any] = {}
     for key, text in options.items():
         if key not in known:
-            listed = f"its options: {', '.join(known)}" if known else "it has none"
-            raise MethodError(f"method {reference!r} has no option {key!r}; {listed}")
+            instead = _instead(key, list(known), parameters, settings)
+            raise MethodError(f"method {reference!r} has no option {key!r}; {instead}")
         values[key] = read_value(text, known[key], f"option {key!r} of method {reference!r}")
         if key in parameters:
             arguments[key] = values[key]
@@ -113,6 +117,20 @@ def configure(kind: Callable[..., Any], options: Mapping[str, str], reference: s
     if len(arguments) < len(values):
         arguments["settings"] = settings
     return kind(**arguments), values
+
+
+def _instead(key: str, known: list[str], parameters: Iterable[str], settings: Any) -> str:
+    """What to type in place of an option that there is not: all, or of many those alike and where all of them are."""
+    if len(known) <= FEW_OPTIONS:
+        return f"its options: {', '.join(known)}" if known else "it has none"
+    # A nested option is also looked for by its own name: level_s for start.level_s.
+    by_name = {name.rpartition(".")[2]: name for name in known} | {name: name for name in known}
+    alike = dict.fromkeys(by_name[name] for name in difflib.get_close_matches(key, by_name, n=4, cutoff=0.6))
+    places = list(parameters)
+    if settings is not None:
+        places.append(f"the fields of {type(settings).__module__}.{type(settings).__qualname__}")
+    meant = f"did you mean {' or '.join(alike)}? Its" if alike else "its"
+    return f"{meant} {len(known)} options are {' and '.join(places)}"
 
 
 def fields_of(settings: Any, prefix: str = "") -> dict[str, Any]:
