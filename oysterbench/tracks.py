@@ -27,8 +27,15 @@ from oysterbench.trajectory import ReadOptions, Trajectory, write_tum
 FRAMES_IN_REPORT = 6
 FRAME_WIDTH = 480  # px, in the report
 
-PATH_METRICS = ("ate_rmse_m", "ate_percent", "ate_rotation_rmse_deg", "rpe_1s_translation_rmse_m", "coverage")
-"""What is kept of the paths of a method that are not scored."""
+PATH_METRICS = (
+    "ate_rmse_m",
+    "ate_percent",
+    "ate_rotation_rmse_deg",
+    "rpe_1s_translation_rmse_m",
+    "coverage",
+    "nees_position",
+)
+"""What is kept, as far as there is such, of the paths of a method that are not scored."""
 
 Announce = Callable[[str], None]
 """Called with a sentence on what is being done."""
@@ -148,7 +155,7 @@ def paths_info(
     for name, path in alternatives.items():
         try:
             metrics = score(truth, path, settings).metrics
-            reached[name] = {key: metrics[key] for key in PATH_METRICS}
+            reached[name] = {key: metrics[key] for key in PATH_METRICS if key in metrics}
         except TrajectoryError as error:
             reached[name] = {"failure": str(error)}
     return {"paths": {"scored": scored, "alternatives": reached}}

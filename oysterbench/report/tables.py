@@ -163,13 +163,17 @@ def paths_said(records: Sequence[ResultRecord]) -> list[str]:
     said = []
     for (method, *_), group in methods.items():
         scored = " and ".join(dict.fromkeys(str(record.info["paths"]["scored"]) or "first" for record in group))
-        reached: dict[str, list[float]] = {}
+        reached: dict[str, list[dict[str, float]]] = {}
         for record in group:
             for name, metrics in record.info["paths"]["alternatives"].items():
                 if metrics.get("ate_rmse_m") is not None:
-                    reached.setdefault(name, []).append(metrics["ate_rmse_m"])
+                    reached.setdefault(name, []).append(metrics)
         mean = f", mean of {len(group)}" if len(group) > 1 else ""
-        others = [f"{name} (ATE {np.mean(values):.2g} m{mean})" for name, values in reached.items()]
+        others = []
+        for name, all_metrics in reached.items():
+            nees = [metrics["nees_position"] for metrics in all_metrics if metrics.get("nees_position") is not None]
+            trust = f", NEES of position {np.mean(nees):.2g}" if nees else ""
+            others.append(f"{name} (ATE {np.mean([each['ate_rmse_m'] for each in all_metrics]):.2g} m{trust}{mean})")
         beside = f"; not scored: {', '.join(others)}" if others else ""
         said.append(f"{method}: scored is the {scored} path{beside}")
     return said
