@@ -6,10 +6,12 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import cache
 from typing import Any
 
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import LEVEL
+from oysterbench.recipe import split_names
 from oysterbench.report.columns import ABSENT, STANDING_OF_TRACK, find_column
 from oysterbench.report.tables import Heading, Line, Table
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Literature, Row
@@ -78,6 +80,15 @@ def has_data_set(board: BoardInfo, rows: Sequence[Row]) -> bool:
     return not (metric is not None and metric.weight) and any(row.data_set is not None for row in rows)
 
 
+@cache
+def learnt_on(split: str) -> str:
+    """What is said of a board whose pictures a method may have learnt from; nothing of the others."""
+    kind, _, role = split.partition("-")
+    if role in ("mini", "val", "test") or split not in split_names():
+        return ""
+    return f"{split} is there to learn on, and methods may have: what they are worth is on the boards of {kind}-val."
+
+
 def rank_text(row: Row, rows: Sequence[Row]) -> str:
     """The rank, with "=" where others have it; a place in brackets where nothing can be told apart; the state where
     there is neither."""
@@ -108,6 +119,8 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
         notes.append(f"Over {count}; one that is lacking or failed counts as nothing, and is among 'failed'.")
     if has_data_set(board, rows):
         notes.append(DATA_SET.format(find_column(board.metric).heading))
+    if told := learnt_on(board.split):
+        notes.append(told)
     if not board.newest:
         notes.append("A later evaluator has taken over: this board is history.")
     return notes

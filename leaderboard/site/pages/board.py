@@ -19,7 +19,7 @@ from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells, state_mark
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.tables import DATA_SET, has_data_set
+from oysterbench_leaderboard.tables import DATA_SET, has_data_set, learnt_on
 
 MOST_ROWS = 1000
 LONGEST_TEXT = 100
@@ -274,6 +274,8 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
     said = [f"{mean}; what failed or was not answered scores 0. Errors are of what was answered: mind the coverage."]
     if has_data_set(info, rows):
         said.append(DATA_SET.format(numbers.heading(info.metric).text))
+    if told := learnt_on(info.split):
+        said.append(told)
     if any(row.rank is not None for row in rows):
         said.append("A rank with = is shared: those records are not told from the first of their group (95 %, paired).")
     elif any(row.place is not None for row in rows):
