@@ -59,6 +59,7 @@ class AidedEstimator(Estimator):
         first: tuple[NDArray[np.int64], Array, Array],
     ) -> None:
         """first: stamps (N,), gyro and accel (N, 3) of the first moments, by which the vehicle is levelled."""
+        settings = settings.for_rig(sequence)
         super().__init__(camera, sequence.imu_calibration, settings)
         noise = InertialNoise.of(self.imu, settings.imu_inflation)
         self.filter, self.info["started_at_rest"] = start_filter(*first, self.imu, noise, settings.start)

@@ -59,8 +59,8 @@ class GtsamFull(GtsamVi):
             np.array([sample.gyro for sample in inertial]),
             np.array([sample.accel for sample in inertial]),
         )
-        front_end = FrontEnd(sequence.cameras[camera], self.settings, self.seed)
         estimator = AidedEstimator(sequence, sequence.cameras[camera], self.settings, first)
+        front_end = FrontEnd(sequence.cameras[camera], estimator.settings, self.seed)
         R_imu_cam = estimator.model.T_imu_cam[:3, :3]
         patience_ns = self.settings.missing_periods / sequence.cameras[camera].rate_hz * 1e9
         samples = SampleBuffer()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.common.aiding import AidingSettings, sensors_of
@@ -27,6 +27,16 @@ class EchoSettings:
 
 
 @dataclass(frozen=True)
+class BesideDvl:
+    """How corners count beside a DVL. Without one they are all that tells the way, and count as in gtsam_vi."""
+
+    pixel_sigma_px: float = 3.0  # corners under moving light err together, and as one they count for less
+    huber: float = 0.43  # sigmas, 1.3 px: a track that slides off its point does so by less than 3 px at a time
+    max_slide_px: float = 4.0  # DVL and inertial unit predict better than the inertial unit alone
+    alike: float = 1.0  # which is in those 3 px
+
+
+@dataclass(frozen=True)
 class Settings(VisualInertialSettings):
     """start_tilt_deg, start_s, start_keyframes: with a DVL the window begins once the filter's roll and pitch are this
     certain (1 sigma), but not before so many seconds and key frames: one key frame has no landmarks."""
@@ -36,10 +46,7 @@ class Settings(VisualInertialSettings):
     start_tilt_deg: float = 1.0
     start_s: float = 1.5
     start_keyframes: int = 4
-    pixel_sigma_px: float = 3.0  # beside a DVL: corners under moving light err together, and as one they count for less
-    huber: float = 0.43  # sigmas, 1.3 px: a track that slides off its point does so by less than 3 px at a time
-    max_slide_px: float = 4.0  # likewise: DVL and inertial unit predict better than the inertial unit alone
-    alike: float = 1.0  # which is in those 3 px
+    beside_dvl: BesideDvl = field(default_factory=BesideDvl)
     aiding_huber: float = 3.0  # sigmas; beyond, a residual of a DVL or compass counts linearly
     dvl: bool = True  # whether it is used where there is one; likewise depth and compass
     depth: bool = True
@@ -53,3 +60,7 @@ class Settings(VisualInertialSettings):
         """The aiding sensors of a rig that are to be used, as `Sequence.stream` names them."""
         used = {"dvl": self.dvl, "pressure": self.depth, "magnetometer": self.compass}
         return [kind for kind in sensors_of(sequence) if used[kind]]
+
+    def for_rig(self, sequence: Sequence) -> Settings:
+        """With `beside_dvl` in the place of what it names, where the rig has a DVL that is to be used."""
+        return replace(self, **asdict(self.beside_dvl)) if "dvl" in self.sensors(sequence) else self

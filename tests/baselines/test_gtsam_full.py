@@ -19,7 +19,9 @@ from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_full import GtsamFull, Settings
 from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
+from oysterbench_baselines.gtsam_full.settings import BesideDvl
 from oysterbench_baselines.gtsam_vi.frontend import undistort
+from oysterbench_baselines.gtsam_vi.settings import Settings as VisualInertialSettings
 
 
 def camera() -> CameraCalibration:
@@ -144,6 +146,8 @@ def test_a_rig_with_depth_and_no_dvl_starts_from_pictures_and_keeps_its_height()
     estimator = estimate(sequence, tracks(sequence, 3, (np.inf, np.inf)))
     trajectory = estimator.online()
     assert estimator.info["initialised"] == 1
+    assert estimator.info["init_s"] < 6.0  # with corners that count as little as beside a DVL: 7.4 s
+    assert "restarts" not in estimator.info
     assert len(trajectory) == 200
     height = trajectory.positions[100:, 2] - sequence.truth().at(trajectory.stamps_ns).positions[100:, 2]
     assert np.ptp(height) < 0.05
@@ -190,4 +194,11 @@ def test_sensors_can_be_left_out():
     sequence = dive.SensorDive(2, dive.rig(*ALL), dive.survey_path(4.0))
     assert Settings().sensors(sequence) == ["dvl", "pressure", "magnetometer"]
     assert Settings(dvl=False, compass=False).sensors(sequence) == ["pressure"]
-    assert AidedEstimator(sequence, camera(), Settings(dvl=False), first_moments(sequence)).model.has_dvl is False
+    aided, unaided = (
+        AidedEstimator(sequence, camera(), Settings(dvl=dvl), first_moments(sequence)) for dvl in (True, False)
+    )
+    assert (aided.model.has_dvl, unaided.model.has_dvl) == (True, False)
+    # Corners are all that is left then, and count as they do for those who have nothing else.
+    for name, beside in dataclasses.asdict(BesideDvl()).items():
+        assert getattr(aided.settings, name) == beside
+        assert getattr(unaided.settings, name) == getattr(VisualInertialSettings(), name) != beside
