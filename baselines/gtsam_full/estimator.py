@@ -209,6 +209,8 @@ class AidedEstimator(Estimator):
         if not self._sails:
             if self.model.height_offset is None and self._heights:
                 self.model.height_offset = next(iter(self._heights.values()))[0]  # odom is about where it starts
+            if self.model.earth is None and self._first_field is not None:
+                self.model.earth = self._earth_seen(self._filter_state(), self.keyframes[-1].index)
             for keyframe in self.keyframes[self._first + 1 :]:
                 if not keyframe.aiding:
                     keyframe.aiding = self._aiding_of(keyframe.index, self._filter_state())
@@ -225,10 +227,7 @@ class AidedEstimator(Estimator):
             return
         states = self._states_back(stretch)
         if self._first_field is not None:
-            # The field's mean is free: this is only where the solver begins.
-            to_compass = self.aiding.T_imu_compass[:3, :3].T @ states[-1].nav.attitude().matrix().T
-            field, _ = self._fields.get(stretch[-1].index, (self._first_field[0], 0.0))
-            self.model.earth = to_compass.T @ field
+            self.model.earth = self._earth_seen(states[-1], stretch[-1].index)
         for keyframe, before in zip(stretch[1:], states[:-1], strict=True):
             keyframe.aiding = self._aiding_of(keyframe.index, before)
         try:
@@ -242,6 +241,13 @@ class AidedEstimator(Estimator):
             keyframe.state = read_state(bundle.values, keyframe.index)
         self._good = (self.keyframes[-1].index, self.keyframes[-1].state)
         self._fill_back(stretch[0].index)
+
+    def _earth_seen(self, state: State, k: int) -> Array:
+        """Earth's field (3,) in odom, FIELD_UNIT, if `state` is that of key frame k. It is free: this is only where the
+        solver begins."""
+        assert self._first_field is not None
+        field, _ = self._fields.get(k, (self._first_field[0], 0.0))
+        return state.nav.attitude().matrix() @ self.aiding.T_imu_compass[:3, :3] @ field
 
     def _states_back(self, stretch: list) -> list[State]:
         """States of the key frames: the filter's at the last, and back from there along the inertial measurements."""

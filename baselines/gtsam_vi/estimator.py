@@ -238,6 +238,8 @@ class Estimator:
         if now < self._next_attempt_s or not is_worth_a_try(stretch, self.settings):
             return
         self._next_attempt_s = now + self.settings.init_retry_s
+        if self._anchor is not None and stretch[0].index > self._first:
+            self._move_anchor(stretch[0])
         if self._anchor_covariance is not None:
             self.model.starts[stretch[0].index] = anchored(self._anchor_covariance)
         bundle = find_start(self.model, stretch, self._anchor, max_scale_sigma)
@@ -250,7 +252,7 @@ class Estimator:
         for keyframe in started:
             keyframe.state = read_state(bundle.values, keyframe.index)
         try:
-            self._window = Window(self.model, stretch, bundle)
+            self._window = Window(self.model, stretch, bundle, loose=self._anchor is not None)
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             for keyframe in started:
                 keyframe.state = None
@@ -262,6 +264,18 @@ class Estimator:
         for frame in self.frames:
             if frame.covariance is None:
                 frame.covariance = known[frame.keyframe]
+
+    def _move_anchor(self, keyframe: Keyframe) -> None:
+        """The search has gone on for longer than the stretch that it looks at: until `keyframe` the path coasts."""
+        assert self._anchor is not None
+        assert self._anchor_covariance is not None
+        start_ns, state = self.keyframes[self._first].stamp_ns, self._anchor
+        for passed in self.keyframes[self._first + 1 : keyframe.index + 1]:
+            passed.state = coast(state, (passed.stamp_ns - start_ns) * 1e-9)
+            passed.trusted = False
+        self._anchor_covariance = self._coasted(self._anchor_covariance, (keyframe.stamp_ns - start_ns) * 1e-9)
+        self.model.starts.pop(self._first, None)
+        self._first, self._anchor = keyframe.index, keyframe.state
 
     def _fill_back(self, index: int) -> None:
         """States of the key frames before `index`, back along the inertial measurements; poses of all frames."""

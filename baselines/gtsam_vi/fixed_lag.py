@@ -22,13 +22,16 @@ class FixedLagSmoother:
     """Gauss-Newton over the latest variables; older ones are marginalised.
 
     lag: variables whose stamp is earlier than the newest by more than this leave. iterations, tolerance: of an update,
-    which ends when the error falls by less than this share.
+    which ends when the error falls by less than this share. loose: whether next to nothing holds the whole in place:
+    what is known of a heading to a radian is lost in the rounding of squares beside what is known to a micrometre, so
+    roots are eliminated then (QR), and not squares (Cholesky).
 
     estimate: of all variables in the window. linearised_at: the point at which their factors are linearised; that of a
     variable which nothing marginalised touches is its estimate. factors: all of them, with holes.
     """
 
-    def __init__(self, lag: float, iterations: int, tolerance: float = 1e-3) -> None:
+    def __init__(self, lag: float, iterations: int, tolerance: float = 1e-3, loose: bool = False) -> None:
+        self._how = (gtsam.EliminateQR,) if loose else ()
         self._lag, self._iterations, self._tolerance = lag, iterations, tolerance
         self.factors = gtsam.NonlinearFactorGraph()
         self.estimate, self.linearised_at = gtsam.Values(), gtsam.Values()
@@ -87,14 +90,14 @@ class FixedLagSmoother:
         """Solves the linearised problem; held back a little where something is hardly determined."""
         linear = self.factors.linearize(self.linearised_at)
         try:
-            return linear.optimize()
+            return linear.optimize(*self._how)
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             zero = self.linearised_at.zeroVectors()
             for key in self.linearised_at.keys():  # noqa: SIM118 (no dictionary)
                 size = len(zero.at(key))
                 unit = gtsam.noiseModel.Unit.Create(size)
                 linear.push_back(gtsam.JacobianFactor(key, np.eye(size) * DAMPING, np.zeros(size), unit))
-            return linear.optimize()
+            return linear.optimize(*self._how)
 
     def _marginalise(self, keys: list[int]) -> None:
         """What the factors on some variables say of their neighbours takes these factors' place."""
@@ -107,7 +110,7 @@ class FixedLagSmoother:
                 self._slots[key].discard(slot)
             self.factors.remove(slot)
         self._free += slots
-        left = leaving.linearize(self.linearised_at).eliminatePartialMultifrontal(keys)[1]
+        left = leaving.linearize(self.linearised_at).eliminatePartialMultifrontal(keys, *self._how)[1]
         touched = [key for key in left.keyVector() if not self._held.exists(key)]
         self._held.insert(self.linearised_at.extract(touched))
         self._insert(gtsam.LinearContainerFactor.ConvertLinearGraph(left, self.linearised_at))

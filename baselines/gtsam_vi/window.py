@@ -32,11 +32,12 @@ class Sight(NamedTuple):
 class Window:
     """The smoother, started from an adjusted stretch of key frames."""
 
-    def __init__(self, model: Model, keyframes: list[Keyframe], bundle: Bundle) -> None:
+    def __init__(self, model: Model, keyframes: list[Keyframe], bundle: Bundle, loose: bool = False) -> None:
+        """loose: as of the smoother, where a failure has left little known of the first pose."""
         self.model = model
         settings = model.settings
         # The smoother's clock counts key frames: at rest they are seconds apart, in motion a tenth of one.
-        self._smoother = FixedLagSmoother(settings.lag_keyframes, settings.lag_iterations)
+        self._smoother = FixedLagSmoother(settings.lag_keyframes, settings.lag_iterations, loose=loose)
         self._observations: dict[int, list[Sight]] = {}
         self._landmarks = {int(i) for i in bundle.landmarks}
         self._rejected: set[int] = set()

@@ -87,12 +87,17 @@ def test_few_noisy_and_false_tracks_do_not_lead_it_astray():
     assert position_error(measured.truth, estimate(measured).smoothed()) < 0.005 * measured.truth.path_length
 
 
-def test_it_starts_anew_after_the_inertial_unit_has_lied():
-    measured = dive.make_dive(4)
+def lie(measured: dive.Dive) -> None:
+    """The inertial unit is wrong from 8.0 to 8.7 s, by more than any estimator lives through."""
     for k, sample in enumerate(measured.samples):
         if 8.0 < (sample.stamp_ns - dive.START_NS) * 1e-9 < 8.7:
             false = sample.accel + np.array([15.0, 0, 0])
             measured.samples[k] = ImuSample(sample.stamp_ns, sample.gyro, false)
+
+
+def test_it_starts_anew_after_the_inertial_unit_has_lied():
+    measured = dive.make_dive(4)
+    lie(measured)
     estimator = estimate(measured)
     trajectory = estimator.smoothed()
     assert estimator.info["restarts"] >= 1
@@ -100,6 +105,21 @@ def test_it_starts_anew_after_the_inertial_unit_has_lied():
     # Where it is after that is a guess, how it moves from then on is not.
     late = trajectory.stamps_ns > dive.START_NS + 15_000_000_000
     assert position_error(measured.truth, trajectory.select(late)) < 0.05
+
+
+@pytest.mark.parametrize("stretch", [10, 14])  # shorter and longer than the window that begins with it
+def test_a_new_start_may_take_longer_than_the_stretch_that_is_searched(stretch):
+    measured = dive.make_dive(4, duration_s=24.0, blind=(8.8, 14.0))
+    lie(measured)
+    estimator = estimate(measured, Settings(init_max_keyframes=stretch))
+    assert estimator.info["restarts"] >= 1
+    assert estimator.info["initialised"] == 1
+    for trajectory in (estimator.online(), estimator.smoothed()):
+        assert len(trajectory) == len(measured.stamps_ns)
+        assert np.isfinite(trajectory.covariances).all()
+        late = trajectory.stamps_ns > dive.START_NS + 20_000_000_000
+        assert position_error(measured.truth, trajectory.select(late)) < 0.05
+    assert estimator.info["init_s"] > 14.0
 
 
 def test_two_runs_give_the_same_bytes():
