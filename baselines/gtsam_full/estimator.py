@@ -247,7 +247,8 @@ class AidedEstimator(Estimator):
         solver begins."""
         assert self._first_field is not None
         field, _ = self._fields.get(k, (self._first_field[0], 0.0))
-        return state.nav.attitude().matrix() @ self.aiding.T_imu_compass[:3, :3] @ field
+        to_compass = self.aiding.T_imu_compass[:3, :3].T @ state.nav.attitude().matrix().T
+        return to_compass.T @ field
 
     def _states_back(self, stretch: list) -> list[State]:
         """States of the key frames: the filter's at the last, and back from there along the inertial measurements."""

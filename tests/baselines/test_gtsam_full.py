@@ -19,6 +19,7 @@ from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_full import GtsamFull, Settings
 from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
+from oysterbench_baselines.gtsam_full.factors import COMPASS_KEY, DEPTH_KEY, FIELD_UNIT
 from oysterbench_baselines.gtsam_full.settings import BesideDvl
 from oysterbench_baselines.gtsam_vi.frontend import undistort
 from oysterbench_baselines.gtsam_vi.settings import Settings as VisualInertialSettings
@@ -151,6 +152,21 @@ def test_a_rig_with_depth_and_no_dvl_starts_from_pictures_and_keeps_its_height()
     assert len(trajectory) == 200
     height = trajectory.positions[100:, 2] - sequence.truth().at(trajectory.stamps_ns).positions[100:, 2]
     assert np.ptp(height) < 0.05
+
+
+def test_without_a_dvl_the_window_has_the_compass_that_the_filter_has():
+    sequence = dive.SensorDive(0, dive.rig("pressure", "magnetometer"), dive.survey_path(20.0, resting=False))
+    estimator = estimate(sequence, tracks(sequence, 0, (np.inf, np.inf)))
+    assert {COMPASS_KEY, DEPTH_KEY} <= set(estimator.model.shared())
+    assert "restarts" not in estimator.info
+    _, joint = estimator._window.joint([COMPASS_KEY])
+    # What is fixed in odom is known better than before it was looked at from several headings.
+    prior = estimator.settings.aiding.field_sigma / FIELD_UNIT
+    assert (np.sqrt(np.diag(joint)[:2]) < 0.5 * prior).all()
+    trajectory = estimator.smoothed()
+    truth = sequence.truth().at(trajectory.stamps_ns)
+    aligned = align_yaw(truth.positions, trajectory.positions).apply(trajectory.positions)
+    assert np.linalg.norm(aligned - truth.positions, axis=1).max() < 0.005 * truth.path_length
 
 
 def test_it_finds_back_to_the_true_motion_after_the_inertial_unit_has_lied():
