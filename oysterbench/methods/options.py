@@ -126,11 +126,11 @@ def _instead(key: str, known: list[str], parameters: Iterable[str], settings: An
     # A nested option is also looked for by its own name: level_s for start.level_s.
     by_name = {name.rpartition(".")[2]: name for name in known} | {name: name for name in known}
     alike = dict.fromkeys(by_name[name] for name in difflib.get_close_matches(key, by_name, n=4, cutoff=0.6))
-    places = list(parameters)
+    all_of_them = ", ".join(parameters)
     if settings is not None:
-        places.append(f"the fields of {type(settings).__module__}.{type(settings).__qualname__}")
+        all_of_them += f" and the fields of {type(settings).__module__}.{type(settings).__qualname__}"
     meant = f"did you mean {' or '.join(alike)}? Its" if alike else "its"
-    return f"{meant} {len(known)} options are {' and '.join(places)}"
+    return f"{meant} {len(known)} options are {all_of_them.removeprefix(' and ')}"
 
 
 def fields_of(settings: Any, prefix: str = "") -> dict[str, Any]:

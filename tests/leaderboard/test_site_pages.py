@@ -7,7 +7,7 @@ import io
 import re
 
 import pytest
-from records_made import NASTY, record_made, records_made
+from records_made import NASTY, records_made
 from site_made import LITERATURE, Reading, make_site
 
 from oysterbench.comparison import boards
@@ -30,7 +30,6 @@ from oysterbench_leaderboard.site.paths import slug
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.site.twins import csv_text, tex_text
 from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.tables import board_table
 
 
 @pytest.fixture(scope="module")
@@ -388,20 +387,6 @@ def test_a_name_has_one_slug_that_is_safe_in_addresses_and_files():
     assert len(set(slugs)) == len(names)
     assert all(re.fullmatch(r"[a-z0-9][a-z0-9_+~-]{0,79}", one) for one in slugs)
     assert slug("gtsam_vi") == "gtsam_vi"
-
-
-@pytest.mark.parametrize(
-    ("split", "told"),
-    [("slam-train", "slam-val."), ("seg-closeup", "seg-val."), ("slam-val", ""), ("slam-mini", ""), ("my-train", "")],
-)
-def test_a_board_of_pictures_to_learn_on_says_so(split, told, tmp_path):
-    store = RecordStore(tmp_path / "board")
-    store.add(record_made(split=split, track="segmentation" if split.startswith("seg") else "slam"))
-    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
-    (info,) = site.index.boards()
-    said = [note for note in board_page(site, info.track, split).tables[0].notes if "to learn on" in note]
-    assert said == [note for note in board_table(site.index.page(info.id, Query())).notes if "to learn on" in note]
-    assert [note.split()[-1] for note in said] == ([told] if told else [])
 
 
 def test_an_empty_board_has_pages_too(tmp_path):

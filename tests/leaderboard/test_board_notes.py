@@ -1,0 +1,27 @@
+"""What is said below a board, in the terminal and on the site."""
+
+from __future__ import annotations
+
+import pytest
+from records_made import record_made
+
+from oysterbench_leaderboard.board import Query
+from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.site.pages.board import board_page
+from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.tables import board_table
+
+
+@pytest.mark.parametrize(
+    ("split", "told"),
+    [("slam-train", "slam-val."), ("seg-closeup", "seg-val."), ("slam-val", ""), ("slam-mini", ""), ("my-train", "")],
+)
+def test_a_board_of_pictures_to_learn_on_says_so(split, told, tmp_path):
+    store = RecordStore(tmp_path / "board")
+    store.add(record_made(split=split, track="segmentation" if split.startswith("seg") else "slam"))
+    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
+    (info,) = site.index.boards()
+    said = [note for note in board_page(site, info.track, split).tables[0].notes if "to learn on" in note]
+    assert said == [note for note in board_table(site.index.page(info.id, Query())).notes if "to learn on" in note]
+    assert [note.split()[-1] for note in said] == ([told] if told else [])
