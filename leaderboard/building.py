@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from oysterbench.comparison import PRIMARY
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.metrics import FAILED
+from oysterbench.results.comparison import PRIMARY
 from oysterbench_leaderboard.board import State
 from oysterbench_leaderboard.intake import COLUMNS, Kept, keep
 from oysterbench_leaderboard.ranking import Intervals, Map, standings

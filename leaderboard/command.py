@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from oysterbench.cli_outputs import TEXTS
-from oysterbench.errors import ResultError
+from oysterbench.cli.outputs import TEXTS
+from oysterbench.core.errors import ResultError
 
 TERMINAL, KEEPING = "oysterbench_leaderboard.terminal", "oysterbench_leaderboard.keeping"
 SERVER, ADMIN = "oysterbench_leaderboard.site.command", "oysterbench_leaderboard.submissions.command_admin"

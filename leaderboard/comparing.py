@@ -6,8 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
-from oysterbench.errors import ResultError
-from oysterbench.results import ResultRecord
+from oysterbench.core.errors import ResultError
+from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.board import Query, Row
 from oysterbench_leaderboard.index import LEAST_DIGITS, SqlIndex
 from oysterbench_leaderboard.options import Place

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from oysterbench.evaluate.slam import SlamResult
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.evaluate.slam.scoring import SlamResult
 
 FORMAT = "oysterbench-curves/1"
 

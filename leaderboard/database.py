@@ -16,8 +16,8 @@ from sqlalchemy import Connection, Engine, create_engine, delete, event, func, s
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
-from oysterbench.errors import ResultError
-from oysterbench.files import locked
+from oysterbench.core.errors import ResultError
+from oysterbench.core.files import locked
 from oysterbench_leaderboard.filling import meta, schema
 from oysterbench_leaderboard.schema import METADATA
 

@@ -12,7 +12,7 @@ import orjson
 from sqlalchemy import Connection, delete, insert, select
 from sqlalchemy.orm import aliased
 
-from oysterbench.comparison import PRIMARY
+from oysterbench.results.comparison import PRIMARY
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.building import Before, board_rows, by_board, evaluator_order, read
 from oysterbench_leaderboard.intake import COLUMNS, Kept

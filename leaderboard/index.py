@@ -15,8 +15,8 @@ from typing import Any, Protocol
 
 from sqlalchemy import Connection, Select, func, select
 
-from oysterbench.errors import ResultError
-from oysterbench.files import home
+from oysterbench.core.errors import ResultError
+from oysterbench.core.files import home
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row
 from oysterbench_leaderboard.building import Progress, processes, read
 from oysterbench_leaderboard.database import Database

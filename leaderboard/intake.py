@@ -15,13 +15,13 @@ from typing import Any
 
 import orjson
 
-from oysterbench.comparison import PRIMARY
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
-from oysterbench.results import FORMAT as RESULT_FORMAT
-from oysterbench.results import ResultRecord
+from oysterbench.results.comparison import PRIMARY
+from oysterbench.results.records import FORMAT as RESULT_FORMAT
+from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.ranking import MISSED, Answers
 from oysterbench_leaderboard.record import FORMAT, TIERS, Record
 

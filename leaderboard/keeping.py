@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import find_place
 from oysterbench_leaderboard.terminal import AS_JSON
 
@@ -62,7 +62,7 @@ def add_command(
     Paths that lie beside the results are drawn on the record's page, unless the split is hidden. The current record of
     the same method, team and board is superseded, and stays. The same results are kept once.
     """
-    from oysterbench.results import dump
+    from oysterbench.results.records import dump
     from oysterbench_leaderboard.publishing import Entry, keep_estimates, publish, records_of
 
     place = find_place(context)
@@ -159,7 +159,7 @@ def rebuild_command(context: click.Context, as_json: bool) -> None:
       oysterbench leaderboard rebuild
       oysterbench leaderboard --board /srv/board --index postgresql+psycopg://board@db/board rebuild
     """
-    from oysterbench.results import dump
+    from oysterbench.results.records import dump
     from oysterbench_leaderboard.index import SqlIndex, default_url
 
     place = find_place(context)
@@ -197,7 +197,7 @@ def verify_command(context: click.Context, as_json: bool) -> None:
 
     Exits with 3 where a file is damaged.
     """
-    from oysterbench.results import dump
+    from oysterbench.results.records import dump
     from oysterbench_leaderboard.verifying import verify
 
     found = verify(find_place(context).store())
@@ -253,7 +253,7 @@ def rescore_command(
     """
     from dataclasses import replace
 
-    from oysterbench.results import dump
+    from oysterbench.results.records import dump
     from oysterbench_leaderboard.rescoring import evaluator_of, is_outdated, score_again
 
     if truth is not None and split is None:
@@ -310,8 +310,8 @@ def _current(index: SqlIndex, board: str) -> list[Row]:
 
 def _change(index: SqlIndex, before: Row, made: Any, dry_run: bool) -> dict[str, Any]:
     """Score and rank before and after; where nothing was kept there is no rank after."""
-    from oysterbench.comparison import PRIMARY
-    from oysterbench.results import aggregate
+    from oysterbench.results.comparison import PRIMARY
+    from oysterbench.results.records import aggregate
 
     if dry_run:
         score = aggregate(made.results)[0]["metrics"].get(PRIMARY[made.track])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import tomllib
 from importlib import resources
 
-from oysterbench.comparison import PRIMARY
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
+from oysterbench.results.comparison import PRIMARY
 from oysterbench_leaderboard.board import Literature
 
 REPORTED = "Reported by others, on other data: not to be set against the boards, nor against each other across data."

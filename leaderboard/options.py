@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 
 if TYPE_CHECKING:
     from oysterbench_leaderboard.index import SqlIndex

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from oysterbench.comparison import PRIMARY
-from oysterbench.errors import OysterbenchError, RecipeError, ResultError, TrajectoryError
+from oysterbench.core.errors import OysterbenchError, RecipeError, ResultError, TrajectoryError
+from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.metrics import FAILED
-from oysterbench.files import write_atomically
 from oysterbench.hub.canonical import sha256
-from oysterbench.results import ResultRecord, aggregate, comparable_key, method_key, read_results
+from oysterbench.results.comparison import PRIMARY
+from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key, read_results
 from oysterbench_leaderboard.curves import curves_document, sequence_curve
 from oysterbench_leaderboard.record import Record, Tier
 from oysterbench_leaderboard.store import RecordStore
@@ -152,8 +152,8 @@ def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -
 
 def _recipe(split: str, result: ResultRecord, say: Say) -> Any:
     """The split's recipe as it is here; None where the results are of another, or it is not known."""
-    from oysterbench.generate import digest
     from oysterbench.recipe import load_split
+    from oysterbench.simulation.generate import digest
 
     try:
         recipe = load_split(split)
@@ -243,8 +243,8 @@ def _curves(folder: Path, method: str, group: Sequence[ResultRecord], say: Say) 
 
 
 def _curve(truth: Path, estimate: Path, result: ResultRecord) -> dict[str, Any]:
-    from oysterbench.evaluate.slam import score
-    from oysterbench.trajectory import read_trajectory
+    from oysterbench.core.trajectory import read_trajectory
+    from oysterbench.evaluate.slam.scoring import score
 
     found = score(read_trajectory(truth), read_trajectory(estimate), slam_settings(result.settings))
     for key in FAILED["slam"]:
@@ -258,7 +258,7 @@ def _curve(truth: Path, estimate: Path, result: ResultRecord) -> dict[str, Any]:
 
 def slam_settings(values: Mapping[str, Any]) -> Any:
     """The evaluator's settings from a result's."""
-    from oysterbench.evaluate.slam import SlamSettings
+    from oysterbench.evaluate.slam.scoring import SlamSettings
 
     given: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
     try:

@@ -19,10 +19,10 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import norm, t
 
-from oysterbench.comparison import PRIMARY
+from oysterbench.core.geometry import Array
 from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.evaluate.statistics import LEVEL, TIE, compare, resample_counts, summarise
-from oysterbench.geometry import Array
+from oysterbench.results.comparison import PRIMARY
 
 MISSED = {"union_px": "truth_px"}
 """Key of a metric's weight -> key of the same weight where nothing was answered: the union of an empty mask with the

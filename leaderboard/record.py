@@ -9,9 +9,9 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench.hub.canonical import SHA256, canonical, sha256
-from oysterbench.results import ResultRecord, comparable_key, now, plain
+from oysterbench.results.records import ResultRecord, comparable_key, now, plain
 
 FORMAT = "oysterbench-record/1"
 

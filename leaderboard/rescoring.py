@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from oysterbench.errors import OysterbenchError, ResultError, TrajectoryError
+from oysterbench.core.errors import OysterbenchError, ResultError, TrajectoryError
+from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.hub.canonical import sha256
-from oysterbench.results import ResultRecord, now
-from oysterbench.trajectory import Trajectory, read_trajectory
+from oysterbench.results.records import ResultRecord, now
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.curves import curves_document, sequence_curve
 from oysterbench_leaderboard.record import Record
@@ -134,9 +134,9 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None,
 
 def _truths(record: Record, folder: Path | None, recipe: str) -> dict[str, Trajectory]:
     """Sequence -> true path, of the split as it is here."""
-    from oysterbench.generate import digest, sequence_files, split_folder
     from oysterbench.recipe import load_split
     from oysterbench.sequence import open_sequence
+    from oysterbench.simulation.generate import digest, sequence_files, split_folder
 
     split = load_split(recipe)
     _check_recipe(record, digest(split))
@@ -157,7 +157,7 @@ def _check_recipe(record: Record, here: str) -> None:
 
 def _score_paths(record: Record, files: Mapping[str, Path], truths: Mapping[str, Trajectory]) -> Made:
     """Kept paths, one file per run; a run without one stays the failure that it was, and costs stay as measured."""
-    from oysterbench.evaluate.slam import SlamSettings, score
+    from oysterbench.evaluate.slam.scoring import SlamSettings, score
 
     if record.track != "slam":
         raise ResultError(f"expected paths, got answers of the track {record.track}; run the method again")

@@ -9,10 +9,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 
-from oysterbench.errors import OysterbenchError, ResultError
-from oysterbench.files import write_atomically
+from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.files import write_atomically
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
-from oysterbench.results import now
+from oysterbench.results.records import now
 from oysterbench_leaderboard.record import Record
 
 NOTICE = "oysterbench-notice/1"

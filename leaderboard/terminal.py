@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from oysterbench.cli_outputs import print_rich
-from oysterbench.errors import ResultError
+from oysterbench.cli.outputs import print_rich
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import Place, find_place
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def show_boards(
 ) -> None:
     """Print boards, or write them: what `oysterbench leaderboard` does without a command."""
     from oysterbench.report import latex_table, markdown_table, terminal_table
-    from oysterbench.results import dump
+    from oysterbench.results.records import dump
     from oysterbench_leaderboard.board import Query
     from oysterbench_leaderboard.latex import needs
     from oysterbench_leaderboard.tables import board_table, boards_csv, page_plain
@@ -89,7 +89,7 @@ def _chosen(index: SqlIndex, track: str | None, split: str | None, board: str | 
 
 
 def _write(path: Path, text: str) -> None:
-    from oysterbench.files import write_atomically
+    from oysterbench.core.files import write_atomically
 
     if path == Path("-"):
         click.echo(text, nl=False)
@@ -117,7 +117,7 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
     """
     from oysterbench.report import terminal_table
     from oysterbench.report.columns import OF_TRACK
-    from oysterbench.results import dump
+    from oysterbench.results.records import dump
     from oysterbench_leaderboard.tables import record_table
 
     place = find_place(context)
@@ -181,7 +181,7 @@ def history_command(context: click.Context, method: str, team: str | None, as_js
       oysterbench leaderboard history gtsam_vi --team "reef lab" --json
     """
     from oysterbench.report import terminal_table
-    from oysterbench.results import dump
+    from oysterbench.results.records import dump
     from oysterbench_leaderboard.tables import history_table
 
     index = find_place(context).index()
@@ -207,7 +207,7 @@ def literature_command(track: str | None, as_json: bool) -> None:
       oysterbench leaderboard literature --track slam --json
     """
     from oysterbench.report import terminal_table
-    from oysterbench.results import dump
+    from oysterbench.results.records import dump
     from oysterbench_leaderboard.literature import REPORTED, literature
     from oysterbench_leaderboard.tables import literature_tables
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from oysterbench.errors import OysterbenchError, ResultError
+from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench_leaderboard.curves import FORMAT as CURVES
 from oysterbench_leaderboard.store import KINDS, RecordStore
 

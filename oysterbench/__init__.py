@@ -24,7 +24,7 @@ def open(path: str | os.PathLike[str]) -> Sequence:
 
     Raises
     ------
-    oysterbench.errors.SequenceError
+    oysterbench.core.errors.SequenceError
         The file is absent, truncated, damaged or not a sequence.
     """
     from oysterbench.sequence import open_sequence  # numpy and OpenCV are loaded only when needed

@@ -2,81 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from pathlib import Path
 
 import pytest
 
-from oysterbench.generate import generate_split
-from oysterbench.recipe import parse_split
+from oysterbench.simulation.generate import generate_split
+from tests.helpers.paths import SHARED_DATA
+from tests.helpers.tiny import make_split
 
 # Where the tests run in the background, SIGINT comes ignored, and programs that they start and interrupt inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-
-TINY_RIG = """
-name = "tiny"
-summary = "a small camera and an inertial unit"
-truth_rate_hz = 50.0
-
-[imu]
-rate_hz = 100.0
-gyro_noise_density = 1e-4
-gyro_random_walk = 1e-5
-gyro_turn_on = 1e-3
-accel_noise_density = 1e-3
-accel_random_walk = 1e-4
-accel_turn_on = 1e-2
-
-[[camera]]
-name = "cam_front"
-width = 64
-height = 48
-hfov_deg = 69.0
-rate_hz = 10.0
-layer_rate_hz = 2.0
-position_m = [0.18, 0.0, 0.0]
-pitch_deg = 30.0
-"""
-
-TINY_SPLIT = """
-name = "tiny"
-version = "1.0"
-track = "slam"
-seed = 5
-rig = "tiny"
-summary = "a very small reef"
-
-[[sequence]]
-name = "tiny-01"
-duration_s = 2.5
-
-[sequence.reef]
-size_m = 5.0
-depth_m = 3.0
-relief_rms_m = 0.05
-oysters = 60
-stones = 5
-
-[sequence.water]
-jerlov = "1C"
-
-[sequence.light]
-sun_elevation_deg = 50.0
-sun_azimuth_deg = 200.0
-
-[sequence.path]
-kind = "loop"
-radius_m = 1.0
-speed_m_s = 0.3
-ramp_s = 1.0
-altitude_m = 0.9
-"""
-
-
-def make_split(text: str = TINY_SPLIT):
-    """A split from the text of its recipe, on the tiny rig."""
-    return parse_split(text, "tiny.toml", rig_source=TINY_RIG)
 
 
 @pytest.fixture(scope="session")
@@ -100,7 +36,7 @@ def home(tmp_path, monkeypatch) -> Path:
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of data that is not part of the project; tests that need it skip where it is absent."""
-    folder = Path(os.environ.get("OYSTERBENCH_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    folder = SHARED_DATA
     if not folder.is_dir():
         pytest.skip(f"shared data is absent: {folder} (set OYSTERBENCH_SHARED_DATA)")
     return folder
@@ -109,6 +45,6 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def dive_file(tmp_path_factory) -> Path:
     """A hand-made dive with every kind of sensor."""
-    from hand_made_dive import write_dive
+    from tests.helpers.hand_made_dive import write_dive
 
     return write_dive(tmp_path_factory.mktemp("dive") / "hand-made.mcap")

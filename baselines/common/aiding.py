@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from oysterbench.geometry import Array, invert
-from oysterbench.samples import DvlSample, MagneticSample, PressureSample
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.measurements import DvlSample, MagneticSample, PressureSample
 from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.common.filter import (
     ATTITUDE,

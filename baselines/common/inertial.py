@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench.sequence.types import ImuSample
 
 

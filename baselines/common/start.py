@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import MethodError
-from oysterbench.geometry import Array, invert
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.types import ImuCalibration
 from oysterbench_baselines.common.filter import (
     ACCEL_BIAS,

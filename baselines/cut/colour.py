@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import LabelError
-from oysterbench.labelled import LabelledImage, LabelledSet
-from oysterbench.streams import Streams
+from oysterbench.annotations import LabelledImage, LabelledSet
+from oysterbench.core.errors import LabelError
+from oysterbench.core.streams import Streams
 from oysterbench_baselines.cut.pictures import Picture
 
 LEAST_SPREAD = 0.5

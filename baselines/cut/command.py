@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from oysterbench.labelled import LabelledImage, LabelledSet
+    from oysterbench.annotations import LabelledImage, LabelledSet
 
 SAMPLES = 4
 """Rows of a sample sheet."""
@@ -62,9 +62,9 @@ def train_command(
     Leaves checkpoint.pt, losses.csv, losses.png and samples/, sheets of some twenty stages. May be
     interrupted, even killed: the same command goes on from the last checkpoint, to the same weights.
     """
-    from oysterbench.cli_labelled import open_data
-    from oysterbench.cli_render import frames_bar
-    from oysterbench.gallery import write_picture
+    from oysterbench.cli.labelled import open_data
+    from oysterbench.cli.render import frames_bar
+    from oysterbench.simulation.gallery import write_picture
     from oysterbench_baselines.cut.settings import settings_of
     from oysterbench_baselines.cut.sheets import sample_sheet, write_curves
     from oysterbench_baselines.cut.training import Trainer, curves, train
@@ -134,7 +134,7 @@ def _recolour(name: str) -> click.Command:
     def command(
         sources: tuple[str, ...], target: str, side: str | None, clips: tuple[str, ...], seed: int, out: Path
     ) -> None:
-        from oysterbench.cli_labelled import open_data
+        from oysterbench.cli.labelled import open_data
         from oysterbench_baselines.cut.colour import TRANSFERS, recoloured
 
         models = targets(open_data(target), side, clips)
@@ -156,8 +156,8 @@ reinhard_command = _recolour("reinhard")
 
 def opened(names: tuple[str, ...]) -> LabelledSet:
     """The labelled images of all these splits or paths, as one set."""
-    from oysterbench.cli_labelled import open_data
-    from oysterbench.labelled import joined
+    from oysterbench.annotations import joined
+    from oysterbench.cli.labelled import open_data
 
     sets = [open_data(name) for name in names]
     return sets[0] if len(sets) == 1 else joined(sets, "+".join(one.name for one in sets))
@@ -168,7 +168,7 @@ def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> 
 
     Raises LabelError for a side or a clip that is not there.
     """
-    from oysterbench.errors import LabelError
+    from oysterbench.core.errors import LabelError
 
     if side is None and "train" in labelled.splits:
         side = "train"
@@ -183,8 +183,8 @@ def _write(source: LabelledSet, change: Callable[[LabelledSet], Iterator[Labelle
     """Write what `change` makes of the images as a folder of masks, and say how far masks have drifted."""
     import numpy as np
 
-    from oysterbench.cli_render import frames_bar
-    from oysterbench.labelled import write_folder
+    from oysterbench.annotations import write_folder
+    from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.cut.drift import Drift, mask_drift
 
     drifts: list[Drift] = []

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from oysterbench.errors import LabelError
-from oysterbench.labelled import LabelledSet
+from oysterbench.annotations import LabelledSet
+from oysterbench.core.errors import LabelError
 
 LEAST_PICTURES = 20
 """Of source and target: with fewer, the discriminator knows them by heart."""

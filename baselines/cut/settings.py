@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
 
 NAMED_LAYERS = ("pixels", "conv1", "conv2")
 """Layers of the encoder before its residual blocks, which are block1, block2, ..."""

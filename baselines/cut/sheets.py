@@ -10,10 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from oysterbench.files import write_atomically
-from oysterbench.gallery import sheet, write_picture
-from oysterbench.labelled import LabelledImage
-from oysterbench.plots import nice_ticks
+from oysterbench.annotations import LabelledImage
+from oysterbench.core.files import write_atomically
+from oysterbench.report.plots import nice_ticks
+from oysterbench.simulation.gallery import sheet, write_picture
 from oysterbench_baselines.cut.colour import lab
 from oysterbench_baselines.cut.pictures import Picture
 from oysterbench_baselines.cut.training import TERMS, curves

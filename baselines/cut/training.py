@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from oysterbench.errors import MethodError
-from oysterbench.labelled import LabelledSet
-from oysterbench.streams import Streams
+from oysterbench.annotations import LabelledSet
+from oysterbench.core.errors import MethodError
+from oysterbench.core.streams import Streams
 from oysterbench_baselines.cut.losses import looks, patch_nce
 from oysterbench_baselines.cut.networks import Discriminator, Generator, Projections
 from oysterbench_baselines.cut.pictures import Picture, draw_crop, read_pictures

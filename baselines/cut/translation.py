@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from oysterbench.errors import MethodError
-from oysterbench.labelled import LabelledImage
+from oysterbench.annotations import LabelledImage
+from oysterbench.core.errors import MethodError
 from oysterbench_baselines.cut.networks import Generator
 from oysterbench_baselines.cut.pictures import Picture, as_picture, as_tensor, shrunk
 from oysterbench_baselines.cut.settings import CutSettings

@@ -9,11 +9,11 @@ from itertools import chain
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import MethodError
-from oysterbench.geometry import Array, invert
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import ImuSample, Sequence
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.aiding import Aiding, AidingSettings, sensors_of
 from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.common.inertial import SampleBuffer

@@ -17,8 +17,8 @@ from gtsam.symbol_shorthand import L, X
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from oysterbench.geometry import Array
-from oysterbench.samples import DvlSample, RangeSample
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import DvlSample, RangeSample
 from oysterbench.sequence.types import AltimeterCalibration
 from oysterbench_baselines.common.filter import cross, rotation_exp
 from oysterbench_baselines.gtsam_full.settings import EchoSettings

@@ -11,8 +11,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, invert
-from oysterbench.samples import DvlSample, MagneticSample, PressureSample, RangeSample
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.measurements import DvlSample, MagneticSample, PressureSample, RangeSample
 from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.common.aiding import Aiding
 from oysterbench_baselines.common.filter import (

@@ -12,8 +12,8 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
-from oysterbench.geometry import Array
-from oysterbench.samples import DvlSample
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import DvlSample
 from oysterbench_baselines.common.aiding import dvl_rows
 from oysterbench_baselines.common.filter import cross
 from oysterbench_baselines.common.inertial import Segment

@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
+from oysterbench.core.measurements import Image, ImuSample
 from oysterbench.methods import Estimate
-from oysterbench.samples import Image, ImuSample
 from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_full.estimator import AidedEstimator

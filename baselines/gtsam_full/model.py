@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.gtsam_full.echoes import ECHO_KEY, Echo, echo_factor, find_ground
 from oysterbench_baselines.gtsam_full.factors import COMPASS_KEY, DEPTH_KEY, DVL_KEY, FIELD_UNIT

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
 from oysterbench_baselines.common.filter import (
     ACCEL_BIAS,
     ATTITUDE,

@@ -11,10 +11,10 @@ from gtsam.symbol_shorthand import B, V, X
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import LandmarkMap
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.filter import CORE, VELOCITY, InertialNoise, InvariantFilter
 from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.covariance import (

@@ -10,7 +10,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.frontend import homogeneous

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench.sequence.types import ImuCalibration
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.settings import Settings

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.frontend import homogeneous
 from oysterbench_baselines.gtsam_vi.inertial import Integral, integrate

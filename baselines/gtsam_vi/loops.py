@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.types import CameraCalibration
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.merging import Loop, join

@@ -10,9 +10,9 @@ from gtsam.symbol_shorthand import L, X
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import invert
+from oysterbench.core.geometry import invert
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import LandmarkMap
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.gtsam_vi.frontend import Tracks
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe

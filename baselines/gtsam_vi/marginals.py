@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench_baselines.gtsam_vi.graph import nested_dissection
 
 

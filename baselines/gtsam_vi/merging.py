@@ -15,7 +15,7 @@ from gtsam.symbol_shorthand import X
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.places import Place, level_pose
 from oysterbench_baselines.gtsam_vi.settings import Settings

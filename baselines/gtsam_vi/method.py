@@ -6,10 +6,10 @@ import dataclasses
 from functools import partial
 from typing import Literal
 
-from oysterbench.errors import MethodError
-from oysterbench.geometry import Array
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import Image
 from oysterbench.methods import Estimate
-from oysterbench.samples import Image
 from oysterbench.sequence.types import ImuSample, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.estimator import Estimator

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench_baselines.gtsam_vi.frontend import homogeneous
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.initialisation import View

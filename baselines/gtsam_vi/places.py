@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from oysterbench.geometry import Array, invert, transform
+from oysterbench.core.geometry import Array, invert, transform
+from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
-from oysterbench.streams import stream
 from oysterbench_baselines.gtsam_vi.frontend import distort, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.settings import Settings

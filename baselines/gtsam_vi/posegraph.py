@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
 from oysterbench_baselines.gtsam_vi.places import heading_of
 from oysterbench_baselines.gtsam_vi.settings import Settings
 

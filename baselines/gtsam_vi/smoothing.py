@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model, adjust
 from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, forward, read_state

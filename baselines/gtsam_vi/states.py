@@ -9,7 +9,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array, transform
+from oysterbench.core.geometry import Array, transform
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.inertial import integrate, preintegrate
 from oysterbench_baselines.gtsam_vi.initialisation import Start, View

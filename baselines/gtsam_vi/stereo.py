@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, invert
-from oysterbench.samples import Image
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.measurements import Image
 from oysterbench.sequence.types import CameraCalibration, ImuSample, Sequence
 from oysterbench_baselines.gtsam_vi.frontend import Tracks, distort, follow, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.settings import Settings

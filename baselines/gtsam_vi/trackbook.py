@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.frontend import homogeneous
 from oysterbench_baselines.gtsam_vi.settings import Settings

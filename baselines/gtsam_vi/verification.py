@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
-from oysterbench.streams import stream
 from oysterbench_baselines.gtsam_vi.frontend import follow, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.places import GRID, Place, heading_of, heading_pose, project, upsample, warp
 from oysterbench_baselines.gtsam_vi.settings import Settings

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench_baselines.gtsam_vi.covariance import joint_covariance
 from oysterbench_baselines.gtsam_vi.fixed_lag import FixedLagSmoother
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model

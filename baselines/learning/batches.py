@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from oysterbench.errors import LabelError
-from oysterbench.streams import Streams
+from oysterbench.core.errors import LabelError
+from oysterbench.core.streams import Streams
 from oysterbench_baselines.learning.augment import Augmentation, augmented
 from oysterbench_baselines.learning.samples import LabelledDataset, as_tensors
 

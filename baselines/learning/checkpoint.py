@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from oysterbench.errors import MethodError
-from oysterbench.files import write_atomically
+from oysterbench.core.errors import MethodError
+from oysterbench.core.files import write_atomically
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-checkpoint/1"

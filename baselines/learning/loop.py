@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint, versions
 
 KEEP_S = 30.0

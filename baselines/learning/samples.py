@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset
 
-from oysterbench.labelled import LabelledImage, LabelledSet
+from oysterbench.annotations import LabelledImage, LabelledSet
 
 CORE = 0.4
 """Of an oyster's greatest distance from its border: what lies deeper is its core, by which touching oysters are told

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from oysterbench.labelled import LabelledSet
+    from oysterbench.annotations import LabelledSet
 
 
 @click.command("sim2real", short_help="What rendered images are worth on real ones.")
@@ -63,10 +63,10 @@ def command(
     goes on from there; started twice, both share the work. Training images that nearly are test images are named, and
     left out.
     """
-    from oysterbench.cli_labelled import open_data
-    from oysterbench.cli_render import frames_bar
-    from oysterbench.files import home
-    from oysterbench.labelled import joined
+    from oysterbench.annotations import joined
+    from oysterbench.cli.labelled import open_data
+    from oysterbench.cli.render import frames_bar
+    from oysterbench.core.files import home
     from oysterbench_baselines.sim2real.experiment import run
     from oysterbench_baselines.sim2real.settings import SCHEDULES, Settings
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from oysterbench.errors import LabelError
-from oysterbench.labelled import Duplicate, LabelledSet, near_duplicates
-from oysterbench.streams import stream
+from oysterbench.annotations import Duplicate, LabelledSet, near_duplicates
+from oysterbench.core.errors import LabelError
+from oysterbench.core.streams import stream
 from oysterbench_baselines.sim2real.settings import ALL
 
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from oysterbench.files import write_atomically
-from oysterbench.labelled import LabelledSet
-from oysterbench.results import ResultRecord, write_results
+from oysterbench.annotations import LabelledSet
+from oysterbench.core.files import write_atomically
+from oysterbench.results.records import ResultRecord, write_results
 from oysterbench_baselines.sim2real.data import Real, real_data
 from oysterbench_baselines.sim2real.locking import alone
 from oysterbench_baselines.sim2real.report import HEADINGS, lines, markdown, report

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from oysterbench.plots import BOTTOM, TOP, Axis, swatch
+from oysterbench.report.plots import BOTTOM, TOP, Axis, swatch
 from oysterbench_baselines.sim2real.settings import REAL
 from oysterbench_baselines.sim2real.table import Row
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
+from oysterbench.core.page import page
 from oysterbench.evaluate.statistics import Interval
-from oysterbench.page import page
 from oysterbench_baselines.sim2real.plot import plot
 from oysterbench_baselines.sim2real.table import Row
 

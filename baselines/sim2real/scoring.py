@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.annotations import LabelledSet
 from oysterbench.evaluate.detection import EVALUATOR as DETECTION_EVALUATOR
 from oysterbench.evaluate.detection import DetectionScorer, ImageInstances
 from oysterbench.evaluate.detection.clip import over_clips
 from oysterbench.evaluate.detection.instances import from_planes
 from oysterbench.evaluate.segmentation import EVALUATOR, ClipScorer, EstimateImage, TruthImage
 from oysterbench.evaluate.segmentation.clip import join
-from oysterbench.labelled import LabelledSet
 
 WHOLE = "all clips"
 """Name of the record of all test images together."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from oysterbench.labelled.duplicates import ALIKE
+from oysterbench.annotations.duplicates import ALIKE
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.loop import FitSettings
 from oysterbench_baselines.unet.network import NetworkSettings

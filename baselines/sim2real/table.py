@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from oysterbench.core.geometry import Array
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
-from oysterbench.geometry import Array
-from oysterbench.results import ResultRecord
+from oysterbench.results.records import ResultRecord
 from oysterbench_baselines.sim2real.scoring import WHOLE
 from oysterbench_baselines.sim2real.settings import REAL
 

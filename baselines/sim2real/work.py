@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from oysterbench.errors import ResultError
-from oysterbench.files import write_atomically
-from oysterbench.labelled import LabelledSet
-from oysterbench.results import ResultRecord, read_results, write_results
-from oysterbench.streams import Streams
+from oysterbench.annotations import LabelledSet
+from oysterbench.core.errors import ResultError
+from oysterbench.core.files import write_atomically
+from oysterbench.core.streams import Streams
+from oysterbench.results.records import ResultRecord, read_results, write_results
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
 from oysterbench_baselines.learning.checkpoint import Checkpoint
 from oysterbench_baselines.learning.loop import fit, pick_device

@@ -46,7 +46,7 @@ def command(
     """
     import shutil
 
-    from oysterbench.cli_render import frames_bar
+    from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.steering.dagger import Rounds, learn_rounds, reef_of
     from oysterbench_baselines.steering.lessons import files_of, read_all
     from oysterbench_baselines.steering.method import default_checkpoint

@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from oysterbench.errors import LabelError, MethodError
-from oysterbench.files import write_atomically
+from oysterbench.core.errors import LabelError, MethodError
+from oysterbench.core.files import write_atomically
 from oysterbench.recipe import SplitRecipe
-from oysterbench.scheduling import run_here, run_in_processes
 from oysterbench.sequence import open_sequence
+from oysterbench.simulation.scheduling import run_here, run_in_processes
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
 from oysterbench_baselines.steering.lessons import Lessons, joined, recipe_of, senses_of, small
 from oysterbench_baselines.steering.memory import Memory
@@ -159,7 +159,7 @@ def dive(
     reef: Reef, checkpoint: Path, network: NetworkSettings, plan: Rounds, number: int, made_by: Mapping[str, str]
 ) -> bytes:
     """A dive of the policy, as a file: small pictures, senses, and what the expert holds the commands to be worth."""
-    from oysterbench.steering import explore
+    from oysterbench.exploration.rollout import explore
     from oysterbench_baselines.steering.method import SteeringNet
 
     task = reef.split.steering
@@ -213,4 +213,4 @@ def digest(checkpoint: Checkpoint) -> str:
 
 def warm_up() -> None:
     """Of a process that dives: what it needs is imported."""
-    import oysterbench.steering  # noqa: F401
+    import oysterbench.exploration  # noqa: F401

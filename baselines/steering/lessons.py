@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oysterbench.errors import LabelError, MethodError, SequenceError
+from oysterbench.core.errors import LabelError, MethodError, SequenceError
 from oysterbench.methods.steering import VehicleState
 from oysterbench.recipe import SplitRecipe, SteeringRecipe, load_split, parse_split, split_names
 from oysterbench.sequence import open_sequence
@@ -161,7 +161,7 @@ def task_of(path: Path) -> SteeringRecipe:
 def files_of(name: str) -> list[Path]:
     """The sequence files of a split, which is rendered where it is not there, of a folder, or the one at a path."""
     if name in split_names() or name.endswith(".toml"):
-        from oysterbench.cli_render import render_files
+        from oysterbench.cli.render import render_files
 
         split = load_split(name)
         if split.steering is None:

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oysterbench.errors import MethodError
-from oysterbench.files import home
+from oysterbench.core.errors import MethodError
+from oysterbench.core.files import home
 from oysterbench.methods.steering import Steering, Views
 from oysterbench_baselines.steering.memory import Memory
 

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
 from oysterbench.methods.steering import VehicleState
 from oysterbench.recipe import SteeringRecipe
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint

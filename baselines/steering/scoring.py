@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oysterbench.evaluate.navigation.labels import regrets, skill, within_one
+from oysterbench.evaluate.steering.labels import regrets, skill, within_one
 from oysterbench_baselines.steering.lessons import Lessons
 from oysterbench_baselines.steering.model import Model
 

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from oysterbench.errors import LabelError
-from oysterbench.streams import Streams
+from oysterbench.core.errors import LabelError
+from oysterbench.core.streams import Streams
 from oysterbench_baselines.learning.batches import initial_seed
 from oysterbench_baselines.learning.checkpoint import Checkpoint
 from oysterbench_baselines.learning.loop import FitSettings, Progress, fit

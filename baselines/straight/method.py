@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from oysterbench.core.streams import stream
 from oysterbench.methods.steering import Steering, Views
-from oysterbench.streams import stream
 
 
 class Straight:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import Sequence, imu_arrays
-from oysterbench.trajectory import Trajectory
 
 
 class Template:

@@ -39,9 +39,9 @@ def command(
     images/ and masks/ (PNG), labels/ (YOLO polygons) or one COCO file. May be interrupted, even killed: the same
     command goes on from the last checkpoint, to the same weights.
     """
-    from oysterbench.cli_labelled import open_data
-    from oysterbench.cli_render import frames_bar
-    from oysterbench.labelled import joined
+    from oysterbench.annotations import joined
+    from oysterbench.cli.labelled import open_data
+    from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.learning.loop import pick_device
     from oysterbench_baselines.unet.method import default_checkpoint
     from oysterbench_baselines.unet.training import Settings, train

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oysterbench.errors import MethodError
-from oysterbench.files import home
+from oysterbench.core.errors import MethodError
+from oysterbench.core.files import home
 from oysterbench.methods.images import Detections, Picture, Segmentation
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
 from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics
 from oysterbench_baselines.unet.network import NetworkSettings, UNetwork

@@ -10,9 +10,9 @@ from typing import Any
 
 import torch
 
-from oysterbench.errors import LabelError
-from oysterbench.labelled import LabelledSet
-from oysterbench.streams import Streams
+from oysterbench.annotations import LabelledSet
+from oysterbench.core.errors import LabelError
+from oysterbench.core.streams import Streams
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
 from oysterbench_baselines.learning.checkpoint import Checkpoint

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import MethodError
-from oysterbench.geometry import Array, invert
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.measurements import Image
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate
-from oysterbench.samples import Image
 from oysterbench.sequence.types import Sequence
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.visual_only.lens import Lens
 from oysterbench_baselines.visual_only.odometry import Frame, MatchRight, Odometry
 from oysterbench_baselines.visual_only.settings import Settings

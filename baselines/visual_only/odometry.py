@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench_baselines.visual_only.settings import Settings
 from oysterbench_baselines.visual_only.views import (
     point_from_views,

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench_baselines.visual_only.settings import Settings
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, invert, transform
+from oysterbench.core.geometry import Array, invert, transform
 
 # OpenCV's random samples come from a generator of its own with a fixed seed: the same input gives the same answer.
 

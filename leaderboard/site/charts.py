@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from oysterbench.geometry import Array
-from oysterbench.plots import Curve, height_plot, map_plot, swatch, time_plot
+from oysterbench.core.geometry import Array
+from oysterbench.report.plots import Curve, height_plot, map_plot, swatch, time_plot
 
 AXES = ("east x [m]", "north y [m]", "height z [m]")
 TIME = "time [s]"

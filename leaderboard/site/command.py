@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import Place, find_place
 
 FOLDER = click.Path(path_type=Path, file_okay=False)

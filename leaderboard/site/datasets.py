@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.manifest import released_manifest
 from oysterbench.recipe import SplitRecipe, load_split, split_names
@@ -96,7 +96,7 @@ def conditions_of(site: Site, data_set: DataSet) -> dict[str, Conditions]:
 @lru_cache(maxsize=64)
 def _of_sequences(split: str) -> dict[str, Conditions]:
     try:
-        from oysterbench.conditions import conditions
+        from oysterbench.simulation.conditions import conditions
 
         recipe = load_split(split)
         return {sequence.name: conditions(recipe, sequence.name) for sequence in recipe.sequence}

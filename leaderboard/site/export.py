@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench.hub.canonical import canonical
 from oysterbench_leaderboard.board import BoardInfo, Query
 from oysterbench_leaderboard.site import render

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.board import Query, Row
 from oysterbench_leaderboard.site.site import Site
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
 
 
 class PageError(OysterbenchError):

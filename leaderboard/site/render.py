@@ -12,7 +12,7 @@ from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, FileSystemLoader, PackageLoader, StrictUndefined
 
-from oysterbench.page import STYLE
+from oysterbench.core.page import STYLE
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.links import Links, ServerLinks

@@ -12,7 +12,7 @@ from typing import Any
 import anyio.to_thread
 from starlette.applications import Starlette
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
 from oysterbench.hub.serve import CLIENTS, LARGEST_HEADERS, LOGGING
 from oysterbench_leaderboard.index import Index
 from oysterbench_leaderboard.literature import literature

@@ -22,7 +22,7 @@ from starlette.routing import BaseRoute
 from starlette.routing import Route as HttpRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
 from oysterbench.hub.canonical import canonical
 from oysterbench.hub.serve import HeaderLimit
 from oysterbench.version import VERSION

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from oysterbench.errors import OysterbenchError, ResultError
+from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench_leaderboard.board import Literature, Row
 from oysterbench_leaderboard.index import Index
 from oysterbench_leaderboard.record import Record

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from oysterbench.comparison import Board, Entry, boards
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import sequence_means
-from oysterbench.results import ResultRecord, samples
+from oysterbench.results.comparison import Board, Entry, boards
+from oysterbench.results.records import ResultRecord, samples
 from oysterbench_leaderboard.ranking import MISSED
 from oysterbench_leaderboard.record import Record
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
 from oysterbench_leaderboard.submissions.archive import (
     Archive,
     Budget,
@@ -25,11 +25,11 @@ from oysterbench_leaderboard.submissions.refusals import Refusal
 
 # A reader of what was sent is started for each submission: what only some kinds need is imported where it is needed.
 if TYPE_CHECKING:
+    from oysterbench.core.trajectory import Trajectory
     from oysterbench.evaluate.detection import ImageInstances
     from oysterbench.evaluate.segmentation import EstimateImage
     from oysterbench.methods.steering import Steering
-    from oysterbench.results import ResultRecord
-    from oysterbench.trajectory import Trajectory
+    from oysterbench.results.records import ResultRecord
 
 POSES = (".tum", ".txt", ".csv", ".npz")
 ANSWERS = (".json", ".npz")
@@ -186,10 +186,10 @@ def _poses(data: bytes, label: str, budget: Budget | None = None) -> Callable[..
         arrays_of(data, label, budget)
 
     def read(**options: Any) -> Trajectory:
-        from oysterbench.evaluate.validate import check_trajectory
-        from oysterbench.trajectory import ReadOptions
-        from oysterbench.trajectory.archive import read_npz
-        from oysterbench.trajectory.text import read_text
+        from oysterbench.core.trajectory import ReadOptions
+        from oysterbench.core.trajectory.archive import read_npz
+        from oysterbench.core.trajectory.text import read_text
+        from oysterbench.evaluate.slam.validate import check_trajectory
 
         with told(label):
             read = read_text if budget is None else read_npz
@@ -246,7 +246,7 @@ def _check_shape(name: str, shape: tuple[int, ...], wanted: Wanted, where: str) 
 
 
 def _png(data: bytes, label: str) -> Any:
-    from oysterbench.answers.masks import read_png
+    from oysterbench.annotations.masks import read_png
 
     if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 33:
         raise Refusal("format", f"{shown(label)}: not a PNG file")
@@ -258,7 +258,7 @@ def _png(data: bytes, label: str) -> Any:
 
 
 def _mask_answer(name: str, read: Callable[[], Any], wanted: Wanted) -> Answer:
-    from oysterbench.answers import MaskFiles
+    from oysterbench.annotations import MaskFiles
 
     def mask() -> EstimateImage:
         with told(name):
@@ -269,8 +269,8 @@ def _mask_answer(name: str, read: Callable[[], Any], wanted: Wanted) -> Answer:
 
     def instances(shape: tuple[int, int]) -> ImageInstances:
         from oysterbench.evaluate.detection import DetectionSettings
-        from oysterbench.imaging import instances_of
         from oysterbench.methods.images import Segmentation
+        from oysterbench.tracks.image_predictions import instances_of
 
         found = mask()
         answer = Segmentation(found.name, found.oyster, found.probability, found.classes)
@@ -305,7 +305,7 @@ def _array_answers(data: bytes, label: str, wanted: Wanted, budget: Budget, sequ
 
 
 def _coco_answers(data: bytes, label: str, wanted: Wanted) -> dict[str, Answer]:
-    from oysterbench.answers import read_coco
+    from oysterbench.annotations import read_coco
     from oysterbench.evaluate.segmentation import SegmentationSettings
 
     with in_memory(data, label) as path, told(label, path):

@@ -11,10 +11,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from oysterbench.errors import OysterbenchError, ResultError
-from oysterbench.files import write_atomically
+from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.core.files import write_atomically
 from oysterbench.hub.canonical import canonical, sha256
-from oysterbench.results import plain
+from oysterbench.results.records import plain
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 TRACKS_OF = {"slam": ("slam",), "segmentation": ("segmentation", "detection"), "steering": ("steering",)}
@@ -142,9 +142,9 @@ def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None
     cache: folder that keeps the names of images, which take long to be read. Raises ResultError where a file of the
     truth is missing or of another split.
     """
-    from oysterbench.conditions import conditions
-    from oysterbench.generate import digest, is_complete, sequence_files, split_folder
     from oysterbench.recipe import load_split
+    from oysterbench.simulation.conditions import conditions
+    from oysterbench.simulation.generate import digest, is_complete, sequence_files, split_folder
 
     split = load_split(name_or_path)
     if split.track not in TRACKS_OF:
@@ -172,8 +172,8 @@ def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None
 
 def _check(split: Any, name: str, path: Path) -> None:
     """Refuse truth of another split, or of another recipe of a public one."""
-    from oysterbench.generate import digest
     from oysterbench.sequence.read import McapSequence
+    from oysterbench.simulation.generate import digest
 
     said = McapSequence(path).metadata
     wanted = {"sequence": name, "split": split.name, "split_version": split.version}
@@ -190,7 +190,7 @@ def _task(split: Any) -> dict[str, Any]:
 
 
 def _masked(path: Path) -> tuple[str, ...]:
-    from oysterbench.answers import sequence_clip
+    from oysterbench.annotations import sequence_clip
 
     return tuple(sequence_clip(path).names)
 
@@ -228,8 +228,8 @@ def _images_of(path: Path, track: str, cache: Path | None) -> dict[str, tuple[in
 
 def local_wanted(split_name: str, track: str) -> Wanted:
     """What a client knows of a split: its recipe and, where it was downloaded or rendered, its images."""
-    from oysterbench.generate import is_complete, split_folder
     from oysterbench.recipe import load_split
+    from oysterbench.simulation.generate import is_complete, split_folder
 
     split = load_split(split_name)
     if not split.hidden and is_complete(split, split_folder(split)):
@@ -238,7 +238,7 @@ def local_wanted(split_name: str, track: str) -> Wanted:
             return served.wanted[track]
         except (OysterbenchError, KeyError):
             pass
-    from oysterbench.generate import digest
+    from oysterbench.simulation.generate import digest
 
     names = tuple(sequence.name for sequence in split.sequence)
     return Wanted(track, split.name, digest(split), split.hidden, names, task=_task(split))

@@ -12,7 +12,7 @@ from typing import IO, Any
 
 import urllib3
 
-from oysterbench.errors import HubError, NetworkError
+from oysterbench.core.errors import HubError, NetworkError
 from oysterbench.hub.sources import RETRIED, Patience
 from oysterbench.hub.transfer import pause_s
 from oysterbench.version import VERSION

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from oysterbench.errors import OysterbenchError, ResultError
+from oysterbench.core.errors import OysterbenchError, ResultError
 
 TOKEN = "OYSTERBENCH_TOKEN"
 
@@ -138,7 +138,7 @@ def _before(found: dict[str, Any]) -> str:
 
 
 def _bar(size: int) -> Any:
-    from oysterbench.cli_hub import bytes_bar
+    from oysterbench.cli.hub import bytes_bar
 
     return bytes_bar("sending")
 

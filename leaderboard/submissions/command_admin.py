@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 
 FOLDER = click.option(
     "--submissions",

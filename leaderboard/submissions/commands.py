@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
 from oysterbench.methods.piloting import classes_of
 from oysterbench.methods.steering import Steering
 from oysterbench.recipe.steering import SteeringRecipe
@@ -15,7 +15,7 @@ from oysterbench_leaderboard.submissions.catalogue import Wanted
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 if TYPE_CHECKING:
-    from oysterbench.evaluate.navigation import Commands
+    from oysterbench.evaluate.steering import Commands
 
 STAMP = "stamp_ns"
 AXES = ("yaw", "pitch")
@@ -83,8 +83,8 @@ def commands_of(answers: Sequence[Steering], task: SteeringRecipe) -> Commands:
     """The commands of a sequence, as the evaluator takes them."""
     import numpy as np
 
-    from oysterbench.evaluate.navigation import Commands
-    from oysterbench.exploring.pictures import probabilities
+    from oysterbench.evaluate.steering import Commands
+    from oysterbench.tracks.steering import probabilities
 
     chosen = [classes_of(answer, task, answer.name) for answer in answers]
     shares = [probabilities(answer, classes, task) for answer, classes in zip(answers, chosen, strict=True)]

@@ -12,7 +12,7 @@ def evaluator(track: str) -> tuple[str, dict[str, Any]]:
     """Name and version of a track's evaluator, and its settings: those that boards rank by. Raises Refusal for a track
     that cannot be submitted."""
     if track == "slam":
-        from oysterbench.evaluate import slam
+        from oysterbench.evaluate.slam import scoring as slam
 
         return slam.EVALUATOR, slam.SlamSettings().as_dict()
     if track == "segmentation":
@@ -24,7 +24,7 @@ def evaluator(track: str) -> tuple[str, dict[str, Any]]:
 
         return detection.EVALUATOR, detection.DetectionSettings().as_dict()
     if track == "steering":
-        from oysterbench.evaluate import navigation
+        from oysterbench.evaluate import steering as navigation
 
         return navigation.EVALUATOR, {}
     raise Refusal("split", f"the track {track!r:.60} cannot be submitted{why(track)}")

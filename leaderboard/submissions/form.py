@@ -11,9 +11,9 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from oysterbench.comparison import PRIMARY
 from oysterbench.evaluate.metrics import find_metric
-from oysterbench.results import aggregate
+from oysterbench.results.comparison import PRIMARY
+from oysterbench.results.records import aggregate
 from oysterbench_leaderboard.record import MOST_TEXT
 from oysterbench_leaderboard.site.links import Links
 from oysterbench_leaderboard.site.render import environment, html

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.submissions.catalogue import TRACKS_OF, Catalogue, Served, serve_split
 from oysterbench_leaderboard.submissions.service import Service

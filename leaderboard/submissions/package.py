@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from oysterbench.errors import OysterbenchError, RecipeError, ResultError
+from oysterbench.core.errors import OysterbenchError, RecipeError, ResultError
 from oysterbench_leaderboard.submissions.archive import Limits, pack
 from oysterbench_leaderboard.submissions.bundle import FILES, IMAGE, check_bundle, open_bundle
 from oysterbench_leaderboard.submissions.catalogue import Wanted, local_wanted
@@ -108,7 +108,7 @@ def _of_run(place: Path, sequences: Sequence[str], method: str, run: int) -> dic
 
 def methods_in(path: Path) -> list[str]:
     """Names of the methods of a results.json."""
-    from oysterbench.results import read_results
+    from oysterbench.results.records import read_results
 
     return list(dict.fromkeys(record.method for record in read_results(path)))
 

@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 from sqlalchemy import and_, or_
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
 from oysterbench_leaderboard.submissions import limited
 from oysterbench_leaderboard.submissions.service import Service
 from oysterbench_leaderboard.submissions.state import Submission, change, find, submissions, tell

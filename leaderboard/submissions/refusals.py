@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
 
 STATUS = {
     "token": 401,

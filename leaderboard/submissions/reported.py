@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
 from oysterbench.evaluate.metrics import find_metric
-from oysterbench.results import ResultRecord, aggregate, method_key
+from oysterbench.results.records import ResultRecord, aggregate, method_key
 from oysterbench_leaderboard.record import check_text
 from oysterbench_leaderboard.submissions.archive import Limits, shown
 from oysterbench_leaderboard.submissions.bundle import told

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from oysterbench.errors import LabelError, MethodError, TrajectoryError
-from oysterbench.results import ResultRecord, plain
+from oysterbench.core.errors import LabelError, MethodError, TrajectoryError
+from oysterbench.results.records import ResultRecord, plain
 from oysterbench_leaderboard.submissions.bundle import Bundle
 from oysterbench_leaderboard.submissions.catalogue import Wanted
 from oysterbench_leaderboard.submissions.evaluators import evaluator
@@ -91,9 +91,9 @@ def _reported(record: ResultRecord, wanted: Wanted, method: str) -> ResultRecord
 
 
 def _score_poses(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], common: dict[str, Any]) -> Scored:
-    from oysterbench.evaluate.slam import SlamSettings, score
+    from oysterbench.evaluate.slam.scoring import SlamSettings, score
     from oysterbench.sequence import open_sequence
-    from oysterbench.tracks import truth_digest
+    from oysterbench.tracks.slam import truth_digest
     from oysterbench_leaderboard.curves import curves_document, sequence_curve
 
     version, settings = evaluator("slam")
@@ -129,7 +129,7 @@ def _score_poses(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], comm
 
 def _read_for(truth: Any, read: Any) -> tuple[Any, list[str]]:
     """The path, read in the one way that makes sense of it, and what was decided. Raises Refusal where none does."""
-    from oysterbench.evaluate.diagnose import diagnose
+    from oysterbench.evaluate.slam.diagnose import diagnose
 
     estimate = read()
     notes = list(estimate.notes)
@@ -149,7 +149,7 @@ def _read_for(truth: Any, read: Any) -> tuple[Any, list[str]]:
 
 
 def _score_answers(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], common: dict[str, Any]) -> Scored:
-    from oysterbench.answers import sequence_clip
+    from oysterbench.annotations import sequence_clip
     from oysterbench.report.images import ImageRun
 
     version, settings = evaluator(wanted.track)
@@ -201,16 +201,16 @@ def _missed(clip: Any, wanted: Wanted) -> dict[str, float]:
     if wanted.track != "segmentation":
         return {}
     from oysterbench.evaluate.segmentation import SegmentationSettings
-    from oysterbench.imaging.segmentation import all_missed
+    from oysterbench.tracks.segmentation import all_missed
 
     return all_missed(clip, SegmentationSettings())
 
 
 def _data_set(track: str, runs: list[Any]) -> Any:
     if track == "segmentation":
-        from oysterbench.imaging.segmentation import dataset_rows
+        from oysterbench.tracks.segmentation import dataset_rows
     else:
-        from oysterbench.imaging.detection import dataset_rows
+        from oysterbench.tracks.detection import dataset_rows
     rows = dataset_rows(runs)
     return plain(rows[0].as_plain()) if rows else None
 
@@ -219,8 +219,8 @@ def _data_set(track: str, runs: list[Any]) -> Any:
 
 
 def _score_commands(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], common: dict[str, Any]) -> Scored:
-    from oysterbench.evaluate.navigation import Commands, Labels, score_pictures
-    from oysterbench.exploring.labelled import labelled_views
+    from oysterbench.evaluate.steering import Commands, Labels, score_pictures
+    from oysterbench.exploration.labelled_views import labelled_views
     from oysterbench_leaderboard.submissions.commands import commands_of, task_of
 
     version, settings = evaluator(wanted.track)
@@ -249,7 +249,7 @@ def _score_commands(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], c
 
 def _all_pictures(method: str, parts: list[Any]) -> dict[str, Any]:
     """Over all pictures of all sequences together, in the words of other tracks."""
-    from oysterbench.evaluate.navigation.dataset import over_sequences
+    from oysterbench.evaluate.steering.dataset import over_sequences
 
     whole = over_sequences(parts)
     intervals = {k: {"low": v.low, "high": v.high, "reason": v.reason} for k, v in whole.intervals.items()}

@@ -16,9 +16,9 @@ from typing import Any
 
 from sqlalchemy import Connection, func, insert, select
 
-from oysterbench.errors import OysterbenchError, ResultError
+from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.hub.canonical import parse
-from oysterbench.results import ResultRecord
+from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.record import MOST_TEXT, Record, check_text
 from oysterbench_leaderboard.store import Notice, RecordStore
 from oysterbench_leaderboard.submissions import limited

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 
 FILE = "settings.toml"
 """In the private folder: any of the keys below but `folder`."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from oysterbench.evaluate.density_metrics import DENSITY
+from oysterbench.evaluate.density.metrics import DENSITY
 from oysterbench.evaluate.detection.metrics import DETECTION
 from oysterbench.evaluate.metric import Metric
-from oysterbench.evaluate.navigation.metrics import DIVES, PICTURES
 from oysterbench.evaluate.segmentation.metrics import SEGMENTATION, find_segmentation
+from oysterbench.evaluate.steering.metrics import DIVES, PICTURES
 
 
 def _consistency(part: str, freedom: int, of: str) -> dict[str, Metric]:

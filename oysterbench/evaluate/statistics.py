@@ -21,8 +21,8 @@ from typing import Literal
 import numpy as np
 from scipy.stats import norm, t
 
-from oysterbench.geometry import Array
-from oysterbench.streams import stream
+from oysterbench.core.geometry import Array
+from oysterbench.core.streams import stream
 
 Sample = Mapping[str, Sequence[float]]
 """Sequence -> value of each run, NaN where the run has none."""

@@ -7,7 +7,7 @@ import json
 import re
 from typing import Any
 
-from oysterbench.errors import IntegrityError
+from oysterbench.core.errors import IntegrityError
 
 SHA256 = re.compile("[0-9a-f]{64}")
 

@@ -12,8 +12,8 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TypeVar
 
-from oysterbench.errors import HubError, IntegrityError
-from oysterbench.files import home, locked, write_atomically
+from oysterbench.core.errors import HubError, IntegrityError
+from oysterbench.core.files import home, locked, write_atomically
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.index import LARGEST, Index, Release, check_not_older, read_index

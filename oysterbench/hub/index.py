@@ -10,8 +10,8 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from oysterbench.errors import IntegrityError
-from oysterbench.files import home, locked, write_atomically
+from oysterbench.core.errors import IntegrityError
+from oysterbench.core.files import home, locked, write_atomically
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
 from oysterbench.hub.manifest import NAME, VERSION_NAME
 from oysterbench.hub.sign import is_signed, public_hex, sign

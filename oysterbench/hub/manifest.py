@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from oysterbench.errors import IntegrityError
+from oysterbench.core.errors import IntegrityError
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
 from oysterbench.version import VERSION
 

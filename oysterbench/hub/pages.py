@@ -7,8 +7,8 @@ from pathlib import Path
 
 import cv2
 
+from oysterbench.core.page import page
 from oysterbench.hub.index import Index, Release
-from oysterbench.page import page
 from oysterbench.sequence import open_sequence
 
 PICTURES = 3

@@ -13,8 +13,8 @@ from typing import IO
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from oysterbench.errors import HubError
-from oysterbench.files import locked, write_atomically
+from oysterbench.core.errors import HubError
+from oysterbench.core.files import locked, write_atomically
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.croissant import croissant
 from oysterbench.hub.index import Index, Release, read_own_index

@@ -19,7 +19,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from oysterbench.errors import HubError
+from oysterbench.core.errors import HubError
 from oysterbench.version import VERSION
 
 CHUNK = 1 << 20

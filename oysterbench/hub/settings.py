@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
-from oysterbench.errors import HubError
-from oysterbench.files import home
+from oysterbench.core.errors import HubError
+from oysterbench.core.files import home
 from oysterbench.hub.sign import check_public
 
 FILE = "hub.toml"

@@ -10,7 +10,7 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-from oysterbench.errors import HubError
+from oysterbench.core.errors import HubError
 
 CONTEXT = b"oysterbench hub index\n"
 """Goes before what is signed, so that a signature made for something else never passes for one of an index."""

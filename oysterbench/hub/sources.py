@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Protocol
 
-from oysterbench.errors import HubError, NetworkError
+from oysterbench.core.errors import HubError, NetworkError
 from oysterbench.version import VERSION
 
 if TYPE_CHECKING:

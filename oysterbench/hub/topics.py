@@ -13,7 +13,7 @@ from pathlib import Path
 
 from mcap.summary import Summary
 
-from oysterbench.errors import HubError
+from oysterbench.core.errors import HubError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.download import Hub, Progress, check_space, part_path
 from oysterbench.hub.draft import remove_drafts

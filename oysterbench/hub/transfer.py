@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from oysterbench.errors import HubError, IntegrityError, NetworkError
+from oysterbench.core.errors import HubError, IntegrityError, NetworkError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import Draft, drafts_left
 from oysterbench.hub.part import Part

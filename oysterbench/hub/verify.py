@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from oysterbench.errors import HubError, SequenceError
-from oysterbench.files import home
+from oysterbench.core.errors import HubError, SequenceError
+from oysterbench.core.files import home
 from oysterbench.hub.canonical import parse, sha256
 from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest
 

@@ -1,7 +1,26 @@
-"""Coloured point clouds of what a sequence shows, along any trajectory of it."""
+"""What a sequence shows, along any trajectory of it: coloured point clouds, and oysters on the ground, each once."""
 
 from oysterbench.mapping.build import SOURCES, build_cloud
 from oysterbench.mapping.cloud import PointCloud
-from oysterbench.mapping.settings import CloudSettings
+from oysterbench.mapping.cloud_settings import CloudSettings
+from oysterbench.mapping.depth import DEPTHS, default_depth
+from oysterbench.mapping.predicted import KINDS, read_seen, true_seen
+from oysterbench.mapping.projection import Seen
+from oysterbench.mapping.settings import MapSettings
+from oysterbench.mapping.survey import OysterMap, build_map
 
-__all__ = ["SOURCES", "CloudSettings", "PointCloud", "build_cloud"]
+__all__ = [
+    "DEPTHS",
+    "KINDS",
+    "SOURCES",
+    "CloudSettings",
+    "MapSettings",
+    "OysterMap",
+    "PointCloud",
+    "Seen",
+    "build_cloud",
+    "build_map",
+    "default_depth",
+    "read_seen",
+    "true_seen",
+]

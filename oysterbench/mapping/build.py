@@ -6,14 +6,14 @@ from collections.abc import Sequence as Several
 
 import numpy as np
 
-from oysterbench.errors import SequenceError, TrajectoryError
+from oysterbench.core.errors import SequenceError, TrajectoryError
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.cloud import PointCloud, thinned, without_outliers
+from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.echoes import UNSEEN, coloured, heard_points
 from oysterbench.mapping.pictures import seen_points
-from oysterbench.mapping.settings import CloudSettings
 from oysterbench.mapping.views import Path
 from oysterbench.sequence.types import Sequence
-from oysterbench.trajectory import Trajectory
 
 SOURCES = ("pictures", "echoes")
 """What a cloud is made of: depths between pictures at known poses, or ranges of DVL, altimeters and imaging sonars."""

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from oysterbench.geometry import Array
-from oysterbench.mapping.settings import CloudSettings
-from oysterbench.ply import write_ply
+from oysterbench.core.geometry import Array
+from oysterbench.core.ply import write_ply
+from oysterbench.mapping.cloud_settings import CloudSettings
 
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("observations", "<i4")]

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.measurements import SonarImage
 from oysterbench.mapping.cloud import PointCloud
-from oysterbench.mapping.settings import CloudSettings
+from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.views import Path, Pinhole
-from oysterbench.samples import SonarImage
 from oysterbench.sequence.calibration import SonarCalibration
 from oysterbench.sequence.types import Sequence
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array
-from oysterbench.mapping.settings import CloudSettings
+from oysterbench.core.geometry import Array
+from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.sweep import DepthMap, agreeing, sweep
 from oysterbench.mapping.views import Path, Pinhole, View, frames, partner
 from oysterbench.sequence.types import Sequence

@@ -1,48 +1,68 @@
-"""Settings of clouds. Units are in the names or the comments; a comment says why the value."""
+"""Settings of maps of oysters. Units are in the names or the comments; a comment says why the value."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
+
+THRESHOLD_PER_M2, TARGET_PER_M2 = 15.0, 50.0
+"""Live oysters per square metre of a restored reef, at least and as aimed at (Oyster Metrics Workgroup, 2011)."""
+
+CLASSES = ("below threshold", "threshold", "target")
+"""Classes of restoration: fewer than 15 live oysters per square metre, 15 to 50, and 50 or more."""
 
 
 @dataclass(frozen=True)
-class CloudSettings:
-    """All settings. Raises OysterbenchError where a length is not above 0."""
+class MapSettings:
+    """All settings. Raises OysterbenchError where one makes no sense."""
 
-    voxel_m: float = 0.01  # edge of the cubes that keep one point each: a third of the smallest oyster
-    near_m: float = 0.3  # along the optical axis, of what is searched for
-    far_m: float = 6.0  # beyond, a quarter of a pixel is half a metre
+    cell_m: float = 1.0  # edge of the grid's cells
+    raster_m: float = 0.01  # edge of the squares by which cover is measured: its edge is half of one too far out
+    least_cover: float = 0.25  # of a cell, below which it has no number
 
-    # Depth from pictures.
-    width_px: int = 320  # pictures are reduced to it: 3 mm on the bottom at 1 m
-    window_px: int = 7  # side of the patches that are compared
-    plane_px: float = 1.0  # shift of the farthest source from one plane of the sweep to the next
-    max_planes: int = 192  # of 0.3 MB each
-    noise_grey: float = 1.5  # 1 sigma of the pixels: patches with less texture than that correlate with nothing
-    min_correlation: float = 0.7
-    min_lead: float = 0.05  # of the best depth's correlation over that of any depth elsewhere
-    step_share: float = 0.08  # of the scene's distance, that a camera moves from one view to the next
-    every: int = 2  # views, of which one is given depths; those two before and after it are its sources
-    max_gap_s: float = 0.3  # between the poses that a view's is taken from
-    agreement: float = 0.02  # of the distance, within which the next view must see a point, too
-    max_axes_deg: float = 30.0  # between two cameras that make a pair
-    max_base_m: float = 1.0
-    pair_tolerance_s: float = 0.002  # of the stamps of a pair
+    # What of a picture is used.
+    near_m: float = 0.2  # along the optical axis
+    far_m: float = 2.5  # beyond, a shell of 8 cm has fewer than 15 pixels across, and is seen at a grazing angle
+    least_px: int = 16  # of an oyster in a picture: of less, not even a person could say what it is
+    border_px: int = 1  # along the picture's edge: an oyster that has one of these is cut by it
+    threshold: float = 0.5  # of scores and probabilities
 
-    # Depth from echoes.
-    echo_share: float = 0.35  # of a beam's strongest echo, at which its leading edge is taken
-    min_echo: float = 4.0  # of a beam's median: the strongest echo of a beam that hears something
-    colour_every_s: float = 0.5  # frames that colour what was heard
+    # Association.
+    shell_m: float = 0.006  # 1 sigma between points of one shell in two pictures: half of their distance, and rounding
+    pose_sigma_m: float = 0.0  # 1 sigma of a pose against the map, where the trajectory has no covariances
+    depth_sigma: float | None = None  # 1 sigma of the depth, of the distance; by default as it is made (`depth.SIGMA`)
+    middle_m: float = 0.012  # 1 sigma of the middle of what a picture shows of a shell: something hides a part of it
+    cut_m: float = 0.03  # the same of a shell that the picture's edge cuts
+    size_sigma: float = 0.7  # 1 sigma of the logarithm of its area, as different pictures show it
+    gate: float = 11.34  # squared Mahalanobis distance of what may be one: 99 % of three dimensions
+    join_gate: float = 4.0  # the same for parts of one shell that were never seen side by side
+    exact_m: float = 0.012  # of places surer than this, shells are told apart by how far they overlap
+    least_overlap: float = 0.4  # of the lesser of two shells, for them to be one
+    join_overlap: float = 0.25  # the same of parts of one shell that were never seen side by side
+    reach_m: float = 0.3  # between the middles of two views of one shell: more than any shell
 
-    # Outliers.
-    neighbours: int = 8
-    max_spread: float = 2.0  # standard deviations of the mean distance to the neighbours
+    # Depth from pictures, the seabed as a plane.
+    plane_s: float = 2.0  # echoes within so many seconds make the plane under a picture
+    max_gap_s: float = 0.3  # between the poses that a picture's is taken from
 
     def __post_init__(self) -> None:
-        for name in ("voxel_m", "near_m"):
+        for name in ("cell_m", "raster_m", "near_m", "shell_m", "reach_m", "plane_s"):
             if not getattr(self, name) > 0:
-                raise OysterbenchError(f"{name}: expected more than 0 m, got {getattr(self, name):g}")
+                raise OysterbenchError(f"{name}: expected more than 0, got {getattr(self, name):g}")
+        for name in ("pose_sigma_m", "depth_sigma"):
+            value = getattr(self, name)
+            if value is not None and not value >= 0:
+                raise OysterbenchError(f"{name}: expected 0 or more, got {value:g}")
+        for name in ("least_cover", "least_overlap", "join_overlap", "threshold"):
+            if not 0 < getattr(self, name) < 1:
+                raise OysterbenchError(f"{name}: expected more than 0 and less than 1, got {getattr(self, name):g}")
+        if not self.cell_m >= 5 * self.raster_m:
+            raise OysterbenchError(f"cell_m: expected at least {5 * self.raster_m:g} m, got {self.cell_m:g} m")
         if not self.far_m > self.near_m:
-            raise OysterbenchError(f"far_m: expected more than near_m, {self.near_m:g} m, got {self.far_m:g}")
+            raise OysterbenchError(f"far_m: expected more than near_m, {self.near_m:g} m, got {self.far_m:g} m")
+
+    def as_dict(self) -> dict[str, Any]:
+        """For a record."""
+        return asdict(self)

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array, invert
-from oysterbench.mapping.settings import CloudSettings
+from oysterbench.core.geometry import Array, invert
+from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.views import View
 
 Picture = NDArray[np.float32]

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import SequenceError
-from oysterbench.geometry import Array, invert
-from oysterbench.mapping.settings import CloudSettings
-from oysterbench.samples import Image
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.measurements import Image
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.sequence.calibration import CameraCalibration
 from oysterbench.sequence.export.parts import undistorting_maps
 from oysterbench.sequence.types import Sequence
-from oysterbench.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

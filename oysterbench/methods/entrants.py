@@ -17,13 +17,13 @@ from pathlib import Path
 from string import Formatter
 from typing import Any
 
-from oysterbench.errors import MethodError, TrajectoryError
+from oysterbench.core.errors import MethodError, TrajectoryError
+from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.methods.finding import find_variant, versions_of
 from oysterbench.methods.inputs import FORMS, POSES_OF, SENSORS, frame_pose, kitti_stamps
 from oysterbench.methods.method import seed_of
 from oysterbench.methods.worker import ANSWER, ESTIMATE
 from oysterbench.sequence import open_sequence
-from oysterbench.trajectory import Trajectory, read_trajectory
 from oysterbench.version import VERSION
 
 PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")

@@ -8,7 +8,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
 from oysterbench.methods.method import Method
 from oysterbench.methods.options import configure, split_variant, variant_name
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from oysterbench.errors import MethodError, OysterbenchError
+from oysterbench.core.errors import MethodError, OysterbenchError
 from oysterbench.methods.method import Estimate, Method
 from oysterbench.sequence.types import Sequence
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import MethodError, OysterbenchError
-from oysterbench.geometry import Array
+from oysterbench.core.errors import MethodError, OysterbenchError
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import read_times
 from oysterbench.sequence import Sequence, open_sequence
-from oysterbench.trajectory import read_times
 
 FORMS = {
     "euroc": "an EuRoC folder: mav0/ with cam0, cam1, ..., imu0",

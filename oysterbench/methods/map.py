@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import MethodError, TrajectoryError
-from oysterbench.geometry import Array
-from oysterbench.ply import write_ply
-from oysterbench.trajectory import Trajectory, write_tum
-from oysterbench.trajectory.checks import checked_poses
+from oysterbench.core.errors import MethodError, TrajectoryError
+from oysterbench.core.geometry import Array
+from oysterbench.core.ply import write_ply
+from oysterbench.core.trajectory import Trajectory, write_tum
+from oysterbench.core.trajectory.checks import checked_poses
 
 MAP, KEYFRAMES = "map.ply", "keyframes.tum"
 

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
-from oysterbench.errors import MethodError, TrajectoryError
+from oysterbench.core.errors import MethodError, TrajectoryError
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.core.trajectory.checks import checked_poses
 from oysterbench.methods.map import LandmarkMap
 from oysterbench.sequence.types import Sequence
-from oysterbench.trajectory import Trajectory
-from oysterbench.trajectory.checks import checked_poses
 
 PATH_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]*")
 

@@ -14,7 +14,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
 
 VARIANT = re.compile(r"(?P<method>[^\[\]]+)\[(?P<options>.*)\]", re.DOTALL)
 UNPLAIN = re.compile(r"[^A-Za-z0-9_.+=,-]+")

@@ -8,11 +8,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from oysterbench.errors import MethodError
-from oysterbench.files import write_atomically
+from oysterbench.core.errors import MethodError
+from oysterbench.core.files import write_atomically
+from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.methods.entrants import Entrant
 from oysterbench.methods.worker import ESTIMATE, alternative_file
-from oysterbench.trajectory import Trajectory, read_trajectory
 
 OUTCOME = "outcome.json"
 FORMAT = "oysterbench-outcome/1"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oysterbench.errors import MethodError, OysterbenchError
+from oysterbench.core.errors import MethodError, OysterbenchError
 from oysterbench.methods.steering import Steering, SteeringMethod, View
 from oysterbench.recipe import SteeringRecipe
 

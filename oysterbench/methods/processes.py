@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
 
 SUPERVISOR = Path(__file__).with_name("supervise.py")
 STDOUT, STDERR, REPORT = "stdout.txt", "stderr.txt", "process.json"

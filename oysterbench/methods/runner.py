@@ -17,12 +17,12 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from oysterbench.errors import MethodError
+from oysterbench.core.errors import MethodError
+from oysterbench.core.trajectory import write_npz
 from oysterbench.methods.inputs import SENSORS
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
 from oysterbench.methods.processes import Ended, Processes
 from oysterbench.methods.worker import ESTIMATE
-from oysterbench.trajectory import write_npz
 
 ASSUMED_BYTES = 2 * 2**30
 """What a method is taken to need as long as none of its runs has been measured."""

@@ -18,12 +18,12 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from oysterbench.errors import OysterbenchError
-from oysterbench.files import write_atomically
+from oysterbench.core.errors import OysterbenchError
+from oysterbench.core.files import write_atomically
+from oysterbench.core.trajectory import write_npz
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.method import Estimate
 from oysterbench.sequence import open_sequence
-from oysterbench.trajectory import write_npz
 
 ANSWER, ESTIMATE = "answer.json", "estimate.npz"
 

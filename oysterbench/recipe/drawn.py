@@ -10,7 +10,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.keys import as_plain, build
 from oysterbench.recipe.scene import SequenceRecipe
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import field
 from typing import Any
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
 
 
 def number(low: float, high: float, default: Any = dataclasses.MISSING) -> Any:

@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.drawn import draw
 from oysterbench.recipe.grades import with_grade
 from oysterbench.recipe.keys import as_plain, build, choice, number, stated

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.keys import number
 
 

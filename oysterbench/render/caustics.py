@@ -11,13 +11,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import LightRecipe
 from oysterbench.render.light import build_light
 from oysterbench.render.optics import Caustics
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.water import DEPTHS, IMAGE_CONE_RAD, Water, forward_share
 from oysterbench.scene.rig import GRAVITY
-from oysterbench.streams import Streams
 
 wp.set_module_options(KERNEL_OPTIONS)
 

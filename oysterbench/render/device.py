@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError
 from oysterbench.render.target import start_warp
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import CameraRecipe
 from oysterbench.scene.rig import PORT_INDEX, camera_matrix
 

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench.render.casting import NOTHING, Geometry, cast, surface_normal
 from oysterbench.render.target import KERNEL_OPTIONS, start_warp
 from oysterbench.render.upload import upload_geometry

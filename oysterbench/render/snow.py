@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe
 from oysterbench.render.lamps import phase
 from oysterbench.render.lens import project
@@ -17,7 +18,6 @@ from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.view import View
 from oysterbench.render.water import Water
 from oysterbench.scene.rig import camera_matrix
-from oysterbench.streams import Streams
 
 wp.set_module_options(KERNEL_OPTIONS)
 

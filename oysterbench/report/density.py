@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from oysterbench.results import ResultRecord
+from oysterbench.results.records import ResultRecord
 
 SHOWN_MAPS = 12  # each is some 100 KB
 

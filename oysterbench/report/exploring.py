@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from oysterbench.evaluate.navigation.dataset import Whole, over_sequences
-from oysterbench.evaluate.navigation.dives import Place, place_between
 from oysterbench.evaluate.statistics import LEVEL, Comparison, compare
+from oysterbench.evaluate.steering.dataset import Whole, over_sequences
+from oysterbench.evaluate.steering.dives import Place, place_between
 from oysterbench.report.columns import ABSENT, OF_TRACK, Column, find_column
 from oysterbench.report.steering import DiveRun, PictureRun
 from oysterbench.report.tables import MINUS, Heading, Line, Table, interval_text
-from oysterbench.results import ResultRecord, samples
+from oysterbench.results.records import ResultRecord, samples
 
 INTERVALS = ("skill", "yaw_macro_f1", "pitch_macro_f1")
 """Metrics over all pictures that are shown with their interval."""

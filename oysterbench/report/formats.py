@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from oysterbench.evaluate.conditions import CONDITIONS
 from oysterbench.report.tables import Table, comparison_tables, results_table, results_tables
-from oysterbench.results import ResultRecord
+from oysterbench.results.records import ResultRecord
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable

@@ -13,15 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from oysterbench.comparison import Board, boards, remarks
+from oysterbench.core.files import write_atomically
+from oysterbench.core.page import STYLES, page
 from oysterbench.evaluate.conditions import CONDITIONS
 from oysterbench.evaluate.metrics import Metric, find_metric
-from oysterbench.files import write_atomically
-from oysterbench.page import STYLES, page
-from oysterbench.plots import Curve, point_swatch, scatter_plot
 from oysterbench.report.columns import ERROR_OF_TRACK, OF_TRACK, STANDING_OF_TRACK
 from oysterbench.report.density import DensityRun, maps_section
 from oysterbench.report.images import DatasetRow, ImageRun, curves_section, dataset_tables, samples_section
+from oysterbench.report.plots import Curve, point_swatch, scatter_plot
 from oysterbench.report.sequences import SlamRun, card, sequence_section
 from oysterbench.report.steering import DiveRun, Figure, PictureRun, figures_section
 from oysterbench.report.tables import (
@@ -36,7 +35,8 @@ from oysterbench.report.tables import (
     standings_table,
     strata_table,
 )
-from oysterbench.results import ResultRecord
+from oysterbench.results.comparison import Board, boards, remarks
+from oysterbench.results.records import ResultRecord
 
 ARROWS = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", "": ""}
 OPEN_SEQUENCES = 3  # more are folded away, all but the first

@@ -19,11 +19,11 @@ from oysterbench.evaluate.detection.precision import RECALLS
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.segmentation import ClipResult
 from oysterbench.evaluate.statistics import LEVEL, Interval
-from oysterbench.plots import Curve, share_plot, swatch
 from oysterbench.report.columns import ABSENT, OF_TRACK
+from oysterbench.report.plots import Curve, share_plot, swatch
 from oysterbench.report.sequences import card
 from oysterbench.report.tables import Heading, Line, Table, interval_text
-from oysterbench.results import ResultRecord, plain
+from oysterbench.results.records import ResultRecord, plain
 
 LEGEND = "Green: found. Blue: missed. Orange: called oyster, and none. Grey: ignored."
 SHOWN_CLIPS = 12  # with pictures; more would make a report of many megabytes

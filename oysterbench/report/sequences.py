@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.evaluate.slam import SlamResult
-from oysterbench.geometry import Array
-from oysterbench.plots import Curve, height_plot, map_plot, recall_plot, swatch, thin, time_plot
-from oysterbench.results import ResultRecord
-from oysterbench.trajectory import Trajectory, ns_to_seconds
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory, ns_to_seconds
+from oysterbench.evaluate.slam.scoring import SlamResult
+from oysterbench.report.plots import Curve, height_plot, map_plot, recall_plot, swatch, thin, time_plot
+from oysterbench.results.records import ResultRecord
 
 TIME = "time since start [s]"
 WAY = "way along the true path [m]"

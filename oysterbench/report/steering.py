@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from oysterbench.evaluate.navigation import Commands, DiveLog, Labels, PictureScore
-from oysterbench.results import ResultRecord
+from oysterbench.evaluate.steering import Commands, DiveLog, Labels, PictureScore
+from oysterbench.results.records import ResultRecord
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oysterbench.comparison import Board, Cell, boards, remarks
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import LEVEL, Interval
@@ -21,7 +20,8 @@ from oysterbench.report.columns import (
     Column,
     find_column,
 )
-from oysterbench.results import ResultRecord, aggregate, comparable_key, method_key
+from oysterbench.results.comparison import Board, Cell, boards, remarks
+from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
 
 COMPLETE = 0.95
 """Of the highest coverage on a sequence: what a run must answer to be called the best there."""

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.instances import Instances, lean_with, make_instances, placed_vertices, rest
 from oysterbench.scene.library import BROAD_SHARE, Library
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.terrain import Terrain
-from oysterbench.streams import Streams
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from oysterbench.errors import RecipeError
-from oysterbench.files import write_atomically
+from oysterbench.core.errors import RecipeError
+from oysterbench.core.files import write_atomically
+from oysterbench.core.streams import Streams
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.oyster import STATES, build_oyster
 from oysterbench.scene.reef import SIZE_LIMITS_M, draw_heights
-from oysterbench.streams import Streams
 
 SUFFIXES = (".glb", ".obj", ".stl", ".ply")
 MEDIAN_M = 0.085  # shell height, where none is asked for

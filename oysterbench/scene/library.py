@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.oyster import Shell, build_oyster
 from oysterbench.scene.plants import build_tuft
 from oysterbench.scene.props import build_fragment, build_sponge, build_stone
-from oysterbench.streams import Streams
 
 SHELLS = {"live": 28, "box": 6, "left valve": 6, "right valve": 5}
 PROPS = {"stone": 10, "rock": 5, "fragment": 10, "tuft": 10, "sponge": 6}

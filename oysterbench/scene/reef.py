@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, ndtri
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.clump import Growth, clump_centres, clump_sizes, grow_clumps
 from oysterbench.scene.collisions import Crowd, total_overlap
@@ -14,7 +15,6 @@ from oysterbench.scene.instances import CLASS_NUMBERS, Instances, join_instances
 from oysterbench.scene.library import Library
 from oysterbench.scene.oyster import STATES
 from oysterbench.scene.terrain import Terrain
-from oysterbench.streams import Streams
 
 __all__ = ["CLASS_NUMBERS", "Instances", "place_oysters"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import RecipeError
-from oysterbench.geometry import Array, transform
+from oysterbench.core.errors import RecipeError
+from oysterbench.core.geometry import Array, transform
 from oysterbench.recipe import CameraRecipe, ImuRecipe, MagnetometerRecipe
 
 R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.scene.rig import GRAVITY
-from oysterbench.streams import Streams
 
 COMPONENTS = 64
 """Sines in the sum: with frequencies at random inside their bands the sum does not repeat itself."""

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe, SequenceRecipe
 from oysterbench.scene.clutter import place_fragments, place_plants, place_rocks, place_sponges, place_stones
 from oysterbench.scene.instances import CLASS_NUMBERS, Instances, join_instances, placed_vertices
@@ -19,7 +20,6 @@ from oysterbench.scene.library import Library, build_library
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.reef import place_oysters, state_names
 from oysterbench.scene.terrain import Terrain, build_terrain, sample_grid
-from oysterbench.streams import Streams
 
 ENVELOPE_CELL_M = 0.025
 MAX_ENVELOPE_CELLS = 2000  # per side: bounds the memory of a large reef

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array, transform
+from oysterbench.core.geometry import Array, transform
 from oysterbench.recipe import CLASSES, SiteRecipe
 from oysterbench.recipe.sensors import AcousticRecipe
 

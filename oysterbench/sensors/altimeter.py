@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import AltimeterRecipe, SiteRecipe
 from oysterbench.render.rays import RayCaster
 from oysterbench.scene.path import Path
 from oysterbench.sensors import acoustics
-from oysterbench.streams import Streams
 
 RAYS = 401  # over the main lobe
 PULSE_M = 0.05  # of range that the echo's envelope adds up: some 70 us

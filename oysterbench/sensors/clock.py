@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe, SensorRecipe
-from oysterbench.streams import Streams
 
 
 def stamps(n: int, rate_hz: float, epoch_ns: int, offset_ms: float = 0.0) -> NDArray[np.int64]:

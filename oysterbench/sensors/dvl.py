@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import DvlSample
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import DvlRecipe, SiteRecipe
 from oysterbench.render.rays import RayCaster
-from oysterbench.samples import DvlSample
 from oysterbench.scene.path import Path
 from oysterbench.sensors import acoustics
-from oysterbench.streams import Streams
 
 FREQUENCY_KHZ = 1000.0  # of the A50 class
 BEAM_AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import ScannerRecipe, SiteRecipe, SonarRecipe
 from oysterbench.render.rays import Echoes, RayCaster
 from oysterbench.sensors.acoustics import absorption, echo_strength, range_resolution, sound_speed

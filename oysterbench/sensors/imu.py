@@ -7,12 +7,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.signal import lfilter
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import ImuRecipe
 from oysterbench.scene.path import Motion, Path
 from oysterbench.scene.rig import GRAVITY, imu_pose
 from oysterbench.sensors.vibration import vibrate
-from oysterbench.streams import Streams
 
 
 @dataclass(frozen=True, kw_only=True)

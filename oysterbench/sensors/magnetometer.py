@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import MagnetometerRecipe, SiteRecipe
 from oysterbench.scene.path import Path
-from oysterbench.streams import Streams
 
 MICROTESLA = 1e-6  # T
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import PressureRecipe, SiteRecipe
 from oysterbench.scene.path import Path
 from oysterbench.scene.rig import GRAVITY
 from oysterbench.scene.waves import Waves
-from oysterbench.streams import Streams
 
 ATMOSPHERE = 101_325.0
 """Pressure at the surface, Pa."""

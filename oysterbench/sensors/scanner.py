@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import ScanPing
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import ScannerRecipe, SiteRecipe
 from oysterbench.render.rays import RayCaster
-from oysterbench.samples import ScanPing
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import Rays
-from oysterbench.streams import Streams
 
 COLUMNS, ROWS = 24, 240  # of rays over the beam's main lobe
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import Cloud, SonarImage
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe, SonarRecipe
 from oysterbench.render.rays import RayCaster
-from oysterbench.samples import Cloud, SonarImage
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import RangeAxis, Rays, Returns
-from oysterbench.streams import Streams
 
 ROWS = 200  # of rays over the elevations
 PROBE_COLUMNS, PROBE_ROWS = 12, 48  # of the rays that tell where elevations have to be dense

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.fft import irfft, next_fast_len
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import VibrationRecipe
-from oysterbench.streams import Streams
 
 
 def vibrate(n: int, rate_hz: float, recipe: VibrationRecipe, streams: Streams) -> Array:

@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-from oysterbench.errors import SequenceError
-from oysterbench.samples import Image, ImuSample
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.measurements import Image, ImuSample
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
 __all__ = ["CameraCalibration", "Image", "ImuCalibration", "ImuSample", "Sequence", "describe", "open_sequence"]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from mcap.records import Message as ChunkMessage
 from mcap.stream_reader import breakup_chunk
 from mcap.summary import Summary
 
-from oysterbench.errors import SequenceError
+from oysterbench.core.errors import SequenceError
 from oysterbench.sequence.file import DAMAGE, RECORD, Reading, damaged, read_attachments, read_metadata, summary_of
 from oysterbench.sequence.names import TF_STATIC
 from oysterbench.sequence.read import CALIBRATION

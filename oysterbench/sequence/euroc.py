@@ -10,12 +10,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from oysterbench.errors import SequenceError
-from oysterbench.geometry import Array
-from oysterbench.samples import Image, ImuSample
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import Image, ImuSample
+from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
 from oysterbench.sequence.types import Sequence
-from oysterbench.trajectory import Trajectory, read_trajectory
 
 GRAVITY = 9.81  # m/s^2; where the folder has no key for it, as the layout itself has none
 

@@ -16,7 +16,7 @@ from mcap.reader import McapReader, make_reader
 from mcap.summary import Summary
 from zstandard import ZstdError
 
-from oysterbench.errors import SequenceError
+from oysterbench.core.errors import SequenceError
 from oysterbench.sequence.wire import Message
 
 DAMAGE = (

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oysterbench.errors import SequenceError
-from oysterbench.samples import (
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.measurements import (
     Cloud,
     DvlSample,
     Image,
@@ -21,6 +21,7 @@ from oysterbench.samples import (
     ScanPing,
     SonarImage,
 )
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence import topics
 from oysterbench.sequence.calibration import RigCalibration, camera_calibration, inertial_calibration, rig_calibration
 from oysterbench.sequence.file import (
@@ -34,7 +35,6 @@ from oysterbench.sequence.file import (
     summary_of,
 )
 from oysterbench.sequence.types import Sequence
-from oysterbench.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import MethodError, SequenceError
-from oysterbench.geometry import Array
-from oysterbench.samples import (
+from oysterbench.core.errors import MethodError, SequenceError
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import (
     Cloud,
     DvlSample,
     Image,
@@ -24,6 +24,7 @@ from oysterbench.samples import (
     ScanPing,
     SonarImage,
 )
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.calibration import (
     AltimeterCalibration,
     CameraCalibration,
@@ -35,7 +36,6 @@ from oysterbench.sequence.calibration import (
     SonarCalibration,
 )
 from oysterbench.sequence.names import LAYERS, TRUTH_TOPICS
-from oysterbench.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import pandas as pd

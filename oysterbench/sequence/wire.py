@@ -9,7 +9,7 @@ from typing import Any
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench.sequence.names import TF_STATIC
 
 EPOCH_NS = 1_767_225_600_000_000_000

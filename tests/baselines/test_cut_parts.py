@@ -11,9 +11,9 @@ torch = pytest.importorskip("torch")
 
 import cv2  # noqa: E402
 
-from oysterbench.errors import LabelError, MethodError  # noqa: E402
-from oysterbench.labelled import OYSTER, Entry, LabelledImage, LabelledSet  # noqa: E402
-from oysterbench.streams import stream  # noqa: E402
+from oysterbench.annotations import OYSTER, Entry, LabelledImage, LabelledSet  # noqa: E402
+from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
+from oysterbench.core.streams import stream  # noqa: E402
 from oysterbench_baselines.cut.colour import (  # noqa: E402
     TRANSFERS,
     lab,

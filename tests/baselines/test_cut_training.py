@@ -15,15 +15,15 @@ torch = pytest.importorskip("torch")
 
 import cv2  # noqa: E402
 from click.testing import CliRunner  # noqa: E402
-from test_cut_parts import TINY, labelled, reef  # noqa: E402
 
-from oysterbench.errors import LabelError, MethodError  # noqa: E402
-from oysterbench.labelled import open_labelled, write_folder  # noqa: E402
-from oysterbench.streams import Streams  # noqa: E402
+from oysterbench.annotations import open_labelled, write_folder  # noqa: E402
+from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
+from oysterbench.core.streams import Streams  # noqa: E402
 from oysterbench_baselines.cut.command import cut_command, reinhard_command, targets, train_command  # noqa: E402
 from oysterbench_baselines.cut.sheets import sample_sheet, write_curves  # noqa: E402
 from oysterbench_baselines.cut.training import TERMS, Trainer, curves, train  # noqa: E402
 from oysterbench_baselines.cut.translation import load_generator, translate  # noqa: E402
+from tests.baselines.test_cut_parts import TINY, labelled, reef  # noqa: E402
 
 STEPS = 6
 SETTINGS = {

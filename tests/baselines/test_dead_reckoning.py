@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-import synthetic_dive as dive
 
-from oysterbench.errors import MethodError
-from oysterbench.geometry import align_yaw
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import align_yaw
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.types import Image, ImuSample, Sequence
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.dead_reckoning import DeadReckoning
+from tests.helpers import synthetic_dive as dive
 
 
 class InertialOnly(Sequence):

@@ -6,16 +6,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-import sensor_dive as dive
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.geometry import Array
-from oysterbench.trajectory import Trajectory
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench_baselines.common.aiding import Aiding
 from oysterbench_baselines.common.filter import CORE, InertialNoise, InvariantFilter, rotation_exp
 from oysterbench_baselines.dead_reckoning import DeadReckoning
+from tests.helpers import sensor_dive as dive
 
 ALL = ("dvl", "pressure", "magnetometer")
 

@@ -6,16 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-import sensor_dive as dive
-import synthetic_dive
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from oysterbench.errors import MethodError
-from oysterbench.geometry import Array, align_yaw
-from oysterbench.samples import ImuSample
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array, align_yaw
+from oysterbench.core.measurements import ImuSample
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.types import CameraCalibration, Sequence
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_full import GtsamFull, Settings
 from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
@@ -23,6 +21,8 @@ from oysterbench_baselines.gtsam_full.factors import COMPASS_KEY, DEPTH_KEY, FIE
 from oysterbench_baselines.gtsam_full.settings import BesideDvl
 from oysterbench_baselines.gtsam_vi.frontend import undistort
 from oysterbench_baselines.gtsam_vi.settings import Settings as VisualInertialSettings
+from tests.helpers import sensor_dive as dive
+from tests.helpers import synthetic_dive
 
 
 def camera() -> CameraCalibration:

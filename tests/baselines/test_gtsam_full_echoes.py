@@ -5,17 +5,16 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 import pytest
-import sensor_dive as dive
 from gtsam.symbol_shorthand import L, X
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array, transform
+from oysterbench.core.geometry import Array, transform
+from oysterbench.core.measurements import RangeSample
+from oysterbench.core.streams import Streams, stream
 from oysterbench.recipe import AltimeterRecipe, SiteRecipe
-from oysterbench.samples import RangeSample
 from oysterbench.sensors import acoustics, altimeter
 from oysterbench.sequence.types import AltimeterCalibration
-from oysterbench.streams import Streams, stream
 from oysterbench_baselines.gtsam_full.echoes import (
     ALTIMETER,
     BEAM,
@@ -28,6 +27,7 @@ from oysterbench_baselines.gtsam_full.echoes import (
     find_ground,
 )
 from oysterbench_baselines.gtsam_full.settings import EchoSettings
+from tests.helpers import sensor_dive as dive
 
 OF = EchoSettings()
 STILL = (np.zeros(3), np.zeros(3))

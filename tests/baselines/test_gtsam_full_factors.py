@@ -7,11 +7,10 @@ import dataclasses
 import gtsam
 import numpy as np
 import pytest
-import sensor_dive as dive
 from gtsam.symbol_shorthand import B, V, X
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array, invert, transform
+from oysterbench.core.geometry import Array, invert, transform
 from oysterbench_baselines.common.aiding import dvl_rows
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_full.factors import (
@@ -26,6 +25,7 @@ from oysterbench_baselines.gtsam_full.factors import (
     velocity_factor,
 )
 from oysterbench_baselines.gtsam_vi.states import State, make_state
+from tests.helpers import sensor_dive as dive
 
 GRAVITY = 9.80665
 TOLERANCE = 2e-4  # m/s, at 0.5 m/s: what inertial samples of 100 Hz and a lever arm of 12 cm leave

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-import sensor_dive as dive
-from test_gtsam_full import ALL, camera, errors, estimate, tracks
 
-from oysterbench.geometry import Array
-from oysterbench.samples import DvlSample, Image, MagneticSample, PressureSample
-from oysterbench.trajectory import Trajectory
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import DvlSample, Image, MagneticSample, PressureSample
+from oysterbench.core.trajectory import Trajectory
 from oysterbench_baselines.dead_reckoning import DeadReckoning
 from oysterbench_baselines.gtsam_full import GtsamFull
 from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
+from tests.baselines.test_gtsam_full import ALL, camera, errors, estimate, tracks
+from tests.helpers import sensor_dive as dive
 
 NEVER = (np.inf, np.inf)
 

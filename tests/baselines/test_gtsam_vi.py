@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import synthetic_dive as dive
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import MethodError
-from oysterbench.geometry import Array, align_yaw, invert
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array, align_yaw, invert
+from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sequence.euroc import EurocSequence
 from oysterbench.sequence.types import Image, ImuSample, Sequence
-from oysterbench.trajectory import Trajectory, read_trajectory
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import undistort
+from tests.helpers import synthetic_dive as dive
+from tests.helpers.paths import SHARED_DATA
 
 
 def estimate(measured: dive.Dive, settings: Settings | None = None) -> Estimator:
@@ -196,8 +196,7 @@ def test_an_unknown_camera_and_an_unknown_output_are_refused():
 
 
 def floor_folder() -> Path:
-    shared = os.environ.get("OYSTERBENCH_SHARED_DATA")
-    folder = (Path(shared) if shared else Path(__file__).resolve().parents[3] / "shared" / "data") / "floor-euroc"
+    folder = SHARED_DATA / "floor-euroc"
     if not (folder / "mav0").is_dir():
         pytest.skip(f"{folder} is absent; OYSTERBENCH_SHARED_DATA names the folder that holds floor-euroc")
     return folder

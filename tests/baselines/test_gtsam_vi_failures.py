@@ -7,18 +7,18 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-import synthetic_dive as dive
 from numpy.typing import NDArray
-from test_gtsam_vi import FlatBottom, position_error
 
-from oysterbench.geometry import Array, align_yaw
+from oysterbench.core.geometry import Array, align_yaw
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import Image
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
+from tests.baselines.test_gtsam_vi import FlatBottom, position_error
+from tests.helpers import synthetic_dive as dive
 
 Picture = NDArray[np.uint8]
 BEGIN_S, END_S, SECONDS = 6.0, 9.0, 13.0

@@ -8,10 +8,10 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from test_gtsam_vi import FlatBottom, position_error
 
 from oysterbench.sequence.types import Image
 from oysterbench_baselines.gtsam_vi import GtsamVi
+from tests.baselines.test_gtsam_vi import FlatBottom, position_error
 
 
 class Watched(FlatBottom):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import synthetic_dive as dive
-from test_gtsam_vi import FlatBottom, position_error
 
-from oysterbench.geometry import align_yaw
+from oysterbench.core.geometry import align_yaw
 from oysterbench_baselines.gtsam_vi import GtsamVi
 from oysterbench_baselines.gtsam_vi.frontend import Tracks
 from oysterbench_baselines.gtsam_vi.mapping import Palette
+from tests.baselines.test_gtsam_vi import FlatBottom, position_error
+from tests.helpers import synthetic_dive as dive
 
 
 def test_landmarks_lie_on_the_ground_and_have_its_colours():

@@ -8,12 +8,10 @@ import cv2
 import gtsam
 import numpy as np
 import pytest
-import synthetic_dive as dive
 from gtsam.symbol_shorthand import L, X
 from scipy.spatial.transform import Rotation
-from test_gtsam_vi import estimate
 
-from oysterbench.geometry import invert
+from oysterbench.core.geometry import invert
 from oysterbench.methods import seed_of
 from oysterbench.sequence.types import ImuSample
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
@@ -37,6 +35,8 @@ from oysterbench_baselines.gtsam_vi.initialisation import View, closed_form_star
 from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
 from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.states import insert_state, make_state, read_state
+from tests.baselines.test_gtsam_vi import estimate
+from tests.helpers import synthetic_dive as dive
 
 
 def texture(seed: int = 0) -> np.ndarray:

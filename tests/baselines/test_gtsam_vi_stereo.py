@@ -7,20 +7,20 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
-import synthetic_dive as dive
 
-from oysterbench.errors import MethodError
-from oysterbench.evaluate.settings import SlamSettings
-from oysterbench.evaluate.slam import score
-from oysterbench.geometry import Array, align_yaw, invert
-from oysterbench.samples import Image
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array, align_yaw, invert
+from oysterbench.core.measurements import Image
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.scoring import score
+from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.sequence.types import ImuSample
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo, Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs
+from tests.helpers import synthetic_dive as dive
 
 
 def estimate(measured: dive.Dive, blind_right: bool = False) -> Estimator:
@@ -152,7 +152,7 @@ def test_frames_are_paired_by_their_stamps_in_whichever_order_they_come():
 
 
 def test_without_a_second_camera_it_says_so():
-    from test_gtsam_vi import FlatBottom
+    from tests.baselines.test_gtsam_vi import FlatBottom
 
     with pytest.raises(MethodError, match=r"gtsam_vi_stereo: .*no second camera.*run gtsam_vi"):
         GtsamViStereo().run(FlatBottom(0.1).for_method())

@@ -5,11 +5,10 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 import pytest
-import synthetic_dive as dive
 from gtsam.symbol_shorthand import X
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench.sequence import ImuSample
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_vi import Settings
@@ -17,6 +16,7 @@ from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.fixed_lag import FixedLagSmoother
 from oysterbench_baselines.gtsam_vi.frontend import undistort
 from oysterbench_baselines.gtsam_vi.trackbook import TrackBook
+from tests.helpers import synthetic_dive as dive
 
 
 def chain(count: int, rng: np.random.Generator) -> tuple[list[gtsam.NonlinearFactor], gtsam.Values]:

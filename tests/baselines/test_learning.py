@@ -6,19 +6,17 @@ import dataclasses
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.helpers.paths import ROOT
+
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from labelled_folders import image  # noqa: E402
-from small_trainings import SMALL, small_set  # noqa: E402
-
-from oysterbench.errors import LabelError, MethodError  # noqa: E402
-from oysterbench.labelled import LabelledSet  # noqa: E402
-from oysterbench.streams import Streams, stream  # noqa: E402
+from oysterbench.annotations import LabelledSet  # noqa: E402
+from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
+from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench_baselines.learning.augment import Augmentation, augmented  # noqa: E402
 from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
@@ -26,6 +24,8 @@ from oysterbench_baselines.learning.loop import FitSettings, pick_device  # noqa
 from oysterbench_baselines.learning.losses import bce_dice  # noqa: E402
 from oysterbench_baselines.learning.samples import LabelledDataset, cores, make_sample  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
+from tests.helpers.labelled_folders import image  # noqa: E402
+from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
 
 CPU = torch.device("cpu")
 
@@ -197,9 +197,9 @@ KILLED = """
 import sys
 from pathlib import Path
 sys.path[:0] = sys.argv[3:]
-from small_trainings import SMALL
+from tests.helpers.small_trainings import SMALL
 import torch
-from oysterbench.labelled import open_labelled
+from oysterbench.annotations import open_labelled
 from oysterbench_baselines.learning import loop
 from oysterbench_baselines.unet.training import train
 loop.KEEP_S = 0.0
@@ -210,9 +210,9 @@ train(open_labelled(sys.argv[1]), Path(sys.argv[2]), SMALL, 3, torch.device("cpu
 
 def test_a_training_that_is_killed_goes_on_to_the_same_weights(labelled, tmp_path):
     wanted = train(labelled, tmp_path / "whole.pt", SMALL, 3, CPU)
-    here, path = Path(__file__).parent, tmp_path / "killed.pt"
+    path = tmp_path / "killed.pt"
     folder = labelled.entries[0].files[0].parents[1]
-    words = [sys.executable, "-c", KILLED, folder, path, here, here.parent]
+    words = [sys.executable, "-c", KILLED, folder, path, ROOT]
     process = subprocess.Popen([*map(str, words)], stdout=subprocess.PIPE, text=True)
     for line in process.stdout:
         if int(line) == 7:

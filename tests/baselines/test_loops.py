@@ -7,10 +7,9 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-import synthetic_dive as dive
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array, invert, transform
+from oysterbench.core.geometry import Array, invert, transform
 from oysterbench_baselines.gtsam_vi.frontend import undistort
 from oysterbench_baselines.gtsam_vi.places import (
     GroundViewer,
@@ -26,6 +25,7 @@ from oysterbench_baselines.gtsam_vi.places import (
 from oysterbench_baselines.gtsam_vi.posegraph import Drift, PoseGraph
 from oysterbench_baselines.gtsam_vi.settings import Settings
 from oysterbench_baselines.gtsam_vi.verification import Verifier, align, refine, reprojection
+from tests.helpers import synthetic_dive as dive
 
 SETTINGS = Settings()
 CAMERA = dive.camera_calibration()

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 import pytest
-import synthetic_dive as dive
 from gtsam.symbol_shorthand import X
 
-from oysterbench.geometry import Array, align_yaw, invert
+from oysterbench.core.geometry import Array, align_yaw, invert
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.types import ImuSample
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import undistort
 from oysterbench_baselines.gtsam_vi.merging import Loop, Merger, Ties, join, tie
 from oysterbench_baselines.gtsam_vi.places import Place, heading_pose, level_pose, project
 from oysterbench_baselines.gtsam_vi.settings import Settings
+from tests.helpers import synthetic_dive as dive
 
 GREY = np.zeros((480, 640), dtype=np.uint8)
 

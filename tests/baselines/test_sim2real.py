@@ -12,11 +12,9 @@ from click.testing import CliRunner
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from small_trainings import SMALL, small_set  # noqa: E402
-
-from oysterbench.errors import LabelError, ResultError  # noqa: E402
+from oysterbench.core.errors import LabelError, ResultError  # noqa: E402
 from oysterbench.evaluate.statistics import resample_counts  # noqa: E402
-from oysterbench.results import ResultRecord, read_results  # noqa: E402
+from oysterbench.results.records import ResultRecord, read_results  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.sim2real import data, work  # noqa: E402
 from oysterbench_baselines.sim2real.command import command  # noqa: E402
@@ -29,6 +27,7 @@ from oysterbench_baselines.sim2real.settings import ALL, SCHEDULES, Cell, Schedu
 from oysterbench_baselines.sim2real.table import table  # noqa: E402
 from oysterbench_baselines.sim2real.trivial import TRIVIAL, answers  # noqa: E402
 from oysterbench_baselines.sim2real.work import Answer, Bench  # noqa: E402
+from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
 
 SETTINGS = Settings(
     sizes=(2, ALL),

@@ -10,11 +10,11 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from oysterbench.errors import LabelError, MethodError  # noqa: E402
+from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
+from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
 from oysterbench.methods.steering import VehicleState, View  # noqa: E402
 from oysterbench.recipe import SteeringRecipe  # noqa: E402
-from oysterbench.streams import Streams, stream  # noqa: E402
 from oysterbench_baselines import steering  # noqa: E402
 from oysterbench_baselines.learning import loop  # noqa: E402
 from oysterbench_baselines.learning.augment import Augmentation  # noqa: E402

@@ -9,12 +9,10 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from exploring_made import made_split  # noqa: E402
-
 import oysterbench  # noqa: E402
-from oysterbench.errors import LabelError, MethodError, SequenceError  # noqa: E402
-from oysterbench.generate import generate_split  # noqa: E402
+from oysterbench.core.errors import LabelError, MethodError, SequenceError  # noqa: E402
 from oysterbench.methods.steering import VehicleState  # noqa: E402
+from oysterbench.simulation.generate import generate_split  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.loop import FitSettings  # noqa: E402
 from oysterbench_baselines.steering import dagger  # noqa: E402
@@ -23,6 +21,7 @@ from oysterbench_baselines.steering.lessons import files_of, joined, read_all, r
 from oysterbench_baselines.steering.memory import Memory  # noqa: E402
 from oysterbench_baselines.steering.network import NetworkSettings  # noqa: E402
 from oysterbench_baselines.steering.training import Settings, train  # noqa: E402
+from tests.helpers.exploring_made import made_split  # noqa: E402
 
 NETWORK = NetworkSettings(width=32, height=24, channels=(8, 16), columns=8, hidden=32)
 SETTINGS = Settings(batch=4, network=NETWORK, fit=FitSettings(steps=4, warm_up=1, threads=1))
@@ -172,7 +171,7 @@ def test_rounds_do_not_take_the_place_of_another_training(lessons, files, tmp_pa
 def test_the_command_trains_and_says_how_good_it_is(files, home):
     from click.testing import CliRunner
 
-    from oysterbench.cli import main
+    from oysterbench.cli.main import main
 
     data = str(files[0])
     words = ["train", "steering", "--data", data, "--val", str(files[1]), "--steps", "1", "--threads", "1"]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import oysterbench
 from oysterbench.methods import find_method, method_names, run_method
+from tests.helpers.paths import BASELINES
 
-BASELINES = Path(__file__).parents[2] / "baselines"
 PAGE = (BASELINES / "README.md").read_text(encoding="utf-8")
 
 

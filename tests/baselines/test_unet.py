@@ -10,11 +10,8 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from labelled_folders import image  # noqa: E402
-from small_trainings import SMALL, small_set  # noqa: E402
-
-from oysterbench.errors import MethodError  # noqa: E402
-from oysterbench.labelled import open_labelled  # noqa: E402
+from oysterbench.annotations import open_labelled  # noqa: E402
+from oysterbench.core.errors import MethodError  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
 from oysterbench.methods.images import Picture  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
@@ -23,6 +20,8 @@ from oysterbench_baselines.unet.instances import find_instances  # noqa: E402
 from oysterbench_baselines.unet.model import Model, enlarged  # noqa: E402
 from oysterbench_baselines.unet.network import NetworkSettings, UNetwork  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
+from tests.helpers.labelled_folders import image  # noqa: E402
+from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +145,7 @@ def test_the_checkpoint_is_an_option_of_the_method(checkpoint):
 def test_the_command_trains_and_says_where_the_checkpoint_is(home, tmp_path):
     from click.testing import CliRunner
 
-    from oysterbench.cli import main
+    from oysterbench.cli.main import main
 
     small_set(tmp_path / "set", {"one": ("train", 2), "two": ("test", 1)})
     words = ["train", "unet", "--data", str(tmp_path / "set"), "--side", "train", "--steps", "1", "--threads", "1"]

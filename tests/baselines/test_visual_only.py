@@ -8,20 +8,20 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-import synthetic_dive as dive
 
-from oysterbench.errors import MethodError
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.geometry import Array, invert, transform
-from oysterbench.samples import Image
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array, invert, transform
+from oysterbench.core.measurements import Image
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.sequence.types import CameraCalibration, ImuSample, Sequence
-from oysterbench.trajectory import Trajectory
 from oysterbench_baselines.visual_only import VisualOnly
 from oysterbench_baselines.visual_only.lens import Lens
 from oysterbench_baselines.visual_only.method import poses_of_base
 from oysterbench_baselines.visual_only.odometry import Frame, Odometry
 from oysterbench_baselines.visual_only.settings import Settings
 from oysterbench_baselines.visual_only.views import point_from_views, pose_from_points, ray_angle
+from tests.helpers import synthetic_dive as dive
 
 BOTTOM_Z, RATE_HZ = -4.0, 20.0
 TEXEL_M = 0.006

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oysterbench.streams import stream
+from oysterbench.core.streams import stream
 
 RATE_HZ = 200
 
@@ -43,8 +43,8 @@ def write_files(folder: Path, poses: int) -> None:
 
 def run_ours(folder: Path) -> dict[str, float]:
     """Read and score; seconds of each."""
-    from oysterbench.evaluate.slam import score
-    from oysterbench.trajectory import read_trajectory
+    from oysterbench.core.trajectory import read_trajectory
+    from oysterbench.evaluate.slam.scoring import score
 
     clock = Clock()
     truth, estimate = (read_trajectory(folder / f"{name}.tum") for name in ("truth", "estimate"))

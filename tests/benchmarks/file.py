@@ -17,10 +17,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from oysterbench import generate
 from oysterbench.recipe import load_split
 from oysterbench.sequence import topics
-from oysterbench.stage import build_stage
+from oysterbench.simulation import generate
+from oysterbench.simulation.simulated_sequence import build_stage
 
 SHARE = 0.10
 """At most so much of the time may go into the file."""

@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 import orjson
 
+from oysterbench.core.streams import stream
 from oysterbench.evaluate.conditions import CONDITIONS
 from oysterbench.evaluate.metrics import SLAM
-from oysterbench.evaluate.settings import SlamSettings
+from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.hub.canonical import sha256
-from oysterbench.results import ResultRecord
-from oysterbench.streams import stream
+from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import SqlIndex
 from oysterbench_leaderboard.record import Record

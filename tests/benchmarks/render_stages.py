@@ -14,7 +14,7 @@ import time
 import cv2
 import numpy as np
 
-from oysterbench.geometry import transform
+from oysterbench.core.geometry import transform
 from oysterbench.recipe import LampRecipe, SplitRecipe, load_split, vary_split
 
 EVERYTHING = {
@@ -46,11 +46,11 @@ def main() -> None:
     options = parser.parse_args()
 
     began = time.perf_counter()
+    from oysterbench.core.streams import Streams
     from oysterbench.render.camera import CameraRenderer, warm_up
     from oysterbench.scene.path import build_path
     from oysterbench.scene.rig import camera_pose
     from oysterbench.scene.world import build_world
-    from oysterbench.streams import Streams
 
     warm_up(options.device)
     loaded = time.perf_counter()

@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from oysterbench.streams import stream
+from oysterbench.core.streams import stream
 
 HEIGHT, WIDTH = 480, 640
 

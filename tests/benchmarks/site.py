@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import leaderboard as made
-from oysterbench.streams import stream
+from oysterbench.core.streams import stream
 from oysterbench_leaderboard.index import SqlIndex
 from oysterbench_leaderboard.site.paths import split_path
 from oysterbench_leaderboard.store import RecordStore

@@ -24,14 +24,14 @@ def main() -> None:
     parser.add_argument("--device", default="cpu")
     options = parser.parse_args()
 
-    from oysterbench.geometry import transform
+    from oysterbench.core.geometry import transform
+    from oysterbench.core.streams import Streams
     from oysterbench.render.rays import RayCaster
     from oysterbench.scene.path import build_path
     from oysterbench.scene.world import build_world
     from oysterbench.sensors import altimeter, dvl
     from oysterbench.sensors.scanner import ScanningSonar
     from oysterbench.sensors.sonar import ImagingSonar
-    from oysterbench.streams import Streams
 
     split = load_split("slam-mini")
     recipe = split.sequence[0]

@@ -10,11 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from oysterbench.evaluate.pairs import distances, pairs_along, pairs_apart, pairs_over_frames, pairs_over_time, turned
-from oysterbench.evaluate.pose_errors import absolute_errors, relative_errors
-from oysterbench.evaluate.slam import SlamResult, SlamSettings, score
-from oysterbench.streams import stream
-from oysterbench.trajectory import Trajectory
+from oysterbench.core.streams import stream
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.pairs import (
+    distances,
+    pairs_along,
+    pairs_apart,
+    pairs_over_frames,
+    pairs_over_time,
+    turned,
+)
+from oysterbench.evaluate.slam.pose_errors import absolute_errors, relative_errors
+from oysterbench.evaluate.slam.scoring import SlamResult, SlamSettings, score
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # evo's plotting dependencies warn when they are imported

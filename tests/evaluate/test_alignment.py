@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dives import moved, noisy, survey, transect
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import TrajectoryError
-from oysterbench.evaluate.alignment import fit_alignment
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.streams import stream
-from oysterbench.trajectory import Trajectory
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.streams import stream
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.alignment import fit_alignment
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from tests.helpers.dives import moved, noisy, survey, transect
 
 
 def refusal(truth: Trajectory, estimate: Trajectory, **options) -> str:

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dives import survey
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from oysterbench.evaluate.consistency import nees
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.geometry import IDENTITY
-from oysterbench.streams import stream
-from oysterbench.trajectory import Trajectory
+from oysterbench.core.geometry import IDENTITY
+from oysterbench.core.streams import stream
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.consistency import nees
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from tests.helpers.dives import survey
 
 PARTS = {"position": 3, "rotation": 3, "pose": 6}
 

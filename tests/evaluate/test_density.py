@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from oysterbench.evaluate.density import Cell, MapCount, TrueCount, score_density
-from oysterbench.evaluate.density_metrics import DENSITY
+from oysterbench.evaluate.density.metrics import DENSITY
+from oysterbench.evaluate.density.scoring import Cell, MapCount, TrueCount, score_density
 from oysterbench.evaluate.metrics import find_metric
 
 TRUTH = TrueCount(

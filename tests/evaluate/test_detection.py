@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
+from oysterbench.core.streams import stream
 from oysterbench.evaluate.detection import DetectionScorer, DetectionSettings, ImageInstances, Instance
 from oysterbench.evaluate.detection.clip import over_clips
 from oysterbench.evaluate.detection.instances import from_mask, from_planes, numpy_2
@@ -19,7 +20,6 @@ from oysterbench.evaluate.detection.matching import match
 from oysterbench.evaluate.detection.panoptic import panoptic
 from oysterbench.evaluate.detection.precision import PrecisionCurve, average_precision
 from oysterbench.evaluate.metrics import find_metric
-from oysterbench.streams import stream
 
 NAN = math.nan
 SIDE = 120

@@ -6,18 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trajectory_files as files
 from scipy.spatial.transform import Rotation
-from trajectory_files import dive
 
-from oysterbench.errors import TrajectoryError
-from oysterbench.evaluate.diagnose import diagnose
-from oysterbench.evaluate.inputs import read_pair
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.geometry import transform
-from oysterbench.streams import stream
-from oysterbench.trajectory import ReadOptions, Trajectory, write_npz, write_tum
-from oysterbench.trajectory.frames import ROTATION_BODY_OPTICAL
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import transform
+from oysterbench.core.streams import stream
+from oysterbench.core.trajectory import ReadOptions, Trajectory, write_npz, write_tum
+from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL
+from oysterbench.evaluate.slam.diagnose import diagnose
+from oysterbench.evaluate.slam.inputs import read_pair
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from tests.helpers import trajectory_files as files
+from tests.helpers.trajectory_files import dive
 
 OPTICAL = Rotation.from_matrix(ROTATION_BODY_OPTICAL)
 

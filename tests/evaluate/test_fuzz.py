@@ -9,17 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trajectory_files as files
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from trajectory_files import dive
 
-from oysterbench.errors import OysterbenchError, TrajectoryError
-from oysterbench.evaluate.inputs import read_pair
-from oysterbench.evaluate.slam import score
-from oysterbench.streams import stream
-from oysterbench.trajectory import Trajectory, read_trajectory
-from oysterbench.trajectory.stamps import scaled_integer
+from oysterbench.core.errors import OysterbenchError, TrajectoryError
+from oysterbench.core.streams import stream
+from oysterbench.core.trajectory import Trajectory, read_trajectory
+from oysterbench.core.trajectory.stamps import scaled_integer
+from oysterbench.evaluate.slam.inputs import read_pair
+from oysterbench.evaluate.slam.scoring import score
+from tests.helpers import trajectory_files as files
+from tests.helpers.trajectory_files import dive
 
 TRUTH = dive(12, covariances=True)
 TEXT = ("tum", "euroc", "kitti", "csv")

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exploring_made import PITCH, YAW, made_log, made_split
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.metrics import FAILED, find_metric
-from oysterbench.evaluate.navigation import Commands, Labels, labels, place_between, score_dive, score_pictures
-from oysterbench.evaluate.navigation.dataset import over_sequences
-from oysterbench.evaluate.navigation.dives import episodes, seen_so_far
-from oysterbench.evaluate.navigation.metrics import DIVES, PICTURES
 from oysterbench.evaluate.statistics import resample_counts
+from oysterbench.evaluate.steering import Commands, Labels, labels, place_between, score_dive, score_pictures
+from oysterbench.evaluate.steering.dataset import over_sequences
+from oysterbench.evaluate.steering.dives import episodes, seen_so_far
+from oysterbench.evaluate.steering.metrics import DIVES, PICTURES
+from tests.helpers.exploring_made import PITCH, YAW, made_log, made_split
 
 TASK = made_split().steering
 COST = {"wall_s", "cpu_s", "pictures_per_s"}
@@ -173,7 +173,7 @@ def _ratio(parts, counts, top, bottom) -> float:
 
 
 def test_a_macro_f1_of_resamples_is_that_of_their_pictures():
-    from oysterbench.evaluate.navigation import dataset
+    from oysterbench.evaluate.steering import dataset
 
     parts = [made(9, 40 + k) for k in range(6)]
     counts = resample_counts(6)[:5]

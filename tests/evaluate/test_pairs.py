@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oysterbench.evaluate.association import find_gaps
-from oysterbench.evaluate.pairs import (
+from oysterbench.evaluate.slam.association import find_gaps
+from oysterbench.evaluate.slam.pairs import (
     pairs_along,
     pairs_over_frames,
     pairs_over_time,

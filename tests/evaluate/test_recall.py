@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dives import noisy, survey
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import trapezoid
 
-from oysterbench.evaluate.recall import recall
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.results import ResultRecord
-from oysterbench.streams import stream
+from oysterbench.core.streams import stream
+from oysterbench.evaluate.slam.recall import recall
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from oysterbench.results.records import ResultRecord
+from tests.helpers.dives import noisy, survey
 
 seeds = st.integers(0, 2**32 - 1)
 

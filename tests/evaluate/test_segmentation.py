@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from masks import border, counted, pictures, truth_of
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
+from oysterbench.core.streams import stream
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.segmentation import SEGMENTATION, ClipScorer, EstimateImage, SegmentationSettings, TruthImage
 from oysterbench.evaluate.segmentation.boundary import boundary_depth, inner_boundary
@@ -20,7 +20,7 @@ from oysterbench.evaluate.segmentation.dataset import over_dataset
 from oysterbench.evaluate.segmentation.settings import class_names
 from oysterbench.evaluate.segmentation.thresholds import STEPS
 from oysterbench.recipe import CLASSES
-from oysterbench.streams import stream
+from tests.helpers.masks import border, counted, pictures, truth_of
 
 EMPTY, FULL = np.zeros((4, 4), bool), np.ones((4, 4), bool)
 LEFT = np.tile([True, True, False, False], (4, 1))

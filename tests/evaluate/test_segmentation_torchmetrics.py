@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from oysterbench.core.streams import stream
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, TruthImage
 from oysterbench.recipe import CLASSES
-from oysterbench.streams import stream
 
 torch = pytest.importorskip("torch")
 classification = pytest.importorskip("torchmetrics.functional.classification")

@@ -8,18 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dives import EPOCH_NS, dive, moved, noisy, survey
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import TrajectoryError
-from oysterbench.evaluate.association import covered_stamps, nearest_pairs
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.streams import stream
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.metrics import SLAM, find_metric
-from oysterbench.evaluate.pairs import distances, pairs_along, pairs_over_time
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.streams import stream
-from oysterbench.trajectory import Trajectory
+from oysterbench.evaluate.slam.association import covered_stamps, nearest_pairs
+from oysterbench.evaluate.slam.pairs import distances, pairs_along, pairs_over_time
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from tests.helpers.dives import EPOCH_NS, dive, moved, noisy, survey
 
 
 def refusal(truth: Trajectory, estimate: Trajectory, **options) -> str:

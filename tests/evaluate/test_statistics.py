@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import bootstrap as scipy_bootstrap
 
+from oysterbench.core.streams import stream
 from oysterbench.evaluate.statistics import (
     LEAST_SEQUENCES,
     bootstrap_interval,
@@ -16,7 +17,6 @@ from oysterbench.evaluate.statistics import (
     sequence_means,
     summarise,
 )
-from oysterbench.streams import stream
 
 
 def sample(values, runs=1) -> dict[str, list[float]]:

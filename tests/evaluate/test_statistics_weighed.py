@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from masks import truth_of
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
+from oysterbench.core.streams import stream
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage
 from oysterbench.evaluate.segmentation.dataset import over_dataset
 from oysterbench.evaluate.statistics import compare, rank, summarise
-from oysterbench.results import ResultRecord, aggregate, weights_of
-from oysterbench.streams import stream
+from oysterbench.results.records import ResultRecord, aggregate, weights_of
+from tests.helpers.masks import truth_of
 
 A, OF_A = {"a": [0.5], "b": [1.0]}, {"a": [2.0], "b": [6.0]}
 B, OF_B = {"a": [0.5], "b": [0.25]}, {"a": [4.0], "b": [4.0]}

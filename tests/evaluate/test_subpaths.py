@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dives import moved, noisy, survey, transect
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from oysterbench.evaluate.pairs import distances, subpaths
-from oysterbench.evaluate.pose_errors import absolute_errors, relative_errors
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.geometry import invert
-from oysterbench.streams import stream
-from oysterbench.trajectory import Trajectory
+from oysterbench.core.geometry import invert
+from oysterbench.core.streams import stream
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.pairs import distances, subpaths
+from oysterbench.evaluate.slam.pose_errors import absolute_errors, relative_errors
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from tests.helpers.dives import moved, noisy, survey, transect
 
 seeds = st.integers(0, 2**32 - 1)
 

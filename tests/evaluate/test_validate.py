@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import TrajectoryError
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.evaluate.validate import check_trajectory
-from oysterbench.streams import stream
-from oysterbench.trajectory import Trajectory
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.streams import stream
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from oysterbench.evaluate.slam.validate import check_trajectory
 
 
 def walk(n: int = 200) -> Trajectory:

@@ -7,12 +7,9 @@ import os
 import shutil
 
 import pytest
-from blobs import CALM
-from trees import DIGEST, SECRET, a_key, publish_secret, publish_split, tree_bytes, write_sequence, write_split
-from web import Honest, misbehaving, serving
 
 import oysterbench
-from oysterbench.errors import HubError, IntegrityError, NetworkError, SequenceError
+from oysterbench.core.errors import HubError, IntegrityError, NetworkError, SequenceError
 from oysterbench.hub import download as downloading
 from oysterbench.hub.canonical import canonical
 from oysterbench.hub.download import Hub, choose, download, find_here, part_path, plan
@@ -22,6 +19,18 @@ from oysterbench.hub.settings import hub_key, hub_places
 from oysterbench.hub.sign import make_key
 from oysterbench.hub.topics import fetch_topics
 from oysterbench.sequence.file import read_messages
+from tests.helpers.blobs import CALM
+from tests.helpers.trees import (
+    DIGEST,
+    SECRET,
+    a_key,
+    publish_secret,
+    publish_split,
+    tree_bytes,
+    write_sequence,
+    write_split,
+)
+from tests.helpers.web import Honest, misbehaving, serving
 
 
 class Published:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import pytest
-from blobs import blob, fetch
-from web import Honest, serving
 
 from oysterbench.hub.draft import HEADER, drafts_left
+from tests.helpers.blobs import blob, fetch
+from tests.helpers.web import Honest, serving
 
 DATA, ENTRY = blob(100_001)
 PATH = f"blobs/{ENTRY.sha256}"

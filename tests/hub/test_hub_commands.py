@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from conftest import TINY_RIG, TINY_SPLIT
-from trees import FACTS, SECRET, oysterbench_serve, write_sequence
 
-from oysterbench.cli import main
-from oysterbench.generate import digest
+from oysterbench.cli.main import main
 from oysterbench.recipe import load_split
+from oysterbench.simulation.generate import digest
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
+from tests.helpers.trees import FACTS, SECRET, oysterbench_serve, write_sequence
 
 
 class Place:

@@ -7,15 +7,15 @@ import json
 import cv2
 import numpy as np
 import pytest
-from hand_made_dive import write_dive
-from trees import DIGEST, FACTS, write_sequence
 
-from oysterbench.errors import HubError, IntegrityError
+from oysterbench.core.errors import HubError, IntegrityError
 from oysterbench.hub.canonical import canonical, parse, sha256
 from oysterbench.hub.content import content_of
 from oysterbench.hub.manifest import build_manifest, describe_file, read_manifest, released_manifest
 from oysterbench.hub.verify import ABSENT, DAMAGED, REPACKED, RIGHT, UNKNOWN, check_file, check_unknown, checks
 from oysterbench.sequence.messages import camera
+from tests.helpers.hand_made_dive import write_dive
+from tests.helpers.trees import DIGEST, FACTS, write_sequence
 
 
 @pytest.fixture(scope="module")

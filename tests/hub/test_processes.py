@@ -13,14 +13,15 @@ import time
 from pathlib import Path
 
 import pytest
-from blobs import beginnings
-from trees import PIECE, SIZE, Big, tree_bytes
-from web import Honest, serving
 
 from oysterbench.hub.download import part_path
 from oysterbench.hub.part import Part
+from tests.helpers.blobs import beginnings
+from tests.helpers.paths import HELPERS
+from tests.helpers.trees import PIECE, SIZE, Big, tree_bytes
+from tests.helpers.web import Honest, serving
 
-PROGRAM = Path(__file__).with_name("one_download.py")
+PROGRAM = HELPERS / "one_download.py"
 
 
 class Slow(Honest):

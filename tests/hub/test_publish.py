@@ -11,7 +11,18 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from trees import (
+
+import oysterbench
+from oysterbench.core.errors import HubError, SequenceError
+from oysterbench.hub import publish as publishing
+from oysterbench.hub.canonical import canonical, sha256
+from oysterbench.hub.index import read_index
+from oysterbench.hub.manifest import read_manifest
+from oysterbench.hub.publish import check_made_by
+from oysterbench.hub.sign import public_hex
+from oysterbench.hub.verify import ABSENT, DAMAGED, RIGHT, checks
+from oysterbench.sequence.file import read_attachments, read_messages
+from tests.helpers.trees import (
     DIGEST,
     FACTS,
     SECRET,
@@ -23,17 +34,6 @@ from trees import (
     write_sequence,
     write_split,
 )
-
-import oysterbench
-from oysterbench.errors import HubError, SequenceError
-from oysterbench.hub import publish as publishing
-from oysterbench.hub.canonical import canonical, sha256
-from oysterbench.hub.index import read_index
-from oysterbench.hub.manifest import read_manifest
-from oysterbench.hub.publish import check_made_by
-from oysterbench.hub.sign import public_hex
-from oysterbench.hub.verify import ABSENT, DAMAGED, RIGHT, checks
-from oysterbench.sequence.file import read_attachments, read_messages
 
 
 @pytest.fixture(scope="module")

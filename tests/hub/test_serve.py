@@ -15,9 +15,9 @@ import urllib.parse
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from trees import a_key, oysterbench_serve, publish_split, write_split
 
 from oysterbench.hub.serve import LARGEST_HEADERS, parse_range
+from tests.helpers.trees import a_key, oysterbench_serve, publish_split, write_split
 
 
 @pytest.fixture(scope="module")

@@ -11,10 +11,10 @@ import urllib.request
 from contextlib import contextmanager
 
 import pytest
-from blobs import CALM
-from trees import Big, a_key, publish_split, tree_bytes, write_split
 
 from oysterbench.hub.download import Hub, download, part_path
+from tests.helpers.blobs import CALM
+from tests.helpers.trees import Big, a_key, publish_split, tree_bytes, write_split
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ from dataclasses import replace
 from itertools import pairwise
 
 import pytest
-from blobs import CALM, IMPATIENT, beginnings, blob, fetch
-from web import KINDS, Honest, misbehaving, serving
 
-from oysterbench.errors import HubError, IntegrityError, NetworkError
+from oysterbench.core.errors import HubError, IntegrityError, NetworkError
 from oysterbench.hub.part import Part
 from oysterbench.hub.sources import _retry_after
 from oysterbench.hub.transfer import pause_s
+from tests.helpers.blobs import CALM, IMPATIENT, beginnings, blob, fetch
+from tests.helpers.web import KINDS, Honest, misbehaving, serving
 
 DATA, ENTRY = blob(300_001)
 PATH = f"blobs/{ENTRY.sha256}"

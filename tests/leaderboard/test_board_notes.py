@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from records_made import record_made
 
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import open_index
@@ -11,6 +10,7 @@ from oysterbench_leaderboard.site.pages.board import board_page
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.tables import board_table
+from tests.helpers.records_made import record_made
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ import json
 
 import numpy as np
 
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.geometry import Array
-from oysterbench.results import ResultRecord, write_results
-from oysterbench.trajectory import Trajectory, write_tum
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory, write_tum
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from oysterbench.results.records import ResultRecord, write_results
 from oysterbench_leaderboard.curves import MOST_POINTS, curves_document, sequence_curve
 from oysterbench_leaderboard.publishing import Entry, publish, records_of, without_places
 from oysterbench_leaderboard.store import RecordStore
@@ -80,8 +80,8 @@ def results_of(truth: Trajectory, estimate: Trajectory, evaluator: str = "slam 3
 
 
 def recipe_digest() -> str:
-    from oysterbench.generate import digest
     from oysterbench.recipe import load_split
+    from oysterbench.simulation.generate import digest
 
     return digest(load_split("slam-mini"))
 

@@ -16,17 +16,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from records_made import fill, record_made, records_made
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
+from oysterbench.core.streams import stream
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.hub.canonical import canonical, sha256
-from oysterbench.results import samples, weights_of
-from oysterbench.streams import stream
+from oysterbench.results.records import samples, weights_of
 from oysterbench_leaderboard.board import BoardPage, Query
 from oysterbench_leaderboard.index import SqlIndex, open_index
 from oysterbench_leaderboard.ranking import Table
 from oysterbench_leaderboard.store import Notice, RecordStore
+from tests.helpers.records_made import fill, record_made, records_made
 
 ALL = Query(states=("current", "superseded", "withdrawn"))
 

@@ -6,9 +6,6 @@ import shutil
 import subprocess
 
 import pytest
-from latex import Wrong, needed, read, shown
-from records_made import NASTY, fill, record_made
-from site_made import make_site
 
 from oysterbench.report import latex_table
 from oysterbench.report.formats import LATEX_NEEDS
@@ -20,6 +17,9 @@ from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.site.twins import tex_text
 from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.tables import board_table, history_table, literature_tables
+from tests.helpers.latex import Wrong, needed, read, shown
+from tests.helpers.records_made import NASTY, fill, record_made
+from tests.helpers.site_made import make_site
 
 NAMES = (
     *(name for pair in NASTY for name in pair),

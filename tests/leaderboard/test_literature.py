@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.literature import literature, parse_literature
 
 

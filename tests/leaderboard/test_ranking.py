@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from oysterbench.core.streams import stream
 from oysterbench.evaluate.statistics import Sample, compare, summarise
-from oysterbench.streams import stream
 from oysterbench_leaderboard.ranking import Answers, Standing, standings
 
 NAMES = tuple(f"val-{i:02d}" for i in range(1, 9))

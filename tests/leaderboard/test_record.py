@@ -6,12 +6,12 @@ import json
 from dataclasses import replace
 
 import pytest
-from records_made import record_made
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench_leaderboard.intake import keep
 from oysterbench_leaderboard.record import MOST_TEXT, Record
+from tests.helpers.records_made import record_made
 
 
 def test_a_record_is_the_same_after_writing_and_reading():

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 from click.testing import CliRunner
-from served import answers, lay_split
-from test_curves import loop, moved, results_of
 
-from oysterbench.cli import main
+from oysterbench.cli.main import main
+from oysterbench.core.trajectory import write_tum
 from oysterbench.hub.canonical import sha256
-from oysterbench.results import ResultRecord, write_results
-from oysterbench.trajectory import write_tum
+from oysterbench.results.records import ResultRecord, write_results
 from oysterbench_leaderboard.publishing import Entry, keep_estimates, records_of
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.rescoring import score_again
 from oysterbench_leaderboard.store import RecordStore
+from tests.helpers.served import answers, lay_split
+from tests.leaderboard.test_curves import loop, moved, results_of
 
 
 def test_kept_paths_are_scored_again_into_a_record_in_place_of_the_old_one(tmp_path, monkeypatch):
@@ -47,9 +47,9 @@ def test_kept_paths_are_scored_again_into_a_record_in_place_of_the_old_one(tmp_p
 
 def uploaded(folder: Path, recipe: Path) -> Record:
     """What a team sent, as an earlier evaluator is said to have scored it."""
-    from oysterbench.evaluate.settings import SlamSettings
-    from oysterbench.generate import digest
+    from oysterbench.evaluate.slam.settings import SlamSettings
     from oysterbench.recipe import load_split
+    from oysterbench.simulation.generate import digest
 
     data = answers(folder)
     (folder / "estimates").mkdir()

@@ -10,11 +10,11 @@ import threading
 from pathlib import Path
 
 import pytest
-from browser import CHROMIUM, browsing
-from site_made import make_site
 
 from oysterbench_leaderboard.site.export import export
 from oysterbench_leaderboard.site.running import settings, whole
+from tests.helpers.browser import CHROMIUM, browsing
+from tests.helpers.site_made import make_site
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
 

@@ -7,12 +7,10 @@ import io
 import re
 
 import pytest
-from records_made import NASTY, records_made
-from site_made import LITERATURE, Reading, make_site
 
-from oysterbench.comparison import boards
 from oysterbench.evaluate.metrics import find_metric
-from oysterbench.results import ResultRecord
+from oysterbench.results.comparison import boards
+from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import open_index
 from oysterbench_leaderboard.site import render, standing
@@ -30,6 +28,8 @@ from oysterbench_leaderboard.site.paths import slug
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.site.twins import csv_text, tex_text
 from oysterbench_leaderboard.store import RecordStore
+from tests.helpers.records_made import NASTY, records_made
+from tests.helpers.site_made import LITERATURE, Reading, make_site
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,8 @@ from urllib.parse import unquote
 
 import pytest
 from click.testing import CliRunner
-from records_made import NASTY, record_made
-from site_made import Client, Reading, make_site
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.site.cache import Kept, PageCache
 from oysterbench_leaderboard.site.command import build_command, serve_command
 from oysterbench_leaderboard.site.export import export
@@ -26,6 +24,8 @@ from oysterbench_leaderboard.site.paths import method_path
 from oysterbench_leaderboard.site.render import page_html
 from oysterbench_leaderboard.site.running import Watch
 from oysterbench_leaderboard.site.server import SECURITY, application
+from tests.helpers.records_made import NASTY, record_made
+from tests.helpers.site_made import Client, Reading, make_site
 
 BOARD = "/boards/slam/slam-val"
 

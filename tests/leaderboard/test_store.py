@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from records_made import fill, record_made
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.curves import curves_document
 from oysterbench_leaderboard.store import Notice, RecordStore
 from oysterbench_leaderboard.verifying import verify
+from tests.helpers.records_made import fill, record_made
 
 
 def test_records_are_kept_once_and_listed_in_order(tmp_path):

@@ -18,10 +18,10 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from served import NAMES, Server, answers, estimate, lay, path, running, tum, zipped
 
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.state import State, log
+from tests.helpers.served import NAMES, Server, answers, estimate, lay, path, running, tum, zipped
 
 
 class Site:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from kills import check, run
+
+from tests.helpers.kills import check, run
 
 
 def test_six_kills_lose_nothing_and_score_nothing_twice(tmp_path):

@@ -10,18 +10,30 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from served import IMAGES, NAMES, answers, classes, estimate, image_names, lay_split, path, steered, tum, zipped
 
-from oysterbench.answers import sequence_clip
+from oysterbench.annotations import sequence_clip
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, SegmentationSettings
-from oysterbench.evaluate.slam import SlamSettings, score
-from oysterbench.results import ResultRecord, document, read_results, write_results
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from oysterbench.results.records import ResultRecord, document, read_results, write_results
 from oysterbench_leaderboard.submissions.archive import Limits
 from oysterbench_leaderboard.submissions.bundle import check_bundle, open_bundle
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue, Wanted, serve_split
 from oysterbench_leaderboard.submissions.evaluators import evaluator
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.scoring import OF_TRUTH, UNANSWERED, score_bundle, significant
+from tests.helpers.served import (
+    IMAGES,
+    NAMES,
+    answers,
+    classes,
+    estimate,
+    image_names,
+    lay_split,
+    path,
+    steered,
+    tum,
+    zipped,
+)
 
 LIMITS = Limits(4_000_000, 1_000_000, 200, 20_000_000, 100.0)
 
@@ -111,7 +123,7 @@ def test_a_score_is_the_evaluators(served, tmp_path):
     scored = score_bundle(bundle, wanted, served["pool-val"].truth, "carp", "2026-11-01T00:00:00Z", hidden=False)
     for k, record in enumerate(scored.results):
         (tmp_path / "y.tum").write_bytes(tum(estimate(k), tmp_path))
-        from oysterbench.trajectory import read_trajectory
+        from oysterbench.core.trajectory import read_trajectory
 
         expected = score(path(k), read_trajectory(tmp_path / "y.tum"), SlamSettings())
         assert record.metrics["ate_rmse_m"] == pytest.approx(expected.metrics["ate_rmse_m"], rel=1e-9)
@@ -385,7 +397,7 @@ def test_tracks_that_cannot_be_submitted_are_refused_with_those_that_can(served,
 
 
 def test_every_track_that_can_be_submitted_has_an_evaluator_and_a_line_on_the_page():
-    from oysterbench.comparison import PRIMARY
+    from oysterbench.results.comparison import PRIMARY
     from oysterbench_leaderboard.site.pages.prose import FORMS
     from oysterbench_leaderboard.submissions.catalogue import ELSEWHERE, KIND_OF
 
@@ -398,7 +410,7 @@ def test_every_track_that_can_be_submitted_has_an_evaluator_and_a_line_on_the_pa
 
 
 def test_a_truth_of_another_split_is_refused(tmp_path):
-    from oysterbench.errors import ResultError
+    from oysterbench.core.errors import ResultError
 
     recipe, truth = lay_split(tmp_path, "pool-test")
     _, other = lay_split(tmp_path, "pool-val", hidden=False)

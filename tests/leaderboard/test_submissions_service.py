@@ -8,10 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from served import FAST, answers, lay_split, make_service
-from test_index import postgres  # noqa: F401
 
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.submissions import limited, queue
 from oysterbench_leaderboard.submissions.bundle import check_bundle, open_bundle
 from oysterbench_leaderboard.submissions.catalogue import Wanted
@@ -21,6 +19,8 @@ from oysterbench_leaderboard.submissions.service import Form, upload_of
 from oysterbench_leaderboard.submissions.settings import Settings, load_settings
 from oysterbench_leaderboard.submissions.state import State, find, log, submissions
 from oysterbench_leaderboard.submissions.tokens import Guesses, issue, listed, network, recognise, revoke
+from tests.helpers.served import FAST, answers, lay_split, make_service
+from tests.leaderboard.test_index import postgres  # noqa: F401
 
 FORM = Form("carp", "pool-test")
 
@@ -260,7 +260,7 @@ def test_a_scoring_without_an_answer_fails_with_a_sentence_of_the_list(service, 
 
 
 def test_nothing_that_can_be_scored_is_a_failure(service, tmp_path):
-    from served import NAMES, estimate, tum, zipped
+    from tests.helpers.served import NAMES, estimate, tum, zipped
 
     late = {
         f"{name}.tum": tum(replace(e := estimate(k), stamps_ns=e.stamps_ns + 10**15), tmp_path)

@@ -10,14 +10,14 @@ from urllib.parse import urlencode
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, browsing
 from click.testing import CliRunner
-from served import NAMES, Server, answers, estimate, image_names, lay, running, steered, tum, zipped
 
-from oysterbench.cli import main
-from oysterbench.errors import HubError, NetworkError
+from oysterbench.cli.main import main
+from oysterbench.core.errors import HubError, NetworkError
 from oysterbench.hub.sources import Patience
 from oysterbench_leaderboard.submissions.client import Client, Refused
+from tests.helpers.browser import CHROMIUM, browsing
+from tests.helpers.served import NAMES, Server, answers, estimate, image_names, lay, running, steered, tum, zipped
 
 
 class Site:
@@ -110,7 +110,7 @@ def test_a_track_that_cannot_be_submitted_is_refused_before_anything_is_sent(sit
 
 def test_what_a_run_leaves_is_sent_by_the_name_of_its_method(site, tmp_path, estimates):
     """A folder of `oysterbench run`: results.json, SEQUENCE-METHOD.tum and the truth."""
-    from oysterbench.results import ResultRecord, write_results
+    from oysterbench.results.records import ResultRecord, write_results
 
     out = tmp_path / "results"
     out.mkdir()

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from records_made import fill, record_made
 
-from oysterbench.cli import main
-from oysterbench.results import read_results, write_results
+from oysterbench.cli.main import main
+from oysterbench.results.records import read_results, write_results
 from oysterbench_leaderboard import command as group
 from oysterbench_leaderboard.store import RecordStore
+from tests.helpers.records_made import fill, record_made
 
 
 @pytest.fixture
@@ -215,7 +215,7 @@ def test_what_comes_with_oysterbench_can_be_read_and_is_whole(tmp_path):
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys; from click.testing import CliRunner; from oysterbench.cli import main; "
+        "import sys; from click.testing import CliRunner; from oysterbench.cli.main import main; "
         "assert CliRunner().invoke(main, ['leaderboard', '--help']).exit_code == 0; "
         "print([name for name in ('numpy', 'scipy', 'sqlalchemy', 'pandas', 'cv2') if name in sys.modules])"
     )

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
-from image_statistics import image_statistics
 
-from oysterbench import gallery
+from oysterbench.simulation import gallery
+from tests.helpers.image_statistics import image_statistics
 
 SHARE = (0.02, 0.98)  # of the real images: what lies between these quantiles counts as their spread
 

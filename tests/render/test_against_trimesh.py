@@ -9,12 +9,12 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import transform
+from oysterbench.core.geometry import transform
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe, load_split
 from oysterbench.render.camera import CameraRenderer
 from oysterbench.scene.rig import R_FORWARD_OPTICAL, camera_matrix
 from oysterbench.scene.world import build_world
-from oysterbench.streams import Streams
 
 CAMERA = CameraRecipe(name="test", width=160, height=120, hfov_deg=69.0, rate_hz=10.0)
 RAYS = 200

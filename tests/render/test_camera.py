@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import transform
+from oysterbench.core.geometry import transform
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe, WaterRecipe, load_split
 from oysterbench.render.camera import CameraRenderer, warm_up
 from oysterbench.scene.rig import camera_matrix
 from oysterbench.scene.world import World, build_world
-from oysterbench.streams import Streams
+from tests.helpers.paths import ROOT
 
 RECIPE = load_split("slam-mini").sequence[0]
 CAMERA = CameraRecipe(name="test", width=160, height=120, hfov_deg=69.0, rate_hz=10.0)
@@ -186,7 +187,7 @@ import hashlib, sys
 sys.path.insert(0, {folder!r})
 import warp as wp
 from oysterbench.render import kernels
-from test_camera import CAMERA, CameraRenderer, Streams, build_world, noise, pose, reef
+from tests.render.test_camera import CAMERA, CameraRenderer, Streams, build_world, noise, pose, reef
 wp.get_module("oysterbench.render.kernels").options["cpu_compiler_flags"] = {flags!r}
 frame = CameraRenderer(build_world(reef(), Streams(4)), CAMERA, reef()).render(pose(0.0, 0.0, -2.2, 20, 40), noise())
 print(hashlib.sha256(frame.colour.tobytes() + frame.depth.tobytes() + frame.instances.tobytes()).hexdigest())
@@ -197,7 +198,7 @@ print(hashlib.sha256(frame.colour.tobytes() + frame.depth.tobytes() + frame.inst
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the targets are those of x86-64")
 def test_bytes_do_not_depend_on_the_processors_instructions(tmp_path: Path) -> None:
     def digest(flags: str) -> str:
-        script = PRINT_DIGEST.format(folder=str(Path(__file__).parent), flags=flags)
+        script = PRINT_DIGEST.format(folder=str(ROOT), flags=flags)
         environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
         run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
         assert run.returncode == 0, run.stderr

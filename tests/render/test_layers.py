@@ -7,18 +7,18 @@ import os
 import platform
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
-from reefs import CAMERA, FLAT, noise, pose, renderer_of, rig_with, small_reef, world_of
 
 from oysterbench.recipe import CLASSES, LampRecipe
 from oysterbench.render.camera import LAYERS, CameraRenderer
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.sensor import FULL_WELL, READ_NOISE, vignette
 from oysterbench.scene.rig import camera_pose
+from tests.helpers.paths import ROOT
+from tests.helpers.reefs import CAMERA, FLAT, noise, pose, renderer_of, rig_with, small_reef, world_of
 
 EVERYTHING = {"wind_m_s": 4.0, "occlusion_m": 0.15}
 THICK = {"snow_per_m3": 3000.0, "forward_blur": 1.0}
@@ -208,7 +208,7 @@ import warp as wp
 from oysterbench.render.camera import MODULES
 for module in MODULES:
     wp.get_module(module.__name__).options["cpu_compiler_flags"] = {flags!r}
-from test_layers import EVERYTHING, LAMPS, PLACE, THICK, noise, renderer_of, small_reef
+from tests.render.test_layers import EVERYTHING, LAMPS, PLACE, THICK, noise, renderer_of, small_reef
 frame = renderer_of(small_reef(water=THICK, light=EVERYTHING), rig=LAMPS).render(PLACE, noise(), time_s=1.0)
 print(hashlib.sha256(frame.colour.tobytes() + frame.depth.tobytes() + frame.instances.tobytes()).hexdigest())
 """
@@ -218,7 +218,7 @@ print(hashlib.sha256(frame.colour.tobytes() + frame.depth.tobytes() + frame.inst
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the targets are those of x86-64")
 def test_everything_on_gives_the_same_bytes_on_any_processor(tmp_path):
     def digest(flags, **environment):
-        script = PRINT_DIGEST.format(folder=str(Path(__file__).parent), flags=flags)
+        script = PRINT_DIGEST.format(folder=str(ROOT), flags=flags)
         environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path), **environment}
         run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
         assert run.returncode == 0, run.stderr

@@ -7,16 +7,16 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from reefs import CAMERA, FLAT, SPLIT, noise, pose, renderer_of, small_reef
 from scipy.ndimage import map_coordinates
 
-from oysterbench.calibration import rig_calibration
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import parse_split, vary_split
 from oysterbench.render.lens import pixel_rays, project
 from oysterbench.scene.rig import PORT_INDEX
 from oysterbench.sequence import topics
 from oysterbench.sequence.read import camera_calibration
+from oysterbench.simulation.calibration import rig_calibration
+from tests.helpers.reefs import CAMERA, FLAT, SPLIT, noise, pose, renderer_of, small_reef
 
 BROWN = dataclasses.replace(CAMERA, lens="brown-conrady", distortion=(-0.21, 0.06, 1.5e-3, -8e-4, -0.01))
 FISHEYE = dataclasses.replace(CAMERA, lens="fisheye", hfov_deg=130.0, distortion=(0.03, -0.012, 0.004, -0.0008))

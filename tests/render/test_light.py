@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 import warp as wp
-from reefs import CAMERA, FLAT, noise, pose, renderer_of, rig_with, small_reef, world_of
 
 from oysterbench.recipe import LampRecipe
 from oysterbench.render import blur, lamps
@@ -16,6 +15,7 @@ from oysterbench.render.caustics import Waves
 from oysterbench.render.light import Light, sun_fan
 from oysterbench.render.radiance import Daylight, solve_daylight
 from oysterbench.render.water import IMAGE_CONE_RAD, build_water
+from tests.helpers.reefs import CAMERA, FLAT, noise, pose, renderer_of, rig_with, small_reef, world_of
 
 LAMP = LampRecipe(intensity_cd=1000.0, half_angle_deg=50.0, edge_deg=20.0, pitch_deg=90.0)
 NIGHT = {"daylight": 0.0}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from reefs import small_reef, world_of
 
 from oysterbench.render.rays import RayCaster
+from tests.helpers.reefs import small_reef, world_of
 
 FAR = 30.0
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import JERLOV_TYPES, WATER_TYPES, LightRecipe, WaterRecipe, load_split, parse_split
 from oysterbench.render.light import build_light, exposure
 from oysterbench.render.radiance import WATER_INDEX, Daylight, solve_daylight

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe, load_split
 from oysterbench.scene.canopy import measure_relief
 from oysterbench.scene.world import World, build_world
-from oysterbench.streams import Streams
 
 RECIPE = load_split("slam-mini").sequence[0]
 DENSE = ReefRecipe(

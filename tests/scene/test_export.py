@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
 from oysterbench.scene.export import SUFFIXES, export_oyster
 from oysterbench.scene.oyster import STATES
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from oysterbench.core.streams import Streams
 from oysterbench.scene.oyster import STATES, Shell, build_oyster, build_shell, draw_shape
-from oysterbench.streams import Streams
 
 
 def shell(k: int, state: str = "live", slenderness: float = 0.5) -> Shell:

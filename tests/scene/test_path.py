@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import load_split
 from oysterbench.scene.path import build_path
-from oysterbench.streams import Streams
 
 RECIPE = load_split("slam-mini").sequence[0]
 

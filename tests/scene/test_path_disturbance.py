@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import PathRecipe, SiteRecipe, load_split
 from oysterbench.scene.path import build, build_path
 from oysterbench.scene.path.disturbance import EXCITATION_S, HULL, crab
 from oysterbench.scene.rig import GRAVITY
 from oysterbench.scene.waves import Waves
-from oysterbench.streams import Streams
 
 BASE = load_split("slam-mini").sequence[0]
 SPEED = 0.4

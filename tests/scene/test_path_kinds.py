@@ -7,18 +7,18 @@ import json
 
 import numpy as np
 import pytest
-from conftest import TINY_SPLIT, make_split
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import PathRecipe, SiteRecipe, load_split
 from oysterbench.recipe.path import PATH_KINDS
 from oysterbench.scene.path import build_path
 from oysterbench.scene.path.routes import dense_spots
 from oysterbench.scene.rig import GRAVITY
 from oysterbench.sensors.imu import ideal_imu
-from oysterbench.stage import build_stage, look
-from oysterbench.streams import Streams
+from oysterbench.simulation.simulated_sequence import build_stage, look
+from tests.helpers.tiny import TINY_SPLIT, make_split
 
 BASE = load_split("slam-mini").sequence[0]
 SPEED, TURN_RATE = 0.4, np.radians(30.0)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from oysterbench.core.streams import Streams
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.plants import build_tuft
 from oysterbench.scene.props import build_fragment, build_sponge, build_stone
-from oysterbench.streams import Streams
 
 KINDS: dict[str, Callable[[np.random.Generator], Mesh]] = {
     "stone": build_stone,

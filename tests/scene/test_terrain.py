@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.terrain import SKIRT_M, build_terrain
-from oysterbench.streams import Streams
 
 REEF = ReefRecipe(size_m=5.0, depth_m=3.0, relief_rms_m=0.08, oysters=0)
 

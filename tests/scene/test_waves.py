@@ -7,10 +7,10 @@ import pytest
 from scipy.optimize import brentq
 from scipy.signal import welch
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.scene.rig import GRAVITY
 from oysterbench.scene.waves import CUT, build_waves, depth_factors, dispersion
-from oysterbench.streams import Streams
 
 DEPTH = 6.0
 

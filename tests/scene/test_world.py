@@ -10,11 +10,11 @@ import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from oysterbench.errors import RecipeError
+from oysterbench.core.errors import RecipeError
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import load_split
 from oysterbench.scene.oyster import STATES
 from oysterbench.scene.world import World, build_world
-from oysterbench.streams import Streams
 
 RECIPE = load_split("slam-mini").sequence[0]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from acoustic_scenes import Steady, at, ball, caster_over
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import AltimeterRecipe, SiteRecipe
 from oysterbench.sensors import acoustics, altimeter
-from oysterbench.streams import Streams
+from tests.helpers.acoustic_scenes import Steady, at, ball, caster_over
 
 SITE = SiteRecipe()
 STREAMS = Streams(6)

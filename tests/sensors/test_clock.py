@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import PressureRecipe, load_split
 from oysterbench.sensors.clock import kept, stamps
-from oysterbench.streams import Streams
 
 EPOCH = 1_767_225_600_000_000_000
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from acoustic_scenes import Steady, at, ball, caster_over
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import DvlRecipe, SiteRecipe
 from oysterbench.sensors import acoustics, dvl
-from oysterbench.streams import Streams
+from tests.helpers.acoustic_scenes import Steady, at, ball, caster_over
 
 SITE = SiteRecipe()
 QUIET = {"beam_noise_m_s": 0.0, "scale_error": 0.0, "range_noise_share": 0.0, "misalignment_deg": 0.0}

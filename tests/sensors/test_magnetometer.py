@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import MagnetometerRecipe, SiteRecipe, load_split
 from oysterbench.scene.path import build_path
 from oysterbench.sensors.magnetometer import earth_field, measure, noise_variance
-from oysterbench.streams import Streams
 
 TIMES = np.arange(0.0, 20.0, 0.02)
 SITE = SiteRecipe()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from acoustic_scenes import at, ball, caster_over, wall
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import ScannerRecipe, SiteRecipe
 from oysterbench.sensors import acoustics
 from oysterbench.sensors.scanner import ScanningSonar, head_angle
-from oysterbench.streams import Streams
+from tests.helpers.acoustic_scenes import at, ball, caster_over, wall
 
 SITE = SiteRecipe()
 STREAMS = Streams(6)

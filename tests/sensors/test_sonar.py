@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from acoustic_scenes import at, ball, caster_over, wall
 from scipy import stats
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import CLASSES, SiteRecipe, SonarRecipe
 from oysterbench.sensors import acoustics, echoes, sonar
 from oysterbench.sensors.sonar import ImagingSonar
-from oysterbench.streams import Streams
+from tests.helpers.acoustic_scenes import at, ball, caster_over, wall
 
 SITE = SiteRecipe()
 FRESH, SALT = SiteRecipe(temperature_c=8.0, salinity_ppt=0.0), SiteRecipe(temperature_c=28.0, salinity_ppt=36.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 
-import hand_made_dive as dive
 import pytest
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, ChunkIndex, DataEnd, Footer, Header, MessageIndex, Statistics
@@ -12,6 +11,7 @@ from mcap.records import Message as Record
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from oysterbench.sequence import topics
+from tests.helpers import hand_made_dive as dive
 
 
 @pytest.fixture(scope="module", params=["dive_file", "tiny_file"])

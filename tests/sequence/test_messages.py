@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from pathlib import Path
 
-import hand_made_dive as dive
 import numpy as np
 import pytest
-from conftest import TINY_RIG, TINY_SPLIT
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -17,6 +14,9 @@ from rosbags.typesys import Stores, get_typestore
 import oysterbench
 from oysterbench.recipe import parse_split
 from oysterbench.sequence import topics
+from tests.helpers import hand_made_dive as dive
+from tests.helpers.paths import ROOT
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 EVERY_SENSOR = """
 [[sonar]]
@@ -213,7 +213,7 @@ def test_a_rig_has_the_topics_and_frames_of_its_sensors():
 
 
 def test_the_readme_names_every_topic():
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
+    readme = (ROOT / "README.md").read_text()
     rig = parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + EVERY_SENSOR).rig
     for topic in set(topics.rig_topics(rig)) - {"/tf_static"}:
         name = re.sub("^/(cam_front|fls|plain|msis|alt)/", "/NAME/", topic)

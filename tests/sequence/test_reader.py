@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 import struct
 
-import hand_made_dive as dive
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 import oysterbench
-from oysterbench.errors import MethodError, SequenceError
-from oysterbench.samples import ImuSample, SonarImage
+from oysterbench.core.errors import MethodError, SequenceError
+from oysterbench.core.measurements import ImuSample, SonarImage
 from oysterbench.sequence import topics
 from oysterbench.sequence.file import read_messages
 from oysterbench.sequence.write import SequenceWriter
+from tests.helpers import hand_made_dive as dive
 
 START = topics.EPOCH_NS
 READERS = {

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import TINY_RIG, TINY_SPLIT
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 import oysterbench
-from oysterbench.errors import MethodError, SequenceError
-from oysterbench.generate import generate_split
+from oysterbench.core.errors import MethodError, SequenceError
 from oysterbench.recipe import parse_split
 from oysterbench.sequence import Image, ImuSample, topics
 from oysterbench.sequence.types import imu_arrays
+from oysterbench.simulation.generate import generate_split
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.report.columns import STANDING_OF_TRACK
-from oysterbench.results import plain
+from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, State
 from oysterbench_leaderboard.record import TIERS as ALL_TIERS
 from oysterbench_leaderboard.site import numbers

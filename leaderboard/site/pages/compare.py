@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from oysterbench.comparison import Board, Entry, Pair, as_plain, remarks
-from oysterbench.comparison import boards as boards_of
-from oysterbench.errors import ResultError
+from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Comparison, compare
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
-from oysterbench.results import ResultRecord, plain
+from oysterbench.results.comparison import Board, Entry, Pair, as_plain, remarks
+from oysterbench.results.comparison import boards as boards_of
+from oysterbench.results.records import ResultRecord, plain
 from oysterbench_leaderboard.board import BoardInfo, Row
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.site import numbers, standing

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from oysterbench.evaluate.conditions import CONDITIONS
-from oysterbench.results import plain
+from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.datasets import Conditions, DataSet, all_data_sets, conditions_of

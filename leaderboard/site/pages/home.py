@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
-from oysterbench.results import plain
+from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, Query, Row
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table

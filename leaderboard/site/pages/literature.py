@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from oysterbench.results import plain
+from oysterbench.results.records import plain
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
 from oysterbench_leaderboard.site.site import Site

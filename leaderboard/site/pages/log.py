@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from oysterbench.results import plain
+from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import Row
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.history import MOST, Event, events

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
-from oysterbench.errors import ResultError
-from oysterbench.results import plain
+from oysterbench.core.errors import ResultError
+from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, Row
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from oysterbench.comparison import PRIMARY
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import LEAST_SEQUENCES, RESAMPLES
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
-from oysterbench.results import plain
+from oysterbench.results.comparison import PRIMARY
+from oysterbench.results.records import plain
 from oysterbench_leaderboard.site import datasets, numbers
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
 from oysterbench_leaderboard.site.pages.ranks import TIERS

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from oysterbench.comparison import PRIMARY
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Summary
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
 from oysterbench.report.tables import failures_and_notes
-from oysterbench.results import ResultRecord, plain
+from oysterbench.results.comparison import PRIMARY
+from oysterbench.results.records import ResultRecord, plain
 from oysterbench_leaderboard.board import BoardInfo, Query, Row
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.site import numbers, standing

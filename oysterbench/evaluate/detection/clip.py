@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
+from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection.counting import ImageCount, count, count_metrics
 from oysterbench.evaluate.detection.instances import ImageInstances
 from oysterbench.evaluate.detection.matching import Kind, Matches, match
@@ -16,7 +17,6 @@ from oysterbench.evaluate.detection.panoptic import PanopticCounts, panoptic
 from oysterbench.evaluate.detection.precision import PrecisionCurve, average_precision, join
 from oysterbench.evaluate.detection.settings import DetectionSettings
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
-from oysterbench.geometry import Array
 
 NO_TRUTH = "there is no such oyster in the truth"
 NO_MASKS = "the estimate has boxes, and no masks"

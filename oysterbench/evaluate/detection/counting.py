@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools, numpy_2
-from oysterbench.geometry import Array
 
 LEVELS = (1, 2, 3)
 """Of GAME: at level L an image has 4^L cells."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
 
 Runs = Mapping[str, Any]
 """A mask as run lengths: `size` [H, W] and compressed `counts`, as pycocotools has them."""

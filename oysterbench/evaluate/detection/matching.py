@@ -11,9 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
+from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection.instances import ImageInstances, Instance, mask_tools, numpy_2
-from oysterbench.geometry import Array
 
 Kind = Literal["box", "mask"]
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection.matching import OVERLAPS, Matches
-from oysterbench.geometry import Array
 
 RECALLS = np.linspace(0.0, 1.0, 101)
 _TINY = np.spacing(1)

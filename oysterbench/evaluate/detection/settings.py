@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
 
 EVALUATOR = "detection 1"
 """Name and version of this evaluator; the version rises whenever a number may change."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.segmentation.images import EstimateImage, TruthImage, check_pair
 from oysterbench.evaluate.segmentation.measures import measure
 from oysterbench.evaluate.segmentation.settings import SegmentationSettings

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
 from oysterbench.recipe import CLASSES
 
 OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")

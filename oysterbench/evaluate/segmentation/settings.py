@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
-from oysterbench.errors import LabelError
+from oysterbench.core.errors import LabelError
 
 EVALUATOR = "segmentation 1"
 """Name and version of this evaluator; the version rises whenever a number may change."""

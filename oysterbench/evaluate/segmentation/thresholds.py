@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 
 STEPS = 256
 """Thresholds k / STEPS: those that an 8-bit map can tell apart."""

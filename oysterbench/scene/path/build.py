@@ -8,14 +8,14 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d, uniform_filter
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import PathRecipe, SequenceRecipe
 from oysterbench.scene.path import disturbance, routes
 from oysterbench.scene.path.clearance import Height, check_clearance, lift
 from oysterbench.scene.path.itinerary import KNOT_S, Itinerary, Pace, Way, clock, ramp
 from oysterbench.scene.path.motion import Path
 from oysterbench.scene.waves import build_waves
-from oysterbench.streams import Streams
 
 TERRAIN_SMOOTHING_S = 1.0
 """An ROV follows the bottom through its altimeter and its own inertia, not stone by stone."""

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from oysterbench.errors import RecipeError
-from oysterbench.geometry import Array
+from oysterbench.core.errors import RecipeError
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import SequenceRecipe
 from oysterbench.scene.path.itinerary import KNOT_S
 from oysterbench.scene.path.motion import Path

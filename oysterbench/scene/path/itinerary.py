@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 
 KNOT_S = 0.1
 """Spacing of the splines' knots: 20 times shorter than the shortest period of the vehicle's own motion."""

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array
-from oysterbench.trajectory import Trajectory
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import LOOP_RIPPLE
 from oysterbench.scene.path.itinerary import SMOOTHING_S, Itinerary, Pace
 

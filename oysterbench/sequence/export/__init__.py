@@ -9,7 +9,7 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
-from oysterbench.errors import SequenceError
+from oysterbench.core.errors import SequenceError
 from oysterbench.sequence.types import Sequence
 
 FORMATS = {

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import SequenceError
+from oysterbench.core.errors import SequenceError
 from oysterbench.recipe import CLASSES
 from oysterbench.sequence.export.parts import frames_with_layers, write_png
 from oysterbench.sequence.export.polygons import mask_polygons

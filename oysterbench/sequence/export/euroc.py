@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
 from oysterbench.sequence.export.parts import number, numbers, port_notes, sensor_poses, write_lines, write_png
 from oysterbench.sequence.names import TRUTH

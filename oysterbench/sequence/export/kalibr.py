@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oysterbench.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.calibration import CameraCalibration
 from oysterbench.sequence.export.parts import number, numbers, port_notes, write_lines
 from oysterbench.sequence.names import IMU

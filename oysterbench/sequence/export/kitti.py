@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from oysterbench.errors import SequenceError
-from oysterbench.geometry import Array, invert
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.export.parts import (
     any_camera,
     port_notes,

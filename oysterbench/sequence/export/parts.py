@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from oysterbench.errors import SequenceError
-from oysterbench.geometry import Array, invert
-from oysterbench.samples import Image
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array, invert
+from oysterbench.core.measurements import Image
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.calibration import CameraCalibration
 from oysterbench.sequence.types import Sequence
-from oysterbench.trajectory import Trajectory
 
 PNG_LEVEL = 1  # of 9, all of them lossless; the higher ones take four times the time for 5 %
 

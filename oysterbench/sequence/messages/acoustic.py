@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.samples import Cloud, RangeSample, ScanPing, SonarImage
+from oysterbench.core.measurements import Cloud, RangeSample, ScanPing, SonarImage
 from oysterbench.sequence.messages.points import points_bytes, read_points
 from oysterbench.sequence.names import ECHOES, HEAD, RANGE, link
 from oysterbench.sequence.wire import Message, decode, encode, header, make, stamp_of

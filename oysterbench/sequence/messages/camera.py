@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.errors import SequenceError
+from oysterbench.core.errors import SequenceError
 from oysterbench.sequence.names import CAMERA_INFO, COLOUR, LAYER, LAYERS, PIXELS, optical_frame
 from oysterbench.sequence.types import CameraCalibration
 from oysterbench.sequence.wire import Message, decode, encode, header, make, stamp_of

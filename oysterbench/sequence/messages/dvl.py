@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from oysterbench.geometry import Array
-from oysterbench.samples import DvlSample
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import DvlSample
 from oysterbench.sequence.messages.acoustic import ULTRASOUND
 from oysterbench.sequence.messages.points import points_bytes, read_points
 from oysterbench.sequence.names import DVL_ALTITUDE, DVL_BEAMS, DVL_FRAME, DVL_TYPES, DVL_VELOCITY, RANGE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oysterbench.samples import MagneticSample, PressureSample
+from oysterbench.core.measurements import MagneticSample, PressureSample
 from oysterbench.sequence.names import (
     MAGNETOMETER,
     MAGNETOMETER_FRAME,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oysterbench.samples import ImuSample
+from oysterbench.core.measurements import ImuSample
 from oysterbench.sequence.names import IMU, IMU_FRAME, TYPES
 from oysterbench.sequence.wire import Message, decode, encode, header, make, quaternion, stamp_of, vector
 

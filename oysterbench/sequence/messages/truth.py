@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oysterbench.geometry import Array
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.names import BASE, MAP, POSE_TYPES, TF, TF_STATIC, TRUTH, TRUTH_POSE, TYPES
 from oysterbench.sequence.wire import Message, decode, encode, header, make, point, quaternion, stamp_of, vector
-from oysterbench.trajectory import Trajectory
 
 
 def truth_message(stamp_ns: int, position: Array, attitude: Array, velocity: Array, rate: Array) -> Message:

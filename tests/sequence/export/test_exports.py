@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 
 import cv2
-import hand_made_dive as dive
 import numpy as np
 import pytest
 import yaml
@@ -14,11 +13,12 @@ from evo.tools import file_interface
 from scipy.spatial.transform import Rotation
 
 import oysterbench
-from oysterbench.errors import SequenceError
-from oysterbench.geometry import invert
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import invert
+from oysterbench.core.trajectory import read_trajectory
 from oysterbench.sequence.export import FORMATS, export_sequence
 from oysterbench.sequence.types import imu_arrays
-from oysterbench.trajectory import read_trajectory
+from tests.helpers import hand_made_dive as dive
 
 T_BASE_IMU = np.array(dive.calibration()["imu"]["T_base_imu"])
 T_BASE_LEFT = np.array(dive.calibration()["cameras"]["cam_left"]["T_base_cam"])

@@ -1,0 +1,5 @@
+"""`python -m oysterbench`: the command."""
+
+from oysterbench.cli.main import main
+
+main()

@@ -1,0 +1,105 @@
+"""Data sets as folders of masks: images/NAME.png or .jpg, masks/NAME.png, and more where more is known.
+
+masks/NAME.png      8 bits: 0 and one other value, at which there are oysters (1 or 255, as you like)
+instances/NAME.png  16 or 8 bits, optional: a number for each oyster; without, what hangs together is one
+ignore/NAME.png     8 bits, optional: other than 0 where nothing is to be said
+manifest.csv        optional: id, clip, split
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.annotations.image import OYSTER, Entry, LabelledImage, LabelledSet, read_picture, read_plane
+from oysterbench.annotations.manifest import FILE, read_manifest, unlisted
+from oysterbench.annotations.polygons import PICTURES
+from oysterbench.core.errors import LabelError
+from oysterbench.core.files import write_atomically
+
+
+def mask_set(folder: Path) -> LabelledSet:
+    """The images of such a folder. An image without its mask, and a mask without its image, are refused."""
+    listed = read_manifest(folder)
+    images = _files(folder / "images", PICTURES)
+    masks = _files(folder / "masks", (".png",))
+    unlisted(folder, listed, images)
+    for kind, here, there in (("mask", images, masks), ("image", masks, images)):
+        for name in here:
+            if name not in there:
+                raise LabelError(f"{folder}: {name} has no {kind}: expected {kind}s/{name}.png")
+    extra = {kind: _files(folder / kind, (".png",)) for kind in ("instances", "ignore")}
+    entries = []
+    for name in listed or images:
+        row = listed.get(name)
+        clip, split = (row.clip, row.split) if row else (name, "")
+        further = {kind: files[name] for kind, files in extra.items() if name in files}
+        read = partial(_read, images[name], masks[name], further, name, clip)
+        entries.append(Entry(name, clip, read, (images[name], masks[name], *further.values()), split))
+    return LabelledSet(folder.resolve().name, entries)
+
+
+def _files(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    if not folder.is_dir():
+        return {}
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes}
+
+
+def _read(image: Path, mask: Path, further: dict[str, Path], name: str, clip: str) -> LabelledImage:
+    pixels, values = read_picture(image), read_plane(mask)
+    known = [int(value) for value in np.unique(values) if value]
+    if len(known) > 1:
+        raise LabelError(
+            f"{mask}: expected 0 and one other value, got {known[:6]}; several classes need a file each, pixels to be "
+            "left out belong into ignore/"
+        )
+    oysters = values > 0
+    if "instances" in further:
+        instances = read_plane(further["instances"]).astype(np.uint16)
+        if instances.shape == oysters.shape and (instances[~oysters] > 0).any():
+            raise LabelError(f"{further['instances']}: has instances outside the mask {mask}")
+    else:
+        instances = cv2.connectedComponents(oysters.astype(np.uint8), connectivity=4)[1].astype(np.uint16)
+    ignore = read_plane(further["ignore"]) > 0 if "ignore" in further else np.zeros(oysters.shape, dtype=bool)
+    classes = np.where(oysters, OYSTER, 0).astype(np.uint8)
+    return LabelledImage(name, clip, pixels, classes, instances, ignore)
+
+
+def write_folder(
+    images: Iterable[LabelledImage],
+    folder: Path,
+    splits: dict[str, str] | None = None,
+    progress: Callable[[int], None] = lambda done: None,
+) -> int:
+    """Write images as such a folder, which may be there already; returns their number. Oysters only: other classes have
+    no place in it. Slashes in names become dashes. splits: by name of an image."""
+    rows = []
+    for image in images:
+        name = image.name.replace("/", "-")
+        instances = np.where(image.oysters, image.instances, 0).astype(np.uint16)
+        write_picture(folder / "images" / f"{name}.png", image.pixels)
+        write_picture(folder / "masks" / f"{name}.png", np.where(image.oysters, 255, 0).astype(np.uint8))
+        write_picture(folder / "instances" / f"{name}.png", instances)
+        write_picture(folder / "ignore" / f"{name}.png", np.where(image.ignore, 255, 0).astype(np.uint8))
+        rows.append((name, image.clip.replace("/", "-"), (splits or {}).get(image.name, "")))
+        progress(len(rows))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([("id", "clip", "split"), *rows])
+    write_atomically(folder / FILE, text.getvalue().encode())
+    return len(rows)
+
+
+def write_picture(path: Path, pixels: NDArray[Any]) -> None:
+    """(H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as PNG, whole or not at all."""
+    done, data = cv2.imencode(".png", pixels[..., ::-1] if pixels.ndim == 3 else pixels)
+    if not done:
+        raise LabelError(f"{path}: could not be encoded as PNG")
+    write_atomically(path, data.tobytes())

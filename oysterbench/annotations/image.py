@@ -1,0 +1,174 @@
+"""What a labelled image is, and a set of them that is read one image at a time."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import LabelError
+from oysterbench.recipe import CLASSES
+
+OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
+"""Number of the class in `recipe.CLASSES`."""
+
+
+@dataclass(frozen=True)
+class LabelledImage:
+    """A picture and what is known of each of its pixels.
+
+    name:       unlike that of any other image of its set
+    clip:       what it was taken in one go with: images of a clip resemble each other, and go to one side of a split
+    pixels:     (H, W, 3) uint8 RGB
+    classes:    (H, W) uint8, numbers of `recipe.CLASSES`; where only oysters are labelled, 0 is everything else
+    instances:  (H, W) uint16, 0 for none; one number per oyster, and per whatever else is labelled one by one
+    ignore:     (H, W) bool, pixels of which nothing may be said: neither trained on nor scored
+    conditions: what the image was taken in, by keys of `evaluate.conditions.CONDITIONS` and "camera"
+    """
+
+    name: str
+    clip: str
+    pixels: NDArray[np.uint8]
+    classes: NDArray[np.uint8]
+    instances: NDArray[np.uint16]
+    ignore: NDArray[np.bool_]
+    conditions: Mapping[str, float | str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        height, width = self.pixels.shape[:2]
+        for what in ("classes", "instances", "ignore"):
+            found = getattr(self, what).shape
+            if found != (height, width):
+                raise LabelError(
+                    f"{self.name}: {what}: expected the size of the image, {width} x {height}, got "
+                    f"{' x '.join(str(n) for n in found[::-1])}"
+                )
+
+    @property
+    def oysters(self) -> NDArray[np.bool_]:
+        """(H, W) bool: where an oyster is seen."""
+        return self.classes == OYSTER
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An image of a set before it is read. split: "train", "test" or what its set says; empty where it says nothing."""
+
+    name: str
+    clip: str
+    read: Callable[[], LabelledImage]
+    files: tuple[Path, ...]
+    split: str = ""
+
+
+class LabelledSet:
+    """Images in a fixed order, each read when it is asked for."""
+
+    def __init__(self, name: str, entries: Iterable[Entry]) -> None:
+        self.name = name
+        self.entries = tuple(entries)
+        seen: set[str] = set()
+        for entry in self.entries:
+            if entry.name in seen:
+                raise LabelError(f"{name}: two images are named {entry.name!r}; expected a name of its own for each")
+            seen.add(entry.name)
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __getitem__(self, index: int) -> LabelledImage:
+        return self.entries[index].read()
+
+    def __iter__(self) -> Iterator[LabelledImage]:
+        return (entry.read() for entry in self.entries)
+
+    @property
+    def clips(self) -> tuple[str, ...]:
+        """Names of the clips, in order of their first images."""
+        return tuple(dict.fromkeys(entry.clip for entry in self.entries))
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """What the set itself is divided into; empty where it is not."""
+        return tuple(dict.fromkeys(entry.split for entry in self.entries if entry.split))
+
+    def where(self, keep: Callable[[Entry], Any], name: str = "") -> LabelledSet:
+        """The images of which `keep` says so, in the same order."""
+        return LabelledSet(name or self.name, [entry for entry in self.entries if keep(entry)])
+
+    def of_split(self, split: str) -> LabelledSet:
+        """The images of a split. Raises LabelError where there is none."""
+        found = self.where(lambda entry: entry.split == split, f"{self.name} {split}")
+        if not len(found):
+            raise LabelError(
+                f"{self.name}: no image of split {split!r}; its splits: {', '.join(self.splits) or 'none'}; a file "
+                "manifest.csv with the columns id, clip and split says what is of which"
+            )
+        return found
+
+    def digest(self) -> str:
+        """SHA-256 of the names, clips and splits, and of every file that the set is read from."""
+        sums: dict[Path, str] = {}
+        text = hashlib.sha256()
+        for entry in self.entries:
+            for path in entry.files:
+                if path not in sums:
+                    sums[path] = file_digest(path)
+            parts = (entry.name, entry.clip, entry.split, *(sums[path] for path in entry.files))
+            text.update("\0".join(parts).encode() + b"\n")
+        return text.hexdigest()
+
+
+def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:
+    """Several sets as one; images and clips are named SET/NAME."""
+
+    def renamed(entry: Entry, part: str) -> Entry:
+        own, clip = f"{part}/{entry.name}", f"{part}/{entry.clip}"
+        return Entry(own, clip, lambda: replace(entry.read(), name=own, clip=clip), entry.files, entry.split)
+
+    return LabelledSet(name, [renamed(entry, part.name) for part in sets for entry in part.entries])
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise LabelError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def read_picture(path: Path) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 RGB of an image file. Raises LabelError naming the file."""
+    pixels = _decoded(path, cv2.IMREAD_COLOR)
+    return np.ascontiguousarray(pixels[..., ::-1], dtype=np.uint8)
+
+
+def read_plane(path: Path) -> NDArray[Any]:
+    """(H, W) uint8 or uint16 of a file with one channel; of three equal channels, one."""
+    values = _decoded(path, cv2.IMREAD_UNCHANGED)
+    if values.ndim == 3 and (values[..., :3] == values[..., :1]).all():
+        values = values[..., 0]
+    if values.ndim != 2 or values.dtype not in (np.uint8, np.uint16):
+        raise LabelError(f"{path}: expected one channel of 8 or 16 bits, got {values.dtype} of shape {values.shape}")
+    return values
+
+
+def _decoded(path: Path, flags: int) -> NDArray[Any]:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise LabelError(f"{path}: cannot be read: {error.strerror or error}") from None
+    values = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags) if data else None
+    if values is None:
+        raise LabelError(f"{path}: not an image that can be decoded ({len(data)} bytes); get the file again")
+    if (path.suffix.lower() in (".jpg", ".jpeg")) and not data.rstrip(b"\0\r\n").endswith(b"\xff\xd9"):
+        # A truncated JPEG is decoded without a word, its rest grey.
+        raise LabelError(f"{path}: the JPEG ends before its end marker: the file is truncated; get it again")
+    return values

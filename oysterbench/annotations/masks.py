@@ -1,0 +1,192 @@
+"""Answers as files of one image each, in a folder, or as the arrays of one .npz.
+
+NAME.png   8 or 16 bits: a mask (0, and 1 or the greatest number), a probability by the greatest number, or classes
+NAME.npy   (H, W) bool, integer or float: a mask, classes or probabilities from 0 to 1
+NAME.npz   the same, one array
+all.npz    an array per image, by its name
+
+NAME is the image's name, which may hold folders.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.annotations.image import read_plane
+from oysterbench.core.errors import LabelError
+from oysterbench.evaluate.segmentation import EstimateImage
+
+Form = Literal["auto", "mask", "probability", "classes"]
+FORMS: tuple[str, ...] = get_args(Form)
+SUFFIXES = (".png", ".npy", ".npz")
+PNG_END = b"IEND\xaeB`\x82"
+
+
+class MaskFiles:
+    """Answers by the name of their image, each read when it is asked for.
+
+    form: what numbers mean. "auto": floating point numbers are probabilities; integers of 0 and 1 alone are masks;
+    other integers probabilities, as shares of the type's greatest number. Files of which some could be masks of 0 and 1
+    and others are probabilities are refused: then the form must be said.
+    """
+
+    def __init__(self, place: Path, readers: dict[str, Callable[[], NDArray[Any]]], form: Form) -> None:
+        self.place = place
+        self.form = form
+        self._readers = readers
+        self._zero_one = ""
+        self._probability = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all images that are answered."""
+        return tuple(self._readers)
+
+    def get(self, name: str) -> EstimateImage:
+        """The answer to an image. Raises LabelError naming its file."""
+        values = np.asarray(self._readers[name]())
+        where = f"{self.place}: {name}"
+        if values.ndim == 3 and 1 in (values.shape[0], values.shape[-1]):
+            values = values.squeeze()
+        if values.ndim != 2:
+            raise LabelError(f"{where}: expected an array (H, W), got one of shape {values.shape}")
+        if values.dtype == bool:
+            return EstimateImage(name, oyster=values)
+        if self.form == "classes":
+            return EstimateImage(name, classes=self._classes(values, where))
+        if self.form == "mask":
+            return EstimateImage(name, oyster=as_mask(values, where))
+        if np.issubdtype(values.dtype, np.floating):
+            return EstimateImage(name, probability=values)
+        if not np.issubdtype(values.dtype, np.integer):
+            raise LabelError(f"{where}: expected numbers or truth values, got {values.dtype}")
+        return self._integers(name, values, where)
+
+    def _integers(self, name: str, values: NDArray[Any], where: str) -> EstimateImage:
+        """Integers whose meaning is to be guessed, or that are said to be probabilities."""
+        greatest, most = int(values.max(initial=0)), np.iinfo(values.dtype).max
+        if int(values.min(initial=0)) < 0 or values.dtype not in (np.uint8, np.uint16):
+            raise LabelError(f"{where}: expected 8 or 16 bits without a sign, got {values.dtype}; say --estimate-kind")
+        if self.form == "auto" and greatest == 1:
+            self._zero_one = name
+        elif greatest > 1:
+            self._probability = name
+        if self._zero_one and self._probability:
+            raise LabelError(
+                f"{self.place}: {self._zero_one} has 0 and 1 alone, as masks may, and {self._probability} greater "
+                f"numbers, as probability maps of {most} for 1 have; --estimate-kind says which"
+            )
+        if self.form == "auto" and greatest == 1:
+            return EstimateImage(name, probability=values.astype(np.float32))
+        return EstimateImage(name, probability=values.astype(np.float32) / np.float32(most))
+
+    def _classes(self, values: NDArray[Any], where: str) -> NDArray[np.uint8]:
+        if not np.issubdtype(values.dtype, np.integer) or values.min(initial=0) < 0 or values.max(initial=0) > 255:
+            raise LabelError(f"{where}: expected numbers of classes from 0 to 255, got {values.dtype}")
+        return values.astype(np.uint8)
+
+
+def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
+    """A mask of 0 and one other number, which is an oyster's. Raises LabelError for more numbers."""
+    if values.dtype == bool:
+        return values
+    greatest = values.max(initial=0)
+    if greatest > 0 and not ((values == 0) | (values == greatest)).all():
+        found = [f"{number:g}" for number in np.unique(values)[:6]]
+        raise LabelError(
+            f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; for probabilities "
+            "or numbers of classes, say --estimate-kind"
+        )
+    return values > 0
+
+
+def open_answers(place: Path, form: Form = "auto") -> MaskFiles:
+    """The answers in a folder or an .npz file. Raises LabelError where there are none."""
+    if place.is_file() and place.suffix == ".npz":
+        return MaskFiles(place, _arrays(place), form)
+    if not place.is_dir():
+        raise LabelError(
+            f"{place}: expected a folder with a .png, .npy or .npz per image, an .npz of all, or COCO annotations "
+            f"(.json), got {'a file of another kind' if place.exists() else 'nothing of that name'}"
+        )
+    readers: dict[str, Callable[[], NDArray[Any]]] = {}
+    for path in sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES):
+        name = path.relative_to(place).with_suffix("").as_posix()
+        if name in readers:
+            raise LabelError(f"{place}: two files answer {name}; expected one of {', '.join(SUFFIXES)}")
+        readers[name] = _reader(path)
+    if not readers:
+        raise LabelError(f"{place}: expected a .png, .npy or .npz per image, got none")
+    return MaskFiles(place, readers, form)
+
+
+def _reader(path: Path) -> Callable[[], NDArray[Any]]:
+    if path.suffix.lower() == ".png":
+        return lambda: read_png(path)
+    if path.suffix.lower() == ".npy":
+        return lambda: _load(path)
+    return lambda: _single(path)
+
+
+def read_png(path: Path) -> NDArray[Any]:
+    """(H, W) uint8 or uint16. Raises LabelError naming the file, also where its end is missing: the decoder would fill
+    in what is not there without a word."""
+    try:
+        with open(path, "rb") as file:
+            file.seek(max(0, path.stat().st_size - len(PNG_END)))
+            whole = file.read() == PNG_END
+    except OSError as error:
+        raise LabelError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if not whole:
+        raise LabelError(f"{path}: not a whole PNG file: its end is missing ({path.stat().st_size} bytes)")
+    return read_plane(path)
+
+
+def _load(path: Path) -> Any:
+    try:
+        return np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise LabelError(f"{path}: cannot be read as numpy arrays: {' '.join(str(error).split())}") from None
+
+
+def _arrays(path: Path) -> dict[str, Callable[[], NDArray[Any]]]:
+    archive = _load(path)
+    if not archive.files:
+        raise LabelError(f"{path}: expected an array per image, got none")
+    return {key: _member(archive, key, path) for key in sorted(archive.files)}
+
+
+def _member(archive: Any, key: str, path: Path) -> Callable[[], NDArray[Any]]:
+    def read() -> NDArray[Any]:
+        try:
+            return archive[key]
+        except (OSError, ValueError, zipfile.BadZipFile) as error:
+            raise LabelError(f"{path}: array {key} cannot be read: {' '.join(str(error).split())}") from None
+
+    return read
+
+
+def _single(path: Path) -> NDArray[Any]:
+    archive = _load(path)
+    if len(archive.files) != 1:
+        raise LabelError(f"{path}: expected one array, got {', '.join(archive.files) or 'none'}")
+    return _member(archive, archive.files[0], path)()
+
+
+def check_names(truth: Iterable[str], answered: Iterable[str], place: Path) -> None:
+    """Refuse answers that are not of just the images of the truth: what is missing would else be silently left out."""
+    wanted, given = set(truth), set(answered)
+    for missing, text in ((wanted - given, "no answer for"), (given - wanted, "no image of the truth is named")):
+        if missing:
+            names = sorted(missing)
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            raise LabelError(
+                f"{place}: {text} {', '.join(names[:3])}{more}; expected one answer for each of {len(wanted)} images, "
+                f"named as the truth names them, e.g. {min(wanted, default='NAME')}"
+            )

@@ -1,0 +1,54 @@
+"""Which kind of labelled data a path holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from oysterbench.annotations.image import LabelledSet
+from oysterbench.core.errors import LabelError
+
+KINDS = {
+    "sequences": "a sequence file (.mcap), or a folder of them, with the layers class and instance",
+    "yolo": "a folder with images/ and labels/*.txt",
+    "masks": "a folder with images/ and masks/*.png",
+    "coco": "a folder with one COCO file (*.json) and the images that it names, or the file itself",
+}
+
+
+def open_labelled(path: str | Path) -> LabelledSet:
+    """The labelled images at a path, of the kind that its content says (`KINDS`). Raises LabelError where it is none,
+    or where it could be several."""
+    path = Path(path)
+    if not path.exists():
+        raise LabelError(f"{path}: no such file or folder; expected {'; or '.join(KINDS.values())}")
+    found = _kinds(path)
+    if len(found) != 1:
+        got = f"what could be {' or '.join(found)}" if found else "none of them"
+        raise LabelError(f"{path}: expected {'; or '.join(KINDS.values())}; got {got}")
+    if found[0] == "sequences":
+        from oysterbench.annotations.sequences import sequence_set
+
+        return sequence_set(path.stem, [path] if path.is_file() else sorted(path.glob("*.mcap")))
+    if found[0] == "yolo":
+        from oysterbench.annotations.polygons import yolo_set
+
+        return yolo_set(path)
+    if found[0] == "masks":
+        from oysterbench.annotations.folders import mask_set
+
+        return mask_set(path)
+    from oysterbench.annotations.coco import coco_set
+
+    return coco_set(path if path.is_file() else next(iter(sorted(path.glob("*.json")))))
+
+
+def _kinds(path: Path) -> list[str]:
+    if path.is_file():
+        return {".mcap": ["sequences"], ".json": ["coco"]}.get(path.suffix.lower(), [])
+    found = ["sequences"] if any(path.glob("*.mcap")) else []
+    if (path / "images").is_dir():
+        found += ["yolo"] if (path / "labels").is_dir() else []
+        found += ["masks"] if (path / "masks").is_dir() else []
+    if len(list(path.glob("*.json"))) == 1 and not found:
+        found.append("coco")
+    return found

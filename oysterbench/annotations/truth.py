@@ -1,0 +1,266 @@
+"""The truth, clip by clip, image by image: of rendered sequences, labelled folders, plain folders of masks, COCO."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.annotations import open_labelled
+from oysterbench.annotations.masks import as_mask, read_png
+from oysterbench.annotations.predicted_coco import CocoFile, read_coco
+from oysterbench.annotations.sequences import countable
+from oysterbench.core.errors import LabelError
+from oysterbench.core.geometry import Array
+from oysterbench.evaluate.detection import ImageInstances
+from oysterbench.evaluate.detection.instances import from_planes
+from oysterbench.evaluate.segmentation import TruthImage
+from oysterbench.evaluate.segmentation.images import OYSTER
+from oysterbench.recipe import CLASSES
+from oysterbench.sequence import CameraCalibration, Sequence, open_sequence
+from oysterbench.sequence.export.parts import frames_with_layers, sensor_poses
+
+IGNORED = 255
+"""Number of class images at which nothing is asked."""
+
+GRID = 16  # px between the rays by which the seabed in an image is measured
+
+Seen = tuple[TruthImage, NDArray[np.uint8] | None]
+"""A truth and its picture (H, W, 3) uint8 RGB, where there is one."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Images taken in one go. names: of all of them, without reading any; images: reads one after the other.
+
+    digest: of the files; coco: where the truth is COCO annotations, whose instances may overlap
+    """
+
+    name: str
+    names: tuple[str, ...]
+    images: Callable[[], Iterator[Seen]]
+    digest: str
+    conditions: Mapping[str, float | str] = field(default_factory=dict)
+    coco: CocoFile | None = None
+
+    def instances(self, truth: TruthImage) -> ImageInstances:
+        """Single oysters of one of its images."""
+        if self.coco is not None:
+            return self.coco.instances(truth.name, scored=False)
+        if truth.instances is None:
+            raise LabelError(
+                f"{truth.name}: single oysters are not told apart in the truth, which is a mask; expected COCO "
+                "annotations, YOLO polygons, masks with instances/, or sequences"
+            )
+        numbers = np.where(truth.oyster, truth.instances, 0)
+        return from_planes(truth.name, numbers, truth.ignore, truth.footprint_m2)
+
+    def single(self) -> Iterator[tuple[ImageInstances, Seen | None]]:
+        """The single oysters of each image, and its truth and picture; None where the truth has boxes alone."""
+        if self.coco is not None and self.coco.boxes_alone:
+            yield from ((self.coco.instances(name, scored=False), None) for name in self.names)
+            return
+        for truth, pixels in self.images():
+            yield self.instances(truth), (truth, pixels)
+
+
+def sequence_clip(path: Path, conditions: Mapping[str, float | str] | None = None) -> Clip:
+    """The frames of all cameras that have the layers class and instance. Oysters that are hardly seen are ignored
+    (`labelled.sequences.countable`); their depth, shell heights and the seabed in view come along where known."""
+    sequence = open_sequence(path)
+    topics = {topic for topic, _, _ in sequence.contents()}
+    cameras = [name for name in sequence.cameras if {f"/{name}/class", f"/{name}/instance"} <= topics]
+    if not cameras:
+        raise LabelError(
+            f"{path}: no camera has the layers class and instance; `oysterbench info {path}` lists what there is"
+        )
+    names = [f"{sequence.name}/{c}/{frame.stamp_ns}" for c in cameras for frame in sequence.layer(c, "class")]
+    return Clip(
+        sequence.name,
+        tuple(names),
+        lambda: _frames(sequence, cameras, topics),
+        _digest([path]),
+        conditions or {},
+    )
+
+
+def _frames(sequence: Sequence, cameras: list[str], topics: set[str]) -> Iterator[Seen]:
+    oysters = sequence.oysters()
+    heights = np.full(int(oysters["id"].max()) + 1 if len(oysters) else 1, np.nan)
+    if len(oysters):
+        heights[oysters["id"].to_numpy()] = 1000 * oysters["height_m"].to_numpy()
+    trajectory = sequence.truth()
+    for camera in cameras:
+        calibration = sequence.cameras[camera]
+        poses = sensor_poses(trajectory, calibration.T_base_cam)
+        layers = [n for n in ("class", "instance", "visibility", "depth") if f"/{camera}/{n}" in topics]
+        for image, found in frames_with_layers(sequence, camera, layers):
+            instances, ignore = countable(found["class"], found["instance"], found.get("visibility"))
+            depth = found.get("depth")
+            k = int(np.abs(trajectory.stamps_ns - image.stamp_ns).argmin())
+            yield (
+                TruthImage(
+                    f"{sequence.name}/{camera}/{image.stamp_ns}",
+                    found["class"],
+                    ignore=ignore if ignore.any() else None,
+                    depth_m=depth,
+                    instances=instances,
+                    heights_mm=heights,
+                    footprint_m2=None if depth is None else footprint_m2(depth, calibration, poses[k]),
+                ),
+                image.pixels,
+            )
+
+
+def footprint_m2(depth_m: NDArray[np.float32], camera: CameraCalibration, T_map_camera: Array) -> float | None:
+    """Area, as seen from above, of what an image shows: of the patches between rays on a grid, where all four corners
+    have a depth (H, W), m along the optical axis. None behind a flat port, whose rays no lens model has."""
+    if camera.port_m is not None:
+        return None
+    rows = np.r_[0 : camera.height - 1 : GRID, camera.height - 1]
+    columns = np.r_[0 : camera.width - 1 : GRID, camera.width - 1]
+    x, y = np.meshgrid(columns, rows)
+    pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2).astype(float)
+    lens = cv2.fisheye if camera.distortion_model == "equidistant" else cv2
+    rays = lens.undistortPoints(pixels, camera.matrix, camera.distortion).reshape(*x.shape, 2)
+    depth = depth_m[y, x].astype(float)
+    points = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
+    east, north = np.moveaxis(points @ T_map_camera[:2, :3].T, -1, 0)
+    a = (east[1:, 1:] - east[:-1, :-1]) * (north[1:, :-1] - north[:-1, 1:])
+    b = (east[1:, :-1] - east[:-1, 1:]) * (north[1:, 1:] - north[:-1, :-1])
+    known = (depth > 0)[1:, 1:] & (depth > 0)[:-1, :-1] & (depth > 0)[1:, :-1] & (depth > 0)[:-1, 1:]
+    area = float(np.abs(0.5 * (a - b))[known].sum())
+    return area if area > 0 else None
+
+
+def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = None) -> list[Clip]:
+    """The clips at a path: sequences, labelled folders (`labelled.opening.KINDS`), COCO annotations without their
+    images, or a plain folder of PNG files, masks or (labels="classes") numbers of classes.
+
+    Clips of a plain folder are its folders, or what its manifest.csv (id, clip) says. ignore_value: number at which
+    nothing is asked; 255 of classes by default.
+    """
+    if place.suffix.lower() == ".json" and place.is_file():
+        return _coco_clips(place)
+    if place.is_dir() and not (place / "images").is_dir() and not any(place.glob("*.mcap")):
+        annotations = sorted(place.glob("*.json"))
+        if len(annotations) == 1:
+            return _coco_clips(annotations[0])
+        return _plain_clips(place, labels, ignore_value)
+    if place.suffix == ".mcap" or any(place.glob("*.mcap")):
+        return [sequence_clip(path) for path in ([place] if place.is_file() else sorted(place.glob("*.mcap")))]
+    return _labelled_clips(place)
+
+
+def _labelled_clips(place: Path) -> list[Clip]:
+    found = open_labelled(place)
+    if all(entry.clip == entry.name for entry in found.entries):  # nothing is known of clips
+        groups = {found.name: list(found.entries)}
+    else:
+        groups = {clip: [entry for entry in found.entries if entry.clip == clip] for clip in found.clips}
+
+    def images(entries: list) -> Iterator[Seen]:
+        for entry in entries:
+            image = entry.read()
+            ignore = image.ignore if image.ignore.any() else None
+            yield TruthImage(image.name, image.classes, False, ignore, instances=image.instances), image.pixels
+
+    return [
+        Clip(
+            clip,
+            tuple(entry.name for entry in entries),
+            partial(images, entries),
+            _digest([path for entry in entries for path in entry.files]),
+        )
+        for clip, entries in groups.items()
+    ]
+
+
+def _coco_clips(path: Path) -> list[Clip]:
+    file = read_coco(path)
+    groups: dict[str, list[str]] = {}
+    for name in file.names:
+        groups.setdefault(file.clips.get(name, path.stem), []).append(name)
+
+    def images(names: list[str]) -> Iterator[Seen]:
+        for name in names:
+            oyster, ignore = file.as_truth(name)
+            classes = np.where(oyster, np.uint8(OYSTER), np.uint8(0))
+            yield TruthImage(name, classes, False, ignore if ignore.any() else None), None
+
+    digest = _digest([path])
+    return [Clip(clip, tuple(names), partial(images, names), digest, coco=file) for clip, names in groups.items()]
+
+
+def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Clip]:
+    files = {path.relative_to(place).with_suffix("").as_posix(): path for path in sorted(place.rglob("*.png"))}
+    if not files:
+        got = "none of them" if place.exists() else "nothing of that name"
+        raise LabelError(
+            f"{place}: expected the truth: masks as .png, a folder with images/ and labels/ or masks/, COCO "
+            f"annotations (.json) or sequences (.mcap), got {got}"
+        )
+    listed = _manifest(place / "manifest.csv", files)
+    groups: dict[str, list[str]] = {}
+    for name in files:
+        groups.setdefault(listed.get(name) or name.rpartition("/")[0] or place.resolve().name, []).append(name)
+
+    def images(names: list[str]) -> Iterator[Seen]:
+        for name in names:
+            yield _plain_truth(name, files[name], labels, ignore_value), None
+
+    return [
+        Clip(clip, tuple(names), partial(images, names), _digest([files[name] for name in names]))
+        for clip, names in groups.items()
+    ]
+
+
+def _plain_truth(name: str, path: Path, labels: str, ignore_value: int | None) -> TruthImage:
+    values = read_png(path)
+    if labels == "classes" and ignore_value is None:
+        ignore_value = IGNORED
+    ignore = None if ignore_value is None else values == ignore_value
+    if ignore is not None:
+        values = np.where(ignore, 0, values)
+        ignore = ignore if ignore.any() else None
+    if labels != "classes":
+        mask = as_mask(values, str(path))
+        return TruthImage(name, np.where(mask, np.uint8(OYSTER), np.uint8(0)), False, ignore)
+    unknown = sorted(set(np.unique(values).tolist()) - set(CLASSES))
+    if unknown:
+        known = ", ".join(f"{number} {one}" for number, one in CLASSES.items())
+        raise LabelError(f"{path}: unknown class {unknown[0]}; known classes: {known}; ignored: {ignore_value}")
+    return TruthImage(name, values.astype(np.uint8), True, ignore)
+
+
+def _manifest(path: Path, files: Mapping[str, Path]) -> dict[str, str]:
+    """Clip by name; empty where there is no manifest."""
+    if not path.is_file():
+        return {}
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise LabelError(f"{path}: cannot be read as CSV: {error}") from None
+    if not rows or not {"id", "clip"} <= set(rows[0]):
+        raise LabelError(f"{path}:1: expected the columns id and clip, got {', '.join(rows[0]) if rows else 'nothing'}")
+    found = {row["id"]: row["clip"] for row in rows}
+    for name in files:
+        if not found.get(name):
+            raise LabelError(f"{path}: does not say which clip {name} is of")
+    return found
+
+
+def _digest(paths: list[Path]) -> str:
+    text = hashlib.sha256()
+    for path in paths:
+        with open(path, "rb") as file:
+            text.update(hashlib.file_digest(file, "sha256").digest())
+    return text.hexdigest()

@@ -1,0 +1,71 @@
+"""The command that sets results against each other: parse, call, print. `cli` takes it in."""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING
+
+import click
+
+from oysterbench.cli.outputs import Outputs, output_options, print_rich
+
+if TYPE_CHECKING:
+    from oysterbench.results.records import ResultRecord
+
+PROVIDERS = "oysterbench.results"
+"""Entry points: functions (text, split or None) -> results that the text names, or None. Boards are brought by one."""
+
+
+@click.command("compare", short_help="Set results against each other: ranks, ties, who is better where.")
+@click.argument("results", metavar="[LABEL=]RESULT...", nargs=-1, required=True)
+@click.option("--split", help="Results on this split alone.")
+@output_options
+def compare_command(results: tuple[str, ...], split: str | None, outputs: Outputs) -> None:
+    """Compare results: are they different, where, and by how much.
+
+    \b
+    Examples:
+      oysterbench compare ours/results.json theirs/results.json
+      oysterbench compare monday=run1 tuesday=run2     the methods of a file under a label
+      oysterbench compare gtsam_vi gtsam_full --split slam-val     methods on the leaderboard
+      oysterbench compare ours/results.json 3f9c21ab   with a record, by the first digits of its name
+      oysterbench compare run1 run2 --json
+      oysterbench compare run1 run2 --report compare.html --tex table.tex
+
+    RESULT is a file that `oysterbench eval` or `run` wrote, a folder that holds results.json, a method on the
+    leaderboard, or a record's digest (8 digits or more).
+
+    Methods are ranked by their score over the sequences that all of them were run on; those that cannot be told apart
+    at 95 % share a rank. Results of different splits, evaluators or settings are kept apart, in tables of their own.
+    """
+    from oysterbench.core.errors import ResultError
+    from oysterbench.report import SlamRun, comparison_tables, results_tables, terminal_table
+    from oysterbench.results.comparison import as_plain, boards, remarks
+    from oysterbench.results.records import dump, labelled_results
+
+    def find(text: str) -> list[ResultRecord] | None:
+        return _provided(text, split)
+
+    records = [record for record in labelled_results(results, find) if split in (None, record.split)]
+    if not records:
+        raise ResultError(f"expected results on {split}, got none")
+    found = boards(records)
+    for path in outputs.write([SlamRun(record) for record in records]):
+        click.echo(f"written: {path}", err=True)
+    if outputs.as_json:
+        click.echo(dump({"remarks": remarks(found), "comparisons": [as_plain(board) for board in found]}))
+    elif not outputs.on_stdout:
+        for table in comparison_tables(records) or results_tables(records):
+            print_rich(terminal_table(table))
+
+
+def _provided(text: str, split: str | None) -> list[ResultRecord] | None:
+    """What a text names that is no file; asked of all that is installed."""
+    for point in sorted(entry_points(group=PROVIDERS), key=lambda point: point.name):
+        try:
+            provider = point.load()
+        except ModuleNotFoundError:  # what it needs is an extra that is not installed
+            continue
+        if (found := provider(text, split)) is not None:
+            return list(found)
+    return None

@@ -1,0 +1,364 @@
+"""Commands of the hub: parse, call, print. `cli` takes them in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from oysterbench.core.errors import HubError, IntegrityError
+
+if TYPE_CHECKING:
+    from oysterbench.hub.download import Progress
+    from oysterbench.hub.manifest import Manifest
+    from oysterbench.recipe import SplitRecipe
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+def say(text: str) -> None:
+    """A message to the user, on stderr."""
+    click.echo(text, err=True)
+
+
+@click.command("hub-key", short_help="Make the key that a hub's index is signed with.")
+@click.argument("path", type=FILE, metavar="FILE")
+def hub_key(path: Path) -> None:
+    """Make a private key for a hub, and print the public one, which its users give with --key.
+
+    \b
+    Examples:
+      oysterbench hub-key my-hub.pem
+
+    Keep the file to yourself and keep a copy: without it no client takes a new index.
+    """
+    from oysterbench.hub.sign import make_key
+
+    public = make_key(path)
+    say(f"private key: {path}; the public one, for OYSTERBENCH_HUB_KEY or --key of those who download:")
+    click.echo(public)
+
+
+@click.command(short_help="Write a split into a tree that any web server can serve.")
+@click.argument("split_name", metavar="SPLIT")
+@click.argument("tree", type=FOLDER, metavar="DIR")
+@click.option("--key", "key_file", type=FILE, required=True, help="Private key, from `oysterbench hub-key`.")
+@click.option("--old-key", "old_files", type=FILE, multiple=True, help="Key that came before; signs, too. Repeatable.")
+@click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home]")
+@click.option("--salt-file", type=FILE, help="Secret of a hidden split, to find its files under the home.")
+@click.option("--url", default="", help="Address that the tree will have, for the Croissant metadata.")
+@click.option("--hidden", is_flag=True, help="Leave out recipe and truth; publish a commitment to the truth.")
+@click.option("--truth-out", type=FOLDER, help="Folder for the truth package, with --hidden.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was published as JSON.")
+def publish(
+    split_name: str,
+    tree: Path,
+    key_file: Path,
+    old_files: tuple[Path, ...],
+    data: Path | None,
+    salt_file: Path | None,
+    url: str,
+    hidden: bool,
+    truth_out: Path | None,
+    as_json: bool,
+) -> None:
+    """Publish a rendered split into a static tree: a signed index, manifests, blobs by their hash, a page.
+
+    \b
+    Examples:
+      oysterbench publish slam-val hub --key my-hub.pem
+      oysterbench publish slam-test hub --key my-hub.pem --hidden --truth-out truth --salt-file slam-test.salt
+
+    Publishing twice adds nothing; an interrupted publish leaves what was there before. A version that was released
+    is never changed.
+    """
+    if hidden != (truth_out is not None):
+        raise click.UsageError("--hidden and --truth-out belong together: expected both or none")
+
+    from oysterbench.hub.publish import check_made_by, publish, publish_hidden
+    from oysterbench.hub.sign import load_key, public_hex
+    from oysterbench.recipe import load_split
+    from oysterbench.simulation.generate import digest, sequence_files, split_folder
+    from oysterbench.simulation.salt import salt_for
+
+    split = load_split(split_name)
+    if split.hidden and not hidden:
+        raise HubError(
+            f"{split.name} is a hidden split: published as it is, everybody would have its truth; nothing was "
+            "published: give --hidden and --truth-out"
+        )
+    key, old_keys = load_key(key_file), [load_key(file) for file in old_files]
+    folder = data or split_folder(split, salt_for(split.name, split.hidden, salt_file))
+    files = sequence_files(split, folder)
+    check_made_by(files, split.name, split.version, digest(split), hidden)
+    facts = {
+        "split": split.name,
+        "version": split.version,
+        "track": split.track,
+        "rig": split.rig.name,
+        "summary": split.summary,
+    }
+    if truth_out is not None:
+        manifest = publish_hidden(tree, truth_out, facts, files, key, url, say, old_keys)
+    else:
+        manifest = publish(tree, facts, files, key, digest(split), url, say, old_keys)
+    if as_json:
+        click.echo(json.dumps({**_facts(manifest), "key": public_hex(key), "folder": str(tree)}, indent=2))
+        return
+    say(f"{manifest.split} {manifest.version}: {_count(manifest)}, {manifest.size / 1e6:.1f} MB in {tree}")
+    if manifest.commitment:
+        say(f"commitment: {manifest.commitment}")
+    say(f"public key: {public_hex(key)}")
+    click.echo(manifest.sha256)
+
+
+@click.command(short_help="Serve a published tree.")
+@click.argument("tree", type=FOLDER, metavar="DIR")
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all.")
+@click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="0: any that is free.")
+def serve(tree: Path, host: str, port: int) -> None:
+    """Serve a published tree: ranges, conditional requests, a page with pictures and sizes, /health.
+
+    \b
+    Examples:
+      oysterbench serve hub
+      oysterbench serve hub --host 0.0.0.0 --port 8080
+
+    Any static web server, object store or shared folder does as well.
+    """
+    from oysterbench.hub.serve import serve
+
+    serve(tree, host, port)
+
+
+@click.command(short_help="Fetch a split from a hub, or render it where there is none.")
+@click.argument("name", metavar="SPLIT")
+@click.option("--from", "places", multiple=True, metavar="URL", help="Address or folder of a hub; repeat for mirrors.")
+@click.option("--key", help="Public key of the hub.  [default: OYSTERBENCH_HUB_KEY]")
+@click.option("--sequence", "patterns", multiple=True, metavar="GLOB", help="Only these sequences; repeatable.")
+@click.option("--topics", multiple=True, metavar="GLOB", help="Only these topics, in a smaller file; repeatable.")
+@click.option("--out", type=FOLDER, help="Folder.  [default: under the home]")
+@click.option("--connections", type=click.IntRange(1, 32), default=4, show_default=True, help="At once.")
+@click.option("--dry-run", is_flag=True, help="Only say what would be fetched.")
+@click.option("--verify", "check", is_flag=True, help="Read every file again afterwards, and repair what is damaged.")
+@click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
+@click.pass_context
+def download(
+    context: click.Context,
+    name: str,
+    places: tuple[str, ...],
+    key: str | None,
+    patterns: tuple[str, ...],
+    topics: tuple[str, ...],
+    out: Path | None,
+    connections: int,
+    dry_run: bool,
+    check: bool,
+    as_json: bool,
+) -> None:
+    """Fetch a split: SPLIT or SPLIT@VERSION. Every byte is checked; a file appears when it is whole.
+
+    \b
+    Examples:
+      oysterbench download slam-val --from https://hub.example.org --key 9f86d0...
+      oysterbench download slam-val --from /mnt/hub --sequence 'val-0*'
+      oysterbench download slam-val --topics /imu --topics '/cam_front/*' --out small
+      oysterbench download slam-val --dry-run
+
+    May be interrupted at any time, even killed; the same command goes on from there. Without a hub (--from,
+    OYSTERBENCH_HUB or hub.toml in the home folder) the split is rendered instead: the same bytes.
+    """
+    from oysterbench.hub.download import Hub, choose, download, find_here, plan
+    from oysterbench.hub.settings import hub_key, hub_places
+
+    name, _, version = name.partition("@")
+    split = _known_split(name, version)
+    version = version or (split.version if split else "")
+    split_name = split.name if split else name
+    hub_at = hub_places(places)
+    # What is here needs no network: a released version never changes.
+    here = None if check else find_here(split_name, version or None, patterns, out)
+    if here is None and not hub_at:
+        _render_instead(context, split, name, patterns, topics, out, dry_run, as_json)
+        return
+    hub = Hub([], None) if here else Hub.at(hub_at, hub_key(key), say, connections=connections)
+    folder, manifest = here or (None, hub.manifest(split_name, version or None))
+    folder = folder or out or _folder(split, manifest)
+    entries = choose(manifest, patterns)
+    if dry_run:
+        _print_plan(manifest, plan(manifest, entries, folder), as_json)
+        return
+    with bytes_bar(f"downloading {split_name}") as progress:
+        if topics:
+            from oysterbench.hub.topics import fetch_topics
+
+            files = fetch_topics(hub, entries, folder, topics, out, progress)
+        else:
+            files = download(hub, manifest, folder, entries, check, progress)
+    _print_files(files, manifest.split, as_json)
+
+
+def _known_split(name: str, version: str) -> SplitRecipe | None:
+    """The recipe of a split that this oysterbench knows in this version; a hub may have others."""
+    from oysterbench.recipe import load_split, split_names
+
+    if not name.endswith(".toml") and name not in split_names():
+        return None
+    split = load_split(name)
+    return split if version in ("", split.version) else None
+
+
+def _folder(split: SplitRecipe | None, manifest: Manifest) -> Path:
+    """Where a split is kept: with the rendered ones if it is the same as this oysterbench would render."""
+    from oysterbench.core.files import home
+    from oysterbench.simulation.generate import digest, split_folder
+
+    if split is not None and manifest.recipe_digest == digest(split):
+        return split_folder(split)
+    if split is not None and not manifest.hidden:
+        say(f"{manifest.split} {manifest.version} of the hub was made by another recipe or version: it is kept apart")
+    return home() / "splits" / manifest.split / f"{manifest.version}-{manifest.sha256[:12]}"
+
+
+def _render_instead(
+    context: click.Context,
+    split: SplitRecipe | None,
+    name: str,
+    patterns: tuple[str, ...],
+    topics: tuple[str, ...],
+    out: Path | None,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    """Without a hub the same bytes come out of the renderer."""
+    no_hub = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
+    if split is None:
+        raise HubError(f"{name}: {no_hub}, and no split of this name and version can be rendered here")
+    if split.hidden:
+        raise HubError(f"{name}: {no_hub}, and a hidden split cannot be rendered by who has not its salt")
+    if topics:
+        raise HubError(f"{name}: {no_hub}, and --topics needs one; `oysterbench render {name}` makes all topics")
+    names = tuple(
+        sequence.name
+        for sequence in split.sequence
+        if not patterns or any(fnmatchcase(sequence.name, pattern) for pattern in patterns)
+    )
+    if not names:
+        raise HubError(
+            f"{name}: no sequence fits {' or '.join(patterns)}; it has "
+            f"{', '.join(sequence.name for sequence in split.sequence)}"
+        )
+    if dry_run:
+        say(f"{no_hub}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
+        return
+    say(f"{no_hub}: {split.name} {split.version} is rendered instead, which gives the same bytes")
+    group = context.find_root().command
+    assert isinstance(group, click.Group)
+    context.invoke(group.commands["render"], split_name=name, names=names, out=out, as_json=as_json)
+
+
+@click.command(short_help="Check what is on disk against its manifest.")
+@click.argument("what", nargs=-1, metavar="[SPLIT|FILE|FOLDER]...")
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def verify(what: tuple[str, ...], as_json: bool) -> None:
+    """Read files again and compare them with the manifest of their split; all that is here by default.
+
+    \b
+    Examples:
+      oysterbench verify
+      oysterbench verify slam-val
+      oysterbench verify data/mini-01.mcap
+      oysterbench verify data                   every sequence file of a folder
+      oysterbench verify hub                    every file of a published tree
+
+    Ends with 3 if anything is damaged or absent; `oysterbench download SPLIT --verify` repairs it.
+    """
+    from oysterbench.hub.verify import checks
+
+    found = [check for name in (what or ("",)) for check in checks(name)]
+    if as_json:
+        rows = [{"file": str(check.path), "state": check.state, "detail": check.detail} for check in found]
+        click.echo(json.dumps({"files": rows}, indent=2))
+    else:
+        for check in found:
+            click.echo(f"{check.path}: {check.state}" + (f" ({check.detail})" if check.detail else ""))
+    if not found:
+        say("nothing is here; `oysterbench splits` lists what there is")
+    bad = sum(not check.good for check in found)
+    if bad:
+        raise IntegrityError(
+            f"{bad} of {len(found)} files are damaged or absent; `oysterbench download SPLIT --verify` "
+            "fetches what is wrong again"
+        )
+
+
+def _count(manifest: Manifest) -> str:
+    return "1 file" if len(manifest.files) == 1 else f"{len(manifest.files)} files"
+
+
+def _facts(manifest: Manifest) -> dict[str, Any]:
+    return {
+        "split": manifest.split,
+        "version": manifest.version,
+        "manifest": manifest.sha256,
+        "commitment": manifest.commitment,
+        "size_bytes": manifest.size,
+    }
+
+
+def _print_files(files: dict[str, Path], split: str, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps({"split": split, "files": {k: str(v) for k, v in files.items()}}, indent=2))
+        return
+    for path in files.values():
+        click.echo(path)
+
+
+def _print_plan(manifest: Manifest, steps: list[Any], as_json: bool) -> None:
+    rows = [
+        {"file": str(step.path), "state": step.state, "size_bytes": step.entry.size, "there_bytes": step.there}
+        for step in steps
+    ]
+    if as_json:
+        click.echo(json.dumps({**_facts(manifest), "files": rows}, indent=2))
+        return
+    for row in rows:
+        click.echo(f"{row['file']}: {row['state']}, {row['size_bytes'] / 1e6:.1f} MB")
+    wanted = sum(row["size_bytes"] - row["there_bytes"] for row in rows)
+    say(
+        f"{manifest.split} {manifest.version}: {wanted / 1e6:.1f} of {sum(r['size_bytes'] for r in rows) / 1e6:.1f} MB "
+        "to fetch"
+    )
+
+
+@contextmanager
+def bytes_bar(title: str) -> Iterator[Progress]:
+    """A progress bar on a terminal, a line at every tenth elsewhere; both on stderr."""
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        said = -1
+
+        def tell(done: int, total: int) -> None:
+            nonlocal said
+            if (tenth := 10 * done // max(total, 1)) > said:
+                said = tenth
+                say(f"{title}: {done / 1e6:.1f} of {total / 1e6:.1f} MB")
+
+        yield tell
+        return
+    columns = (TextColumn(title), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+COMMANDS = (publish, serve, download, verify, hub_key)

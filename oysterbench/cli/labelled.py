@@ -1,0 +1,29 @@
+"""Labelled data as a command is given it: a path, or the name of a split, which is rendered where it is not there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oysterbench.core.errors import LabelError
+
+if TYPE_CHECKING:
+    from oysterbench.annotations import LabelledSet
+
+
+def open_data(name: str) -> LabelledSet:
+    """The labelled images of a split, of a recipe (.toml), or at a path (`labelled.opening.KINDS`)."""
+    from oysterbench.annotations import open_labelled
+    from oysterbench.recipe import load_split, split_names
+
+    if name not in split_names() and not name.endswith(".toml"):
+        if not Path(name).exists():
+            raise LabelError(f"{name}: no split of that name, nor a file or folder; `oysterbench splits` lists splits")
+        return open_labelled(name)
+    from oysterbench.annotations.sequences import sequence_set
+    from oysterbench.cli.render import render_files
+    from oysterbench.simulation.conditions import conditions
+
+    split = load_split(name)
+    files = render_files(split)
+    return sequence_set(split.name, files.values(), {key: conditions(split, key) for key in files})

@@ -1,0 +1,93 @@
+"""Commands that are installed under entry points: `train`, `translate`, `experiment`. `cli` takes them in."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+import click
+
+from oysterbench.core.errors import MethodError
+
+
+class Installed(click.Group):
+    """A group whose commands are entry points; each is a click command, loaded when it is needed."""
+
+    def __init__(self, name: str, points: str, **settings: object) -> None:
+        super().__init__(name, **settings)  # type: ignore[arg-type]
+        self._points = points
+
+    def found(self) -> dict[str, EntryPoint]:
+        """Name -> entry point."""
+        return {point.name: point for point in entry_points(group=self._points)}
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        return sorted(self.found())
+
+    def invoke(self, context: click.Context) -> Any:
+        try:
+            return super().invoke(context)
+        except ModuleNotFoundError as error:  # what is heavy is imported when the command runs
+            raise self._lacking(error) from None
+
+    def _lacking(self, error: ImportError) -> MethodError:
+        return MethodError(f"{self.name}: {error}; install what it needs, e.g. pip install 'oysterbench[learn]'")
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        point = self.found().get(name)
+        if point is None:
+            return None
+        try:
+            command = point.load()
+        except ImportError as error:
+            raise self._lacking(error) from None
+        if not isinstance(command, click.Command):
+            raise MethodError(f"{self.name} {name}: expected a click command, got {type(command)}")
+        return command
+
+
+train = Installed(
+    "train",
+    "oysterbench.train",
+    short_help="Train a method that learns.",
+    help="""Train a method that learns, on labelled images.
+
+    \b
+    Examples:
+      oysterbench train unet --data seg-train
+      oysterbench train unet --help
+
+    Methods bring their commands by the entry-point group oysterbench.train.
+    """,
+)
+
+experiment = Installed(
+    "experiment",
+    "oysterbench.experiment",
+    short_help="Run an experiment over many trainings.",
+    help="""Run an experiment: many trainings and their table, resumed where it was interrupted.
+
+    \b
+    Examples:
+      oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train
+      oysterbench experiment sim2real --help
+
+    Experiments are brought by the entry-point group oysterbench.experiment.
+    """,
+)
+
+translate = Installed(
+    "translate",
+    "oysterbench.translate",
+    short_help="Make rendered images look like real ones.",
+    help="""Give labelled images another look; their labels stay.
+
+    \b
+    Examples:
+      oysterbench translate reinhard --source seg-closeup --target real-oysters --out translated/reinhard
+      oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated/cut
+      oysterbench translate cut --help
+
+    Translations are brought by the entry-point group oysterbench.translate.
+    """,
+)

@@ -1,0 +1,189 @@
+"""The command that makes a map of oysters, or a cloud, of a sequence along a trajectory: parse, call, print."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from oysterbench.core.errors import OysterbenchError
+
+SOURCES = ("pictures", "echoes")
+DEPTHS = ("stereo", "motion", "plane", "layer")
+KINDS = ("auto", "instances", "mask", "probability", "classes")
+TRUTH = "truth"
+
+CLOUD_OPTIONS = {"source": "--from", "voxel_m": "--voxel"}
+MAP_OPTIONS = {"depth": "--depth", "kind": "--masks-kind", "cell_m": "--cell", "threshold": "--threshold"}
+
+
+@click.command("map", short_help="Oysters per square metre, or a coloured point cloud, along any trajectory.")
+@click.argument("sequence", type=click.Path(path_type=Path))
+@click.option(
+    "--trajectory", type=click.Path(path_type=Path), required=True, help="Poses of base_link: any trajectory file."
+)
+@click.option(
+    "--masks", type=click.Path(path_type=Path), help="Oysters in its pictures; 'truth' for the sequence's own."
+)
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="With --masks a folder, else a .ply file.")
+@click.option("--camera", "cameras", multiple=True, metavar="NAME", help="Look through this one.  [default: the first]")
+@click.option("--far", "far_m", type=float, help="Farthest that is looked at, in m.  [default: map 2.5, cloud 6]")
+@click.option("--depth", type=click.Choice(DEPTHS), help="Map: where depths come from.  [default: stereo, or motion]")
+@click.option("--masks-kind", "kind", type=click.Choice(KINDS), help="Map: what their numbers are.  [default: auto]")
+@click.option("--cell", "cell_m", type=float, help="Map: edge of the grid's cells, in m.  [default: 1]")
+@click.option("--threshold", type=float, help="Map: called oyster from this score on.  [default: 0.5]")
+@click.option("--from", "source", type=click.Choice(SOURCES), help="Cloud: what it is made of.  [default: pictures]")
+@click.option("--voxel", "voxel_m", type=float, help="Cloud: one point per cube of so many metres.  [default: 0.01]")
+@click.option("--json", "as_json", is_flag=True, help="Print what was made as JSON.")
+def map_command(
+    sequence: Path,
+    trajectory: Path,
+    masks: Path | None,
+    out: Path,
+    cameras: tuple[str, ...],
+    far_m: float | None,
+    as_json: bool,
+    **given: Any,
+) -> None:
+    """Map the oysters that a sequence shows, each once, along a trajectory; or, without --masks, make a cloud of it.
+
+    \b
+    Examples:
+      oysterbench map val-01.mcap --trajectory val-01-gtsam_full.tum --masks answers/ --out map
+      oysterbench map val-01.mcap --trajectory poses.tum --masks instances.json --depth plane --cell 0.5 --out map
+      oysterbench map val-01.mcap --trajectory val-01-truth.tum --masks truth --depth layer --out true-map
+      oysterbench map mini-01.mcap --trajectory results/mini-01-gtsam_vi.tum --out mini-01.ply
+      oysterbench map dive.mcap --trajectory poses.tum --from echoes --voxel 0.05 --out bottom.ply
+
+    \b
+    Masks are what `oysterbench eval --estimate` reads, named after their pictures (SEQUENCE/CAMERA/STAMP):
+      a folder or .npz   masks, probabilities, classes (what hangs together is an oyster), or numbers of oysters
+      .json              COCO annotations; categories live and dead, or oyster with a `state`, tell them apart
+
+    \b
+    Depths:
+      stereo   between two cameras that see the same       motion   between pictures on one camera's way
+      plane    the bottom as a plane under DVL, altimeter  layer    the truth of a rendered sequence
+
+    The folder gets map.html and map.png to look at, grid.csv, oysters.csv, summary.json, and the rasters mosaic.png and
+    density.png with world files, in the trajectory's frame.
+
+    A cloud of pictures has the depths between two cameras that see the same, or, of one camera, between its frames on
+    the way. One of echoes has those of DVL, altimeters and imaging sonars, coloured from the pictures; a fan of a sonar
+    tells no elevation, so that its first echo is put on its lower edge. No cloud uses the truth: `export --format ply`
+    does that.
+    """
+    apart, what = (MAP_OPTIONS, "a map: expected --masks") if masks is None else (CLOUD_OPTIONS, "a cloud")
+    if names := [option for key, option in apart.items() if given[key] is not None]:
+        raise click.UsageError(
+            f"{', '.join(names)}: of {what}{'' if masks is None else ', which is made without --masks'}"
+        )
+    if masks is None:
+        facts = _cloud(sequence, trajectory, out, given["source"] or "pictures", cameras, given["voxel_m"], far_m)
+        said = facts.pop("said")
+    else:
+        if len(cameras) > 1:
+            raise click.UsageError("--camera: a map is made of one camera's pictures, got several")
+        chosen = {key: given[key] for key in ("cell_m", "threshold") if given[key] is not None}
+        if far_m is not None:
+            chosen["far_m"] = far_m
+        camera = cameras[0] if cameras else None
+        facts = _oysters(sequence, trajectory, masks, out, camera, given["depth"], given["kind"] or "auto", chosen)
+        said = facts.pop("said")
+    click.echo(json.dumps(facts, indent=2) if as_json else said)
+
+
+def _cloud(
+    sequence: Path,
+    trajectory: Path,
+    out: Path,
+    source: str,
+    cameras: tuple[str, ...],
+    voxel_m: float | None,
+    far_m: float | None,
+) -> dict[str, Any]:
+    from oysterbench.core.trajectory import read_trajectory
+    from oysterbench.mapping import CloudSettings, build_cloud
+    from oysterbench.sequence import open_sequence
+
+    if out.suffix.lower() != ".ply":
+        raise OysterbenchError(f"{out}: expected the name of a .ply file, or --masks and the name of a folder")
+    settings = CloudSettings()
+    if voxel_m is not None:
+        settings = replace(settings, voxel_m=voxel_m)
+    if far_m is not None:
+        settings = replace(settings, far_m=far_m)
+    opened = open_sequence(sequence)
+    start = time.process_time()
+    cloud = build_cloud(opened, read_trajectory(trajectory), source, cameras, settings)
+    if len(cloud) == 0:
+        raise OysterbenchError(
+            f"{opened.name}: no point was found from {source} along {trajectory}; nothing is written"
+        )
+    cloud.write(out, f"{opened.name} along {trajectory.name}, from {source}, in odom, m")
+    facts = {
+        "file": str(out),
+        "points": len(cloud),
+        "source": source,
+        "low_m": cloud.points.min(axis=0).round(3).tolist(),
+        "high_m": cloud.points.max(axis=0).round(3).tolist(),
+        "cpu_s": round(time.process_time() - start, 1),
+    }
+    sides = " x ".join(f"{high - low:.1f}" for low, high in zip(facts["low_m"], facts["high_m"], strict=True))
+    return {**facts, "said": f"{out}: {len(cloud)} points from {source}, {sides} m"}
+
+
+def _oysters(
+    sequence: Path,
+    trajectory: Path,
+    masks: Path,
+    out: Path,
+    camera: str | None,
+    depth: str | None,
+    kind: str,
+    chosen: dict[str, Any],
+) -> dict[str, Any]:
+    from oysterbench.core.trajectory import read_trajectory
+    from oysterbench.mapping import MapSettings, build_map, default_depth, read_seen, true_seen
+    from oysterbench.mapping.survey import check_time
+    from oysterbench.report.density_figure import numbers
+    from oysterbench.report.density_files import summary, write_map
+    from oysterbench.sequence import open_sequence
+
+    if out.exists() and not out.is_dir():
+        raise OysterbenchError(f"{out}: expected the name of a folder, got a file")
+    settings = MapSettings(**chosen)
+    opened = open_sequence(sequence)
+    poses = read_trajectory(trajectory)
+    check_time(opened, poses)
+    first = camera or next(iter(opened.cameras), None)
+    if first is None or first not in opened.cameras:
+        raise OysterbenchError(
+            f"{opened.name} has no camera {first or ''!r}; its cameras: {', '.join(opened.cameras) or 'none'}"
+        )
+    depth = depth or default_depth(opened, first)
+    own = str(masks) == TRUTH
+    if own or depth == "layer":
+        used = " and ".join([*(["masks"] if own else []), *(["depths"] if depth == "layer" else [])])
+        click.echo(f"the true {used} of {opened.name} are used: this map is no estimate", err=True)
+    start = time.process_time()
+
+    def seen() -> Any:
+        if own:
+            return true_seen(opened, first)
+        return read_seen(masks, opened, first, kind, settings.threshold)
+
+    found = build_map(opened, poses, seen, first, depth, settings)
+    command = shlex.join(["oysterbench", *sys.argv[1:]])
+    written = write_map(found, out, command)
+    facts = {**summary(found), "files": [str(path) for path in written]}
+    facts["cpu_s"] = round(time.process_time() - start, 1)
+    lines = [f"{out}: {written[0].name} and {len(written) - 1} more files"]
+    lines += [line.replace("\N{SUPERSCRIPT TWO}", "2") for line in numbers(found.total, found.grid.shares())]
+    return {**facts, "said": "\n".join(lines)}

@@ -1,0 +1,115 @@
+"""Options of a command that say in which forms its results are given: JSON, CSV, LaTeX, Markdown, HTML."""
+
+from __future__ import annotations
+
+import functools
+import shlex
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from oysterbench.core.errors import OysterbenchError
+
+if TYPE_CHECKING:
+    from oysterbench.report import DatasetRow
+    from oysterbench.report.html import Runs
+    from oysterbench.report.steering import Figure
+    from oysterbench.report.tables import Table
+    from oysterbench.results.records import ResultRecord
+
+TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs and graphicx", "md": "tables in Markdown"}
+"""Forms of text, by their suffix."""
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What was asked for: JSON on stdout; files of the other forms, "-" for stdout."""
+
+    as_json: bool
+    texts: dict[str, Path]
+    report: Path | None
+
+    @property
+    def on_stdout(self) -> bool:
+        """Whether stdout is taken by one of them."""
+        return self.as_json or Path("-") in self.texts.values()
+
+    def write(
+        self,
+        runs: Runs,
+        folder: Path | None = None,
+        data_set: Sequence[DatasetRow] = (),
+        first: Sequence[Table] = (),
+        figures: Sequence[Figure] = (),
+    ) -> list[Path]:
+        """Write all files that were asked for, those of a folder in all forms; returns what was written.
+
+        data_set: of tracks of images, each method over all clips together; first: tables that stand before all
+        others; figures: of the report.
+        """
+        from oysterbench.core.files import write_atomically
+        from oysterbench.report import csv_text, dataset_tables, latex_text, markdown_text, write_html_report
+
+        makers = {"csv": csv_text, "tex": latex_text, "md": markdown_text}
+        records = [run.record for run in runs]
+        places = [(form, path) for form, path in self.texts.items()]
+        reports = [self.report] if self.report is not None else []
+        if folder is not None:
+            places += [(form, folder / f"results.{form}") for form in TEXTS]
+            reports.append(folder / "report.html")
+        for form, path in places:
+            text = makers[form](records, [*first, *dataset_tables(data_set)])
+            if path == Path("-"):
+                click.echo(text, nl=False)
+            else:
+                write_atomically(path, text.encode())
+        for path in reports:
+            command = shlex.join(["oysterbench", *sys.argv[1:]])
+            write_html_report(path, runs, command, data_set=data_set, first=first, figures=figures)
+        return [*(path for _, path in places if path != Path("-")), *reports]
+
+
+def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command --json, --csv, --tex, --md and --report, and the argument `outputs`."""
+
+    @functools.wraps(command)
+    def wrapped(*, as_json: bool, report: Path | None, **values: Any) -> Any:
+        texts = {form: path for form in TEXTS if (path := values.pop(f"{form}_file")) is not None}
+        if as_json + list(texts.values()).count(Path("-")) > 1:
+            raise click.UsageError("--json, --csv, --tex, --md: expected one of them at most on stdout")
+        return command(outputs=Outputs(as_json, texts, report), **values)
+
+    option = click.option(
+        "--report", type=click.Path(path_type=Path, dir_okay=False), help="Write the HTML report here."
+    )
+    wrapped = option(wrapped)
+    for form, what in reversed(TEXTS.items()):
+        kind = click.Path(path_type=Path, dir_okay=False, allow_dash=True)
+        wrapped = click.option(f"--{form}", f"{form}_file", type=kind, help=f"Write {what}; - for stdout.")(wrapped)
+    option = click.option("--json", "as_json", is_flag=True, help="Print as JSON on stdout, and nothing else.")
+    return option(wrapped)
+
+
+def print_rich(table: Any) -> None:
+    """Print a table on stdout; a pipe has no width to wrap to."""
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=200)
+    console.print(table)
+
+
+def end(written: Sequence[Path], records: Sequence[ResultRecord]) -> None:
+    """Say what was written and what failed; the command ends with an error where something did."""
+    for path in written:
+        click.echo(f"written: {path}", err=True)
+    failures = [record for record in records if record.failure is not None]
+    for record in failures:
+        click.echo(f"{record.method} failed on {record.sequence}: {record.failure}", err=True)
+    if failures:
+        sys.exit(OysterbenchError.exit_code)

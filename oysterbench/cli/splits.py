@@ -1,0 +1,178 @@
+"""The command `splits`: what there is, what of it is here, and how large it is. `cli` takes it in."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from oysterbench.hub.manifest import Manifest
+    from oysterbench.recipe import SplitRecipe
+
+
+@dataclass(frozen=True)
+class Row:
+    """A version of a split. `size_bytes` of it are here, in files that are whole; `full_bytes` is its size, or None
+    where neither a manifest nor a complete set of files tells. `duration_s`: None where only the hub knows it."""
+
+    name: str
+    version: str
+    track: str
+    sequences: int
+    duration_s: float | None
+    here: int  # sequences
+    size_bytes: int
+    full_bytes: int | None
+    complete: bool
+    hidden: bool
+    folder: str | None
+    summary: str
+
+    @property
+    def state(self) -> str:
+        """In words."""
+        full = "" if self.full_bytes is None else f"{self.full_bytes / 1e6:.0f} MB"
+        if self.complete:
+            return full
+        if self.here:
+            of = f"{self.size_bytes / 1e6:.0f} of {full}" if full else f"{self.size_bytes / 1e6:.0f} MB"
+            return f"{self.here} of {self.sequences} ({of})"
+        return f"no ({full})" if full else "no"
+
+
+@click.command(short_help="What can be rendered or downloaded, and what is here.")
+@click.option("--hub", "ask_hub", is_flag=True, help="Ask the hub, too: its splits and their sizes.")
+@click.option("--from", "places", multiple=True, metavar="URL", help="Address or folder of a hub; implies --hub.")
+@click.option("--key", help="Public key of the hub.  [default: OYSTERBENCH_HUB_KEY]")
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def splits(ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: bool) -> None:
+    """List the splits: what they are, which are on this machine, and how large they are.
+
+    \b
+    Examples:
+      oysterbench splits
+      oysterbench splits --hub
+      oysterbench splits --json
+
+    Without --hub no network is touched.
+    """
+    from oysterbench.recipe import load_split, split_names
+    from oysterbench.simulation.generate import split_folder
+
+    known = {split_folder(split): split for split in map(load_split, split_names())}
+    kept = list(_kept(known))
+    # A split that was downloaded is told of once, also where this oysterbench would keep its own elsewhere.
+    downloaded = {(row.name, row.version) for row in kept}
+    rows = [row for row in _known(known) if row.here or (row.name, row.version) not in downloaded] + kept
+    if ask_hub or places:
+        rows = list(_with_hub(rows, places, key))
+    if as_json:
+        click.echo(json.dumps({"splits": [asdict(row) for row in rows]}, indent=2))
+        return
+    from rich.table import Table
+
+    from oysterbench.cli.outputs import print_rich
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("split", "track", "sequences", "seconds", "here", "what"):
+        table.add_column(heading, justify="right" if heading in ("sequences", "seconds") else "left")
+    for row in rows:
+        seconds = "" if row.duration_s is None else f"{row.duration_s:.6g}"
+        table.add_row(f"{row.name} {row.version}", row.track, str(row.sequences), seconds, row.state, row.summary)
+    print_rich(table)
+
+
+def _known(splits: dict[Path, SplitRecipe]) -> Iterator[Row]:
+    """Splits that this oysterbench can render, by their folders."""
+    from oysterbench.hub.manifest import released_manifest
+    from oysterbench.hub.verify import kept_manifest
+    from oysterbench.simulation.generate import sequence_files
+
+    for folder, split in splits.items():
+        files = [path for path in sequence_files(split, folder).values() if path.is_file()]
+        size = sum(path.stat().st_size for path in files)
+        complete = len(files) == len(split.sequence)
+        manifest = kept_manifest(folder) or released_manifest(split.name, split.version)
+        full = size if complete else manifest.size if manifest else None
+        yield Row(
+            name=split.name,
+            version=split.version,
+            track=split.track,
+            sequences=len(split.sequence),
+            duration_s=sum(sequence.duration_s for sequence in split.sequence),
+            here=len(files),
+            size_bytes=size,
+            full_bytes=full,
+            complete=complete,
+            hidden=split.hidden,
+            folder=str(folder) if files else None,
+            summary=split.summary,
+        )
+
+
+def _kept(rendered: Collection[Path]) -> Iterator[Row]:
+    """Splits that were downloaded and that this oysterbench would render differently, or not at all."""
+    from oysterbench.core.files import home
+    from oysterbench.hub.verify import kept_manifest
+
+    for folder in sorted((home() / "splits").glob("*/*")):
+        manifest: Manifest | None = kept_manifest(folder) if folder.is_dir() and folder not in rendered else None
+        if manifest is None:
+            continue
+        here = [entry for entry in manifest.files if _is_whole(folder / entry.name, entry.size)]
+        yield Row(
+            name=manifest.split,
+            version=manifest.version,
+            track=manifest.track,
+            sequences=len(manifest.files),
+            duration_s=sum(entry.duration_ns for entry in manifest.files) * 1e-9,
+            here=len(here),
+            size_bytes=sum(entry.size for entry in here),
+            full_bytes=manifest.size,
+            complete=len(here) == len(manifest.files),
+            hidden=manifest.hidden,
+            folder=str(folder),
+            summary=manifest.summary,
+        )
+
+
+def _with_hub(rows: list[Row], places: tuple[str, ...], key: str | None) -> Iterator[Row]:
+    """The rows with sizes that the hub knows, and its splits that are not among them."""
+    from dataclasses import replace
+
+    from oysterbench.core.errors import HubError
+    from oysterbench.hub.download import Hub
+    from oysterbench.hub.settings import hub_key, hub_places
+
+    hub_at = hub_places(places)
+    if not hub_at:
+        raise HubError("no hub is set: give its address with --from, OYSTERBENCH_HUB or hub.toml in the home folder")
+    index = Hub.at(hub_at, hub_key(key)).index()
+    releases = {(name, version): release for name, known in index.splits.items() for version, release in known.items()}
+    for row in rows:
+        release = releases.pop((row.name, row.version), None)
+        yield replace(row, full_bytes=release.size) if release and row.full_bytes is None else row
+    for (name, version), release in releases.items():
+        yield Row(
+            name=name,
+            version=version,
+            track=release.track,
+            sequences=release.sequences,
+            duration_s=None,
+            here=0,
+            size_bytes=0,
+            full_bytes=release.size,
+            complete=False,
+            hidden=release.hidden,
+            folder=None,
+            summary=release.summary,
+        )
+
+
+def _is_whole(path: Path, size: int) -> bool:
+    return path.is_file() and path.stat().st_size == size

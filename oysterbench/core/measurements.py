@@ -1,0 +1,121 @@
+"""Samples: what one message of each sensor says. Sensors make them, files hold them, readers give them back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+
+
+@dataclass(frozen=True)
+class Image:
+    """One camera frame.
+
+    pixels: (H, W, 3) uint8 RGB; or a layer: depth (H, W) float32 m along the optical axis, 0 = none; class (H, W)
+    uint8 (`recipe.CLASSES`); instance (H, W) uint16, 0 = none; normals (H, W, 3) float32, outward, in the optical
+    frame; visibility (H, W) float32, share of the instance at a pixel that nothing hides, NaN = none; light (H, W, 3)
+    float32, 1 = a white matte surface in full daylight: clean (without water), and direct + glow (scattered forward) +
+    backscatter + snow, which add up to what reaches the lens.
+    """
+
+    stamp_ns: int
+    camera: str
+    pixels: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """Angular rate (3,) rad/s and specific force (3,) m/s^2, both in the IMU frame."""
+
+    stamp_ns: int
+    gyro: Array
+    accel: Array
+
+
+@dataclass(frozen=True)
+class DvlSample:
+    """Velocity over ground (3,) m/s in the DVL's frame (x forward, y left, z up), NaN without bottom lock.
+
+    covariance (3, 3) (m/s)^2, that of the reported velocity; figure_of_merit: its 1-sigma size, m/s; altitude: above
+    the bottom along the DVL's -z, m, NaN without lock. Per beam (4,): directions (4, 3) unit vectors in the DVL's
+    frame, range along the beam in m and velocity along it in m/s (both NaN where not valid), valid.
+    """
+
+    stamp_ns: int
+    velocity: Array
+    covariance: Array
+    figure_of_merit: float
+    altitude: float
+    beam_directions: Array
+    beam_ranges: Array
+    beam_velocities: Array
+    beam_valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class PressureSample:
+    """Absolute pressure, Pa, and the variance of its noise, Pa^2."""
+
+    stamp_ns: int
+    pressure: float
+    variance: float
+
+
+@dataclass(frozen=True)
+class MagneticSample:
+    """Magnetic field (3,) T in the magnetometer's frame, and the variance of its noise per axis, T^2."""
+
+    stamp_ns: int
+    field: Array
+    variance: float
+
+
+@dataclass(frozen=True)
+class RangeSample:
+    """Range of an altimeter's echo, m along its axis; +inf where nothing answers within its reach."""
+
+    stamp_ns: int
+    sensor: str
+    range: float
+
+
+@dataclass(frozen=True)
+class SonarImage:
+    """One ping of an imaging sonar: amplitudes (bins, beams) uint16, near to far, beams from left (+) to right.
+
+    Amplitude 1 is `SonarCalibration.amplitude_step`; the bins' ranges and the beams' azimuths are in the calibration.
+    """
+
+    stamp_ns: int
+    sensor: str
+    pixels: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class ScanPing:
+    """One ping of a scanning sonar: amplitudes (bins,) uint16, near to far, at the head's angle (rad, left of x)."""
+
+    stamp_ns: int
+    sensor: str
+    angle: float
+    amplitudes: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Returns of a sonar with their meaning.
+
+    points (N, 3) float32 m in the sensor's frame; intensity (N,) float32 dB over a perfect scatterer that fills the
+    beam at 1 m; classes (N,) uint8 (`recipe.CLASSES`); instances (N,) uint16, 0 = none.
+    """
+
+    stamp_ns: int
+    sensor: str
+    points: NDArray[np.float32]
+    intensity: NDArray[np.float32]
+    classes: NDArray[np.uint8]
+    instances: NDArray[np.uint16]

@@ -1,0 +1,259 @@
+"""Trajectories in MCAP files and ROS bags (ROS 1 .bag, ROS 2 folder or .db3): topics of stock messages with poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oysterbench.core.errors import OysterbenchError, TrajectoryError
+from oysterbench.core.trajectory.checks import checked_poses
+from oysterbench.core.trajectory.options import ReadOptions
+from oysterbench.core.trajectory.poses import Trajectory
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+BAG_MAGIC = b"#ROSBAG V"
+SQLITE_MAGIC = b"SQLite format 3\0"
+
+POSE_TYPES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "nav_msgs/msg/Odometry",
+    "nav_msgs/msg/Path",
+    "tf2_msgs/msg/TFMessage",
+)
+LATCHED = "/tf_static"
+"""Carries the places of sensors, never a trajectory."""
+
+Row = tuple[int, tuple[float, ...], Any]
+"""Stamp in ns, x y z qx qy qz qw, covariance (36,) or None."""
+
+
+@dataclass(frozen=True)
+class Bag:
+    """What is in a recording.
+
+    types:    topic -> type of its messages, as `package/msg/Name`
+    messages: topic -> its messages, decoded
+    """
+
+    types: dict[str, str]
+    messages: Callable[[str], Iterator[Any]]
+
+
+def read_bag(path: Path, options: ReadOptions) -> Trajectory:
+    """The poses of one topic. Raises TrajectoryError where the choice is not determined or the file is damaged."""
+    try:
+        trajectory = _read(path, options)
+    except (OysterbenchError, KeyboardInterrupt):
+        raise
+    # The libraries underneath raise whatever damaged bytes lead them to: struct, zlib, sqlite, assertions, lookups.
+    except Exception as error:
+        reason = (" ".join(str(error).split()) or type(error).__name__)[:120]
+        raise TrajectoryError(f"{path}: damaged, or not a recording that can be read: {reason}") from None
+    return checked_poses(trajectory, path.name, lambda i: f"{path}: message {i + 1}", options.sort)
+
+
+def _read(path: Path, options: ReadOptions) -> Trajectory:
+    bag = _open(path)
+    topic, _, frames = (options.topic or "").partition(":")
+    topic = topic or _only_topic(bag, path)
+    if bag.types.get(topic) not in POSE_TYPES:
+        got = f"one of {bag.types[topic]}" if topic in bag.types else "none of that name"
+        raise TrajectoryError(f"{path}: expected {topic!r} to be a topic with poses, got {got}; {_offer(bag)}")
+    notes = [] if options.topic else [f"{path.name}: the poses are those of its only topic with poses, {topic}"]
+    kind = bag.types[topic].rsplit("/", 1)[-1]
+    if kind == "TFMessage":
+        rows = _transforms(bag.messages(topic), frames, path, topic)
+    elif kind == "Path":
+        last: Any = None
+        count = 0
+        for last in bag.messages(topic):  # noqa: B007
+            count += 1
+        rows = [_pose_row(pose) for pose in last.poses] if last is not None else []
+        if count > 1:
+            notes.append(f"{path.name}: {topic} holds {count} paths, of which the last is read")
+    else:
+        rows = [_pose_row(message) for message in bag.messages(topic)]
+    if not rows:
+        raise TrajectoryError(f"{path}: {topic} holds no pose; {_offer(bag)}")
+    if not any(row[0] for row in rows):
+        raise TrajectoryError(f"{path}: the headers of {topic} carry no stamps; write the time of each pose into them")
+    values = np.array([row[1] for row in rows], dtype=float)
+    if options.quaternion == "wxyz":
+        values = values[:, [0, 1, 2, 4, 5, 6, 3]]
+    return Trajectory(
+        np.array([row[0] for row in rows], dtype=np.int64),
+        values[:, :3].copy(),
+        values[:, 3:].copy(),
+        _covariances([row[2] for row in rows]),
+        tuple(notes),
+    )
+
+
+def _covariances(given: list[Any]) -> np.ndarray | None:
+    """(N, 6, 6), or None where they say nothing: all zero, or -1 in the first cell, as ROS marks the unknown."""
+    if any(covariance is None for covariance in given):
+        return None
+    covariances = np.array(given, dtype=float).reshape(-1, 6, 6)
+    if not covariances.any() or (covariances[:, 0, 0] == -1).all():
+        return None
+    return covariances
+
+
+def _stamp(header: Any) -> int:
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def _numbers(place: Any, turn: Any) -> tuple[float, ...]:
+    return (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+
+
+def _pose_row(message: Any) -> Row:
+    """Row of a PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped."""
+    stamp = _stamp(message.header)
+    if hasattr(message, "transform"):
+        return stamp, _numbers(message.transform.translation, message.transform.rotation), None
+    if hasattr(message.pose, "pose"):
+        pose = message.pose.pose
+        return stamp, _numbers(pose.position, pose.orientation), message.pose.covariance
+    return stamp, _numbers(message.pose.position, message.pose.orientation), None
+
+
+def _transforms(messages: Iterator[Any], frames: str, path: Path, topic: str) -> list[Row]:
+    """Rows of one transform among those of a TF topic; `frames` is `parent.child`, or empty where there is one."""
+    rows: dict[str, list[Row]] = {}
+    for message in messages:
+        for item in message.transforms:
+            name = f"{item.header.frame_id.lstrip('/')}.{item.child_frame_id.lstrip('/')}"
+            rows.setdefault(name, []).append(_pose_row(item))
+    if frames in rows:
+        return rows[frames]
+    if len(rows) == 1 and not frames:
+        return next(iter(rows.values()))
+    offer = ", ".join(f"{topic}:{name}" for name in sorted(rows)[:6]) or "none"
+    raise TrajectoryError(
+        f"{path}: expected one transform of {topic}, got {frames or len(rows)!r}; choose it with --topic: {offer}"
+    )
+
+
+def _only_topic(bag: Bag, path: Path) -> str:
+    found = [topic for topic, kind in bag.types.items() if kind in POSE_TYPES and topic != LATCHED]
+    if len(found) != 1:
+        raise TrajectoryError(f"{path}: expected one topic with poses, got {len(found)}; {_offer(bag)}")
+    return found[0]
+
+
+def _offer(bag: Bag) -> str:
+    found = sorted(topic for topic, kind in bag.types.items() if kind in POSE_TYPES and topic != LATCHED)
+    if not found:
+        known = ", ".join(kind.rsplit("/", 1)[-1] for kind in POSE_TYPES)
+        return f"it has no topic of {known}"
+    return f"choose it with --topic: {', '.join(found[:8])}"
+
+
+def _open(path: Path) -> Bag:
+    if path.is_dir():
+        parts = sorted(path.glob("*.mcap"))
+        return _mcap(parts) if parts else _ros2(path)
+    with open(path, "rb") as file:
+        magic = file.read(16)
+    if magic.startswith(MCAP_MAGIC):
+        return _mcap([path])
+    if magic.startswith(BAG_MAGIC):
+        return _ros1(path)
+    if magic.startswith(SQLITE_MAGIC) and path.suffix != ".db3":
+        raise TrajectoryError(f"{path}: looks like the database of a ROS 2 bag; name it .db3")
+    if magic.startswith(SQLITE_MAGIC):
+        return _ros2(path)
+    raise TrajectoryError(f"{path}: expected an MCAP file or a ROS bag, got neither")
+
+
+@cache
+def _decoder(encoding: str) -> Callable[[bytes, str], Any]:
+    """Decoder of messages in `cdr` (ROS 2) or `ros1`."""
+    from rosbags.typesys import Stores, get_typestore
+
+    if encoding == "cdr":
+        return get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
+    return get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
+
+
+def _full_name(name: str) -> str:
+    """`package/msg/Name` of a type that ROS 1 calls `package/Name`; tf's own message is tf2's."""
+    package, _, rest = name.partition("/")
+    full = name if "/msg/" in name else f"{package}/msg/{rest}"
+    return full.replace("tf/msg/tfMessage", "tf2_msgs/msg/TFMessage")
+
+
+def _mcap(parts: list[Path]) -> Bag:
+    """MCAP files of one recording, with their checksums checked."""
+    from mcap.reader import make_reader
+
+    types: dict[str, str] = {}
+    encodings: dict[str, str] = {}
+    counts: dict[str, int] = {}
+    for part in parts:
+        with open(part, "rb") as file:
+            summary = make_reader(file, validate_crcs=True).get_summary()
+        if summary is None or summary.statistics is None:
+            raise TrajectoryError(f"{part}: damaged: it has no index; recover it with `mcap recover`")
+        for key, channel in summary.channels.items():
+            if channel.schema_id in summary.schemas:
+                types[channel.topic] = _full_name(summary.schemas[channel.schema_id].name)
+            encodings[channel.topic] = channel.message_encoding
+            counts[channel.topic] = counts.get(channel.topic, 0) + summary.statistics.channel_message_counts.get(key, 0)
+
+    def messages(topic: str) -> Iterator[Any]:
+        if encodings[topic] not in ("cdr", "ros1"):
+            raise TrajectoryError(f"{parts[0]}: expected {topic} in cdr or ros1, got {encodings[topic]!r}")
+        decode = _decoder(encodings[topic])
+        count = 0
+        for part in parts:
+            with open(part, "rb") as file:
+                for schema, _, message in make_reader(file, validate_crcs=True).iter_messages(topics=[topic]):
+                    count += 1
+                    yield decode(message.data, _full_name(schema.name) if schema else types[topic])
+        _check_count(count, counts[topic], parts[0], topic)
+
+    return Bag(types, messages)
+
+
+def _ros1(path: Path) -> Bag:
+    from rosbags.rosbag1 import Reader
+
+    return _rosbags(lambda: Reader(path), path, "ros1")
+
+
+def _ros2(path: Path) -> Bag:
+    from rosbags.rosbag2 import Reader
+
+    return _rosbags(lambda: Reader(path), path, "cdr")
+
+
+def _rosbags(make: Callable[[], Any], path: Path, encoding: str) -> Bag:
+    """A bag by one of the readers of rosbags, which have the same face."""
+    with make() as reader:
+        types = {connection.topic: _full_name(connection.msgtype) for connection in reader.connections}
+
+    def messages(topic: str) -> Iterator[Any]:
+        decode = _decoder(encoding)
+        count = 0
+        with make() as reader:
+            chosen = [connection for connection in reader.connections if connection.topic == topic]
+            for connection, _, data in reader.messages(chosen):
+                count += 1
+                yield decode(data, _full_name(connection.msgtype))
+            _check_count(count, sum(connection.msgcount for connection in chosen), path, topic)
+
+    return Bag(types, messages)
+
+
+def _check_count(count: int, expected: int, path: Path, topic: str) -> None:
+    if count != expected:
+        raise TrajectoryError(f"{path}: damaged: its index counts {expected} messages of {topic}, {count} are there")

@@ -1,0 +1,118 @@
+"""What must hold of every pose, with the place named where it does not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory.poses import Trajectory
+from oysterbench.core.trajectory.stamps import ns_to_seconds
+
+NORM_TOLERANCE = 2e-3
+"""Of a quaternion's norm: three written decimals err by 1e-3 at most."""
+NORM_STATED = 1e-6
+"""Deviation of a norm from which its correction is stated: less is the rounding of six decimals."""
+
+
+def checked_poses(trajectory: Trajectory, name: str, where: Callable[[int], str], sort: bool = False) -> Trajectory:
+    """The poses of a file in the order of their stamps, each stamp once, with quaternions of norm one.
+
+    where: pose, counted from 0 -> its place in the file. What is changed is said in the trajectory's notes: the same
+    pose written twice is taken once, norms within NORM_TOLERANCE are made one. Raises TrajectoryError for the rest.
+    """
+    notes = list(trajectory.notes)
+    values = np.column_stack([trajectory.positions, trajectory.quaternions])
+    wrong = np.asarray(~np.isfinite(values).all(axis=1))
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        column = ("x", "y", "z", "qx", "qy", "qz", "qw")[int(np.argmin(np.isfinite(values[i])))]
+        value = values[i][~np.isfinite(values[i])][0]
+        raise TrajectoryError(f"{where(i)}: expected finite numbers, got {column} = {value}; leave out poses not known")
+    if trajectory.covariances is not None:
+        _check_covariances(trajectory.covariances, where)
+    quaternions = _unit(trajectory.quaternions, name, where, notes)
+    trajectory = replace(trajectory, quaternions=quaternions)
+    rows = np.arange(len(trajectory))
+    if sort and (np.diff(trajectory.stamps_ns) < 0).any():
+        rows = np.argsort(trajectory.stamps_ns, kind="stable")
+        trajectory = trajectory.select(rows)
+        notes.append(f"{name}: the poses were put in the order of their stamps")
+    keep = _once(trajectory, name, lambda i: where(int(rows[i])), notes)
+    if not keep.all():
+        trajectory = trajectory.select(keep)
+    return replace(trajectory, notes=tuple(notes))
+
+
+def _unit(quaternions: Array, name: str, where: Callable[[int], str], notes: list[str]) -> Array:
+    # Scaled first: the square of a number that has diverged leaves a float64.
+    largest = np.abs(quaternions).max(axis=1, initial=0.0)
+    norms = np.where(largest > 1e3, np.inf, np.linalg.norm(np.where(largest[:, None] > 1e3, 0, quaternions), axis=1))
+    deviation = np.abs(norms - 1.0)
+    wrong = deviation > NORM_TOLERANCE
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        shown = f"{norms[i]:.4g}" if np.isfinite(norms[i]) else f"above {largest[i]:.4g}"
+        raise TrajectoryError(
+            f"{where(i)}: expected a unit quaternion, got norm {shown}{others(wrong)}; check the order of the columns "
+            "or normalise them"
+        )
+    stated = deviation > NORM_STATED
+    if not stated.any():
+        return quaternions
+    notes.append(
+        f"{name}: {np.count_nonzero(stated)} of {len(norms)} quaternions were normalised; their norms were off by up "
+        f"to {deviation.max():.2g}"
+    )
+    return quaternions / norms[:, None]
+
+
+def _once(trajectory: Trajectory, name: str, where: Callable[[int], str], notes: list[str]) -> NDArray[np.bool_]:
+    """Which poses to keep, so that every stamp is there once."""
+    stamps = trajectory.stamps_ns
+    back = np.asarray(stamps[1:] < stamps[:-1])
+    if back.any():
+        i = int(np.argmax(back)) + 1
+        raise TrajectoryError(
+            f"{where(i)}: expected increasing stamps, got {ns_to_seconds(stamps[i])} s after "
+            f"{ns_to_seconds(stamps[i - 1])} s{others(back)}; sort the poses by time (--sort)"
+        )
+    again = np.asarray(stamps[1:] == stamps[:-1])
+    if not again.any():
+        return np.ones(len(stamps), dtype=bool)
+    place = (trajectory.positions[1:] == trajectory.positions[:-1]).all(axis=1)
+    p, q = trajectory.quaternions[1:], trajectory.quaternions[:-1]
+    same = place & ((p == q).all(axis=1) | (p == -q).all(axis=1))
+    differ = again & ~same
+    if differ.any():
+        i = int(np.argmax(differ)) + 1
+        raise TrajectoryError(
+            f"{where(i)}: expected one pose for each stamp, got another one at {ns_to_seconds(stamps[i])} s than on "
+            f"{where(i - 1).rsplit('/', 1)[-1]}{others(differ)}; keep one of them"
+        )
+    notes.append(f"{name}: {np.count_nonzero(again)} poses were written twice and are taken once")
+    return np.r_[True, ~again]
+
+
+def _check_covariances(covariances: Array, where: Callable[[int], str]) -> None:
+    """Refuse covariances that are not finite, symmetric, and free of negative variances."""
+    diagonal = np.einsum("nii->ni", covariances)
+    scale = np.abs(covariances).max(axis=(1, 2), initial=0.0)
+    uneven = np.abs(covariances - covariances.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0) > 1e-6 * scale
+    wrong = np.asarray(~np.isfinite(covariances).all(axis=(1, 2)) | (diagonal < 0).any(axis=1) | uneven)
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise TrajectoryError(
+            f"{where(i)}: expected a finite, symmetric covariance with variances of 0 or more, got diagonal "
+            f"{np.array2string(diagonal[i], precision=3)}{others(wrong)}"
+        )
+
+
+def others(wrong: NDArray[np.bool_]) -> str:
+    """How many more than one are wrong, for the end of a clause."""
+    count = int(np.count_nonzero(wrong)) - 1
+    return f" and {count} more" if count else ""

@@ -1,0 +1,52 @@
+"""Poses of another frame or in another unit to poses of the body in metres."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oysterbench.core.geometry import Array, invert, transform
+from oysterbench.core.trajectory.poses import Trajectory
+
+ROTATION_BODY_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Body x forward, y left, z up; optical x right, y down, z forward (REP 103)."""
+
+METRES = {"m": 1.0, "mm": 1e-3}
+"""Length unit -> how long it is."""
+
+T_BODY_OPTICAL = transform(ROTATION_BODY_OPTICAL, np.zeros(3))
+
+
+def poses_of_body(trajectory: Trajectory, T_body_estimate: Array) -> Trajectory:
+    """Poses of the body from poses of a frame that is fixed to it: T_map_body = T_map_estimate T_body_estimate^-1.
+
+    T_body_estimate (4, 4), m. The lever arm l = R_map_estimate t_estimate_body carries the attitude's error into the
+    position: with rotations d about the world's axes, dp_body = dp - [l]x d.
+    """
+    T_estimate_body = invert(T_body_estimate)
+    rotations = Rotation.from_quat(trajectory.quaternions)
+    levers = rotations.apply(T_estimate_body[:3, 3])
+    covariances = trajectory.covariances
+    if covariances is not None:
+        jacobian = np.tile(np.eye(6), (len(trajectory), 1, 1))
+        x, y, z = levers.T
+        zero = np.zeros_like(x)
+        jacobian[:, :3, 3:] = np.array([[zero, z, -y], [-z, zero, x], [y, -x, zero]]).transpose(2, 0, 1)
+        covariances = jacobian @ covariances @ jacobian.transpose(0, 2, 1)
+    return replace(
+        trajectory,
+        positions=trajectory.positions + levers,
+        quaternions=(rotations * Rotation.from_matrix(T_estimate_body[:3, :3])).as_quat(),
+        covariances=covariances,
+    )
+
+
+def scaled(trajectory: Trajectory, factor: float) -> Trajectory:
+    """The trajectory with positions and their covariances in a unit 1 / factor times as long."""
+    covariances = trajectory.covariances
+    if covariances is not None:
+        scale = np.array([factor] * 3 + [1.0] * 3)
+        covariances = covariances * np.outer(scale, scale)
+    return replace(trajectory, positions=trajectory.positions * factor, covariances=covariances)

@@ -1,0 +1,79 @@
+"""What decides how a file of poses is read, where the file alone does not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import Array
+
+Format = Literal["tum", "euroc", "kitti", "csv", "npz", "mcap", "bag"]
+TimeUnit = Literal["s", "ms", "us", "ns"]
+Order = Literal["xyzw", "wxyz"]
+LengthUnit = Literal["m", "mm"]
+Frame = Literal["body", "optical"]
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """How to read a trajectory file; None: as its content says.
+
+    format:          of the file
+    topic:           of an MCAP file or a bag; `/tf:map.base_link` chooses one transform
+    times:           (N,) int64 ns, stamps of the lines of a KITTI file
+    time_unit:       of the stamps
+    quaternion:      order of the four numbers in the file
+    unit:            of the positions
+    frame:           whose poses they are: the body's, or those of a camera's optical frame at the body's place
+    T_body_estimate: (4, 4), takes points of the frame whose poses they are into the body
+    sort:            put poses in the order of their stamps instead of refusing
+    """
+
+    format: Format | None = None
+    topic: str | None = None
+    times: NDArray[np.int64] | None = None
+    time_unit: TimeUnit | None = None
+    quaternion: Order | None = None
+    unit: LengthUnit | None = None
+    frame: Frame | None = None
+    T_body_estimate: Array | None = None
+    sort: bool = False
+
+    def __post_init__(self) -> None:
+        choices: dict[str, Any] = {
+            "format": Format,
+            "time_unit": TimeUnit,
+            "quaternion": Order,
+            "unit": LengthUnit,
+            "frame": Frame,
+        }
+        for key, values in choices.items():
+            value = getattr(self, key)
+            if value is not None and value not in get_args(values):
+                raise TrajectoryError(f"{key}: expected one of {', '.join(get_args(values))}, got {value!r}")
+        if self.T_body_estimate is not None:
+            if self.frame is not None:
+                raise TrajectoryError("frame and T_body_estimate both say whose poses they are: expected one of them")
+            check_rigid(self.T_body_estimate, "T_body_estimate")
+
+
+RIGID_TOLERANCE = 1e-3
+"""Of R^T R - I, for matrices written with few digits."""
+
+
+def check_rigid(matrix: Array, name: str) -> None:
+    """Refuse what is not a rigid transform (4, 4)."""
+    good = np.shape(matrix) == (4, 4) and bool(np.isfinite(matrix).all())
+    if good:
+        rotation = np.asarray(matrix)[:3, :3]
+        good = (
+            np.allclose(rotation.T @ rotation, np.eye(3), rtol=0, atol=RIGID_TOLERANCE)
+            and np.linalg.det(rotation) > 0
+            and np.allclose(np.asarray(matrix)[3], [0, 0, 0, 1])
+        )
+    if not good:
+        raise TrajectoryError(f"{name}: expected a rigid transform (4, 4), got {np.array2string(np.asarray(matrix))}")

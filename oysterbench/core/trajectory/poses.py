@@ -1,0 +1,78 @@
+"""Trajectory: time-stamped poses of the body in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import Array, interpolate_poses, poses_to_matrices
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses `T_map_body` in time.
+
+    stamps_ns:   (N,) int64, nanoseconds
+    positions:   (N, 3) float64, m, in the world frame
+    quaternions: (N, 4) float64, x y z w, body to world
+    covariances: (N, 6, 6) float64 or None; x y z (m) and rotations about x y z (rad), all about the fixed axes of the
+                 world frame, as in geometry_msgs/PoseWithCovariance
+    notes:       what was decided in reading the file, in sentences; a scorer passes them on
+
+    Nothing is checked or sorted here: `read_trajectory` names what is wrong in a file, `evaluate.validate` what is
+    wrong with a trajectory.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    positions: Array
+    quaternions: Array
+    covariances: Array | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.stamps_ns)
+        if self.positions.shape != (n, 3) or self.quaternions.shape != (n, 4):
+            raise TrajectoryError(
+                f"expected {n} positions (N, 3) and quaternions (N, 4), "
+                f"got {self.positions.shape} and {self.quaternions.shape}"
+            )
+        if self.covariances is not None and self.covariances.shape != (n, 6, 6):
+            raise TrajectoryError(f"expected {n} covariances (N, 6, 6), got {self.covariances.shape}")
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def path_length(self) -> float:
+        """Sum of the distances between consecutive positions, m."""
+        return float(np.linalg.norm(np.diff(self.positions, axis=0), axis=1).sum())
+
+    @property
+    def matrices(self) -> Array:
+        """(N, 4, 4) transforms T_map_body."""
+        return poses_to_matrices(self.positions, self.quaternions)
+
+    def at(self, stamps_ns: NDArray[np.int64]) -> Trajectory:
+        """Interpolated poses (lerp, slerp) at stamps inside the time span; covariances are the nearest pose's."""
+        stamps_ns = np.asarray(stamps_ns, dtype=np.int64)
+        positions, quaternions = interpolate_poses(self.stamps_ns, self.positions, self.quaternions, stamps_ns)
+        covariances = None if self.covariances is None else self.covariances[_nearest(self.stamps_ns, stamps_ns)]
+        return Trajectory(stamps_ns, positions, quaternions, covariances, self.notes)
+
+    def select(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trajectory:
+        """The poses at `index`."""
+        covariances = None if self.covariances is None else self.covariances[index]
+        return Trajectory(
+            self.stamps_ns[index], self.positions[index], self.quaternions[index], covariances, self.notes
+        )
+
+
+def _nearest(stamps_ns: NDArray[np.int64], wanted_ns: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Index (M,) of the stamp (N,), increasing, nearest to each wanted one."""
+    after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, max(len(stamps_ns) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(stamps_ns) - 1)
+    return np.where(wanted_ns - stamps_ns[before] <= stamps_ns[after] - wanted_ns, before, after)

@@ -1,0 +1,88 @@
+"""Reading a trajectory in any format: recognised by its content, or as the options say."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.trajectory.bags import BAG_MAGIC, MCAP_MAGIC, SQLITE_MAGIC, read_bag
+from oysterbench.core.trajectory.frames import METRES, T_BODY_OPTICAL, poses_of_body, scaled
+from oysterbench.core.trajectory.options import Format, ReadOptions
+from oysterbench.core.trajectory.poses import Trajectory
+from oysterbench.core.trajectory.text import read_text
+
+ZIP_MAGIC = b"PK\x03\x04"
+MAGIC = 16
+"""Bytes that tell one format from another."""
+
+EXPECTED = "expected a trajectory: TUM, EuRoC, KITTI, CSV, .npz, MCAP or a ROS bag"
+
+
+def read_trajectory(path: str | os.PathLike[str], options: ReadOptions | None = None, **changes: Any) -> Trajectory:
+    """Read a trajectory file in TUM, EuRoC, KITTI, CSV, .npz, MCAP or rosbag format.
+
+    options, changes: what the content does not decide, see `ReadOptions`: `read_trajectory(path, quaternion="wxyz")`.
+
+    Comments (# and %), blank lines, headers, tabs and repeated spaces are fine. Columns are as a header names them; a
+    file without one is EuRoC (`ns,x,y,z,qw,qx,qy,qz,...`) where it has commas, KITTI where it has 12 columns, or else
+    TUM (`s x y z qx qy qz qw`). Stamps that can only be nanoseconds are read as such, since ORB-SLAM3 writes that.
+    What was decided in reading is said in the trajectory's `notes`. Raises TrajectoryError naming file and line, and
+    the option that decides.
+    """
+    options = replace(options or ReadOptions(), **changes)
+    path = Path(path)
+    trajectory = _read(path, options)
+    if options.unit is not None:
+        trajectory = scaled(trajectory, METRES[options.unit])
+    if options.T_body_estimate is not None:
+        return poses_of_body(trajectory, options.T_body_estimate)
+    return poses_of_body(trajectory, T_BODY_OPTICAL) if options.frame == "optical" else trajectory
+
+
+def file_format(path: Path, magic: bytes) -> Format | None:
+    """`bag`, `mcap` or `npz` by the first bytes of a file or by what is in a folder; None for what should be text."""
+    if path.is_dir():
+        if any(path.glob("*.mcap")):
+            return "mcap"
+        return "bag" if (path / "metadata.yaml").is_file() or any(path.glob("*.db3")) else None
+    if magic.startswith(MCAP_MAGIC):
+        return "mcap"
+    if magic.startswith((BAG_MAGIC, SQLITE_MAGIC)):
+        return "bag"
+    return "npz" if magic.startswith(ZIP_MAGIC) else None
+
+
+def _read(path: Path, options: ReadOptions) -> Trajectory:
+    try:
+        folder = path.is_dir()
+        # A pipe gives its bytes once; a recording may be larger than the memory.
+        once = path.exists() and not folder and not path.is_file()
+        data = path.read_bytes() if once else b""
+        found = file_format(path, data[:MAGIC] if once or folder else _begin(path))
+        chosen = options.format or found
+        if chosen in ("mcap", "bag"):
+            if once:
+                raise TrajectoryError(f"{path}: expected a file or folder, as recordings are not read from a pipe")
+            return read_bag(path, options)
+        if options.topic is not None:
+            raise TrajectoryError(f"{path}: --topic chooses among those of an MCAP file or a bag, got neither")
+        if folder:
+            raise TrajectoryError(f"{path} is a folder; {EXPECTED}")
+        data = data if once else path.read_bytes()
+    except FileNotFoundError:
+        raise TrajectoryError(f"{path}: no such file; {EXPECTED}") from None
+    except OSError as error:
+        raise TrajectoryError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if chosen == "npz":
+        from oysterbench.core.trajectory.archive import read_npz
+
+        return read_npz(path, data, options)
+    return read_text(path, data, options)
+
+
+def _begin(path: Path) -> bytes:
+    with open(path, "rb") as file:
+        return file.read(MAGIC)

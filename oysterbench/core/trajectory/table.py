@@ -1,0 +1,243 @@
+"""Lines of numbers: read whole by a compiled reader where they are plain, and line by line where they are not."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory.columns import Columns
+
+COMMENTS = ("#", "%")
+PLAIN = b"0123456789+-.eE \t\n,"
+"""Bytes of a file that the compiled reader may have; another one sends it to the reader that names lines."""
+
+WORTH_COMPILED = 100_000
+"""Bytes below which reading line by line is as fast as the import of the compiled reader."""
+
+STAMP_WIDTH = 32
+"""Characters that a stamp has at most where it is read at once: numpy writes 24."""
+
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+NO_NUMBER = re.compile(r"[+-]?(nan|inf(inity)?)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Table:
+    """The numbers of a file.
+
+    stamps: (N,) texts of the stamps, ASCII; empty where the layout has none
+    sizes:  (N,) float64, the same as rounded numbers
+    values: (N, K) float64, finite: the columns `Columns.numbers`
+    where:  row, counted from 0 -> "path:line"
+    """
+
+    stamps: NDArray[np.bytes_]
+    sizes: Array
+    values: Array
+    where: Callable[[int], str]
+
+    def stamp(self, row: int) -> str:
+        """The text of a row's stamp, shortened for a message."""
+        return self.stamps[row].decode()[:40]
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+def is_comment(line: str) -> bool:
+    """Whether a line holds no data."""
+    stripped = line.strip()
+    return not stripped or stripped.startswith(COMMENTS)
+
+
+def split(line: str) -> list[str]:
+    """Fields of a line: between commas or semicolons, or else between spaces and tabs."""
+    for separator in (",", ";"):
+        if separator in line:
+            return [field.strip(" \t") for field in line.split(separator)]
+    return re.split(r"[ \t]+", line.strip(" \t"))
+
+
+def separator(line: str) -> str:
+    """What stands between the fields, as a message names it."""
+    return "commas" if "," in line else "semicolons" if ";" in line else "spaces"
+
+
+def read_table(text: str, begin: int, columns: Columns, path: str, compiled: bool | None = None) -> Table:
+    """The data lines of `text` from line `begin` (counted from 0) on.
+
+    compiled: whether to try the compiled reader; None: where that is worth it. What it does not take for plain
+    numbers is read line by line, so that both give the same table or the same error.
+    """
+    if compiled is None:
+        compiled = len(text) > WORTH_COMPILED
+    table = _read_compiled(text, begin, columns, path) if compiled else None
+    return table or _read_lines(text, begin, columns, path)
+
+
+def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Table | None:
+    """The table by pandas' C reader, or None where anything is unusual."""
+    import pandas as pd
+
+    if any(sign in text for sign in COMMENTS):
+        lines = text.split("\n")[begin:]
+        body = "\n".join([line for line in lines if not line.lstrip().startswith(COMMENTS)])
+    else:
+        body = text.split("\n", begin)[begin] if begin else text
+    try:
+        data = body.encode("ascii")
+    except UnicodeEncodeError:
+        return None
+    if data.translate(None, PLAIN):
+        return None
+    commas = b"," in data
+    if commas and (b" " in data or b"\t" in data):
+        data = data.replace(b", ", b",")
+        if b" " in data or b"\t" in data:
+            return None
+    # Before version 3 only this setting rounds decimals to the nearest float64; since then every one does.
+    exact = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
+    read = partial(
+        pd.read_csv,
+        sep="," if commas else " " if _single_spaces(data) else r"\s+",
+        header=None,
+        na_filter=False,
+        low_memory=False,
+    )
+    try:
+        # Every column is read as numbers, so that a line that breaks off leaves an empty cell, which is none.
+        frame = read(io.BytesIO(data), dtype=float, **exact)
+        values = frame[columns.numbers].to_numpy()
+        stamps, sizes = np.empty(0, dtype="S1"), np.empty(0)
+        if columns.stamp is not None:
+            sizes = frame[columns.stamp].to_numpy()
+            first = _first_fields(data) if columns.stamp == 0 else None
+            if first is None or len(first) != len(frame):
+                texts = read(io.BytesIO(data), usecols=[columns.stamp], dtype=object)
+                first = np.array(texts[columns.stamp].tolist(), dtype=np.bytes_)
+            stamps = first
+    except (ValueError, LookupError, OverflowError):
+        return None
+    count = frame.shape[1]
+    if not np.isfinite(values).all() or count < columns_needed(columns) or columns.exact not in (None, count):
+        return None
+
+    def where(row: int) -> str:
+        numbers = (n for n, line in enumerate(text.split("\n")[begin:], begin + 1) if not is_comment(line))
+        return f"{path}:{next(n for i, n in enumerate(numbers) if i == row)}"
+
+    return Table(stamps, sizes, values, where)
+
+
+def _single_spaces(data: bytes) -> bool:
+    """Whether one space stands between two numbers everywhere, and none elsewhere."""
+    characters = np.frombuffer(data, dtype=np.uint8)
+    spaces = characters == ord(" ")
+    blanks = spaces | (characters == ord("\n"))
+    touching = (spaces[1:] & blanks[:-1]).any() or (spaces[:-1] & blanks[1:]).any()
+    return not (touching or b"\t" in data or data.startswith(b" ") or data.endswith(b" "))
+
+
+def _first_fields(data: bytes) -> NDArray[np.bytes_] | None:
+    """The first field of every line, or None where one has none that is short, or a line is empty."""
+    characters = np.frombuffer(data, dtype=np.uint8)
+    breaks = np.flatnonzero(characters == ord("\n"))
+    starts = np.concatenate([[0], breaks + 1])
+    starts = starts[starts < len(characters)]
+    padded = np.concatenate([characters, np.zeros(STAMP_WIDTH, dtype=np.uint8)])
+    fields = sliding_window_view(padded, STAMP_WIDTH)[starts]
+    ends = (fields == ord(" ")) | (fields == ord("\t")) | (fields == ord(",")) | (fields == ord("\n"))
+    lengths = ends.argmax(axis=1)
+    if not ends.any(axis=1).all() or not lengths.all():
+        return None
+    fields[np.arange(STAMP_WIDTH) >= lengths[:, None]] = 0
+    return fields.view(f"S{STAMP_WIDTH}").ravel()
+
+
+def _read_lines(text: str, begin: int, columns: Columns, path: str) -> Table:
+    """The table line by line. Raises TrajectoryError naming the line and what is wrong with it."""
+    stamps: list[str] = []
+    values: list[list[float]] = []
+    numbers: list[int] = []
+    wanted = columns.numbers
+    sign: str | None = None
+    for number, line in enumerate(text.split("\n")[begin:], begin + 1):
+        if is_comment(line):
+            continue
+        where = f"{path}:{number}"
+        fields = split(line)
+        if sign is None:
+            sign = separator(line)
+            columns = replace(columns, exact=columns.exact or len(fields))
+        elif separator(line) != sign:
+            raise TrajectoryError(
+                f"{where}: expected {sign} between the numbers as on the lines before, got {separator(line)}: "
+                f"{_shown(line)}"
+            )
+        _check_count(fields, columns, where, line)
+        if columns.stamp is not None:
+            stamp = fields[columns.stamp]
+            if not NUMBER.fullmatch(stamp):
+                raise TrajectoryError(f"{where}: expected a stamp, got {stamp[:40]!r}")
+            stamps.append(stamp)
+        for k in wanted:
+            _check_number(fields[k], k, columns, where, line)
+        values.append([float(fields[k]) for k in wanted])
+        if not np.isfinite(values[-1]).all():
+            raise TrajectoryError(f"{where}: expected numbers that a float64 holds, got {_shown(line)}")
+        numbers.append(number)
+    table = np.array(values, dtype=float).reshape(-1, len(wanted))
+    return Table(
+        np.array(stamps, dtype=np.bytes_), np.array(stamps, dtype=float), table, lambda row: f"{path}:{numbers[row]}"
+    )
+
+
+def columns_needed(columns: Columns) -> int:
+    """The least number of columns that holds all of them."""
+    return max(*columns.numbers, columns.stamp or 0) + 1
+
+
+def _check_count(fields: list[str], columns: Columns, where: str, line: str) -> None:
+    needed = columns_needed(columns)
+    if len(fields) == columns.exact and len(fields) >= needed:
+        return
+    hint = ""
+    if len(fields) == 12 and columns.stamp == 0:
+        hint = " (KITTI poses carry no stamps: --format kitti and --times FILE)"
+    expected = columns.exact if columns.exact and columns.exact >= needed else needed
+    raise TrajectoryError(
+        f"{where}: expected {expected} numbers `{columns.kind}`, got {len(fields)} fields: {_shown(line)}{hint}"
+    )
+
+
+def _check_number(text: str, column: int, columns: Columns, where: str, line: str) -> None:
+    if NUMBER.fullmatch(text):
+        return
+    name = column_name(column, columns)
+    if NO_NUMBER.fullmatch(text):
+        raise TrajectoryError(f"{where}: expected finite numbers, got {name} = {text}; leave out poses not known")
+    raise TrajectoryError(f"{where}: expected a number for {name}, got {text[:40]!r} in {_shown(line)}")
+
+
+def column_name(column: int, columns: Columns) -> str:
+    """What a column holds, in a word."""
+    for names, places in (
+        (("x", "y", "z"), columns.position),
+        (("qx", "qy", "qz", "qw"), columns.quaternion),
+    ):
+        if column in places:
+            return names[places.index(column)]
+    return f"column {column + 1}"
+
+
+def _shown(line: str) -> str:
+    return repr(line.strip()[:60])

@@ -1,0 +1,259 @@
+"""The text formats that trajectories come in: TUM, EuRoC, KITTI, and CSV with a header that names its columns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory.checks import checked_poses, others
+from oysterbench.core.trajectory.columns import EUROC, KITTI, KITTI_MATRIX, TUM, Columns, named_columns
+from oysterbench.core.trajectory.frames import METRES, scaled
+from oysterbench.core.trajectory.options import RIGID_TOLERANCE, ReadOptions
+from oysterbench.core.trajectory.poses import Trajectory
+from oysterbench.core.trajectory.stamps import SHIFTS, scaled_integer, scaled_integers
+from oysterbench.core.trajectory.table import NUMBER, Table, is_comment, read_table, split
+
+MAX_SECONDS = 9e9
+"""A stamp above this is not seconds: it would be 285 years after the epoch, and its nanoseconds leave an int64."""
+MIN_NANOSECONDS = 1e17
+"""A stamp above this is nanoseconds: as microseconds it would be 3000 years after the epoch."""
+
+
+def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
+    """The trajectory in a text file's bytes. Raises TrajectoryError naming file and line."""
+    text = decoded(path, data)
+    head = _Head.of(text)
+    if head is None:
+        raise TrajectoryError(f"{path} holds no pose; expected lines of `t x y z qx qy qz qw`")
+    columns = _columns(head, path, options)
+    if options.quaternion is not None and columns.quaternion:
+        first = min(columns.quaternion)
+        order = (0, 1, 2, 3) if options.quaternion == "xyzw" else (1, 2, 3, 0)
+        if sorted(columns.quaternion) == list(range(first, first + 4)):
+            columns = replace(columns, quaternion=tuple(first + k for k in order))
+    table = read_table(text, head.begin, columns, str(path))
+    if columns.stamp is None:
+        return _kitti(table, path, options)
+    place = {column: k for k, column in enumerate(columns.numbers)}
+    notes: list[str] = []
+    trajectory = Trajectory(
+        _stamps(table, columns, path, options, notes),
+        table.values[:, [place[k] for k in columns.position]],
+        table.values[:, [place[k] for k in columns.quaternion]],
+        _covariances(table.values, columns, place, path, notes),
+        tuple(notes),
+    )
+    trajectory = checked_poses(trajectory, path.name, table.where, options.sort)
+    if columns.unit == "mm" and options.unit is None:
+        return scaled(trajectory, METRES["mm"])
+    return trajectory
+
+
+def read_times(path: Path, unit: str | None = None) -> NDArray[np.int64]:
+    """Stamps (N,) int64 ns from a file with one number on each line, in seconds unless they can only be ns."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise TrajectoryError(f"{path}: cannot be read: {error.strerror or error}; expected one time a line") from None
+    times = []
+    for number, line in enumerate(decoded(path, data).split("\n"), 1):
+        if is_comment(line):
+            continue
+        fields = split(line)
+        if len(fields) != 1 or not NUMBER.fullmatch(fields[0]):
+            raise TrajectoryError(f"{path}:{number}: expected one time, got {line.strip()[:60]!r}")
+        shift = SHIFTS[unit or ("ns" if abs(float(fields[0])) >= MIN_NANOSECONDS else "s")]
+        try:
+            times.append(scaled_integer(fields[0], shift))
+        except ValueError as error:
+            raise TrajectoryError(f"{path}:{number}: {error}") from None
+    try:
+        return np.array(times, dtype=np.int64)
+    except OverflowError:
+        raise TrajectoryError(f"{path}: expected times of at most 2^63 ns") from None
+
+
+def decoded(path: Path, data: bytes) -> str:
+    """Text with lines that end in a line feed, without a byte order mark."""
+    if b"\0" not in data:
+        try:
+            text = data.decode("utf-8-sig")
+            return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+        except UnicodeDecodeError:
+            pass
+    raise TrajectoryError(f"{path} is not text; expected a trajectory: TUM, EuRoC, KITTI, CSV, .npz, MCAP or a bag")
+
+
+@dataclass(frozen=True)
+class _Head:
+    """What stands before the first pose.
+
+    names: of the columns, from a header line or from a comment right before the poses; empty where there are none
+    begin: line of the first pose, counted from 0
+    first: its fields
+    commas: whether it has commas
+    """
+
+    names: list[str]
+    certain: bool
+    begin: int
+    first: list[str]
+    commas: bool
+
+    @classmethod
+    def of(cls, text: str) -> _Head | None:
+        names: list[str] = []
+        certain = False
+        start = number = 0
+        while start <= len(text):
+            end = text.find("\n", start)
+            line = text[start : end if end >= 0 else len(text)]
+            if line.strip():
+                fields = split(line.strip().lstrip("#%").strip())
+                if is_comment(line):
+                    if not certain and named_columns(fields):
+                        names = fields
+                elif not certain and _is_header(split(line)):
+                    names, certain = split(line), True
+                else:
+                    return cls(names, certain, number, split(line), "," in line or ";" in line)
+            if end < 0:
+                break
+            start, number = end + 1, number + 1
+        return None
+
+
+def _is_header(fields: list[str]) -> bool:
+    """Whether no field is a number, nor the lack of one: the names of the columns."""
+    return not any(NUMBER.fullmatch(field) or field.lower().lstrip("+-") in ("nan", "inf", "") for field in fields)
+
+
+def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
+    """The layout: as asked for, as a header names it, or as the number of columns and their separator tell."""
+    named = named_columns(head.names) if len(head.names) <= len(head.first) else None
+    if options.format == "kitti":
+        return KITTI
+    if options.format == "tum":
+        return TUM
+    if options.format == "euroc":
+        return replace(EUROC, time_unit="ns")
+    if named:
+        return replace(named, euroc=head.commas and named.stands_as_euroc)
+    if options.format == "csv" or head.certain:
+        raise TrajectoryError(
+            f"{path}: expected a header that names a column for each of t, x, y, z, qx, qy, qz, qw, got "
+            f"{','.join(head.names)[:80] or 'none'!r} over {len(head.first)} columns; correct it, or say what the "
+            "columns are (--format tum or euroc)"
+        )
+    if head.commas:
+        return EUROC
+    if len(head.first) == 12:
+        return KITTI
+    return TUM
+
+
+def _stamps(table: Table, columns: Columns, path: Path, options: ReadOptions, notes: list[str]) -> NDArray[np.int64]:
+    """(N,) int64 ns. Their unit is as asked for, as the layout says, or as their size leaves no doubt of."""
+    sizes = np.abs(table.sizes)
+    unit = options.time_unit or columns.time_unit
+    if unit is None:
+        huge = sizes >= MIN_NANOSECONDS
+        if huge.all():
+            unit = "ns"
+            if not columns.euroc:
+                notes.append(f"{path.name}: the stamps can only be nanoseconds and are read as such")
+        elif huge.any():
+            i = int(np.argmax(huge != huge[0]))
+            kind = ("nanoseconds", "s") if huge[0] else ("s", "nanoseconds")
+            raise TrajectoryError(
+                f"{table.where(i)}: expected stamps in {kind[0]} as on the lines before, got {kind[1]}: "
+                f"{table.stamp(i)}"
+            )
+        elif columns.euroc and not (broken := _broken(table.stamps)).any():
+            unit = "ns"
+        elif columns.euroc and not columns.named:
+            i = int(np.argmax(broken))
+            raise TrajectoryError(
+                f"{table.where(i)}: expected a stamp in whole nanoseconds, as lines with commas are EuRoC, got "
+                f"{table.stamp(i)}; write `t x y z qx qy qz qw` with spaces for stamps in seconds, name the "
+                "columns in a header, or say what it is (--format tum, --time-unit s)"
+            )
+        else:
+            unit = "s"
+    if unit == "s":
+        wrong = sizes > MAX_SECONDS
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise TrajectoryError(
+                f"{table.where(i)}: expected a stamp in seconds (or nanoseconds since 1970), got "
+                f"{table.stamp(i)}{others(wrong)}, which looks like milli-, micro- or nanoseconds; say which "
+                "(--time-unit ms, us or ns)"
+            )
+    try:
+        return scaled_integers(table.stamps, SHIFTS[unit])
+    except (ValueError, OverflowError):
+        i = next(i for i, text in enumerate(table.stamps.tolist()) if not _fits(text.decode(), SHIFTS[unit]))
+        raise TrajectoryError(f"{table.where(i)}: expected a stamp of at most 2^63 ns, got {table.stamp(i)}") from None
+
+
+def _broken(stamps: NDArray[np.bytes_]) -> NDArray[np.bool_]:
+    """Which stamps (N,) are not written as whole numbers."""
+    characters = stamps.view(np.uint8).reshape(len(stamps), -1)
+    return np.asarray(np.isin(characters, [ord(sign) for sign in ".eE"]).any(axis=1))
+
+
+def _fits(text: str, shift: int) -> bool:
+    try:
+        return -(2**63) < scaled_integer(text, shift) < 2**63
+    except ValueError:
+        return False
+
+
+def _covariances(values: Array, columns: Columns, place: dict[int, int], path: Path, notes: list[str]) -> Array | None:
+    if not columns.covariance:
+        return None
+    if not columns.whole_covariance:
+        notes.append(f"{path.name}: its covariances are left out: {len(columns.covariance)} columns are not all of one")
+        return None
+    covariances = np.empty((len(values), 6, 6))
+    for i in range(6):
+        for j in range(6):
+            column = columns.covariance.get((i, j), columns.covariance.get((j, i), 0))
+            covariances[:, i, j] = values[:, place[column]]
+    return covariances
+
+
+def _kitti(table: Table, path: Path, options: ReadOptions) -> Trajectory:
+    """Poses from the top three rows of their matrices; stamps from `options.times`."""
+    if options.times is None:
+        raise TrajectoryError(
+            f"{path}: KITTI poses carry no stamps; give a file with one time a line (--times FILE), or a truth with "
+            f"as many poses ({len(table)})"
+        )
+    if len(options.times) != len(table):
+        raise TrajectoryError(
+            f"{path}: expected a time for each of {len(table)} poses, got {len(options.times)} times; give a file with "
+            "one time a line (--times FILE)"
+        )
+    rotations = table.values[:, KITTI_MATRIX].reshape(-1, 3, 3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        products = np.einsum("nki,nkj->nij", rotations, rotations)
+        off = np.abs(products - np.eye(3)).max(axis=(1, 2))
+        wrong = np.asarray(~(off <= RIGID_TOLERANCE) | ~(np.linalg.det(rotations) > 0))
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise TrajectoryError(
+            f"{table.where(i)}: expected the columns 1-3, 5-7, 9-11 to be a rotation matrix, got one that is off by "
+            f"{off[i]:.2g}{others(wrong)}"
+        )
+    quaternions = Rotation.from_matrix(rotations).as_quat()
+    notes = (f"{path.name}: its {len(table)} poses carry no stamps and take the given times one to one",)
+    stamps_ns = np.asarray(options.times, dtype=np.int64)
+    trajectory = Trajectory(stamps_ns, table.values[:, [3, 7, 11]].copy(), quaternions, notes=notes)
+    return checked_poses(trajectory, path.name, table.where, options.sort)

@@ -1,0 +1,35 @@
+"""Trajectories to files: TUM for everybody, .npz where covariances must survive."""
+
+from __future__ import annotations
+
+import io
+import os
+
+import numpy as np
+
+from oysterbench.core.files import write_atomically
+from oysterbench.core.trajectory.poses import Trajectory
+from oysterbench.core.trajectory.stamps import ns_to_seconds
+
+
+def write_tum(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
+    """Write `t x y z qx qy qz qw`, seconds with nine decimals, nothing half-written."""
+    rows = ["# timestamp_s x_m y_m z_m qx qy qz qw"]
+    poses = np.column_stack([trajectory.positions, trajectory.quaternions]).tolist()
+    for stamp, pose in zip(trajectory.stamps_ns.tolist(), poses, strict=True):
+        rows.append(" ".join([ns_to_seconds(stamp), *(f"{value:.12g}" for value in pose)]))
+    write_atomically(path, ("\n".join(rows) + "\n").encode())
+
+
+def write_npz(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
+    """Write the arrays `stamps_ns`, `positions`, `quaternions` and, where there are any, `covariances`, to the bit."""
+    arrays = {
+        "stamps_ns": trajectory.stamps_ns,
+        "positions": trajectory.positions,
+        "quaternions": trajectory.quaternions,
+    }
+    if trajectory.covariances is not None:
+        arrays["covariances"] = trajectory.covariances
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    write_atomically(path, buffer.getvalue())

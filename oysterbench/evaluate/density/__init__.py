@@ -1,0 +1,1 @@
+"""Scoring maps of oysters against the true ones."""

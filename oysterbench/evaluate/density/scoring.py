@@ -1,0 +1,111 @@
+"""Scoring a map of oysters against the true one, cell by cell."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from oysterbench.evaluate.density.metrics import DENSITY as METRICS
+
+__all__ = ["EVALUATOR", "METRICS", "Cell", "DensityScore", "MapCount", "TrueCount", "score_density"]
+
+EVALUATOR = "density 1"
+"""Name and version of this evaluator; the version rises whenever a number may change."""
+
+CLASS_EDGES_PER_M2 = (15.0, 50.0)
+"""Live oysters per m^2 of a restored reef, at least and as aimed at (Oyster Metrics Workgroup, 2011)."""
+HALF_PER_M2 = 15.0  # error that counts half in the score
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell that was seen enough: its seen area, m^2, and the live oysters on it."""
+
+    area_m2: float
+    live: float
+
+    @property
+    def per_m2(self) -> float:
+        """Live oysters per square metre."""
+        return self.live / self.area_m2
+
+
+Cells = Mapping[tuple[int, int], Cell]
+"""By column and row: the world's x and y over the cells' edge, rounded down."""
+
+
+@dataclass(frozen=True)
+class TrueCount:
+    """The truth of the ground that was seen. shown, live: oysters that some picture shows, and the live of them;
+    hidden: those that none does."""
+
+    cells: Cells
+    shown: int
+    live: int
+    hidden: int
+    area_m2: float
+
+
+@dataclass(frozen=True)
+class MapCount:
+    """A map. count, live: of oysters; low, high: interval of the count.
+
+    owners: for each of its entries the true oyster behind it, 0 for none; found: true oysters that are in some entry
+    """
+
+    cells: Cells
+    count: float
+    live: float
+    low: float
+    high: float
+    owners: Sequence[int]
+    found: frozenset[int]
+
+
+@dataclass(frozen=True)
+class DensityScore:
+    """Values by keys of `METRICS`; NaN where there is no sample, with the reason in `reasons`."""
+
+    metrics: Mapping[str, float]
+    reasons: Mapping[str, str]
+
+
+def score_density(truth: TrueCount, estimate: MapCount) -> DensityScore:
+    """Score a map: cells that were truly seen are asked about, and no others."""
+    metrics: dict[str, float] = {}
+    reasons: dict[str, str] = {}
+
+    def put(key: str, top: float, bottom: float, reason: str) -> None:
+        metrics[key] = top / bottom if bottom > 0 else math.nan
+        if not bottom > 0:
+            reasons[key] = reason
+
+    asked = len(truth.cells)
+    errors = {at: estimate.cells[at].per_m2 - cell.per_m2 for at, cell in truth.cells.items() if at in estimate.cells}
+    none_seen, none_met = "no cell was seen enough to have a number", "no cell that was truly seen has a number"
+    put("map_score", sum(1.0 / (1.0 + abs(e) / HALF_PER_M2) for e in errors.values()), asked, none_seen)
+    put("cell_mae_per_m2", sum(map(abs, errors.values())), len(errors), none_met)
+    put("cell_bias_per_m2", sum(errors.values()), len(errors), none_met)
+    right = sum(_class(estimate.cells[at].per_m2) == _class(truth.cells[at].per_m2) for at in errors)
+    put("right_class", right, asked, none_seen)
+    put("coverage", len(errors), asked, none_seen)
+
+    none_true = "no picture shows an oyster"
+    put("count_error_percent", 100.0 * (estimate.count - truth.shown), truth.shown, none_true)
+    put("count_off_percent", 100.0 * abs(estimate.count - truth.shown), truth.shown, none_true)
+    put("live_error_percent", 100.0 * (estimate.live - truth.live), truth.live, "no picture shows a live oyster")
+    metrics["count_within"] = float(estimate.low <= truth.shown <= estimate.high)
+    entries = Counter(owner for owner in estimate.owners if owner)
+    put("twice_percent", 100.0 * (sum(entries.values()) - len(entries)), truth.shown, none_true)
+    put("lost_percent", 100.0 * len(estimate.found - set(entries)), truth.shown, none_true)
+    metrics["oysters_truth"], metrics["oysters_counted"] = float(truth.shown), float(estimate.count)
+    put("hidden_percent", 100.0 * truth.hidden, truth.shown + truth.hidden, "no oyster lies on what was seen")
+    metrics["area_m2"] = truth.area_m2
+    put("density_truth_live_per_m2", truth.live, truth.area_m2, "nothing was seen")
+    return DensityScore(metrics, reasons)
+
+
+def _class(per_m2: float) -> int:
+    return sum(per_m2 >= edge for edge in CLASS_EDGES_PER_M2)

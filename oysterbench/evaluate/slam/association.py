@@ -1,0 +1,175 @@
+"""Which poses of an estimate answer which stamps of the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory, ns_to_seconds
+from oysterbench.evaluate.slam.pairs import Index, run_of
+from oysterbench.evaluate.slam.settings import MIN_MATCHED, SlamSettings
+
+Stamps = NDArray[np.int64]
+
+SPARSE_S, SPARSE = 0.2, 5.0
+"""A truth whose stamps are farther apart than this, and by this factor farther than the estimate's, is sparse."""
+
+
+@dataclass(frozen=True)
+class Association:
+    """Truth and estimate, met.
+
+    covered:   (T,) which truth stamps the estimate answers, by a pose or between two close ones
+    answered:  (N,) indices of the truth stamps that are compared; all of `covered` with interpolation
+    truth:     (N,) poses of the truth there
+    estimate:  (N,) poses of the estimate for them, with the truth's stamps
+    positions: (C, 3) m, what the estimate answers at the C covered stamps, before alignment
+    """
+
+    covered: NDArray[np.bool_]
+    answered: Index
+    truth: Trajectory
+    estimate: Trajectory
+    positions: Array
+
+
+def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> Association:
+    """Match an estimate to the truth's stamps. Raises TrajectoryError where too little of them meets."""
+    check_overlap(truth, estimate, settings)
+    covered = covered_stamps(truth.stamps_ns, estimate.stamps_ns, settings.max_gap_s)
+    if settings.associate == "interpolate":
+        answered = np.flatnonzero(covered)
+        _check_matched(len(answered), truth, estimate, settings)
+        same = len(answered) == len(estimate) and np.array_equal(truth.stamps_ns[answered], estimate.stamps_ns)
+        matched = estimate if same else estimate.at(truth.stamps_ns[answered])
+        every = truth if len(answered) == len(truth) else truth.select(run_of(answered))
+        return Association(covered, answered, every, matched, matched.positions)
+    answered, taken = nearest_pairs(truth.stamps_ns, estimate.stamps_ns, settings.max_difference_s)
+    _check_matched(len(answered), truth, estimate, settings)
+    covered[answered] = True
+    matched = estimate.select(taken)
+    # Stamps between the matched ones are answered as well: recall asks all of them.
+    positions = np.empty((len(truth), 3))
+    between_ns = np.clip(truth.stamps_ns[covered], estimate.stamps_ns[0], estimate.stamps_ns[-1])
+    positions[covered] = _positions_at(estimate, between_ns)
+    positions[answered] = matched.positions
+    stamped = Trajectory(
+        truth.stamps_ns[answered], matched.positions, matched.quaternions, covariances=matched.covariances
+    )
+    return Association(covered, answered, truth.select(answered), stamped, positions[covered])
+
+
+def _positions_at(estimate: Trajectory, stamps_ns: Stamps) -> Array:
+    seconds = (stamps_ns - estimate.stamps_ns[0]) * 1e-9
+    known = (estimate.stamps_ns - estimate.stamps_ns[0]) * 1e-9
+    return np.column_stack([np.interp(seconds, known, estimate.positions[:, k]) for k in range(3)])
+
+
+def covered_stamps(stamps_ns: Stamps, estimate_ns: Stamps, max_gap_s: float) -> NDArray[np.bool_]:
+    """Which stamps (N,) the estimate answers: on one of its poses, or between two that are at most max_gap_s apart.
+
+    Both are int64 ns, increasing; returns (N,).
+    """
+    after = np.searchsorted(estimate_ns, stamps_ns, side="left")
+    inside = (after > 0) & (after < len(estimate_ns))
+    high = np.minimum(after, len(estimate_ns) - 1)
+    low = np.maximum(after - 1, 0)
+    gap = estimate_ns[high] - estimate_ns[low]
+    return (inside & (gap <= round(max_gap_s * 1e9))) | (estimate_ns[high] == stamps_ns)
+
+
+def nearest_pairs(stamps_ns: Stamps, estimate_ns: Stamps, max_difference_s: float) -> tuple[Index, Index]:
+    """Indices (M,) into stamps (N,) and into estimate stamps (K,), both increasing: the pairs nearest in time.
+
+    Each stamp asks for its nearest pose, if that is at most max_difference_s away; a pose goes to the nearest of
+    those that ask for it, so that none is used twice.
+    """
+    after = np.clip(np.searchsorted(estimate_ns, stamps_ns), 1, len(estimate_ns) - 1)
+    before_is_nearer = stamps_ns - estimate_ns[after - 1] <= estimate_ns[after] - stamps_ns
+    nearest = after - before_is_nearer
+    difference = np.abs(estimate_ns[nearest] - stamps_ns)
+    asking = np.flatnonzero(difference <= round(max_difference_s * 1e9))
+    by_pose = asking[np.lexsort((difference[asking], nearest[asking]))]
+    _, first = np.unique(nearest[by_pose], return_index=True)
+    winners = np.sort(by_pose[first])
+    return winners, nearest[winners]
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """Where the estimate is silent.
+
+    first_fix_s: from the first truth stamp to the first that is answered, s
+    number:      runs of unanswered truth stamps after the first fix
+    longest_s:   of them: from the last answered stamp before to the first after, or to the end of the truth, s
+    """
+
+    first_fix_s: float
+    number: int
+    longest_s: float
+
+
+def find_gaps(stamps_ns: Stamps, covered: NDArray[np.bool_]) -> Gaps:
+    """The gaps in the answers to truth stamps (T,) int64 ns, at least one of which is covered (T,)."""
+    answered = np.flatnonzero(covered)
+    ends = np.append(answered[1:], len(stamps_ns))
+    holes = np.flatnonzero(ends - answered > 1)
+    last = np.minimum(ends[holes], len(stamps_ns) - 1)
+    lengths_ns = stamps_ns[last] - stamps_ns[answered[holes]]
+    return Gaps(
+        float(stamps_ns[answered[0]] - stamps_ns[0]) * 1e-9,
+        len(holes),
+        float(lengths_ns.max(initial=0)) * 1e-9,
+    )
+
+
+def rate_notes(truth: Trajectory, estimate: Trajectory) -> list[str]:
+    """Whether the truth is asked so rarely that most of the estimate goes unscored, in a sentence."""
+    asked_s, given_s = (float(np.median(np.diff(t.stamps_ns))) * 1e-9 for t in (truth, estimate))
+    if asked_s < SPARSE_S or asked_s < SPARSE * given_s:
+        return []
+    return [
+        f"the truth has {len(truth)} stamps, {asked_s:.3g} s apart, for the estimate's {len(estimate)} poses, "
+        f"{given_s:.3g} s apart: what it does between the truth's stamps is not scored"
+    ]
+
+
+def check_overlap(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> None:
+    """Refuse two time spans that do not meet."""
+    allowed_ns = round(settings.max_difference_s * 1e9) if settings.associate == "nearest" else 0
+    first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
+    begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
+    if begin <= last + allowed_ns and end >= first - allowed_ns:
+        return
+    offset = ns_to_seconds(abs(begin - first))
+    raise TrajectoryError(
+        f"truth and estimate do not overlap in time: the truth spans {ns_to_seconds(first)} to {ns_to_seconds(last)} "
+        f"s, the estimate {ns_to_seconds(begin)} to {ns_to_seconds(end)} s and starts {offset} s "
+        f"{'after' if begin > first else 'before'} it; write the stamps of the sensor data into the estimate, or give "
+        "the offset of its clock (--time-offset)"
+    )
+
+
+def _check_matched(matched: int, truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> None:
+    """Refuse too few matched poses, and say what keeps them from matching."""
+    if matched >= MIN_MATCHED:
+        return
+    step_s = float(np.median(np.diff(estimate.stamps_ns))) * 1e-9
+    if settings.associate == "interpolate":
+        why = (
+            f"the estimate's {len(estimate)} poses are {step_s:.3g} s apart (median) and interpolated across gaps of "
+            f"up to max_gap_s = {settings.max_gap_s:g}"
+        )
+    else:
+        why = (
+            f"the estimate has {len(estimate)} poses and the nearest one may be max_difference_s = "
+            f"{settings.max_difference_s:g} away"
+        )
+    raise TrajectoryError(
+        f"estimate answers {matched} of {len(truth)} truth stamps, expected at least {MIN_MATCHED}: {why}; give poses "
+        "more often, or allow more"
+    )

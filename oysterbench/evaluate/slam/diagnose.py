@@ -1,0 +1,317 @@
+"""How an estimate may have been written wrongly, found by holding it against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import Array, align_umeyama, spread
+from oysterbench.core.trajectory import Trajectory, ns_to_seconds
+from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL
+from oysterbench.evaluate.slam.clock import estimate_offset
+from oysterbench.evaluate.slam.validate import check_trajectory
+
+SAMPLES = 2000
+"""Poses that are compared: enough for every decision here, and the same for an hour as for a minute."""
+
+FITS = 0.25
+"""Turns that err by less than this share of their size are of the same motion."""
+GAIN = 4.0
+"""How many times better another reading must fit before it is believed."""
+MIN_TURN_RAD = np.deg2rad(3.0)
+"""Attitudes that turn less say nothing about their axes."""
+USUAL_TURN_RAD = np.deg2rad(15.0)
+"""Turn between two compared attitudes that stands well above their noise, and is not wrapped."""
+MIN_AXES = 0.05
+"""Turn about the second axis over that about the first, from which a constant rotation is determined."""
+LEVEL_RAD = np.deg2rad(10.0)
+"""Tilt within which two attitudes agree on where up is."""
+TILTED_RAD = np.deg2rad(30.0)
+"""Tilt beyond which they do not."""
+
+MILLI = 1000.0
+SCALE_TOLERANCE = 0.1
+"""Of a scale of 1000: what drift of scale a unit is still recognised under."""
+SHAPE = 0.1
+"""Of the truth's spread: the error of positions that are those of the same path."""
+
+TIME_UNITS = {1e-9: "ns", 1e-6: "us", 1e-3: "ms", 1e9: "s"}
+"""Factor that brings stamps which were read in the wrong unit to the truth's -> the unit that they are in.
+
+Stamps are read as seconds where nothing else is known, and as nanoseconds in EuRoC files (the last row).
+"""
+
+Cause = Literal[
+    "time-unit", "no-overlap", "length-unit", "truth-length-unit", "quaternion-order", "frame", "turned", "swapped"
+]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One suspicion about a pair of trajectories.
+
+    cause:    its kind
+    sentence: what was seen, with numbers
+    decide:   what to type to decide it; empty where no option does
+    changes:  `ReadOptions` of the estimate with which it would be gone
+    severity: `certain`: only one reading is possible, and it may be taken; `refuse`: scoring makes no sense before
+              somebody decides; `note`: worth a sentence
+    """
+
+    cause: Cause
+    sentence: str
+    decide: str = ""
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    severity: Literal["certain", "refuse", "note"] = "note"
+
+    def __str__(self) -> str:
+        return f"{self.sentence} ({self.decide})" if self.decide else self.sentence
+
+
+def diagnose(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
+    """What is suspicious about an estimate; an empty list where nothing is.
+
+    Raises TrajectoryError for poses that `check_trajectory` refuses.
+    """
+    # First of all: stamps in a wrong unit may be such that no check of stamps passes them.
+    if findings := _time_unit(truth, estimate):
+        return findings
+    truth, estimate = check_trajectory(truth, "truth"), check_trajectory(estimate, "estimate")
+    if findings := _overlap(truth, estimate):
+        return findings
+    inside = (estimate.stamps_ns >= truth.stamps_ns[0]) & (estimate.stamps_ns <= truth.stamps_ns[-1])
+    index = np.flatnonzero(inside)
+    if len(index) > SAMPLES:
+        index = index[np.linspace(0, len(index) - 1, SAMPLES).astype(int)]
+    findings = _swapped(truth, estimate)
+    if len(index) >= 3:
+        taken = estimate.select(index)
+        # Only the poses around the samples are needed, and few of a long truth.
+        after = np.searchsorted(truth.stamps_ns, taken.stamps_ns)
+        there = truth.select(np.unique([np.maximum(after - 1, 0), after])).at(taken.stamps_ns)
+        findings += _unit(there.positions, taken.positions)
+        findings += _attitude(there.quaternions, taken.quaternions)
+    return findings
+
+
+def _time_unit(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
+    """Whether the two spans of time meet in another unit only."""
+    if not len(truth) or not len(estimate):
+        return []
+    first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
+    begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
+    shares = {factor: _share(begin * factor, end * factor, first, last) for factor in (1.0, *TIME_UNITS)}
+    best = max(TIME_UNITS, key=lambda factor: shares[factor])
+    if shares[best] < 0.5 or shares[1.0] > 0.01:
+        return []
+    unit = TIME_UNITS[best]
+    return [
+        Finding(
+            "time-unit",
+            f"the stamps, {ns_to_seconds(begin)} to {ns_to_seconds(end)} s as they were read, meet the truth's "
+            f"{ns_to_seconds(first)} to {ns_to_seconds(last)} s when taken as {unit}",
+            f"--time-unit {unit}",
+            {"time_unit": unit},
+            "refuse",
+        )
+    ]
+
+
+def _overlap(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
+    """Whether the two spans of time meet, and if not, which constant offset would make them."""
+    first, last = int(truth.stamps_ns[0]), int(truth.stamps_ns[-1])
+    begin, end = int(estimate.stamps_ns[0]), int(estimate.stamps_ns[-1])
+    if begin <= last and end >= first:
+        return []
+    try:
+        offset = estimate_offset(truth, estimate)
+        found = f"a constant offset of {offset.offset_s:.6f} s would match the motion (correlation "
+        found += f"{offset.correlation:.2f})"
+        offset_s = offset.offset_s
+    except TrajectoryError:
+        offset_s = (first - begin) * 1e-9
+        found = f"a constant offset of {offset_s:.6f} s would let them begin together"
+    return [
+        Finding(
+            "no-overlap",
+            f"truth and estimate do not overlap in time: the truth spans {ns_to_seconds(first)} to "
+            f"{ns_to_seconds(last)} s, the estimate {ns_to_seconds(begin)} to {ns_to_seconds(end)} s; {found}",
+            f"--time-offset {offset_s:.6f}",
+            severity="refuse",
+        )
+    ]
+
+
+def _share(begin: float, end: float, first: float, last: float) -> float:
+    """Overlap of two spans over the longer of them."""
+    longer = max(end - begin, last - first)
+    return max(min(end, last) - max(begin, first), 0.0) / longer if longer > 0 else 0.0
+
+
+def _swapped(truth: Trajectory, estimate: Trajectory) -> list[Finding]:
+    """Whether the truth looks like the estimate of the two: it covers less, more coarsely, or knows its own errors."""
+    seen = []
+    spans = [int(t.stamps_ns[-1]) - int(t.stamps_ns[0]) for t in (truth, estimate)]
+    inside = truth.stamps_ns[0] >= estimate.stamps_ns[0] and truth.stamps_ns[-1] <= estimate.stamps_ns[-1]
+    if inside and spans[0] < 0.9 * spans[1] and len(truth) < 0.5 * len(estimate):
+        seen.append(
+            f"the truth has {len(truth)} poses over {spans[0] * 1e-9:.1f} s, all within the {spans[1] * 1e-9:.1f} s of "
+            f"the estimate's {len(estimate)}"
+        )
+    if truth.covariances is not None and estimate.covariances is None:
+        seen.append("the truth carries covariances, the estimate none")
+    if not seen:
+        return []
+    return [Finding("swapped", f"{'; '.join(seen)}: are they swapped?", "exchange --truth and --estimate if they are")]
+
+
+def _unit(truth: Array, estimate: Array) -> list[Finding]:
+    """Whether one of two matched paths (N, 3) is the other in millimetres."""
+    sizes = spread(truth), spread(estimate)
+    if min(sizes) <= 0:
+        return []
+    ratio = sizes[1] / sizes[0]
+    for scale, cause, name, option in (
+        (ratio, "length-unit", "estimate", "unit"),
+        (1.0 / ratio, "truth-length-unit", "truth", "truth-unit"),
+    ):
+        if abs(scale / MILLI - 1.0) > SCALE_TOLERANCE:
+            continue
+        try:
+            fit = align_umeyama(truth, estimate, with_scale=True)
+            if spread(fit.apply(estimate) - truth) > SHAPE * sizes[0]:
+                continue
+        except ValueError:
+            pass  # a straight line: its length is all that there is to compare
+        return [
+            Finding(
+                cause,  # type: ignore[arg-type]
+                f"the {name}'s path is {scale:.0f} times as large as the other one: is it in millimetres?",
+                f"--{option} mm, or --{option} m to keep it",
+                {"unit": "mm"} if name == "estimate" else {},
+                "refuse",
+            )
+        ]
+    return []
+
+
+def _attitude(truth: Array, estimate: Array) -> list[Finding]:
+    """Whether the attitudes, matched quaternions (N, 4), are in another order or of another frame.
+
+    Turns between poses do not depend on the world frame: where R_estimate = A R_truth X, with A between the worlds
+    and X between the frames that are fixed to the vehicle, the vector of a turn is X^T times the true one.
+    """
+    true_turns = _turns(truth, lag := _lag(truth))
+    size = _rms(true_turns)
+    if size < MIN_TURN_RAD:
+        return _level(truth, estimate)
+    turns = _turns(estimate, lag)
+    as_is = _rms(turns - true_turns) / size
+    reordered = _rms(_turns(estimate[:, [1, 2, 3, 0]], lag) - true_turns) / size
+    optical = _rms(turns - true_turns @ ROTATION_BODY_OPTICAL) / size
+    believed = min(FITS, as_is / GAIN)
+    seen = f"the turns between its poses err by {as_is:.0%} of the true ones"
+    if reordered < believed:
+        return [
+            Finding(
+                "quaternion-order",
+                f"{seen} when the quaternions are read as x y z w, and by {reordered:.1%} as w x y z",
+                "--quaternion wxyz, or --quaternion xyzw to keep them",
+                {"quaternion": "wxyz"},
+                "certain",
+            )
+        ]
+    if optical < believed:
+        return [
+            Finding(
+                "frame",
+                f"{seen}, and by {optical:.1%} if its poses are those of a camera's optical frame",
+                "--frame optical, --T-body-estimate with the camera's place, or --frame body to keep them",
+                {"frame": "optical"},
+                "refuse",
+            )
+        ]
+    turn = _constant_turn(true_turns, turns)
+    if turn is None or (left := _rms(turns - turn.inv().apply(true_turns)) / size) >= believed:
+        return []
+    x, y, z, w = turn.as_quat(canonical=True)
+    place = f"0,0,0,{x:.4f},{y:.4f},{z:.4f},{w:.4f}"
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn.as_matrix()
+    return [
+        Finding(
+            "turned",
+            f"{seen}, and by {left:.1%} if its poses are those of a frame that is turned by a constant "
+            f"{np.rad2deg(turn.magnitude()):.1f} deg against the body",
+            f"--T-body-estimate {place}, with the frame's place for the zeros, or --frame body to keep them",
+            {"T_body_estimate": matrix},
+            "refuse",
+        )
+    ]
+
+
+def _lag(truth: Array) -> int:
+    """Over how many poses to take turns: the fewest over which they are usually large, or those of the largest."""
+    lags = sorted({lag for k in range(11) if (lag := 2**k) < len(truth)} | {1})
+    sizes = {lag: float(np.median(np.linalg.norm(_turns(truth, lag), axis=1))) for lag in lags}
+    return next((lag for lag in lags if sizes[lag] >= USUAL_TURN_RAD), max(lags, key=lambda lag: sizes[lag]))
+
+
+def _turns(quaternions: Array, lag: int) -> Array:
+    """Vectors (N - lag, 3) in rad of the turns from each attitude to that `lag` further on."""
+    rotations = Rotation.from_quat(quaternions)
+    return np.asarray((rotations[:-lag].inv() * rotations[lag:]).as_rotvec())
+
+
+def _constant_turn(true_turns: Array, turns: Array) -> Rotation | None:
+    """The rotation X with turns = X^T true_turns that fits best (Wahba 1965), or None where one axis has them all."""
+    u, d, vt = np.linalg.svd(true_turns.T @ turns)
+    if d[1] < MIN_AXES**2 * d[0]:
+        return None
+    sign = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    return Rotation.from_matrix(u @ np.diag([1.0, 1.0, sign]) @ vt)
+
+
+def _level(truth: Array, estimate: Array) -> list[Finding]:
+    """What the direction of up says of attitudes that hardly turn; both worlds must have z up for that."""
+    up = Rotation.from_quat(truth).inv().apply([0.0, 0.0, 1.0])
+    tilts = {}
+    for name, quaternions, fixed in (
+        ("as they are", estimate, np.eye(3)),
+        ("as w x y z", estimate[:, [1, 2, 3, 0]], np.eye(3)),
+        ("as those of an optical frame", estimate, ROTATION_BODY_OPTICAL),
+    ):
+        its_up = Rotation.from_quat(quaternions).inv().apply([0.0, 0.0, 1.0]) @ fixed.T
+        tilts[name] = float(np.median(np.arccos(np.clip(np.einsum("ij,ij->i", up, its_up), -1.0, 1.0))))
+    (_, as_is), *others = tilts.items()
+    if as_is < TILTED_RAD:
+        return []
+    decisions: tuple[tuple[Cause, str, dict[str, Any]], ...] = (
+        ("quaternion-order", "--quaternion wxyz or xyzw", {"quaternion": "wxyz"}),
+        ("frame", "--frame optical or body", {"frame": "optical"}),
+    )
+    likely = sorted(
+        (tilt, name, *decision) for (name, tilt), decision in zip(others, decisions, strict=True) if tilt < LEVEL_RAD
+    )
+    if not likely:
+        return []
+    seen = " and ".join(f"by {np.rad2deg(tilt):.0f} deg {name}" for tilt, name, *_ in likely)
+    return [
+        Finding(
+            likely[0][2],
+            f"its attitudes tilt by {np.rad2deg(as_is):.0f} deg against the true ones as they are, {seen}, and turn "
+            "too little to tell why",
+            ", ".join(decide for *_, decide, _ in likely),
+            likely[0][4],
+            "refuse",
+        )
+    ]
+
+
+def _rms(vectors: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(np.square(vectors), axis=1))))

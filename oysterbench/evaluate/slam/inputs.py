@@ -1,0 +1,76 @@
+"""A truth and an estimate from files, ready to be scored: what is certain is done and said, what is not is refused."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.trajectory import ReadOptions, Trajectory, read_trajectory
+from oysterbench.evaluate.slam.clock import estimate_offset, shift
+from oysterbench.evaluate.slam.diagnose import Finding, diagnose
+
+DECIDED_BY = {
+    "time-unit": ("time_unit",),
+    "length-unit": ("unit",),
+    "quaternion-order": ("quaternion",),
+    "frame": ("frame", "T_body_estimate"),
+    "turned": ("frame", "T_body_estimate"),
+}
+"""Cause of a finding -> options of the estimate, any of which shows that somebody has decided it."""
+
+
+def read_pair(
+    truth_path: str | os.PathLike[str],
+    estimate_path: str | os.PathLike[str],
+    truth_options: ReadOptions | None = None,
+    estimate_options: ReadOptions | None = None,
+    time_offset_s: float | Literal["estimate"] = 0.0,
+    any_scale: bool = False,
+) -> tuple[Trajectory, Trajectory]:
+    """The two trajectories; what was decided is in their `notes`.
+
+    A KITTI file without times takes the truth's stamps, one to one. time_offset_s is what the scoring will add to the
+    estimate's stamps; any_scale, whether it will fit a scale, so that none is wrong. Raises TrajectoryError naming
+    the file, the cause and the option that decides.
+    """
+    options = estimate_options or ReadOptions()
+    truth_options = truth_options or ReadOptions()
+    truth = read_trajectory(truth_path, truth_options)
+    if options.times is None:
+        options = replace(options, times=truth.stamps_ns)
+    estimate = read_trajectory(estimate_path, options)
+    for finding in _findings(truth, estimate, time_offset_s):
+        if _decided(finding, options, truth_options, any_scale):
+            continue
+        if finding.severity == "refuse":
+            name = truth_path if finding.cause == "truth-length-unit" else estimate_path
+            raise TrajectoryError(f"{name}: {finding.sentence}; decide by {finding.decide}")
+        if finding.severity == "certain":
+            options = replace(options, **finding.changes)
+            notes = estimate.notes
+            estimate = read_trajectory(estimate_path, options)
+            estimate = replace(estimate, notes=tuple(dict.fromkeys((*notes, *estimate.notes))))
+            said = f"{Path(estimate_path).name}: {finding.sentence}; they are read so ({finding.decide})"
+        else:
+            said = str(finding)
+        estimate = replace(estimate, notes=(*estimate.notes, said))
+    return truth, estimate
+
+
+def _findings(truth: Trajectory, estimate: Trajectory, time_offset_s: float | Literal["estimate"]) -> list[Finding]:
+    try:
+        offset_s = estimate_offset(truth, estimate).offset_s if time_offset_s == "estimate" else float(time_offset_s)
+    except TrajectoryError:
+        return []  # without common time there is nothing to compare; the scoring says why there is none
+    return diagnose(truth, shift(estimate, offset_s))
+
+
+def _decided(finding: Finding, options: ReadOptions, truth_options: ReadOptions, any_scale: bool) -> bool:
+    if finding.cause in ("length-unit", "truth-length-unit") and any_scale:
+        return True
+    if finding.cause == "truth-length-unit":
+        return truth_options.unit is not None
+    return any(getattr(options, key) is not None for key in DECIDED_BY.get(finding.cause, ()))

@@ -1,0 +1,319 @@
+"""The numbers of a scored trajectory, group by group."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.alignment import Alignment
+from oysterbench.evaluate.slam.association import Association, find_gaps
+from oysterbench.evaluate.slam.consistency import nees
+from oysterbench.evaluate.slam.pairs import (
+    Index,
+    between,
+    distances,
+    pairs_along,
+    pairs_apart,
+    pairs_over_frames,
+    pairs_over_time,
+    run_of,
+    subpaths,
+    turned,
+)
+from oysterbench.evaluate.slam.pose_errors import PoseErrors, relative_errors
+from oysterbench.evaluate.slam.recall import PERCENTS, Recall, recall
+from oysterbench.evaluate.slam.settings import SlamSettings
+
+MIN_PATH_M = 1e-3
+"""A shorter path has no percentages."""
+SUBPATH_PERCENTS = (10, 20, 30, 40, 50)
+"""Of the true path: lengths of the sub-paths where none are given (Zhang & Scaramuzza 2018, sec. VI)."""
+MIN_CHORD = 0.1
+"""Of a sub-path's length: its ends must be this far apart for the estimate's scale to be told from them."""
+STILL = "the truth does not move: there is no path to take a percentage of"
+
+
+@dataclass
+class Measures:
+    """Values by key, with the reason for each that is NaN, and what should be said about them."""
+
+    values: dict[str, float] = field(default_factory=dict)
+    reasons: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def __setitem__(self, key: str, value: float) -> None:
+        self.values[key] = value
+
+    def __getitem__(self, key: str) -> float:
+        return self.values[key]
+
+    def missing(self, reason: str, *keys: str) -> None:
+        """Values that cannot be had."""
+        for key in keys:
+            self.values[key] = float("nan")
+            self.reasons[key] = reason
+
+
+@dataclass(frozen=True)
+class Matched:
+    """An estimate that was brought to the truth.
+
+    truth:      all poses (T,)
+    met:        which of them are answered, and by which poses (N,)
+    aligned:    the estimate's (N,), in the truth's world
+    absolute:   their errors
+    answered_m: (C,) position errors at all covered stamps, m
+    fit:        the alignment
+    """
+
+    truth: Trajectory
+    met: Association
+    aligned: Trajectory
+    absolute: PoseErrors
+    answered_m: Array
+    fit: Alignment
+
+
+def measure(matched: Matched, settings: SlamSettings, measures: Measures) -> Recall | None:
+    """All numbers of a matched estimate, put into `measures`; returns the recall curve."""
+    path_m = distances(matched.truth.positions)
+    curve = _score(matched, settings, float(path_m[-1]), measures)
+    _absolute(matched.absolute, float(path_m[-1]), measures)
+    _relative(matched, settings, path_m, measures)
+    _subpaths(matched, settings, path_m, measures)
+    _drift(matched, path_m, measures)
+    _velocity(matched, settings, measures)
+    _answers(matched, float(path_m[-1]), measures)
+    _alignment(matched.fit, settings, measures)
+    if matched.met.estimate.covariances is not None:
+        _consistency(matched, settings, measures)
+    return curve
+
+
+def _score(matched: Matched, settings: SlamSettings, path_m: float, measures: Measures) -> Recall | None:
+    shares = [f"recall_{percent:g}percent" for percent in PERCENTS]
+    if path_m < MIN_PATH_M:
+        measures.missing(STILL, "score", *shares)
+        return None
+    stamps = len(matched.truth)
+    curve = recall(matched.answered_m, stamps, settings.recall_scale_percent / 100 * path_m)
+    measures["score"] = curve.area
+    for key, percent in zip(shares, PERCENTS, strict=True):
+        measures[key] = np.count_nonzero(matched.answered_m <= percent / 100 * path_m) / stamps
+    return curve
+
+
+def _absolute(errors: PoseErrors, path_m: float, measures: Measures) -> None:
+    error_m, rotation_deg = errors.translation_m, np.rad2deg(errors.rotation_rad)
+    measures["ate_rmse_m"] = _rms(error_m)
+    if path_m < MIN_PATH_M:
+        measures.missing(STILL, "ate_percent")
+    else:
+        measures["ate_percent"] = 100.0 * _rms(error_m) / path_m
+    measures["ate_mean_m"] = float(np.mean(error_m))
+    measures["ate_median_m"] = float(np.median(error_m))
+    measures["ate_max_m"] = float(np.max(error_m))
+    measures["ate_rotation_rmse_deg"] = _rms(rotation_deg)
+    measures["ate_rotation_median_deg"] = float(np.median(rotation_deg))
+    measures["ate_rotation_max_deg"] = float(np.max(rotation_deg))
+    measures["ate_yaw_rmse_deg"] = _rms(np.rad2deg(errors.yaw_rad))
+    measures["ate_tilt_rmse_deg"] = _rms(np.rad2deg(errors.tilt_rad))
+    measures["ate_rotation_part_rmse"] = _rms(errors.rotation_part)
+    measures["ate_full_rmse"] = _rms(errors.full)
+
+
+def _relative(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
+    """Relative errors over frames, seconds, metres and degrees."""
+    met, consecutive = matched.met, settings.rpe_pairs == "consecutive"
+    frames, seconds = settings.rpe_frames, settings.rpe_delta_s
+    metres, degrees = settings.rpe_delta_m, settings.rpe_delta_deg
+    choices = {
+        f"{frames}frames": lambda: pairs_over_frames(len(met.answered), frames, consecutive),
+        f"{seconds:g}s": lambda: pairs_over_time(met.truth.stamps_ns, seconds, consecutive),
+        f"{metres:g}m": lambda: pairs_along(path_m[met.answered], metres, consecutive),
+        f"{degrees:g}deg": lambda: _pairs_over_angle(matched, settings),
+    }
+    for name, choose in choices.items():
+        pairs = choose()
+        keys = [f"rpe_{name}_translation_rmse_m", f"rpe_{name}_rotation_rmse_deg"]
+        measures[f"rpe_{name}_pairs"] = len(pairs)
+        if not len(pairs):
+            measures.missing(f"no two matched poses are {_spaced(name)} apart", *keys)
+            continue
+        errors = relative_errors(met.truth, matched.aligned, pairs, matched.absolute)
+        measures[keys[0]] = _rms(errors.translation_m)
+        measures[keys[1]] = _rms(np.rad2deg(errors.rotation_rad))
+
+
+def _pairs_over_angle(matched: Matched, settings: SlamSettings) -> Index:
+    delta_rad = float(np.deg2rad(settings.rpe_delta_deg))
+    if settings.rpe_angle == "direct":
+        return pairs_apart(matched.met.truth.quaternions, delta_rad)
+    angle = turned(matched.truth.quaternions)[matched.met.answered]
+    return pairs_along(angle, delta_rad, settings.rpe_pairs == "consecutive")
+
+
+def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
+    """Errors over sub-paths by the length that the sub-path has, each segment counting alike (Geiger et al. 2012)."""
+    met, total_m = matched.met, float(path_m[-1])
+    rank = np.full(len(path_m), -1)
+    rank[met.answered] = np.arange(len(met.answered))
+    if settings.subpath_m:
+        lengths = {f"{length:g}m": float(length) for length in settings.subpath_m}
+    else:
+        lengths = {f"{percent}percent": percent / 100 * total_m for percent in SUBPATH_PERCENTS}
+    sums: dict[str, list[Array]] = {
+        "translation_percent": [],
+        "rotation_deg_per_m": [],
+        "yaw_deg_per_m": [],
+        "tilt_deg_per_m": [],
+    }
+    ratios: list[Array] = []
+    possible = 0
+    for name, length_m in lengths.items():
+        key = f"subpath_{name}_translation_percent"
+        all_pairs = (
+            subpaths(path_m, length_m, settings.subpath_step) if total_m >= MIN_PATH_M else np.empty((0, 2), int)
+        )
+        starts, ends = np.take(rank, all_pairs.T)
+        pairs = np.stack([starts, ends])[:, (starts >= 0) & (ends >= 0)].T
+        possible += len(all_pairs)
+        if not len(pairs):
+            measures.missing(_no_subpath(length_m, total_m), key)
+            continue
+        errors = relative_errors(met.truth, matched.aligned, pairs, matched.absolute)
+        percent = 100.0 / length_m * errors.translation_m
+        measures[key] = float(np.mean(percent))
+        sums["translation_percent"].append(percent)
+        for part, angle in (
+            ("rotation", errors.rotation_rad),
+            ("yaw", errors.yaw_rad),
+            ("tilt", errors.tilt_rad),
+        ):
+            sums[f"{part}_deg_per_m"].append(np.rad2deg(angle) / length_m)
+        ratios.append(_scale_ratios(met.truth, matched.aligned, pairs, MIN_CHORD * length_m))
+    keys = [f"subpath_{name}" for name in sums]
+    measures["subpath_segments"] = sum(len(part) for part in sums["translation_percent"])
+    if not sums["translation_percent"]:
+        measures.missing(_no_subpath(min(lengths.values()), total_m), *keys, "subpath_coverage")
+    else:
+        measures["subpath_coverage"] = measures["subpath_segments"] / possible
+        for key, parts in zip(keys, sums.values(), strict=True):
+            measures[key] = float(np.mean(np.concatenate(parts)))
+    ratio = np.concatenate(ratios) if ratios else np.empty(0)
+    if not len(ratio):
+        measures.missing(
+            f"no sub-path is answered at ends that are {MIN_CHORD:.0%} of its length apart",
+            "subpath_scale",
+            "subpath_scale_error_percent",
+        )
+        return
+    measures["subpath_scale"] = float(np.median(ratio))
+    measures["subpath_scale_error_percent"] = float(100.0 * np.median(np.abs(ratio - 1.0)))
+
+
+def _scale_ratios(truth: Trajectory, estimate: Trajectory, pairs: Index, least_m: float) -> Array:
+    """Estimated over true distance between the ends of pairs (M, 2) that are truly least_m apart or more."""
+    i, j = run_of(pairs[:, 0]), run_of(pairs[:, 1])
+    true_m, estimated_m = _lengths(between(truth.positions, i, j)), _lengths(between(estimate.positions, i, j))
+    told = true_m >= least_m
+    return np.asarray(estimated_m[told] / true_m[told])
+
+
+def _no_subpath(length_m: float, total_m: float) -> str:
+    if total_m < MIN_PATH_M:
+        return STILL
+    if length_m >= total_m:
+        return f"the true path of {total_m:.4g} m has no sub-path of {length_m:.4g} m"
+    return f"no sub-path of {length_m:.4g} m is answered at both ends"
+
+
+def _drift(matched: Matched, path_m: Array, measures: Measures) -> None:
+    """What the estimate is off at its last pose if its first one is laid on the truth."""
+    met = matched.met
+    way_m = float(path_m[met.answered[-1]] - path_m[met.answered[0]])
+    if way_m < MIN_PATH_M:
+        measures.missing(STILL, "drift_percent", "drift_deg_per_m")
+        return
+    ends = np.array([[0, len(met.answered) - 1]])
+    errors = relative_errors(met.truth, matched.aligned, ends, matched.absolute)
+    measures["drift_percent"] = 100.0 * float(errors.translation_m[0]) / way_m
+    measures["drift_deg_per_m"] = float(np.rad2deg(errors.rotation_rad[0])) / way_m
+
+
+def _velocity(matched: Matched, settings: SlamSettings, measures: Measures) -> None:
+    stamps, step_s = matched.met.truth.stamps_ns, settings.velocity_step_s
+    pairs = pairs_over_time(stamps, step_s)
+    if not len(pairs):
+        measures.missing(f"no two matched poses are {step_s:g} s apart", "velocity_rmse_m_per_s")
+        return
+    i, j = pairs[:, 0], pairs[:, 1]
+    off = matched.aligned.positions - matched.met.truth.positions
+    seconds = (stamps[j] - stamps[i]) * 1e-9
+    off = between(off, run_of(i), run_of(j))
+    measures["velocity_rmse_m_per_s"] = _rms(_lengths(off) / seconds)
+
+
+def _answers(matched: Matched, path_m: float, measures: Measures) -> None:
+    truth, covered = matched.truth, matched.met.covered
+    gaps = find_gaps(truth.stamps_ns, covered)
+    measures["coverage"] = float(np.mean(covered))
+    measures["matched"] = len(matched.met.answered)
+    measures["first_fix_s"] = gaps.first_fix_s
+    measures["gaps"] = gaps.number
+    measures["longest_gap_s"] = gaps.longest_s
+    measures["path_length_m"] = path_m
+    measures["duration_s"] = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
+    if measures["coverage"] < 0.5:
+        measures.notes.append(f"the errors speak of {measures['coverage']:.0%} of the sequence only")
+
+
+def _alignment(fit: Alignment, settings: SlamSettings, measures: Measures) -> None:
+    measures["scale"] = float(fit.similarity.scale)
+    for key, value in (
+        ("alignment_condition", fit.condition),
+        ("alignment_sigma_deg", float(np.rad2deg(fit.sigma_rad))),
+    ):
+        if np.isnan(value):
+            measures.missing(f"alignment {settings.align!r} fits no rotation to the path", key)
+        elif np.isinf(value):
+            measures.missing("truth and estimate have no motion in common that would determine a rotation", key)
+        else:
+            measures[key] = value
+
+
+def _consistency(matched: Matched, settings: SlamSettings, measures: Measures) -> None:
+    """NEES where the estimate says how sure it is."""
+    parts = ("position", "rotation", "pose")
+    try:
+        found = nees(matched.met.truth, matched.met.estimate, settings.align, matched.fit.similarity)
+    except ValueError as error:
+        for part in parts:
+            names = ("", "_low", "_high")
+            measures.missing(str(error), *(f"nees_{part}{name}" for name in names), f"within_3sigma_{part}")
+        return
+    for part, value in found.items():
+        low, high = value.band
+        measures[f"nees_{part}"] = value.mean
+        measures[f"nees_{part}_low"] = low
+        measures[f"nees_{part}_high"] = high
+        measures[f"within_3sigma_{part}"] = value.within_3sigma
+
+
+def _lengths(vectors: Array) -> Array:
+    """Lengths (N,) of vectors (N, 3)."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+
+
+def _spaced(name: str) -> str:
+    """ "10deg" as "10 deg"."""
+    return re.sub(r"(?<=[0-9.])(?=[a-z]+$)", " ", name)
+
+
+def _rms(values: Array) -> float:
+    """Root mean square; NaN for an empty sample."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

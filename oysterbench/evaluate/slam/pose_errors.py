@@ -1,0 +1,94 @@
+"""Absolute and relative errors of matched poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from oysterbench.core.geometry import BLOCK, CONJUGATE, Array, quaternion_product
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.pairs import Index, between, pick, run_of
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Errors E in SE(3) of N poses or relative motions, in the parts that metrics are taken of.
+
+    translation_m: (N,) length of the translation of E, m
+    turn:          (N, 4) unit quaternion x y z w of a rotation that is conjugate to that of E, about the fixed axes
+                   of the truth's world: the turn that is left of the estimated attitude once the true one is undone
+    """
+
+    translation_m: Array
+    turn: Array
+
+    @cached_property
+    def rotation_rad(self) -> Array:
+        """(N,) angle of E, 0 to pi, exact near both."""
+        x, y, z, w = self.turn.T
+        return np.asarray(2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), np.abs(w)))
+
+    @cached_property
+    def rotation_part(self) -> Array:
+        """(N,) Frobenius norm of R - I: 2 sqrt(2) |sin(angle / 2)|. evo's rotation part."""
+        x, y, z, _ = self.turn.T
+        return np.asarray(np.sqrt(8.0 * (x * x + y * y + z * z)))
+
+    @cached_property
+    def full(self) -> Array:
+        """(N,) Frobenius norm of E - I, of metres and radians together. evo's full transformation."""
+        return np.asarray(np.sqrt(self.translation_m**2 + self.rotation_part**2))
+
+    @cached_property
+    def yaw_rad(self) -> Array:
+        """(N,) angle 0 to pi of the turn about the vertical that follows a tilt to make `turn` (swing and twist)."""
+        _, _, z, w = self.turn.T
+        return np.asarray(2.0 * np.arctan2(np.abs(z), np.abs(w)))
+
+    @cached_property
+    def tilt_rad(self) -> Array:
+        """(N,) angle 0 to pi between the true vertical and the one that the estimate takes for it."""
+        x, y, z, w = self.turn.T
+        return np.asarray(2.0 * np.arctan2(np.sqrt(x * x + y * y), np.sqrt(z * z + w * w)))
+
+
+def absolute_errors(truth: Trajectory, estimate: Trajectory) -> PoseErrors:
+    """E = Q^-1 P of matched poses (N,), truth Q and aligned estimate P (Sturm et al. 2012, eq. 5)."""
+    difference = estimate.positions - truth.positions
+    return PoseErrors(
+        np.sqrt(np.einsum("ij,ij->i", difference, difference)),
+        quaternion_product(estimate.quaternions, truth.quaternions * CONJUGATE),
+    )
+
+
+def relative_errors(truth: Trajectory, estimate: Trajectory, pairs: Index, absolute: PoseErrors) -> PoseErrors:
+    """E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) of index pairs (M, 2) i, j into matched poses (Sturm et al. 2012, eq. 2).
+
+    With H = P Q^-1 the turns of the absolute errors, |trans E| = |H_i^-1 (p_j - p_i) - (q_j - q_i)|, and
+    H_j H_i^-1 is the rotation of E seen from the world: no pair needs a matrix.
+    """
+    translation_m = np.empty(len(pairs))
+    turn = np.empty((4, len(pairs))).T
+    for begin in range(0, len(pairs), BLOCK):
+        part = slice(begin, begin + BLOCK)
+        i, j = run_of(pairs[part, 0]), run_of(pairs[part, 1])
+        turn_i = pick(absolute.turn.T, i, axis=1).T * CONJUGATE
+        moved = _rotate(turn_i, between(estimate.positions, i, j))
+        moved -= between(truth.positions, i, j)
+        translation_m[part] = np.sqrt(np.einsum("ij,ij->i", moved, moved))
+        turn[part] = quaternion_product(pick(absolute.turn.T, j, axis=1).T, turn_i)
+    return PoseErrors(translation_m, turn)
+
+
+def _rotate(quaternions: Array, vectors: Array) -> Array:
+    """Vectors (N, 3) turned by unit quaternions (N, 4): v + 2 (w a + u x a), a = u x v."""
+    ux, uy, uz, w = quaternions.T
+    vx, vy, vz = vectors.T
+    ax, ay, az = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    rotated = np.empty_like(vectors)
+    rotated[:, 0] = vx + 2.0 * (w * ax + uy * az - uz * ay)
+    rotated[:, 1] = vy + 2.0 * (w * ay + uz * ax - ux * az)
+    rotated[:, 2] = vz + 2.0 * (w * az + ux * ay - uy * ax)
+    return rotated

@@ -1,0 +1,129 @@
+"""Scoring a trajectory: association, alignment, absolute and relative errors, coverage, and the score."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array, Similarity
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.metrics import SLAM as METRICS
+from oysterbench.evaluate.slam.alignment import Alignment, fit_alignment
+from oysterbench.evaluate.slam.association import associate, rate_notes
+from oysterbench.evaluate.slam.clock import estimate_offset, shift
+from oysterbench.evaluate.slam.measures import Matched, Measures, measure
+from oysterbench.evaluate.slam.pose_errors import absolute_errors
+from oysterbench.evaluate.slam.recall import Recall
+from oysterbench.evaluate.slam.settings import SlamSettings
+from oysterbench.evaluate.slam.validate import alignment_notes, attitude_notes, check_trajectory
+
+__all__ = ["EVALUATOR", "METRICS", "SlamResult", "SlamSettings", "score"]
+
+EVALUATOR = "slam 3"
+"""Name and version of this evaluator; the version rises whenever a number may change."""
+
+
+@dataclass(frozen=True)
+class SlamResult:
+    """What `score` gives.
+
+    metrics:            values by keys of `METRICS`; NaN where there is no sample, with the reason in `reasons`
+    notes:              what a reader of the numbers should know (suspected frames, little coverage), in sentences
+    settings:           as they were used
+    fit:                the alignment, its singular values and how well they determine it
+    whole_truth:        all poses of the truth (T,)
+    covered:            (T,) which of them the estimate answers
+    truth, estimate:    matched poses (N,), the estimate aligned and at the truth's stamps
+    error_m:            (N,) distance of the matched positions, m
+    rotation_error_deg: (N,) angle between the matched attitudes, deg
+    recall:             the recall curve, over all truth stamps; None where the truth does not move
+    """
+
+    metrics: Mapping[str, float]
+    reasons: Mapping[str, str]
+    notes: tuple[str, ...]
+    settings: SlamSettings
+    fit: Alignment
+    whole_truth: Trajectory
+    covered: NDArray[np.bool_]
+    truth: Trajectory
+    estimate: Trajectory
+    error_m: Array
+    rotation_error_deg: Array
+    recall: Recall | None
+
+    @property
+    def alignment(self) -> Similarity:
+        """Takes the estimate's world into the truth's."""
+        return self.fit.similarity
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """(N,) stamps of the matched poses, ns."""
+        return self.truth.stamps_ns
+
+
+def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None = None) -> SlamResult:
+    """Score an estimate against the truth: `score(truth, estimate, SlamSettings(align="se3")).metrics["ate_rmse_m"]`.
+
+    The steps: check both, mend the clock, associate, align, measure. What a number means says `METRICS`.
+    Raises TrajectoryError, in one line, where a number would mean nothing: poses that `check_trajectory` refuses,
+    no common time, too few matched poses, an alignment that the motion does not determine.
+    """
+    settings = settings or SlamSettings()
+    truth = check_trajectory(truth, "truth")
+    estimate = check_trajectory(estimate, "estimate")
+    notes = [*truth.notes, *estimate.notes]
+    measures = Measures()
+
+    if settings.time_offset_s == "estimate":
+        offset = estimate_offset(truth, estimate)
+        estimate = shift(estimate, offset.offset_s)
+        measures["time_offset_s"] = offset.offset_s
+        measures["time_offset_sigma_s"] = offset.sigma_s
+        measures["time_offset_correlation"] = offset.correlation
+        notes.append(
+            f"{offset.offset_s:.4f} s were added to the estimate's stamps, found from the {offset.signal}: certain to "
+            f"{offset.sigma_s:.2g} s, with a correlation of {offset.correlation:.3f}"
+        )
+    else:
+        estimate = shift(estimate, settings.time_offset_s)
+        measures["time_offset_s"] = settings.time_offset_s
+
+    met = associate(truth, estimate, settings)
+    fit = fit_alignment(met.truth, met.estimate, settings.align, settings.align_first)
+    aligned = Trajectory(
+        met.truth.stamps_ns,
+        fit.similarity.apply(met.estimate.positions),
+        fit.similarity.rotate(met.estimate.quaternions),
+    )
+    absolute = absolute_errors(met.truth, aligned)
+    if met.positions is met.estimate.positions:
+        answered_m = absolute.translation_m
+    else:
+        answered_m = np.linalg.norm(fit.similarity.apply(met.positions) - truth.positions[met.covered], axis=1)
+    matched = Matched(truth, met, aligned, absolute, answered_m, fit)
+    curve = measure(matched, settings, measures)
+
+    notes += attitude_notes(met.truth.quaternions, met.estimate.quaternions, fit.similarity)
+    notes += alignment_notes(met.truth.positions, met.estimate.positions, settings.align, measures["ate_rmse_m"])
+    notes += rate_notes(truth, estimate)
+    notes += fit.notes
+    notes += measures.notes
+    return SlamResult(
+        measures.values,
+        measures.reasons,
+        tuple(notes),
+        settings,
+        fit,
+        truth,
+        met.covered,
+        met.truth,
+        aligned,
+        absolute.translation_m,
+        np.rad2deg(absolute.rotation_rad),
+        curve,
+    )

@@ -1,0 +1,172 @@
+"""What must hold of a trajectory before it can be scored, and what a scored one looks like that was written wrongly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import Array, Similarity, align_umeyama, align_yaw, rotation_angle, spread
+from oysterbench.core.trajectory import Trajectory, ns_to_seconds
+from oysterbench.core.trajectory.checks import NORM_TOLERANCE
+
+MIN_POSES = 2
+MAX_POSITION_M = 1e9
+"""Farther from the origin an estimate has diverged; its square would soon leave what a float64 holds."""
+MAX_STAMP_NS = 2**62
+"""146 years from the epoch: differences of such stamps fit an int64."""
+
+SUSPICIOUS_RAD = np.deg2rad(20.0)
+"""Attitudes that err by less than this are taken as they are."""
+SUSPICIOUS_GAIN = 4.0
+"""How many times better another reading of the poses must fit before it is mentioned."""
+EXPLAINED = 0.1
+"""Of the truth's spread: an error below this is a fit, above it a curve shrunk or turned to do little harm."""
+
+
+def check_trajectory(trajectory: Trajectory, name: str) -> Trajectory:
+    """The same trajectory with quaternions of norm one, or TrajectoryError in one line that starts with `name`.
+
+    Refused are: fewer than two poses, NaN or infinity, positions that have diverged, stamps that repeat or go back,
+    quaternions that are not rotations. Poses are counted from 1.
+    """
+    n = len(trajectory)
+    if n < MIN_POSES:
+        raise TrajectoryError(f"{name}: expected at least {MIN_POSES} poses, got {n}")
+    if not np.issubdtype(trajectory.stamps_ns.dtype, np.integer):
+        raise TrajectoryError(f"{name}: expected stamps in int64 nanoseconds, got {trajectory.stamps_ns.dtype}")
+    _check_finite(trajectory, name)
+    _check_order(trajectory.stamps_ns, name)
+    norms = np.linalg.norm(trajectory.quaternions, axis=1)
+    wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        raise TrajectoryError(
+            f"{name}: expected unit quaternions x y z w, got norm {norms[i]:.4g} at {_pose(trajectory, i)}"
+            f"{_others(wrong)}; check the order of the columns or normalise them"
+        )
+    return replace(
+        trajectory,
+        stamps_ns=trajectory.stamps_ns.astype(np.int64, copy=False),
+        # Row by row in memory, whatever a reader made of its columns: poses are gathered by the row.
+        positions=np.ascontiguousarray(trajectory.positions),
+        quaternions=np.ascontiguousarray(trajectory.quaternions / norms[:, None]),
+    )
+
+
+def _check_finite(trajectory: Trajectory, name: str) -> None:
+    if not (np.isfinite(trajectory.positions).all() and np.isfinite(trajectory.quaternions).all()):
+        values = np.column_stack([trajectory.positions, trajectory.quaternions])
+        wrong = np.asarray(~np.isfinite(values).all(axis=1))
+        i = int(np.argmax(wrong))
+        column = ("x", "y", "z", "qx", "qy", "qz", "qw")[int(np.argmin(np.isfinite(values[i])))]
+        raise TrajectoryError(
+            f"{name}: expected finite numbers, got {column} = {values[i][~np.isfinite(values[i])][0]} at "
+            f"{_pose(trajectory, i)}{_others(wrong)}; leave out poses that are not known"
+        )
+    wrong = np.asarray((np.abs(trajectory.positions) > MAX_POSITION_M).any(axis=1))
+    if wrong.any():
+        i = int(np.argmax(wrong))
+        farthest = np.abs(trajectory.positions[i]).max()
+        raise TrajectoryError(
+            f"{name}: expected positions within {MAX_POSITION_M:g} m, got {farthest:.3g} m "
+            f"at {_pose(trajectory, i)}{_others(wrong)}; it has diverged"
+        )
+
+
+def _check_order(stamps_ns: NDArray[np.int64], name: str) -> None:
+    if int(stamps_ns.min()) < -MAX_STAMP_NS or int(stamps_ns.max()) > MAX_STAMP_NS:
+        raise TrajectoryError(
+            f"{name}: expected stamps within 146 years of the epoch, got {ns_to_seconds(stamps_ns.min())} to "
+            f"{ns_to_seconds(stamps_ns.max())} s; write nanoseconds since 1970"
+        )
+    wrong = np.asarray(stamps_ns[1:] <= stamps_ns[:-1])
+    if not wrong.any():
+        return
+    i = int(np.argmax(wrong)) + 1
+    before, here = ns_to_seconds(stamps_ns[i - 1]), ns_to_seconds(stamps_ns[i])
+    if stamps_ns[i] == stamps_ns[i - 1]:
+        raise TrajectoryError(
+            f"{name}: expected increasing stamps, got {here} s twice, at poses {i} and {i + 1}{_others(wrong)}; "
+            "keep one pose for each stamp"
+        )
+    raise TrajectoryError(
+        f"{name}: expected increasing stamps, got {here} s after {before} s at pose {i + 1}{_others(wrong)}; "
+        "sort the poses by time"
+    )
+
+
+def _pose(trajectory: Trajectory, i: int) -> str:
+    return f"pose {i + 1} of {len(trajectory)} ({ns_to_seconds(trajectory.stamps_ns[i])} s)"
+
+
+def _others(wrong: NDArray[np.bool_]) -> str:
+    count = int(np.count_nonzero(wrong)) - 1
+    return f" and {count} more" if count else ""
+
+
+def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list[str]:
+    """What the attitudes look like, if not like those of `base_link`: one sentence for each suspicion.
+
+    truth (N, 4) and estimate (N, 4) are matched quaternions x y z w, the estimate's before alignment. Scores are
+    never changed by this: it names the two mistakes that are made most often in writing a trajectory.
+    """
+    aligned = alignment.rotate(estimate)
+    error = _rms(rotation_angle(truth, aligned))
+    if error < SUSPICIOUS_RAD:
+        return []
+    reordered = _rms(rotation_angle(truth, alignment.rotate(estimate[:, [1, 2, 3, 0]])))
+    if reordered * SUSPICIOUS_GAIN < error:
+        return [
+            f"the attitudes err by {np.rad2deg(error):.1f} deg as they are and by {np.rad2deg(reordered):.1f} deg when "
+            "read as w x y z: were they written in that order? x y z w is expected"
+        ]
+    turns = Rotation.from_quat(truth).inv() * Rotation.from_quat(aligned)
+    turn = turns.mean()
+    rest = _rms((turns * turn.inv()).magnitude())
+    # A turn about the vertical alone is what a wrong alignment of a level vehicle looks like.
+    tilt = np.arccos(np.clip(turn.as_matrix()[2, 2], -1.0, 1.0))
+    if rest * SUSPICIOUS_GAIN < error and tilt > SUSPICIOUS_RAD:
+        return [
+            f"the attitudes differ from the truth by one constant turn of {np.rad2deg(turn.magnitude()):.1f} deg "
+            f"(the rest errs by {np.rad2deg(rest):.1f} deg): are they of a camera or an IMU? Poses of base_link are "
+            "expected"
+        ]
+    return []
+
+
+def alignment_notes(truth: Array, estimate: Array, align: str, rmse_m: float) -> list[str]:
+    """Whether a freer alignment of the matched positions (N, 3) explains nearly all of an error of `rmse_m`.
+
+    Then the estimate is good but in another world frame or scale than the chosen alignment allows for.
+    """
+    fit_m = EXPLAINED * spread(truth)
+    if rmse_m * SUSPICIOUS_GAIN < fit_m:
+        return []
+    fits: dict[str, Callable[[], Similarity]] = {
+        "posyaw": lambda: align_yaw(truth, estimate),
+        "se3": lambda: align_umeyama(truth, estimate),
+        "sim3": lambda: align_umeyama(truth, estimate, with_scale=True),
+    }
+    names = list(fits)
+    for name in names[names.index(align) + 1 :] if align in names else names:
+        try:
+            fit = fits[name]()
+        except ValueError:
+            continue
+        left_m = _rms(np.linalg.norm(fit.apply(estimate) - truth, axis=1))
+        if left_m < min(rmse_m / SUSPICIOUS_GAIN, fit_m):
+            scale = f" and scale {fit.scale:.3g}" if name == "sim3" else ""
+            return [
+                f"aligned by {name}{scale} instead of {align} the ATE would be {left_m:.3g} m, not {rmse_m:.3g} m: is "
+                "the estimate in another world frame (z up is expected) or without scale?"
+            ]
+    return []
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,94 @@
+"""All pictures of several sequences together, with intervals by resampling the sequences, each with its pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from oysterbench.core.geometry import Array
+from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
+from oysterbench.evaluate.steering import labels
+from oysterbench.evaluate.steering.pictures import (
+    AXES,
+    Commands,
+    Labels,
+    PictureScore,
+    score_pictures,
+)
+
+
+@dataclass(frozen=True)
+class Whole:
+    """score: over all pictures; intervals: of those of its metrics that have one, or the reason why not."""
+
+    score: PictureScore
+    intervals: Mapping[str, Interval]
+    sequences: int
+
+
+def over_sequences(parts: Sequence[tuple[Labels, Commands]]) -> Whole:
+    """Score the commands at the pictures of at least one sequence together; all are of one task."""
+    score = score_pictures(*_together(parts))
+    n = len(parts)
+    counts = resample_counts(n)
+    if counts is None:
+        unknown = Interval(math.nan, math.nan, too_few(n))
+        return Whole(score, dict.fromkeys(_sums(parts), unknown) | dict.fromkeys(_F1, unknown), n)
+    intervals = {}
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for key, (tops, bottoms) in _sums(parts).items():
+            ratios = (counts @ tops) / (counts @ bottoms)
+            intervals[key] = resampled_interval(1.0 - ratios if key == "skill" else ratios, n)
+    for axis, key in zip(AXES, _F1, strict=True):
+        intervals[key] = resampled_interval(_macro_f1(counts, [_confusion(part, axis) for part in parts]), n)
+    return Whole(score, intervals, n)
+
+
+_F1 = tuple(f"{axis}_macro_f1" for axis in AXES)
+
+
+def _together(parts: Sequence[tuple[Labels, Commands]]) -> tuple[Labels, Commands]:
+    truths, commands = zip(*parts, strict=True)
+    return (
+        Labels(np.concatenate([t.classes for t in truths]), np.concatenate([t.worth for t in truths]), truths[0].task),
+        Commands(
+            np.concatenate([c.classes for c in commands]),
+            np.concatenate([c.yaw_probability for c in commands]),
+            np.concatenate([c.pitch_probability for c in commands]),
+        ),
+    )
+
+
+def _sums(parts: Sequence[tuple[Labels, Commands]]) -> dict[str, tuple[Array, Array]]:
+    """Metric -> numerators and denominators (n,) of the sequences; of skill, those of what it lacks to 1."""
+    pictures = np.array([len(truth.classes) for truth, _ in parts], dtype=float)
+    regret = np.array([labels.regrets(truth.worth, made.classes).sum() for truth, made in parts])
+    chance = np.array([labels.chance_regrets(truth.worth).sum() for truth, _ in parts])
+    found = {"skill": (regret, chance), "regret_oysters": (regret, pictures)}
+    for k, axis in enumerate(AXES):
+        right = [float((truth.classes[:, k] == made.classes[:, k]).sum()) for truth, made in parts]
+        found[f"{axis}_accuracy"] = (np.array(right), pictures)
+        costs = [score_pictures(*part).metrics[f"{axis}_cost_deg"] for part in parts]
+        found[f"{axis}_cost_deg"] = (np.nan_to_num(np.array(costs)) * pictures, pictures)
+    return found
+
+
+def _confusion(part: tuple[Labels, Commands], axis: str) -> Array:
+    truth, made = part
+    k = AXES.index(axis)
+    classes = len((truth.task.yaw_deg, truth.task.pitch_deg)[k])
+    return labels.confusion(truth.classes[:, k], made.classes[:, k], classes).astype(float)
+
+
+def _macro_f1(counts: Array, confusions: Sequence[Array]) -> Array:
+    """(R,) as `labels.macro_f1`, of each resample of the sequences' confusions (C, C)."""
+    stacked = np.stack(confusions)
+    right = counts @ np.diagonal(stacked, axis1=1, axis2=2)
+    met = counts @ (stacked.sum(axis=1) + stacked.sum(axis=2))
+    known = met > 0
+    f1 = np.where(known, 2 * right / np.where(known, met, 1.0), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(f1.sum(axis=1) / known.sum(axis=1))

@@ -1,0 +1,115 @@
+"""Dives in a closed loop, measured, and pilots set against each other over the same reefs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench.evaluate.statistics import (
+    Interval,
+    Sample,
+    resample_counts,
+    resampled_interval,
+    sequence_means,
+    too_few,
+)
+from oysterbench.evaluate.steering.log import DiveLog
+from oysterbench.recipe.steering import SteeringRecipe
+
+
+@dataclass(frozen=True)
+class DiveScore:
+    """Values by keys of `metrics.DIVES`; NaN where there is none, with the reason in `reasons`."""
+
+    metrics: Mapping[str, float]
+    reasons: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a pilot stands between two others: 0 where it is as good as the lower, 1 as the upper; it may lie beyond.
+
+    NaN, with the reason, where the two are not apart.
+    """
+
+    value: float
+    interval: Interval
+    reefs: int
+    reason: str = ""
+
+
+def score_dive(log: DiveLog, task: SteeringRecipe) -> DiveScore:
+    """Measure a dive."""
+    metrics: dict[str, float] = {}
+    reasons: dict[str, str] = {}
+
+    def put(key: str, top: float, bottom: float, reason: str) -> None:
+        metrics[key] = top / bottom if bottom > 0 else math.nan
+        if not bottom > 0:
+            reasons[key] = reason
+
+    steps = len(log.commands)
+    minutes = steps * log.step_s / 60.0
+    none_done, no_way = "no command was carried out", "the vehicle did not move"
+    seen = int(log.seen.sum())
+    contacts = episodes(log.contact)
+    after = log.altitude[1:]
+    low, high = task.altitude_m
+    way = float(np.linalg.norm(np.diff(log.states[:, :3], axis=0), axis=1).sum())
+    put("oysters_per_min", seen, minutes, none_done)
+    metrics["oysters_seen"] = float(seen)
+    put("found_share", float(log.found.sum()), len(log.found), "no live oyster is in the area")
+    metrics["covered_share"] = float(log.covered[-1])
+    metrics["contacts"] = float(contacts)
+    put("contacts_per_min", contacts, minutes, none_done)
+    put("contact_share", float(log.contact[1:].sum()), steps, none_done)
+    put("in_band_share", float(((after >= low) & (after <= high)).sum()), steps, none_done)
+    metrics["turned_back"] = float(episodes(log.turned))
+    metrics["distance_m"] = way
+    put("oysters_per_m", seen, way, no_way)
+    put("steps_per_s", steps, log.wall_s, "no time was measured")
+    metrics["dive_s"] = steps * log.step_s
+    metrics["wall_s"], metrics["cpu_s"] = float(log.wall_s), float(log.cpu_s)
+    return DiveScore(metrics, reasons)
+
+
+def episodes(marked: NDArray[np.bool_]) -> int:
+    """How many runs of True there are in (N,)."""
+    return int((np.diff(np.concatenate([[False], marked]).astype(int)) == 1).sum())
+
+
+def seen_so_far(log: DiveLog) -> tuple[Array, Array]:
+    """Time in s (K + 1,) and live oysters seen until then (K + 1,)."""
+    return np.arange(len(log.seen), dtype=float) * log.step_s, np.cumsum(log.seen).astype(float)
+
+
+def place_between(pilot: Sample, lower: Sample, upper: Sample) -> Place:
+    """(pilot - lower) / (upper - lower), each the mean over the reefs that all three have dived over.
+
+    samples: reef -> values of a metric. The interval is that of the ratio in resamples of the reefs, each with all
+    three pilots (expanded percentiles, as of every mean: `statistics`); a resample in which the upper is not above the
+    lower has no ratio.
+    """
+    means = [sequence_means(sample) for sample in (pilot, lower, upper)]
+    reefs = [name for name in means[0] if all(name in of for of in means)]
+    if not reefs:
+        reason = "no reef in common"
+        return Place(math.nan, Interval(math.nan, math.nan, reason), 0, reason)
+    own, low, high = (np.array([of[name] for name in reefs]) for of in means)
+    gap = float(np.mean(high - low))
+    if not gap > 0:
+        reason = "the upper pilot is not above the lower"
+        return Place(math.nan, Interval(math.nan, math.nan, reason), len(reefs), reason)
+    value = float(np.mean(own - low)) / gap
+    counts = resample_counts(len(reefs))
+    if counts is None:
+        return Place(value, Interval(math.nan, math.nan, too_few(len(reefs), "reef")), len(reefs))
+    gaps = counts @ (high - low)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(gaps > 0, (counts @ (own - low)) / gaps, np.nan)
+    return Place(value, resampled_interval(ratios, len(reefs)), len(reefs))

@@ -1,0 +1,96 @@
+"""Answers to labelled pictures, scored: both axes, and what the commands lose in oysters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import LabelError
+from oysterbench.core.geometry import Array
+from oysterbench.evaluate.steering import labels
+from oysterbench.recipe.steering import SteeringRecipe
+
+AXES = ("yaw", "pitch")
+NO_PICTURES = "no picture was answered"
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What the expert commands: classes (N, 2) int64 of yaw and pitch; worth (N, Y, P) of every pair, in oysters.
+
+    Raises LabelError where they do not fit the task, or a number is not finite.
+    """
+
+    classes: NDArray[np.int64]
+    worth: Array
+    task: SteeringRecipe
+    where: str = "labels"
+
+    def __post_init__(self) -> None:
+        n, sizes = len(self.classes), (len(self.task.yaw_deg), len(self.task.pitch_deg))
+        if self.worth.shape != (n, *sizes):
+            raise LabelError(
+                f"{self.where}: expected the worth of {n} pictures for {sizes[0]} x {sizes[1]} classes, got the shape "
+                f"{self.worth.shape}"
+            )
+        if ((self.classes < 0) | (self.classes >= sizes)).any():
+            raise LabelError(
+                f"{self.where}: expected classes of yaw from 0 to {sizes[0] - 1} and of pitch from 0 to "
+                f"{sizes[1] - 1}, got {self.classes.min(axis=0).tolist()} to {self.classes.max(axis=0).tolist()}"
+            )
+        if not np.isfinite(self.worth).all():
+            k = int(np.flatnonzero(~np.isfinite(self.worth).all(axis=(1, 2)))[0])
+            raise LabelError(
+                f"{self.where}: picture {k + 1}: expected finite numbers, what each command is worth, got another"
+            )
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What a policy commands: classes (N, 2) int64; probabilities (N, Y) and (N, P), which add up to 1."""
+
+    classes: NDArray[np.int64]
+    yaw_probability: Array
+    pitch_probability: Array
+
+
+@dataclass(frozen=True)
+class PictureScore:
+    """Values by keys of `metrics.PICTURES`; NaN where there is none, with the reason in `reasons`.
+
+    yaw, pitch: pictures by the expert's class, the row, and the commanded one, the column.
+    """
+
+    metrics: Mapping[str, float]
+    reasons: Mapping[str, str]
+    yaw: NDArray[np.int64]
+    pitch: NDArray[np.int64]
+
+
+def score_pictures(truth: Labels, commands: Commands) -> PictureScore:
+    """Score the commands of N pictures."""
+    n, task = len(truth.classes), truth.task
+    metrics: dict[str, float] = {"skill": labels.skill(truth.worth, commands.classes)}
+    metrics["regret_oysters"] = float(labels.regrets(truth.worth, commands.classes).mean()) if n else math.nan
+    counts = []
+    for k, (axis, degrees) in enumerate(zip(AXES, (task.yaw_deg, task.pitch_deg), strict=True)):
+        true, commanded = truth.classes[:, k], commands.classes[:, k]
+        probability = commands.yaw_probability if k == 0 else commands.pitch_probability
+        counts.append(labels.confusion(true, commanded, len(degrees)))
+        metrics[f"{axis}_accuracy"] = labels.accuracy(true, commanded)
+        metrics[f"{axis}_balanced_accuracy"] = labels.balanced_accuracy(counts[-1])
+        metrics[f"{axis}_macro_f1"] = labels.macro_f1(counts[-1])
+        metrics[f"{axis}_within_one"] = labels.within_one(true, commanded)
+        steps = np.arange(len(degrees), dtype=float)
+        metrics[f"{axis}_cost_classes"] = labels.expected_cost(true, probability, steps)
+        metrics[f"{axis}_cost_deg"] = labels.expected_cost(true, probability, np.array(degrees))
+    metrics["joint_accuracy"] = labels.joint_accuracy(truth.classes, commands.classes)
+    metrics["pictures"] = float(n)
+    reasons = {key: NO_PICTURES for key, value in metrics.items() if math.isnan(value)}
+    if n and "skill" in reasons:
+        reasons["skill"] = "in no picture does it make a difference what is commanded"
+    return PictureScore(metrics, reasons, *counts)

@@ -1,0 +1,212 @@
+"""A dive in a closed loop: a pilot commands, the vehicle moves, and what it sees next is rendered."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oysterbench.core.errors import MethodError, RecipeError
+from oysterbench.core.geometry import Array, transform
+from oysterbench.core.streams import Streams
+from oysterbench.evaluate.steering import DiveLog
+from oysterbench.exploration.references import reference
+from oysterbench.methods.piloting import commands
+from oysterbench.methods.steering import SteeringMethod, VehicleState, View
+from oysterbench.recipe import SplitRecipe
+from oysterbench.scene.path.disturbance import sway
+from oysterbench.simulation.simulated_sequence import build_stage
+from oysterbench.simulation.steering.expert import Expert, best
+from oysterbench.simulation.steering.observation import Sight
+from oysterbench.simulation.steering.site import Site, build_site
+from oysterbench.simulation.steering.vehicle import advance, folded, rotations, turns
+
+START_SHARE = 0.7  # of the area's half side that dives begin within
+CEILING_M = 0.3  # under the surface, of the vehicle's highest place
+
+Progress = Callable[[int, int], None]
+"""Called with the commands done and the commands wanted."""
+
+Lesson = tuple[View, Array]
+"""A view and what the commands are worth there, as `Expert.values` has it."""
+
+
+def explore(
+    split: SplitRecipe,
+    reef: str,
+    pilot: str | SteeringMethod,
+    *,
+    salt: bytes = b"",
+    seconds: float | None = None,
+    start: int = 0,
+    device: str = "cpu",
+    progress: Progress | None = None,
+    teacher: bool = False,
+    mixture: float = 0.0,
+) -> tuple[DiveLog, list[Lesson]]:
+    """A dive of a pilot (one of REFERENCES, or a method) over the reef of a sequence.
+
+    seconds: of the dive, if not the task's. start: number of the place where it begins; the same for every pilot.
+    teacher: also what the expert holds each command to be worth at each view. mixture: share of the commands that are
+    the expert's instead of the pilot's, as in the first rounds of DAgger (Ross, Gordon & Bagnell 2011).
+
+    Raises RecipeError where the split has no table [steering] or no such sequence, MethodError where the pilot fails.
+    """
+    if split.steering is None:
+        raise RecipeError(f"split {split.name} has no table [steering]; expected one of the track steering")
+    steps = round((split.steering.dive_s if seconds is None else seconds) / split.steering.step_s)
+    if steps < 1:
+        raise RecipeError(f"seconds: expected at least a step of {split.steering.step_s:g} s, got {seconds:g}")
+    stage = build_stage(split, reef, salt, device)
+    site = build_site(stage, split.steering)
+    streams = stage.streams.at("steering", start)
+    pictures = not isinstance(pilot, str)
+    dive = Dive(site, reef, steps, streams, progress or (lambda done, total: None), pictures)
+    lessons: list[Lesson] = []
+    if isinstance(pilot, str):
+        command = reference(pilot, site, dive.state, dive.streams)
+        for _ in range(steps):
+            dive.do(command(dive.state, dive.sight.found))
+        return dive.log(pilot), lessons
+    expert = Expert(site) if teacher or mixture > 0 else None
+    draws = dive.streams.generator("mixture").random(steps)
+    for view, _, (yaw, pitch) in commands(pilot, split.steering, dive.views(), f"{reef}: dive"):
+        if expert is not None:
+            values = expert.values(dive.state, dive.sight.found)
+            lessons.append((view, values))
+            if draws[dive.done] < mixture:
+                yaw, pitch = best(values)
+        dive.do((yaw, pitch))
+    if dive.done < steps:
+        raise MethodError(f"method {pilot.name!r}, {reef}: expected {steps} commands, got {dive.done}")
+    return dive.log(pilot.name), lessons
+
+
+@dataclass
+class Dive:
+    """A dive under way. pictures: whether the pilot looks at them; state (5,): as in `vehicle`; done: commands carried
+    out."""
+
+    site: Site
+    reef: str
+    steps: int
+    streams: Streams
+    progress: Progress
+    pictures: bool
+    state: Array = field(init=False)
+    done: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        self._began = time.perf_counter(), time.process_time()
+        task, plan = self.site.task, self.site.stage.recipe.path
+        self._turns = turns(task)
+        times = np.arange(self.steps + 1) * task.step_s
+        # Long under way: the sway has grown to its full size.
+        self._sway = sway(np.asarray(times + plan.ramp_s, dtype=float), plan, self.streams)
+        self.sight = Sight(self.site)
+        self.state = self._begin()
+        self._states = [self.state]
+        self._commands: list[tuple[int, int]] = []
+        self._contact, self._turned = [False], [False]
+        self._seen: list[int] = []
+        self._covered: list[float] = []
+        self._picture = np.empty((0, 0, 3), dtype=np.uint8)
+        self._look()
+
+    def _begin(self) -> Array:
+        """A place and a heading drawn in the inner area, in the middle of the altitude band, level."""
+        generator = self.streams.generator("start")
+        x, y = (2 * generator.random(2) - 1) * START_SHARE * self.site.half_m
+        heading = float(generator.uniform(-np.pi, np.pi))
+        bottom = float(self.site.world.ground_height(x, y))
+        floor = float(self.site.floor(np.array([x]), np.array([y]))[0])
+        return np.array([x, y, max(bottom + 0.5 * sum(self.site.task.altitude_m), floor), heading, 0.0])
+
+    def body(self) -> Array:
+        """T_map_base (4, 4) at this moment, with the vehicle's sway."""
+        moved = self._sway[self.done]
+        position = self.state[:3] + moved[:3]
+        return transform(rotations(self.state[None])[0] @ Rotation.from_euler("ZYX", moved[3:]).as_matrix(), position)
+
+    def _look(self) -> None:
+        """See what can be seen from here; the truth alone where nobody looks at pictures."""
+        body = self.body()
+        T_map_cam = body @ self.site.mount
+        renderer = self.site.stage.renderers[self.site.camera.name]
+        if self.pictures:
+            noise = self.streams.generator("noise", self.done)
+            frame = renderer.render(T_map_cam, noise, self.done * self.site.task.step_s, body)
+            self._picture, depth, instances = frame.colour, frame.depth, frame.instances
+        else:
+            depth, _, instances = renderer.truth(T_map_cam)
+        self._seen.append(self.sight.look(T_map_cam, depth, instances))
+        self._covered.append(self.sight.covered)
+
+    def view(self) -> View:
+        """What the pilot is given now."""
+        time_s = self.done * self.site.task.step_s
+        return View(f"{self.done:06d}", self._picture, measured(self.site, self.state), time_s)
+
+    def views(self) -> Iterator[View]:
+        """A view before each command; the next one when this is carried out."""
+        while self.done < self.steps:
+            yield self.view()
+
+    def do(self, command: tuple[int, int]) -> None:
+        """Carry a command out."""
+        task = self.site.task
+        way = advance(self.state[None], self._turns[0][[command[0]]], self._turns[1][[command[1]]], task)[0]
+        way, turned = folded(way, self.site.half_m)
+        # What would touch is held above it, as a pilot's assistance does; the way goes on from there.
+        lifted, contact = 0.0, False
+        for point in way:
+            floor = float(self.site.floor(point[:1], point[1:2])[0])
+            point[2] += lifted
+            if point[2] < floor:
+                contact = True
+                lifted += floor - point[2]
+                point[2] = floor
+            if point[2] > -CEILING_M:
+                lifted -= point[2] + CEILING_M
+                point[2] = -CEILING_M
+        self.state = way[-1]
+        self.done += 1
+        self._states.append(self.state)
+        self._commands.append((int(command[0]), int(command[1])))
+        self._contact.append(contact)
+        self._turned.append(bool(turned.any()))
+        self._look()
+        self.progress(self.done, self.steps)
+
+    def log(self, pilot: str) -> DiveLog:
+        """The dive so far."""
+        states = np.array(self._states)
+        wall, cpu = (
+            now - then for now, then in zip((time.perf_counter(), time.process_time()), self._began, strict=True)
+        )
+        return DiveLog(
+            reef=self.reef,
+            pilot=pilot,
+            step_s=self.site.task.step_s,
+            states=states,
+            altitude=self.site.altitude(states),
+            commands=np.array(self._commands, dtype=np.int64).reshape(-1, 2),
+            seen=np.array(self._seen, dtype=np.int64),
+            contact=np.array(self._contact),
+            turned=np.array(self._turned),
+            covered=np.array(self._covered),
+            half_m=self.site.half_m,
+            oysters=self.site.oysters,
+            found=self.sight.found.copy(),
+            wall_s=wall,
+            cpu_s=cpu,
+        )
+
+
+def measured(site: Site, state: Array) -> VehicleState:
+    """What the vehicle's own sensors tell at a state (5,), to their resolution."""
+    altitude = float(site.altitude(state[None])[0])
+    return VehicleState(*(round(float(value), 3) for value in (state[3], state[4], -state[2], altitude)))

@@ -1,0 +1,90 @@
+"""Finished dives, each kept as one file that is there whole or not at all, and is found again by what decides it."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.evaluate.steering import DiveLog
+from oysterbench.methods.finding import find_method, versions_of
+
+FORMAT = "oysterbench-dive/1"
+ARRAYS = ("states", "altitude", "commands", "seen", "contact", "turned", "covered", "oysters", "found")
+
+
+def packed(log: DiveLog) -> bytes:
+    """A dive as .npz."""
+    plain = {f.name: getattr(log, f.name) for f in fields(DiveLog) if f.name not in ARRAYS}
+    stream = io.BytesIO()
+    head = np.array(json.dumps({"format": FORMAT, **plain}))
+    np.savez_compressed(stream, head=head, **{key: getattr(log, key) for key in ARRAYS})
+    return stream.getvalue()
+
+
+def unpacked(data: bytes, where: str = "dive") -> DiveLog:
+    """A dive from what `packed` gave. Raises ResultError naming `where`."""
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as held:
+            head = json.loads(str(held["head"]))
+            if head.pop("format") != FORMAT:
+                raise ValueError(f"expected {FORMAT}")
+            return DiveLog(**head, **{key: held[key] for key in ARRAYS})
+    except Exception as error:  # numpy, zipfile and json each have their own
+        raise ResultError(
+            f"{where}: not a dive as this version keeps it ({type(error).__name__}: {error}); delete it, or dive anew "
+            "with --again"
+        ) from None
+
+
+def dive_file(folder: Path, reef: str, pilot: str, identity: Mapping[str, Any]) -> Path:
+    """Where a dive is kept. identity: JSON values, all that decides it."""
+    text = json.dumps(identity, sort_keys=True, default=str)
+    safe = "".join(sign if sign.isalnum() or sign in "_.-" else "_" for sign in pilot)
+    return folder / f"{reef}-{safe}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.npz"
+
+
+def method_identity(reference: str) -> dict[str, Any]:
+    """What decides how a method steers, as far as it can be told: settings, seed, package version and the text of the
+    file that its class is in. What that file imports, and weights that the settings do not name, are not known."""
+    method = find_method(reference)
+    try:
+        source = Path(inspect.getfile(type(method))).read_bytes()
+    except (OSError, TypeError):  # of no file
+        source = b""
+    return {
+        "reference": reference,
+        "settings": getattr(method, "as_dict", dict)(),
+        "seed": getattr(method, "seed", None),
+        "versions": versions_of(reference),
+        "source": hashlib.sha256(source).hexdigest(),
+    }
+
+
+@cache
+def steering_source() -> str:
+    """SHA-256 of the text of `oysterbench.exploration`: the vehicle, what it sees, and the references."""
+    folder = resources.files("oysterbench") / "steering"
+    files = sorted((file for file in folder.iterdir() if file.name.endswith(".py")), key=lambda file: file.name)
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+def read_dive(path: Path) -> DiveLog | None:
+    """The dive in a file; None where there is none yet."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise OysterbenchError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return unpacked(data, str(path))

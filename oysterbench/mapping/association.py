@@ -1,0 +1,157 @@
+"""Which oysters of different pictures are one: by where on the ground they lie, and by their shells' footprints.
+
+Picture by picture, its oysters are assigned to those that are known, each to one at most, at the least cost in all
+(Kuhn 1955). Where places are sure to a centimetre, a pair costs what their shells do not overlap; where they are not,
+the squared Mahalanobis distance of their middles, whose covariances are long along the rays, and of their sizes. What a
+picture's pose and depth err by all over it shows in its first assignment, and is taken out before the second. Then
+parts of one shell, that were never seen side by side, are put together: what hid the middle of it made two of it. Two
+oysters that one picture shows apart are never one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+
+from oysterbench.core.geometry import Array
+from oysterbench.mapping.overlap import overlaps, own_overlaps
+from oysterbench.mapping.projection import Patch
+from oysterbench.mapping.settings import MapSettings
+from oysterbench.mapping.track import Track
+
+FORBIDDEN = 1e6
+FAR_COST = 0.3  # of two middles that are reach_m apart, beside an overlap of 1: it decides between equal overlaps
+ROUNDS = 5  # of putting parts together, each of which joins a part to one other at most
+SHIFT_FROM = 5  # pairs, for the common error of a picture to be taken out
+
+
+class Tracks:
+    """The oysters of a map, as pictures come in."""
+
+    def __init__(self, settings: MapSettings) -> None:
+        self.settings = settings
+        self.tracks: list[Track] = []
+        self.exact = True
+
+    def add(self, found: Sequence[Patch]) -> None:
+        """The oysters of one picture more."""
+        if not found:
+            return
+        self.exact = self.exact and float(np.mean([patch.sigma_m for patch in found])) <= self.settings.exact_m
+        known = self._near(found)
+        pairs = self._assign(found, known)
+        if not self.exact and len(pairs) >= SHIFT_FROM:
+            shift = np.median([known[j].centre - found[i].centre for i, j in pairs], axis=0)
+            found = [patch.moved(shift) for patch in found]
+            pairs = self._assign(found, known)
+        for i, j in pairs:
+            known[j].add([found[i]], found[i].points)
+        taken = {i for i, _ in pairs}
+        self.tracks += [Track(patch) for i, patch in enumerate(found) if i not in taken]
+
+    def _near(self, found: Sequence[Patch]) -> list[Track]:
+        """Those that the picture may show."""
+        if not self.tracks:
+            return []
+        tree = cKDTree([patch.centre for patch in found])
+        distances, _ = tree.query([track.centre for track in self.tracks], distance_upper_bound=self.settings.reach_m)
+        return [track for track, d in zip(self.tracks, distances, strict=True) if np.isfinite(d)]
+
+    def _assign(self, found: Sequence[Patch], known: Sequence[Track]) -> list[tuple[int, int]]:
+        """Indices of those that are one."""
+        if not known:
+            return []
+        cost = self._overlap_cost(found, known) if self.exact else self._distance_cost(found, known)
+        rows, columns = linear_sum_assignment(cost)
+        return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < FORBIDDEN]
+
+    def _overlap_cost(self, found: Sequence[Patch], known: Sequence[Track]) -> Array:
+        settings = self.settings
+        overlap = overlaps(found, known, settings)
+        between = np.array([patch.centre for patch in found])[:, None] - np.array([track.centre for track in known])
+        apart = np.linalg.norm(between, axis=2)
+        cost = 1.0 - overlap + FAR_COST * apart / settings.reach_m
+        return np.where((overlap < settings.least_overlap) | (apart > settings.reach_m), FORBIDDEN, cost)
+
+    def _distance_cost(self, found: Sequence[Patch], known: Sequence[Track]) -> Array:
+        squared = distances(found, known, self.settings)
+        return np.where(squared > self.settings.gate, FORBIDDEN, squared)
+
+    def joined(self) -> list[Track]:
+        """The oysters, after parts of one shell are put together, the surest pair first.
+
+        Those that might be one, and those that might be two, keep that doubt: half at what divides the two.
+        """
+        apart = self._apart()
+        for _ in range(ROUNDS):
+            pairs = sorted((doubt, i, j) for (i, j), doubt in apart.items() if doubt <= 0.5)
+            if not pairs:
+                break
+            gone: set[int] = set()
+            changed: set[int] = set()
+            for doubt, i, j in pairs:
+                if not {i, j} & (gone | changed):
+                    self.tracks[i].add(self.tracks[j].patches, self.tracks[j].points)
+                    self.tracks[i].doubt = max(self.tracks[i].doubt, doubt)
+                    gone.add(j)
+                    changed.add(i)
+            self.tracks = [track for k, track in enumerate(self.tracks) if k not in gone]
+            apart = self._apart()
+        for (_, j), doubt in apart.items():
+            self.tracks[j].doubt = max(self.tracks[j].doubt, 1.0 - doubt)
+        return self.tracks
+
+    def _apart(self) -> dict[tuple[int, int], float]:
+        """Chance that they are two, of each two that lie on one another and that no picture shows side by side.
+
+        It falls with the overlap from 1 at none by 1/2 at the least overlap of what is one to 0, or grows with the
+        squared distance by 1/2 at its gate to 1 at twice that.
+        """
+        settings = self.settings
+        if len(self.tracks) < 2:
+            return {}
+        frames = [track.frames for track in self.tracks]
+        if self.exact:
+            found = own_overlaps(self.tracks, settings)
+            least = settings.join_overlap
+            chances = {
+                pair: 1.0 - 0.5 * share / least if share < least else 0.5 * (1.0 - share) / (1.0 - least)
+                for pair, share in found.items()
+            }
+        else:
+            chances = {
+                pair: 0.5 * d / settings.join_gate
+                for pair, d in own_distances(self.tracks, settings).items()
+                if d < 2.0 * settings.join_gate
+            }
+        return {(i, j): chance for (i, j), chance in chances.items() if not frames[i] & frames[j]}
+
+
+def distances(found: Sequence[Patch], known: Sequence[Track], settings: MapSettings) -> Array:
+    """(N, M) squared Mahalanobis distances of middles and sizes of N oysters of a picture and M known ones."""
+    between = np.array([track.centre for track in known])[None] - np.array([patch.centre for patch in found])[:, None]
+    covariances = np.array([patch.covariance for patch in found])[:, None] + np.array([t.covariance for t in known])
+    sizes = np.log([patch.area_m2 for patch in found])[:, None] - np.log([track.area_m2 for track in known])
+    return _squared(between, covariances, sizes, settings)
+
+
+def own_distances(tracks: Sequence[Track], settings: MapSettings) -> dict[tuple[int, int], float]:
+    """The same between each two of the known ones that are near each other."""
+    centres = np.array([track.centre for track in tracks])
+    pairs = cKDTree(centres).query_pairs(settings.reach_m, output_type="ndarray")
+    if not len(pairs):
+        return {}
+    i, j = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))].T
+    covariances = np.array([track.covariance for track in tracks])
+    sizes = np.log([track.area_m2 for track in tracks])
+    squared = _squared(centres[i] - centres[j], covariances[i] + covariances[j], sizes[i] - sizes[j], settings)
+    return dict(zip(zip(i.tolist(), j.tolist(), strict=True), squared.tolist(), strict=True))
+
+
+def _squared(between: Array, covariances: Array, sizes: Array, settings: MapSettings) -> Array:
+    """Of differences (..., 3) m with covariances (..., 3, 3) m^2, and of logarithms of areas (...)."""
+    weighed = np.linalg.solve(covariances, between[..., None])[..., 0]
+    return np.asarray((between * weighed).sum(axis=-1) + (sizes / settings.size_sigma) ** 2)

@@ -1,0 +1,223 @@
+"""How far each pixel of a picture looks: from pictures, from echoes, or from the truth of a rendered sequence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array
+from oysterbench.mapping import CloudSettings
+from oysterbench.mapping.projection import Lens
+from oysterbench.mapping.settings import MapSettings
+from oysterbench.mapping.sweep import DepthMap, sweep
+from oysterbench.mapping.views import Path, Pinhole, partner
+from oysterbench.sequence.types import Sequence
+
+DEPTHS = ("stereo", "motion", "plane", "layer")
+"""Where depths come from: a pair of cameras, one camera's own way, the bottom as a plane under DVL and altimeters, or
+the true depth of a rendered sequence."""
+
+SIGMA = {"stereo": 0.015, "motion": 0.02, "plane": 0.08, "layer": 0.001}
+"""1 sigma of each, as a share of the distance: a quarter of a pixel of a pair 12 cm apart; the same and the path's own
+error; relief of a decimetre; millimetres in the file."""
+
+DepthOf = Callable[[int], Array | None]
+"""Stamp of a picture, ns -> (H, W) float m along the optical axis of its pixels, NaN where not known; None where
+nothing is known."""
+
+FILL_PX = (1.5, 6.0, 24.0)  # of a picture of 320 columns: over how far depths are carried to pixels that have none
+LEAST_KNOWN = 0.02  # of a picture, that must have a depth of its own for the others to be carried on
+SHARE = 0.16  # of the distance, between the first and the last of three pictures on the way
+WINDOW_S = 2.0  # before and after a picture, in which the other two are looked for
+FIRST_DISTANCE_M = 1.2
+LEVEL_SLOPE = 0.15  # 1 sigma of the bottom's slope: echoes along a line say nothing of that across it
+ECHO_SIGMA_M = 0.05  # of an echo against the plane
+
+
+def default_depth(sequence: Sequence, camera: str) -> str:
+    """A pair's, where there is one."""
+    return "stereo" if partner(sequence, camera, CloudSettings()) is not None else "motion"
+
+
+def depth_source(kind: str, sequence: Sequence, camera: str, lens: Lens, path: Path, settings: MapSettings) -> DepthOf:
+    """The depths of a camera's pictures. Raises SequenceError where the sequence has nothing to make them of."""
+    makers: dict[str, Callable[[], DepthOf]] = {
+        "stereo": lambda: _Pictures(sequence, camera, lens, path, pair=True).at,
+        "motion": lambda: _Pictures(sequence, camera, lens, path, pair=False).at,
+        "plane": lambda: _Plane(sequence, camera, lens, path, settings).at,
+        "layer": lambda: _layer(sequence, camera),
+    }
+    if kind not in makers:
+        raise SequenceError(f"depth: expected one of {', '.join(DEPTHS)}, got {kind!r}")
+    return makers[kind]()
+
+
+def _layer(sequence: Sequence, camera: str) -> DepthOf:
+    if f"/{camera}/depth" not in {topic for topic, _, _ in sequence.contents()}:
+        raise SequenceError(
+            f"{sequence.name}: {camera} has no layer depth: expected a depth from pictures or echoes, --depth stereo, "
+            "motion or plane"
+        )
+
+    def at(stamp_ns: int) -> Array | None:
+        found = next(iter(sequence.layer(camera, "depth", stamp_ns, stamp_ns + 1)), None)
+        return None if found is None else np.where(found.pixels > 0, found.pixels, np.nan).astype(float)
+
+    return at
+
+
+class _Pictures:
+    """Plane sweeps between pictures (`mapping.sweep`), carried on over what has no texture."""
+
+    def __init__(self, sequence: Sequence, camera: str, lens: Lens, path: Path, pair: bool) -> None:
+        self.settings = CloudSettings()
+        self.sequence, self.camera, self.path = sequence, camera, path
+        self.other = partner(sequence, camera, self.settings) if pair else None
+        if pair and self.other is None:
+            raise SequenceError(
+                f"{sequence.name}: no camera beside {camera} sees what it sees: expected a pair for --depth stereo; "
+                "--depth motion takes one camera's pictures, --depth plane echoes"
+            )
+        self.pinhole = Pinhole(camera, sequence.cameras[camera], self.settings.width_px)
+        self.second = None
+        if self.other is not None:
+            self.second = Pinhole(self.other, sequence.cameras[self.other], self.settings.width_px)
+        self.distance_m = FIRST_DISTANCE_M
+        pixels = lens.rays @ self.pinhole.matrix.T
+        self._maps: tuple[Any, Any] = pixels[..., 0].astype(np.float32), pixels[..., 1].astype(np.float32)
+
+    def at(self, stamp_ns: int) -> Array | None:
+        found = self._pair(stamp_ns) if self.other is not None else self._way(stamp_ns)
+        if found is None or np.isfinite(found.depth).mean() < LEAST_KNOWN:
+            return None
+        self.distance_m = float(np.nanmedian(found.depth))
+        dense: Any = 1.0 / carried_on(found.depth)
+        inverse: Any = cv2.remap(dense, self._maps[0], self._maps[1], cv2.INTER_LINEAR, borderValue=math.nan)
+        return np.asarray(1.0 / inverse, dtype=float)
+
+    def _pair(self, stamp_ns: int) -> DepthMap | None:
+        assert self.other is not None
+        assert self.second is not None
+        T = self.path.at(stamp_ns)
+        slack = round(self.settings.pair_tolerance_s * 1e9)
+        own = next(iter(self.sequence.images(self.camera, stamp_ns, stamp_ns + 1)), None)
+        other = next(iter(self.sequence.images(self.other, stamp_ns - slack, stamp_ns + slack + 1)), None)
+        if T is None or own is None or other is None:
+            return None
+        return sweep(self.pinhole.view(own, T), [self.second.view(other, T)], self.settings)
+
+    def _way(self, stamp_ns: int) -> DepthMap | None:
+        """From the picture and the two that were taken half of the wanted way before and after it."""
+        T = self.path.at(stamp_ns)
+        window = round(WINDOW_S * 1e9)
+        views = []
+        for image in self.sequence.images(self.camera, stamp_ns - window, stamp_ns + window + 1):
+            pose = self.path.at(image.stamp_ns)
+            if pose is not None:
+                views.append((image, pose))
+        own = next((image for image, _ in views if image.stamp_ns == stamp_ns), None)
+        if T is None or own is None:
+            return None
+        place = (T @ self.pinhole.T_base_cam)[:3, 3]
+        wanted = 0.5 * SHARE * self.distance_m
+        sources = []
+        for side in (-1, 1):
+            apart = [
+                (abs(float(np.linalg.norm((pose @ self.pinhole.T_base_cam)[:3, 3] - place)) - wanted), image, pose)
+                for image, pose in views
+                if side * (image.stamp_ns - stamp_ns) > 0
+            ]
+            near = min(apart, key=lambda row: row[0], default=None)
+            if near is not None and near[0] < 0.7 * wanted:
+                sources.append(self.pinhole.view(near[1], near[2]))
+        return sweep(self.pinhole.view(own, T), sources, self.settings) if sources else None
+
+
+def carried_on(depth_m: Array) -> Array:
+    """(H, W) m: depths where they are known, elsewhere those around, over FILL_PX at most; NaN beyond.
+
+    Means are of inverse depths, which of a plane are linear over a picture (normalised convolution, Knutsson & Westin
+    1993), each from the least distance at which there are enough.
+    """
+    known = np.isfinite(depth_m)
+    inverse = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0).astype(np.float32)
+    weights = known.astype(np.float32)
+    found = np.where(known, inverse, np.nan)
+    for sigma in FILL_PX:
+        missing = np.isnan(found)
+        if not missing.any():
+            break
+        sums: Any = cv2.GaussianBlur(inverse, (0, 0), sigma)
+        shares: Any = cv2.GaussianBlur(weights, (0, 0), sigma)
+        enough = missing & (shares > 0.05)
+        found[enough] = sums[enough] / shares[enough]
+    return np.asarray(1.0 / found, dtype=float)
+
+
+class _Plane:
+    """The bottom under a picture as a plane through the echoes of DVL and altimeters around its time."""
+
+    def __init__(self, sequence: Sequence, camera: str, lens: Lens, path: Path, settings: MapSettings) -> None:
+        if sequence.dvl_calibration is None and not sequence.altimeters:
+            raise SequenceError(
+                f"{sequence.name} has neither DVL nor altimeter: expected one of them for --depth plane; --depth "
+                "stereo and motion take pictures"
+            )
+        self.lens, self.path, self.window_ns = lens, path, settings.plane_s * 1e9
+        self.T_base_cam = sequence.cameras[camera].T_base_cam
+        stamps, places = [], []
+        for stamp_ns, points, T_base_sensor in _echoes(sequence):
+            T = path.at(stamp_ns)
+            if T is not None and len(points):
+                T = T @ T_base_sensor
+                stamps += [stamp_ns] * len(points)
+                places.append(points @ T[:3, :3].T + T[:3, 3])
+        self.stamps = np.array(stamps, dtype=np.int64)
+        self.places = np.concatenate([np.zeros((0, 3)), *places])
+
+    def at(self, stamp_ns: int) -> Array | None:
+        T = self.path.at(stamp_ns)
+        near = self.places[np.abs(self.stamps - stamp_ns) <= self.window_ns]
+        if T is None or len(near) < 3:
+            return None
+        T_odom_cam = T @ self.T_base_cam
+        slope_x, slope_y, height = fit_plane(near)
+        normal = np.array([-slope_x, -slope_y, 1.0])
+        along = self.lens.rays @ (T_odom_cam[:3, :3].T @ normal)
+        above = float(normal @ T_odom_cam[:3, 3]) - height
+        meets = above * along < 0
+        return np.where(meets, -above / np.where(meets, along, 1.0), np.nan)
+
+
+def fit_plane(points: Array) -> tuple[float, float, float]:
+    """a, b, c of z = a x + b y + c through points (N, 3) m, robust (Huber) and level where they do not say."""
+    middle = points[:, :2].mean(axis=0)
+    design = np.column_stack([points[:, :2] - middle, np.ones(len(points))])
+    prior = np.diag([LEVEL_SLOPE**-2, LEVEL_SLOPE**-2, 0.0])
+    weights: Array = np.ones(len(points))
+    solution: Array = np.zeros(3)
+    for _ in range(5):
+        normal = design.T @ (design * weights[:, None]) / ECHO_SIGMA_M**2 + prior
+        right = design.T @ (weights * points[:, 2]) / ECHO_SIGMA_M**2
+        solution = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+        residuals = np.abs(points[:, 2] - design @ solution) / ECHO_SIGMA_M
+        weights = np.asarray(np.minimum(1.0, 1.345 / np.maximum(residuals, 1e-9)), dtype=np.float64)
+    a, b, c = solution
+    return float(a), float(b), float(c - a * middle[0] - b * middle[1])
+
+
+def _echoes(sequence: Sequence) -> Any:
+    """Stamps with points (N, 3) m in the sensor's frame, and its pose on the vehicle."""
+    if sequence.dvl_calibration is not None:
+        for beams in sequence.dvl():
+            hits = (beams.beam_directions * beams.beam_ranges[:, None])[beams.beam_valid]
+            yield beams.stamp_ns, hits, sequence.dvl_calibration.T_base_sensor
+    for name, altimeter in sequence.altimeters.items():
+        for echo in sequence.ranges(name):
+            if np.isfinite(echo.range):
+                yield echo.stamp_ns, np.array([[echo.range, 0.0, 0.0]]), altimeter.T_base_sensor

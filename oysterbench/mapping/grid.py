@@ -1,0 +1,183 @@
+"""Oysters per square metre on a grid, with intervals, and the classes of restoration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench.mapping.cover import Cover, covered_m2
+from oysterbench.mapping.intervals import clumping, count_interval, doubt_variance
+from oysterbench.mapping.settings import CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2, MapSettings
+
+STATES = ("live", "dead", "unknown")
+
+
+@dataclass(frozen=True)
+class Oyster:
+    """An oyster of a map.
+
+    centre (3,) m in the world frame of the trajectory; state: live, dead or unknown; views: pictures that show it;
+    weight: what it counts, 1/2 where no picture shows it whole; doubt, score: see `association.Track`
+    """
+
+    centre: Array
+    state: str
+    views: int
+    weight: float = 1.0
+    doubt: float = 0.0
+    score: float = 1.0
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells, row 0 the farthest north; every array (rows, columns).
+
+    west_m, north_m:  of the outer corner of the first cell
+    area_m2:          that was seen
+    counts:           by state, of oysters on what was seen
+    live:             counts of the live, those of unknown state by `live_share`
+    low, high:        95 % interval of live oysters per m^2; NaN where there is no number
+    known:            which cells were seen enough to have a number
+    """
+
+    west_m: float
+    north_m: float
+    cell_m: float
+    area_m2: Array
+    counts: dict[str, Array]
+    live: Array
+    low: Array
+    high: Array
+    known: NDArray[np.bool_]
+    live_share: float
+
+    @property
+    def density(self) -> Array:
+        """Live oysters per m^2, NaN where there is no number."""
+        return self.per_m2(self.live)
+
+    def per_m2(self, counts: Array) -> Array:
+        """Counts by the area seen, NaN where there is no number."""
+        return np.where(self.known, counts / np.where(self.known, self.area_m2, 1.0), math.nan)
+
+    @property
+    def classes(self) -> NDArray[np.int64]:
+        """Index of each cell's class in `settings.CLASSES`, -1 where there is no number."""
+        return restoration_class(self.density)
+
+    @property
+    def sure(self) -> NDArray[np.bool_]:
+        """Which cells' intervals lie within one class."""
+        return self.known & (restoration_class(self.low) == restoration_class(self.high))
+
+    def shares(self) -> dict[str, float]:
+        """Of the area with a number, by class; NaN where there is none."""
+        area = self.area_m2[self.known].sum()
+        found = self.classes
+        return {
+            name: float(self.area_m2[found == k].sum() / area) if area > 0 else math.nan
+            for k, name in enumerate(CLASSES)
+        }
+
+
+def restoration_class(per_m2: Array) -> NDArray[np.int64]:
+    """0 below the threshold, 1 from the threshold on, 2 from the target on; -1 of NaN."""
+    classes = (per_m2 >= THRESHOLD_PER_M2).astype(np.int64) + (per_m2 >= TARGET_PER_M2)
+    return np.where(np.isnan(per_m2), -1, classes)
+
+
+@dataclass(frozen=True)
+class Total:
+    """Over all that was seen: counted oysters, and live ones per m^2, each with a 95 % interval.
+
+    Of the count it is what edges, association and scores leave open; of the mean density also that the area seen is a
+    sample of the reef, on which oysters are clumped (k of the negative binomial, NaN where cells are too few).
+    """
+
+    count: float
+    count_low: float
+    count_high: float
+    live: float
+    dead: float
+    unknown: float
+    area_m2: float
+    live_per_m2: float
+    low_per_m2: float
+    high_per_m2: float
+    clumping_k: float
+
+
+def make_grid(oysters: list[Oyster], cover: Cover, settings: MapSettings, depth_sigma: float) -> Grid:
+    """The grid; cells' edges are at multiples of `cell_m` in the world frame."""
+    raster = cover.raster
+    area = covered_m2(cover, settings)
+    known = area >= settings.least_cover * settings.cell_m**2
+    counts = {state: np.zeros(area.shape) for state in STATES}
+    spread = np.zeros(area.shape)
+    per_cell = round(settings.cell_m / raster.edge_m)
+    rows, columns, inside = raster.index(_places(oysters))
+    for k in np.flatnonzero(inside):
+        oyster, at = oysters[k], (rows[k] // per_cell, columns[k] // per_cell)
+        counts[oyster.state][at] += oyster.weight
+        spread[at] += _doubt([oyster])
+    share = live_share(oysters)
+    live = counts["live"] + share * counts["unknown"]
+    low, high = (np.full(area.shape, math.nan) for _ in range(2))
+    sigma = area_sigma(depth_sigma, 1)
+    for at in zip(*np.nonzero(known), strict=True):
+        n = float(live[at])
+        variance = n + float(spread[at]) + (n * sigma) ** 2
+        low[at], high[at] = (end / area[at] for end in count_interval(n, variance))
+    return Grid(raster.west_m, raster.north_m, settings.cell_m, area, counts, live, low, high, known, share)
+
+
+def live_share(oysters: list[Oyster]) -> float:
+    """Of those whose state is known; 1 where none is."""
+    live = sum(one.weight for one in oysters if one.state == "live")
+    dead = sum(one.weight for one in oysters if one.state == "dead")
+    return live / (live + dead) if live + dead > 0 else 1.0
+
+
+def area_sigma(depth_sigma: float, pictures: int) -> float:
+    """1 sigma of an area, as a share of it: areas go with the square of the depth, whose errors are taken to be shared
+    within a picture, and not between pictures."""
+    return 2.0 * depth_sigma / math.sqrt(max(1, pictures))
+
+
+def total(oysters: list[Oyster], grid: Grid, depth_sigma: float, pictures: int) -> Total:
+    """What was counted on all that was seen, by so many pictures."""
+    by_state = {state: sum(one.weight for one in oysters if one.state == state) for state in STATES}
+    count, doubt, area = sum(by_state.values()), _doubt(oysters), float(grid.area_m2.sum())
+    half = 1.96 * math.sqrt(doubt)
+    live = by_state["live"] + grid.live_share * by_state["unknown"]
+    excess = clumping(grid.live[grid.known], grid.area_m2[grid.known])
+    means = live / area * grid.area_m2 if area > 0 else np.zeros(0)
+    scatter = float((means + (0.0 if math.isnan(excess) else excess) * means**2).sum())
+    low, high = count_interval(live, scatter + doubt + (live * area_sigma(depth_sigma, pictures)) ** 2)
+    return Total(
+        count,
+        max(0.0, count - half),
+        count + half,
+        by_state["live"],
+        by_state["dead"],
+        by_state["unknown"],
+        area,
+        live / area if area > 0 else math.nan,
+        low / area if area > 0 else math.nan,
+        high / area if area > 0 else math.nan,
+        math.nan if math.isnan(excess) else (1.0 / excess if excess > 0 else math.inf),
+    )
+
+
+def _places(oysters: list[Oyster]) -> Array:
+    return np.array([one.centre[:2] for one in oysters]).reshape(-1, 2)
+
+
+def _doubt(oysters: list[Oyster]) -> float:
+    cut = np.array([one.weight < 1.0 for one in oysters], dtype=float)
+    doubt, score = (np.array([getattr(one, key) for one in oysters], dtype=float) for key in ("doubt", "score"))
+    return float(doubt_variance(cut, doubt, score).sum())

@@ -1,0 +1,201 @@
+"""Oysters in the pictures of a sequence, from files or from its own truth: numbers, states, scores by picture."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.annotations import open_answers, read_coco
+from oysterbench.annotations.masks import Form, read_png
+from oysterbench.annotations.predicted_coco import CocoFile
+from oysterbench.core.errors import LabelError
+from oysterbench.evaluate.detection import ImageInstances
+from oysterbench.evaluate.detection.instances import mask_tools
+from oysterbench.mapping.projection import Seen
+from oysterbench.recipe import CLASSES
+from oysterbench.sequence.types import Sequence
+
+KINDS = ("auto", "instances", "mask", "probability", "classes")
+"""What the numbers of masks are: those of single oysters, or one of `answers.FORMS`."""
+
+OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
+COCO_STATES = {"oyster": "unknown", "live": "live", "live oyster": "live", "dead": "dead", "dead oyster": "dead"}
+"""Category of COCO annotations -> state; an annotation of an oyster may say its own under the key `state`."""
+
+STAMP = re.compile(r"(?:(?P<sequence>[^/]+)/)?(?:(?P<camera>[A-Za-z]\w*)[/_])?(?P<stamp>\d+)")
+"""Names of pictures: SEQUENCE/CAMERA/STAMP, as labels have them, CAMERA_STAMP, as exports, or the STAMP in ns alone."""
+
+
+def true_seen(sequence: Sequence, camera: str) -> Iterator[Seen]:
+    """What the layers instance and class say, and which are alive."""
+    states = true_states(sequence)
+    classes = sequence.layer(camera, "class")
+    for instances, kinds in zip(sequence.layer(camera, "instance"), classes, strict=True):
+        numbers = np.where(kinds.pixels == OYSTER, instances.pixels, 0).astype(np.int32)
+        yield Seen(instances.stamp_ns, camera, numbers, states)
+
+
+def true_states(sequence: Sequence) -> dict[int, str]:
+    """live or dead by number; boxes and single valves are dead."""
+    table = sequence.oysters()
+    return {int(k): "live" if state == "live" else "dead" for k, state in zip(table["id"], table["state"], strict=True)}
+
+
+def read_seen(place: Path, sequence: Sequence, camera: str, kind: str, threshold: float) -> Iterator[Seen]:
+    """What files say of pictures of a camera of a sequence, in time order.
+
+    A folder or .npz of masks, as `answers.masks` reads them (of a mask, what hangs together is one oyster) or, by kind
+    "instances", of numbers of oysters; or COCO annotations (.json). Raises LabelError where they are of another
+    sequence, or not what they should be.
+    """
+    if kind not in KINDS:
+        raise LabelError(f"kind of masks: expected one of {', '.join(KINDS)}, got {kind!r}")
+    if place.suffix.lower() == ".json":
+        return _coco(place, sequence, camera, threshold)
+    names = open_answers(place, "auto").names
+    stamps = _stamps(place, names, sequence, camera)
+    if kind == "instances":
+        return _numbered(place, stamps, camera)
+    form: Any = kind
+    return _components(place, stamps, camera, form, threshold)
+
+
+def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str) -> dict[int, str]:
+    """Names by the stamps of their pictures, in time order."""
+    found: dict[int, str] = {}
+    for name in names:
+        match = STAMP.fullmatch(name)
+        if match is None:
+            raise LabelError(
+                f"{place}: {name}: expected the name of a picture of {sequence.name}, e.g. "
+                f"{sequence.name}/{camera}/STAMP, {camera}_STAMP or STAMP, with the stamp in ns"
+            )
+        if match["sequence"] not in (None, sequence.name):
+            raise LabelError(
+                f"{place}: {name}: masks of another sequence: expected those of {sequence.name}, got "
+                f"{match['sequence']}"
+            )
+        if match["camera"] in (None, camera):
+            found[int(match["stamp"])] = name
+        elif match["camera"] not in sequence.cameras:
+            raise LabelError(
+                f"{place}: {name}: {sequence.name} has no camera {match['camera']!r}; its cameras: "
+                f"{', '.join(sequence.cameras)}"
+            )
+    if not found:
+        raise LabelError(f"{place}: no mask is of {camera}; expected some of it, or another --camera")
+    return dict(sorted(found.items()))
+
+
+def _numbered(place: Path, stamps: Mapping[int, str], camera: str) -> Iterator[Seen]:
+    for stamp_ns, name in stamps.items():
+        values = _plane(place, name)
+        if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer) or values.min(initial=0) < 0:
+            raise LabelError(
+                f"{place}: {name}: expected numbers of oysters as integers (H, W), 0 for none, got {values.dtype} of "
+                f"shape {values.shape}"
+            )
+        yield Seen(stamp_ns, camera, values.astype(np.int32))
+
+
+def _plane(place: Path, name: str) -> NDArray[Any]:
+    if place.is_file():
+        with np.load(place, allow_pickle=False) as archive:
+            return np.asarray(archive[name])
+    for suffix in (".png", ".npy", ".npz"):
+        path = place / f"{name}{suffix}"
+        if path.is_file():
+            if suffix == ".png":
+                return read_png(path)
+            loaded = np.load(path, allow_pickle=False)
+            return np.asarray(loaded if suffix == ".npy" else loaded[loaded.files[0]])
+    raise LabelError(f"{place}: {name}: no such file")
+
+
+def _components(place: Path, stamps: Mapping[int, str], camera: str, form: Form, threshold: float) -> Iterator[Seen]:
+    files = open_answers(place, form)
+    for stamp_ns, name in stamps.items():
+        answer = files.get(name)
+        yield components(stamp_ns, camera, answer.mask(threshold), answer.probability)
+
+
+def components(
+    stamp_ns: int, camera: str, mask: NDArray[np.bool_], probability: NDArray[np.floating[Any]] | None = None
+) -> Seen:
+    """What hangs together in a mask (H, W), by edges and corners, is one oyster; its score is its mean probability."""
+    count, numbers = cv2.connectedComponents(np.ascontiguousarray(mask).view(np.uint8), connectivity=8)
+    scores: dict[int, float] = {}
+    if probability is not None:
+        pixels = np.maximum(np.bincount(numbers.ravel(), minlength=count), 1)
+        means = np.bincount(numbers.ravel(), weights=probability.ravel(), minlength=count) / pixels
+        scores = dict(enumerate(means.tolist()))
+    return Seen(stamp_ns, camera, np.asarray(numbers, np.int32), scores=scores)
+
+
+def stacked(found: ImageInstances) -> tuple[NDArray[np.int32], dict[int, float]]:
+    """Numbers (H, W) and scores of single oysters with masks, the surest on top. Raises LabelError for boxes alone."""
+    numbers = np.zeros((found.height, found.width), dtype=np.int32)
+    scores = {}
+    for k, one in enumerate(sorted(found.instances, key=lambda one: one.score), start=1):
+        if one.mask is None:
+            raise LabelError(f"{found.name}: boxes alone have no footprint: expected masks of single oysters")
+        numbers[mask_tools().decode(one.mask) > 0] = k
+        scores[k] = one.score
+    return numbers, scores
+
+
+def _coco(place: Path, sequence: Sequence, camera: str, threshold: float) -> Iterator[Seen]:
+    files = _categories(place)
+    stamps = _stamps(place, files[0][1].names, sequence, camera)
+    return _annotated(stamps, files, camera, threshold)
+
+
+def _categories(place: Path) -> list[tuple[str, CocoFile]]:
+    """State and annotations of each category that is of oysters."""
+    try:
+        content = json.loads(place.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise LabelError(f"{place}: no such file") from None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise LabelError(f"{place}: cannot be read as JSON: {error}") from None
+    if not isinstance(content, dict) or not isinstance(content.get("categories"), list):
+        raise LabelError(
+            f"{place}: expected COCO annotations with 'images', 'annotations' and 'categories': a bare list of results "
+            "does not say which pictures its numbers are"
+        )
+    named = [str(one.get("name")) for one in content["categories"] if isinstance(one, dict)]
+    chosen = [name for name in named if name in COCO_STATES]
+    if not chosen:
+        raise LabelError(f"{place}: expected a category of {', '.join(COCO_STATES)}, got {', '.join(named) or 'none'}")
+    return [(COCO_STATES[name], read_coco(place, category=name)) for name in dict.fromkeys(chosen)]
+
+
+def _annotated(
+    stamps: Mapping[int, str], files: list[tuple[str, CocoFile]], camera: str, threshold: float
+) -> Iterator[Seen]:
+    from oysterbench.annotations.coco import segmentation_mask
+
+    for stamp_ns, name in stamps.items():
+        height, width = files[0][1].sizes[name]
+        numbers = np.zeros((height, width), dtype=np.int32)
+        rows = [(state, where, item) for state, file in files for where, item in file.items[name]]
+        # The surest are laid on last, and so on top.
+        rows = sorted(rows, key=lambda row: float(row[2].get("score", 1.0)))
+        states, scores = {}, {}
+        for k, (state, where, item) in enumerate(rows, start=1):
+            if not item.get("segmentation"):
+                raise LabelError(f"{where}: has no segmentation: expected a mask, as a box alone has no footprint")
+            if float(item.get("score", 1.0)) < threshold or item.get("iscrowd"):
+                continue
+            numbers[segmentation_mask(item["segmentation"], height, width, where)] = k
+            own = str(item.get("state", state))
+            states[k] = own if own in ("live", "dead") else "unknown"
+            scores[k] = float(item.get("score", 1.0))
+        yield Seen(stamp_ns, camera, numbers, states, scores)

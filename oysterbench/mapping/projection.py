@@ -1,0 +1,148 @@
+"""From pixels to the ground: what a camera sees, as points in the world frame of a trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array
+from oysterbench.mapping.settings import MapSettings
+from oysterbench.sequence.calibration import CameraCalibration
+
+POINTS = 96  # of an oyster in a picture, at most: 5 mm apart on a shell of 80 x 60 mm
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The oysters of a picture.
+
+    numbers: (H, W) int, k where oyster k is seen, 0 for none; states: "live" or "dead" by number, where that is known;
+    scores: by number, 1 where there are none.
+    """
+
+    stamp_ns: int
+    camera: str
+    numbers: NDArray[np.integer]
+    states: Mapping[int, str] = field(default_factory=dict)
+    scores: Mapping[int, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Patch:
+    """An oyster in one picture, on the ground.
+
+    frame, number: which picture and which of its oysters
+    points:        (N, 3) m, some of what is seen of it; centre (3,): their mean
+    pixels:        how many it has
+    area_m2:       that it would have if it faced the camera
+    cut:           whether the picture's edge or the greatest distance cuts it
+    covariance:    (3, 3) m^2, of the centre: long along the ray, as the depth is least certain
+    sigma_m:       of where the points are, of pose and depth
+    """
+
+    frame: int
+    number: int
+    points: Array
+    centre: Array
+    pixels: int
+    area_m2: float
+    cut: bool
+    covariance: Array
+    sigma_m: float
+    state: str = "unknown"
+    score: float = 1.0
+
+    def moved(self, by: Array) -> Patch:
+        """The same elsewhere."""
+        return replace(self, points=self.points + by, centre=self.centre + by)
+
+
+class Lens:
+    """Rays of the pixels of a camera."""
+
+    def __init__(self, name: str, camera: CameraCalibration) -> None:
+        if camera.port_m is not None:
+            raise SequenceError(
+                f"{name} looks through a flat port, and so its rays do not meet in a point: expected a camera that is "
+                "calibrated in water"
+            )
+        self.shape = (camera.height, camera.width)
+        self.pixel_sr = 1.0 / float(camera.matrix[0, 0] * camera.matrix[1, 1])  # of a pixel on the axis
+        x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2).astype(float)
+        lens = cv2.fisheye if camera.distortion_model == "equidistant" else cv2
+        found = lens.undistortPoints(pixels, camera.matrix, camera.distortion).reshape(*self.shape, 2)
+        self.rays: Array = np.concatenate([found, np.ones((*self.shape, 1))], axis=-1)
+        """(H, W, 3), z = 1, in the optical frame."""
+
+    def points(self, depth_m: Array, T_odom_cam: Array) -> Array:
+        """(H, W, 3) m of a picture's pixels, from their depths (H, W) along the optical axis; NaN stays NaN."""
+        return (self.rays * depth_m[..., None]) @ T_odom_cam[:3, :3].T + T_odom_cam[:3, 3]
+
+
+def usable(depth_m: Array, settings: MapSettings) -> NDArray[np.bool_]:
+    """(H, W) of the pixels that are near enough; NaN is not."""
+    return (depth_m > settings.near_m) & (depth_m < settings.far_m)
+
+
+def patches(
+    frame: int,
+    seen: Seen,
+    points: Array,
+    depth_m: Array,
+    eye: Array,
+    pixel_sr: float,
+    pose_sigma_m: float,
+    depth_sigma: float,
+    settings: MapSettings,
+) -> list[Patch]:
+    """The oysters of a picture, from the points (H, W, 3) and depths (H, W) of its pixels, by number.
+
+    eye: (3,) m, where the camera is; pixel_sr: solid angle of a pixel; pose_sigma_m, depth_sigma: 1 sigma of a place,
+    and of a depth as a share of it. Of an oyster that reaches beyond the greatest distance, what lies before it is
+    taken, and it is cut.
+    """
+    flat = seen.numbers.ravel()
+    rows = np.flatnonzero(flat)
+    rows = rows[np.argsort(flat[rows], kind="stable")]
+    if not len(rows):
+        return []
+    numbers, starts = np.unique(flat[rows], return_index=True)
+    near = usable(depth_m, settings).ravel()
+    border = np.ones(seen.numbers.shape, dtype=bool)
+    b = settings.border_px
+    border[b:-b, b:-b] = False
+    edge, depths, places = border.ravel(), depth_m.ravel(), points.reshape(-1, 3)
+    found = []
+    for number, pixels in zip(numbers.tolist(), np.split(rows, starts[1:]), strict=True):
+        score = float(seen.scores.get(number, 1.0))
+        chosen = pixels[near[pixels]]
+        if score < settings.threshold or len(chosen) < settings.least_px:
+            continue
+        some = chosen[np.linspace(0, len(chosen) - 1, min(POINTS, len(chosen))).astype(int)]
+        far = float(np.mean(depths[chosen]))
+        cut = bool(len(chosen) < len(pixels) or edge[pixels].any())
+        centre = places[chosen].mean(axis=0)
+        ray = (centre - eye) / np.linalg.norm(centre - eye)
+        across = pose_sigma_m**2 + (settings.cut_m if cut else settings.middle_m) ** 2
+        found.append(
+            Patch(
+                frame,
+                number,
+                places[some],
+                centre,
+                len(chosen),
+                len(chosen) * far**2 * pixel_sr,
+                cut,
+                across * np.eye(3) + (depth_sigma * far) ** 2 * np.outer(ray, ray),
+                float(np.hypot(pose_sigma_m, depth_sigma * far)),
+                seen.states.get(number, "unknown"),
+                score,
+            )
+        )
+    return found

@@ -1,0 +1,191 @@
+"""A sequence, a trajectory and the oysters in its pictures in; a map, on which each oyster is counted once, out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from oysterbench.core.errors import LabelError, SequenceError, TrajectoryError
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.mapping.association import Track, Tracks
+from oysterbench.mapping.cover import Cover, raster_around
+from oysterbench.mapping.depth import SIGMA, depth_source
+from oysterbench.mapping.grid import Grid, Oyster, Total, make_grid, total
+from oysterbench.mapping.projection import Lens, Seen, patches, usable
+from oysterbench.mapping.settings import MapSettings
+from oysterbench.mapping.views import Path
+from oysterbench.sequence.types import Sequence
+
+CUT_WEIGHT = 0.5  # of oysters that the edge of what was seen cuts, half have their middle inside
+
+
+@dataclass(frozen=True)
+class OysterMap:
+    """A map of a sequence, in the world frame of its trajectory.
+
+    tracks:  behind each oyster, what pictures show of it
+    path:    (N, 2) m, where the pictures were taken
+    pictures, without_pose, without_depth: how many were given, and how many of them had none
+    """
+
+    name: str
+    camera: str
+    depth: str
+    oysters: list[Oyster]
+    tracks: list[Track]
+    cover: Cover
+    path: Array
+    settings: MapSettings
+    pictures: int
+    without_pose: int = 0
+    without_depth: int = 0
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def depth_sigma(self) -> float:
+        """1 sigma of a depth, as a share of it."""
+        return sigma_of(self.depth, self.settings)
+
+    @cached_property
+    def grid(self) -> Grid:
+        """Oysters per square metre."""
+        return make_grid(self.oysters, self.cover, self.settings, self.depth_sigma)
+
+    @cached_property
+    def total(self) -> Total:
+        """Over all that was seen."""
+        return total(self.oysters, self.grid, self.depth_sigma, len(self.path))
+
+
+def build_map(
+    sequence: Sequence,
+    trajectory: Trajectory,
+    seen: Callable[[], Iterable[Seen]],
+    camera: str,
+    depth: str,
+    settings: MapSettings | None = None,
+    allow_none: bool = False,
+) -> OysterMap:
+    """The map. trajectory: poses of base_link at any stamps; seen: gives the oysters of pictures, in time order.
+
+    depth: one of `depth.DEPTHS`; of them only "layer" uses the truth. allow_none: make a map without an oyster, too.
+    Raises TrajectoryError where the trajectory is of another time, LabelError where the oysters are not of pictures of
+    this camera or there are none, SequenceError where there is no depth.
+    """
+    settings = settings or MapSettings()
+    if camera not in sequence.cameras:
+        raise SequenceError(f"{sequence.name} has no camera {camera!r}; its cameras: {', '.join(sequence.cameras)}")
+    lens = Lens(camera, sequence.cameras[camera])
+    way = Path(trajectory, settings.max_gap_s)
+    check_time(sequence, trajectory)
+    source = sequence if depth == "layer" else sequence.for_method()
+    depth_of = depth_source(depth, source, camera, lens, way, settings)
+    T_base_cam = sequence.cameras[camera].T_base_cam
+    cover = empty_cover(trajectory, settings)
+    tracks = Tracks(settings)
+    places, counts = [], {"pictures": 0, "without_pose": 0, "without_depth": 0}
+    any_oyster = False
+    for k, picture in enumerate(seen()):
+        counts["pictures"] += 1
+        image = next(iter(sequence.images(camera, picture.stamp_ns, picture.stamp_ns + 1)), None)
+        if image is None:
+            raise LabelError(
+                f"{sequence.name}: {camera} took no picture at {picture.stamp_ns} ns: are the masks of another "
+                "sequence?"
+            )
+        if picture.numbers.shape != lens.shape:
+            raise LabelError(
+                f"mask of {camera} at {picture.stamp_ns} ns: expected {lens.shape[1]} x {lens.shape[0]} px, as the "
+                f"pictures of {sequence.name}, got {picture.numbers.shape[1]} x {picture.numbers.shape[0]}"
+            )
+        any_oyster |= bool(picture.numbers.any())
+        T = way.at(picture.stamp_ns)
+        if T is None:
+            counts["without_pose"] += 1
+            continue
+        depth_m = depth_of(picture.stamp_ns)
+        if depth_m is None:
+            counts["without_depth"] += 1
+            continue
+        points = lens.points(depth_m, T @ T_base_cam)
+        near = usable(depth_m, settings)
+        cover.add(points[near], depth_m[near], image.pixels[near])
+        eye = (T @ T_base_cam)[:3, 3]
+        sigma = _pose_sigma(trajectory, picture.stamp_ns, settings), sigma_of(depth, settings)
+        tracks.add(patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings))
+        places.append(T[:2, 3])
+    _check(sequence, camera, depth, counts, len(places), any_oyster or allow_none)
+    notes = []
+    if depth == "layer":
+        notes.append("depths are the truth's (layer depth): no real survey has them")
+    for key, what in (("without_pose", "pose"), ("without_depth", "depth")):
+        if counts[key]:
+            notes.append(f"{counts[key]} of {counts['pictures']} pictures have no {what} and are left out")
+    found = tracks.joined()
+    return OysterMap(
+        sequence.name, camera, depth, [_oyster(track) for track in found], found, cover, np.array(places), settings,
+        **counts,
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def sigma_of(depth: str, settings: MapSettings) -> float:
+    """1 sigma of a depth, as a share of it."""
+    return SIGMA[depth] if settings.depth_sigma is None else settings.depth_sigma
+
+
+def _oyster(track: Track) -> Oyster:
+    weight = 1.0 if track.whole else CUT_WEIGHT
+    return Oyster(track.centre, track.state, len(track.frames), weight, track.doubt, track.score)
+
+
+def empty_cover(trajectory: Trajectory, settings: MapSettings) -> Cover:
+    """A raster around a trajectory, of which nothing was seen yet."""
+    edge = settings.cell_m / round(settings.cell_m / settings.raster_m)  # cells are whole numbers of squares
+    # What is seen lies within the greatest depth, and a little more at the picture's corners.
+    return Cover(raster_around(trajectory.positions[:, :2], 1.5 * settings.far_m, edge, settings.cell_m))
+
+
+def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings) -> float:
+    """1 sigma of the place of a pose, m: as its covariance says, or at least as the settings do."""
+    if trajectory.covariances is None:
+        return settings.pose_sigma_m
+    k = int(np.abs(trajectory.stamps_ns - stamp_ns).argmin())
+    return max(settings.pose_sigma_m, float(np.sqrt(np.trace(trajectory.covariances[k][:3, :3]) / 3.0)))
+
+
+def check_time(sequence: Sequence, trajectory: Trajectory) -> None:
+    """Refuse a trajectory of another time than the sequence's. Raises TrajectoryError."""
+    first = next(iter(sequence.imu())).stamp_ns
+    last = first + round(sequence.duration_s * 1e9)
+    if len(trajectory) == 0 or trajectory.stamps_ns[-1] < first or trajectory.stamps_ns[0] > last:
+        got = "none" if len(trajectory) == 0 else (
+            f"one from {trajectory.stamps_ns[0] * 1e-9:.3f} to {trajectory.stamps_ns[-1] * 1e-9:.3f} s"
+        )  # fmt: skip
+        raise TrajectoryError(
+            f"expected a trajectory of {sequence.name}, from {first * 1e-9:.3f} to {last * 1e-9:.3f} s, got {got}: "
+            "they do not overlap in time"
+        )
+
+
+def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], used: int, any_oyster: bool) -> None:
+    if counts["pictures"] == 0:
+        raise LabelError(f"{sequence.name}: no mask of a picture of {camera}: expected some to map")
+    if not any_oyster:
+        raise LabelError(
+            f"{sequence.name}: no oyster in any of {counts['pictures']} masks: all of them are empty; expected some, "
+            "or another threshold"
+        )
+    if counts["without_pose"] == counts["pictures"]:
+        raise TrajectoryError(
+            f"{sequence.name}: the trajectory has no pose at any of {counts['pictures']} pictures that have masks"
+        )
+    if used == 0:
+        raise SequenceError(
+            f"{sequence.name}: none of {counts['pictures']} pictures has a depth from {depth!r}; expected another "
+            "--depth: stereo, motion, plane or layer"
+        )

@@ -1,0 +1,173 @@
+"""The map as files: rasters with world files, tables, a summary, a figure, a page."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oysterbench.core.files import write_atomically
+from oysterbench.core.page import page
+from oysterbench.mapping.intervals import LEVEL
+from oysterbench.mapping.settings import CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2
+from oysterbench.mapping.survey import OysterMap
+from oysterbench.report.density_figure import density_pixels, figure, mosaic, numbers
+from oysterbench.report.drawing import encoded
+
+FORMAT = "oysterbench-map/1"
+
+
+def write_map(found: OysterMap, folder: Path, command: str = "") -> list[Path]:
+    """Write all files of a map; returns them. Rasters lie in the world frame of the trajectory, m, north up."""
+    seen = found.cover.closed()
+    drawn = figure(found)
+    world = world_file(found)
+    clear = np.where(found.cover.views > 0, 255, 0).astype(np.uint8)
+    files: dict[str, bytes] = {
+        "map.html": map_page(found, drawn.svg(), command).encode(),
+        "map.png": drawn.png(),
+        "map.svg": drawn.svg().encode(),
+        "summary.json": (json.dumps(summary(found), indent=2, allow_nan=False) + "\n").encode(),
+        "grid.csv": _csv(grid_rows(found)).encode(),
+        "oysters.csv": _csv(oyster_rows(found)).encode(),
+        "mosaic.png": encoded(np.dstack([mosaic(found, seen), clear])),
+        "mosaic.pgw": world,
+        "density.png": encoded(density_pixels(found, seen)),
+        "density.pgw": world,
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, data in files.items():
+        write_atomically(folder / name, data)
+    return [folder / name for name in files]
+
+
+def world_file(found: OysterMap) -> bytes:
+    """Six lines of a world file: size of a pixel, and where the middle of the first one lies (ESRI)."""
+    raster = found.cover.raster
+    half = raster.edge_m / 2
+    values = (raster.edge_m, 0.0, 0.0, -raster.edge_m, raster.west_m + half, raster.north_m - half)
+    return "".join(f"{value:.10g}\n" for value in values).encode()
+
+
+def grid_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
+    """A line per cell of which anything was seen; no number where too little was."""
+    grid = found.grid
+    for row, column in zip(*np.nonzero(grid.area_m2 > 0), strict=True):
+        at = (row, column)
+        known = bool(grid.known[at])
+        yield {
+            "west_m": round(grid.west_m + float(column) * grid.cell_m, 6),
+            "south_m": round(grid.north_m - float(row + 1) * grid.cell_m, 6),
+            "cell_m": grid.cell_m,
+            "seen_m2": round(float(grid.area_m2[at]), 4),
+            **{state: float(counts[at]) for state, counts in grid.counts.items()},
+            "live_per_m2": round(float(grid.density[at]), 3) if known else "",
+            "low_per_m2": round(float(grid.low[at]), 3) if known else "",
+            "high_per_m2": round(float(grid.high[at]), 3) if known else "",
+            "class": CLASSES[int(grid.classes[at])] if known else "",
+            "class_sure": ("yes" if grid.sure[at] else "no") if known else "",
+        }
+
+
+def oyster_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
+    """A line per oyster."""
+    for k, one in enumerate(found.oysters, start=1):
+        yield {
+            "id": k,
+            **{f"{axis}_m": round(float(value), 4) for axis, value in zip("xyz", one.centre, strict=True)},
+            "state": one.state,
+            "views": one.views,
+            "weight": one.weight,
+            "doubt": round(one.doubt, 3),
+            "score": round(one.score, 3),
+        }
+
+
+def summary(found: OysterMap) -> dict[str, Any]:
+    """What is known of the whole, for JSON; null where there is no number."""
+    total, grid = found.total, found.grid
+    return _plain(
+        {
+            "format": FORMAT,
+            "sequence": found.name,
+            "camera": found.camera,
+            "depth": found.depth,
+            "pictures": found.pictures,
+            "pictures_without_pose": found.without_pose,
+            "pictures_without_depth": found.without_depth,
+            "seen_m2": total.area_m2,
+            "oysters": {
+                "count": total.count,
+                "low": total.count_low,
+                "high": total.count_high,
+                "live": total.live,
+                "dead": total.dead,
+                "unknown": total.unknown,
+                "entries": len(found.oysters),
+                "cut": sum(one.weight < 1.0 for one in found.oysters),
+            },
+            "live_per_m2": {
+                "mean": total.live_per_m2,
+                "low": total.low_per_m2,
+                "high": total.high_per_m2,
+                "clumping_k": total.clumping_k,
+            },
+            "level": LEVEL,
+            "classes": {
+                "edges_per_m2": [THRESHOLD_PER_M2, TARGET_PER_M2],
+                "shares_of_area": grid.shares(),
+                "cells": int(grid.known.sum()),
+                "cells_sure": int(grid.sure.sum()),
+            },
+            "notes": list(found.notes),
+            "settings": found.settings.as_dict(),
+        }
+    )
+
+
+def map_page(found: OysterMap, drawn: str, command: str) -> str:
+    """The figure, what it says in words, how it is made, and what it does not know."""
+    said = "".join(f"<li>{escape(line)}.</li>" for line in numbers(found.total, found.grid.shares()))
+    notes = "".join(f'<p class="small warn">{escape(note)}</p>' for note in found.notes)
+    made = f"<h2>How this was made</h2><pre><code>{escape(command)}</code></pre>" if command else ""
+    return page(
+        f"Oysters of {found.name}",
+        f"<h1>Oysters of {escape(found.name)}</h1>{notes}<div class='card'>{drawn}</div>"
+        f"<h2>In words</h2><ul>{said}</ul>{_READING}{made}",
+    )
+
+
+_READING = """
+<h2>How to read it</h2>
+<p>Every oyster of every picture is laid on the ground, and those of different pictures that are one are counted once.
+The interval of the count holds what edges, doubtful pairs and the detector's scores leave open. The interval of the
+mean density also holds that the ground that was seen is a sample of a reef, on which oysters are clumped (negative
+binomial). A cell of which too little was seen has no number, which is not zero.</p>
+<p>Not counted is what no picture shows: oysters under others, and what the detector misses. Classes are those of the
+Oyster Metrics Workgroup (2011): 15 live oysters per m<sup>2</sup> are the threshold of a restored reef, 50 its
+target.</p>
+"""
+
+
+def _csv(rows: Iterable[dict[str, Any]]) -> str:
+    lines = list(rows)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(lines[0]) if lines else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    return text.getvalue()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

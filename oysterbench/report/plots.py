@@ -1,0 +1,351 @@
+"""Plots as inline SVG: paths with equal axes, errors, recall, scatter. Colours come from the page (`page.STYLE`).
+
+A plot that may be zoomed says what its axes show in `data-` attributes; the report's script moves curves and ticks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from oysterbench.core.geometry import Array
+
+WIDTH, LEFT, RIGHT, TOP, BOTTOM = 480.0, 56.0, 16.0, 32.0, 46.0
+INNER = WIDTH - LEFT - RIGHT
+"""Units of the drawing; the page scales it to its column, and its text up on a phone."""
+
+MAX_POINTS = 600  # of one curve: more is finer than a pixel
+ROOM = 0.8  # how far, in lengths of the truth, an estimate may leave it and still be shown whole
+CROP = 0.25  # how much room, in lengths of the truth, is left around it where an estimate is not shown whole
+SHAPES = ((24, 0), (4, 45), (3, 0), (4, 0), (3, 180), (6, 0), (5, 0), (8, 22.5))  # corners and turn of points, by style
+RECALL_TICKS = (0.1, 0.25, 0.5, 1, 2, 4, 10)  # multiples of the error that counts half
+LOG_RATIO = 25.0  # between the largest errors of two methods, above which a linear axis would hide one
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a plot: x and y (N,), NaN where it is broken; style 0 is the truth, 1, 2, ... the methods."""
+
+    label: str
+    x: Array
+    y: Array
+    style: int
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A range of values and the pixels it is drawn on (upwards the end lies before the begin); ticks by `spacing`."""
+
+    low: float
+    high: float
+    begin: float
+    end: float
+    spacing: float = 75.0
+    logarithmic: bool = False
+    named: tuple[tuple[float, str], ...] = ()  # ticks, in place of those that spacing gives
+
+    def place(self, values: Array | float) -> Array:
+        """Pixels of values."""
+        low, high, values = self.low, self.high, np.asarray(values, dtype=float)
+        if self.logarithmic:
+            low, high, values = math.log10(low), math.log10(high), np.log10(np.maximum(values, self.low))
+        return self.begin + (values - low) / (high - low) * (self.end - self.begin)
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Values and labels, as many as fit."""
+        room = abs(self.end - self.begin)
+        if self.named:
+            return list(self.named)
+        if self.logarithmic:
+            powers = range(math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9) + 1)
+            return [(10.0**power, _number(10.0**power, max(0, -power))) for power in powers]
+        return nice_ticks(self.low, self.high, max(3, round(room / self.spacing)))
+
+
+def nice_ticks(low: float, high: float, count: int) -> list[tuple[float, str]]:
+    """Round values within [low, high] and their labels: the finest steps of 1, 2 or 5 that give count + 2 at most."""
+    exponent = math.floor(math.log10((high - low) / (count + 2)))
+    for power, factor in ((exponent + k, factor) for k in (0, 1) for factor in (1, 2, 5)):
+        step = factor * 10.0**power
+        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+        if last - first + 1 <= count + 2:
+            break
+    return [(k * step, _number(k * step, max(0, -power))) for k in range(first, last + 1)]
+
+
+def _number(value: float, decimals: int) -> str:
+    return f"{value + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, least_height: float = 110.0) -> str:
+    """Curves in m with equal axes, start and end of the truth marked. The first curve is the truth.
+
+    The picture shows the whole truth, and the estimates if they stay near it (`ROOM`); what leaves it is cut and said
+    so.
+    """
+    x_low, x_high = _limits([curve.x for curve in curves])
+    y_low, y_high = _limits([curve.y for curve in curves])
+    truth_x, truth_y = _limits([curves[0].x]), _limits([curves[0].y])
+    length = max(truth_x[1] - truth_x[0], truth_y[1] - truth_y[0], 0.5)
+    if _beyond(x_low, x_high, truth_x, ROOM * length) or _beyond(y_low, y_high, truth_y, ROOM * length):
+        x_low, x_high = _restrict(x_low, x_high, truth_x, CROP * length)
+        y_low, y_high = _restrict(y_low, y_high, truth_y, CROP * length)
+    size = max(x_high - x_low, y_high - y_low, 0.1)
+    x_low, x_high = x_low - 0.05 * size, x_high + 0.05 * size
+    y_low, y_high = y_low - 0.05 * size, y_high + 0.05 * size
+
+    per_metre = INNER / (x_high - x_low)
+    height = float(np.clip(per_metre * (y_high - y_low), least_height, 440.0))
+    per_metre = min(per_metre, height / (y_high - y_low))
+    x_low, x_high = _widen(x_low, x_high, INNER / per_metre)
+    y_low, y_high = _widen(y_low, y_high, height / per_metre)
+    x_axis = Axis(x_low, x_high, LEFT, LEFT + INNER)
+    y_axis = Axis(y_low, y_high, TOP + height, TOP, 44.0)
+
+    note = _note([c.label for c in curves if _leaves(c.x, x_low, x_high) or _leaves(c.y, y_low, y_high)])
+    truth = curves[0]
+    marks = _mark(truth, 0, "start", x_axis, y_axis) + _mark(truth, -1, "end", x_axis, y_axis)
+    return _drawing(curves, x_axis, y_axis, title, x_label, y_label, note, marks, zoom="equal")
+
+
+def height_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
+    """Curves over time in s within `span`, the vertical axis stretched to the truth's, the first curve's."""
+    low, high = _limits([curve.y for curve in curves])
+    truth = _limits([curves[0].y])
+    length = max(truth[1] - truth[0], 0.5)
+    if _beyond(low, high, truth, 2 * ROOM * length):
+        low, high = _restrict(low, high, truth, 2 * CROP * length)
+    margin = 0.08 * max(high - low, 0.1)
+    x_axis = _time_axis(span)
+    y_axis = Axis(low - margin, high + margin, TOP + 150.0, TOP, 40.0)
+    note = _note([c.label for c in curves if _leaves(c.y, y_axis.low, y_axis.high)])
+    thinned = [thin(curve) for curve in curves]
+    return _drawing(thinned, x_axis, y_axis, title, x_label, y_label, note, "", zoom="free")
+
+
+def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
+    """Curves over time in s, or way in m, within `span`, from zero up; logarithmic where they differ greatly."""
+    tops = [float(np.max(_known(curve.y))) for curve in curves]
+    top, smallest = max([*tops, 1e-9]), min([top for top in tops if top > 0], default=1.0)
+    x_axis = _time_axis(span)
+    height = 190.0
+    if top / smallest > LOG_RATIO:
+        lowest = [float(np.percentile(_known(curve.y), 5)) for curve in curves]
+        floor = max(min([value for value in lowest if value > 0], default=smallest), top * 1e-6)
+        low, high = 10.0 ** math.floor(math.log10(floor)), 10.0 ** math.ceil(math.log10(top))
+        y_axis = Axis(low, high, TOP + height, TOP, logarithmic=True)
+        y_label += ", logarithmic"
+    else:
+        y_axis = Axis(0.0, top * 1.08, TOP + height, TOP, 44.0)
+    thinned = [thin(curve) for curve in curves]
+    return _drawing(thinned, x_axis, y_axis, title, x_label, y_label, "", "", zoom="free")
+
+
+def recall_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
+    """Recall over error: x in multiples of the error that counts half, drawn at x / (1 + x), y from 0 to 1.
+
+    On this axis, which has an end but no cut-off, the area under a curve is the score.
+    """
+    bent = []
+    for curve in curves:
+        x, y = curve.x / (1 + curve.x), curve.y
+        steps_x, steps_y = np.r_[0.0, np.repeat(x, 2), 1.0], np.r_[0.0, 0.0, np.repeat(y, 2)]
+        bent.append(Curve(curve.label, steps_x, steps_y[: len(steps_x)], curve.style))
+    named = tuple((u / (1 + u), f"{u:g}") for u in RECALL_TICKS)
+    x_axis = Axis(0.0, 1.0, LEFT, LEFT + INNER, named=((0.0, "0"), *named, (1.0, "\N{INFINITY}")))
+    y_axis = Axis(0.0, 1.0, TOP + 190.0, TOP, 40.0)
+    return _drawing(bent, x_axis, y_axis, title, x_label, y_label, "", "")
+
+
+def share_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
+    """Curves of shares over shares or thresholds, both from 0 to 1."""
+    x_axis = Axis(0.0, 1.0, LEFT, LEFT + INNER)
+    y_axis = Axis(0.0, 1.0, TOP + 190.0, TOP, 40.0)
+    return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, "", "")
+
+
+def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, top: float | None = None) -> str:
+    """Points, not lines: one for each sequence and method; from zero, or what lies below it, up to `top`.
+
+    Without a top the axis ends above the highest point, and is logarithmic where they differ greatly.
+    """
+    x_low, x_high = _limits([curve.x for curve in curves])
+    margin = 0.06 * max(x_high - x_low, 1e-9)
+    x_axis = Axis(x_low - margin, x_high + margin, LEFT, LEFT + INNER)
+    lowest, highest = _limits([curve.y for curve in curves])
+    if top is None and 0 < lowest * LOG_RATIO < highest:
+        low, high = 10.0 ** math.floor(math.log10(lowest)), 10.0 ** math.ceil(math.log10(highest))
+        y_axis = Axis(low, high, TOP + 170.0, TOP, logarithmic=True)
+        y_label += ", logarithmic"
+    else:
+        y_axis = Axis(min(0.0, 1.08 * lowest), top or 1.08 * max(highest, 1e-9), TOP + 170.0, TOP, 40.0)
+    points = []
+    for k, curve in enumerate(curves):
+        shift = 3.0 * (k - (len(curves) - 1) / 2)  # px, so that equal values of two methods are both seen
+        for x, y in zip(curve.x, curve.y, strict=True):
+            if math.isfinite(x) and math.isfinite(y):
+                place = f"translate({float(x_axis.place(x)) + shift:.1f} {float(y_axis.place(y)):.1f})"
+                about = f"<title>{escape(curve.label)}: {x:g}, {y:.3g}</title>"
+                shape = f'points="{_shape(curve.style)}" transform="{place}"'
+                points.append(f'<polygon class="p{curve.style}" {_label(curve)} {shape}>{about}</polygon>')
+    empty = [Curve(curve.label, curve.x[:0], curve.y[:0], curve.style) for curve in curves]
+    return _drawing(empty, x_axis, y_axis, title, x_label, y_label, "", "".join(points))
+
+
+def _shape(style: int) -> str:
+    """Corners of a point about the origin: methods are told apart by shape, not by colour alone."""
+    corners, turn = SHAPES[(style - 1) % len(SHAPES)]
+    size = 4.2 * (2 * math.pi / (corners * math.sin(2 * math.pi / corners))) ** 0.5  # of equal area
+    angles = [math.radians(turn) + 2 * math.pi * k / corners for k in range(corners)]
+    return " ".join(f"{size * math.sin(angle):.1f},{-size * math.cos(angle):.1f}" for angle in angles)
+
+
+def thin(curve: Curve) -> Curve:
+    """The same curve to the eye with at most about MAX_POINTS points: each stretch keeps its lowest and its highest."""
+    if len(curve.x) <= MAX_POINTS:
+        return curve
+    keep: set[int] = {0, len(curve.x) - 1}
+    for part in np.array_split(np.arange(len(curve.x)), MAX_POINTS // 2):
+        values = curve.y[part]
+        breaks = part[np.isnan(values)]
+        keep.update(int(i) for i in breaks)
+        if len(breaks) < len(part):
+            keep.update((int(part[np.nanargmin(values)]), int(part[np.nanargmax(values)])))
+    index = np.array(sorted(keep))
+    return Curve(curve.label, curve.x[index], curve.y[index], curve.style)
+
+
+def point_swatch(style: int) -> str:
+    """A point, for the legend of a scatter plot."""
+    point = f'<polygon class="p{style}" points="{_shape(style)}" transform="translate(7 7)"/>'
+    return f'<svg class="swatch point" viewBox="0 0 14 14" aria-hidden="true">{point}</svg>'
+
+
+def swatch(style: int) -> str:
+    """A short piece of a curve, for a legend."""
+    return f'<svg class="swatch" viewBox="0 0 34 10" aria-hidden="true"><path class="c{style}" d="M1 5H33"/></svg>'
+
+
+def _known(values: Array) -> Array:
+    known = values[np.isfinite(values)]
+    return known if len(known) else np.zeros(1)
+
+
+def _limits(series: Sequence[Array]) -> tuple[float, float]:
+    return min(float(_known(v).min()) for v in series), max(float(_known(v).max()) for v in series)
+
+
+def _beyond(low: float, high: float, truth: tuple[float, float], reach: float) -> bool:
+    return low < truth[0] - reach or high > truth[1] + reach
+
+
+def _restrict(low: float, high: float, truth: tuple[float, float], reach: float) -> tuple[float, float]:
+    return max(low, truth[0] - reach), min(high, truth[1] + reach)
+
+
+def _widen(low: float, high: float, size: float) -> tuple[float, float]:
+    extra = max(0.0, size - (high - low)) / 2
+    return low - extra, high + extra
+
+
+def _leaves(values: Array, low: float, high: float) -> bool:
+    return bool((_known(values) < low).any() or (_known(values) > high).any())
+
+
+def _time_axis(span: tuple[float, float]) -> Axis:
+    """From begin to end, or to the whole second that the last stamp just misses, so that it gets its tick."""
+    end = max(span[1], span[0] + 1e-3)
+    whole = math.ceil(end)
+    return Axis(span[0], whole if whole - end < 0.005 * (end - span[0]) else end, LEFT, LEFT + INNER)
+
+
+def _note(away: Sequence[str]) -> str:
+    """What to say of the curves that leave a picture; short enough to stand above it."""
+    if len(away) == 1 and len(away[0]) <= 20:
+        return f"{away[0]} leaves this picture"
+    if not away:
+        return ""
+    return "1 estimate leaves this picture" if len(away) == 1 else f"{len(away)} estimates leave this picture"
+
+
+def _mark(truth: Curve, i: int, kind: str, x_axis: Axis, y_axis: Axis) -> str:
+    """Start: an open circle; end: a square."""
+    x, y = float(x_axis.place(truth.x[i])), float(y_axis.place(truth.y[i]))
+    if kind == "start":
+        return f'<circle class="mark" cx="{x:.1f}" cy="{y:.1f}" r="5"><title>start of the truth</title></circle>'
+    corner = f'x="{x - 4.5:.1f}" y="{y - 4.5:.1f}" width="9" height="9"'
+    return f'<rect class="mark" {corner}><title>end of the truth</title></rect>'
+
+
+def _path(curve: Curve, x_axis: Axis, y_axis: Axis) -> str:
+    """Data of an SVG path, lifted where the curve is broken."""
+    x, y = x_axis.place(curve.x), y_axis.place(curve.y)
+    # Far outside the clipped picture is far enough; huge coordinates upset renderers.
+    x, y = np.clip(x, -5000, 5000), np.clip(y, -5000, 5000)
+    words, lifted = [], True
+    for px, py in zip(x, y, strict=True):
+        if not (math.isfinite(px) and math.isfinite(py)):
+            lifted = True
+            continue
+        words.append(f"{'M' if lifted else 'L'}{px:.2f} {py:.2f}")
+        lifted = False
+    return "".join(words)
+
+
+def _label(curve: Curve) -> str:
+    return f'data-label="{escape(curve.label)}"'
+
+
+def _drawing(
+    curves: Sequence[Curve],
+    x_axis: Axis,
+    y_axis: Axis,
+    title: str,
+    x_label: str,
+    y_label: str,
+    note: str,
+    marks: str,
+    zoom: str = "",
+) -> str:
+    """Frame, grid, ticks, labels and curves. Zoom "equal" keeps the axes' scales equal, "free" does not."""
+    top, bottom = y_axis.end, y_axis.begin
+    height = bottom + BOTTOM
+    label = f"{title}: {', '.join(curve.label for curve in curves)}. {x_label}, {y_label}." + (
+        f" {note}." if note else ""
+    )
+    axes = ""
+    if zoom:
+        x_range, y_range = (f"{axis.low:.9g} {axis.high:.9g}" for axis in (x_axis, y_axis))
+        box = f"{LEFT:g} {top:g} {INNER:g} {bottom - top:.1f}"
+        logarithmic = " data-log" if y_axis.logarithmic else ""
+        axes = f' data-zoom="{zoom}" data-x="{x_range}" data-y="{y_range}" data-box="{box}"{logarithmic}'
+    parts = [f'<svg class="plot" viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" aria-label="{escape(label)}"{axes}>']
+    parts.append('<g class="ticks">')
+    for value, text in x_axis.ticks():
+        x = float(x_axis.place(value))
+        parts.append(f'<path class="grid" d="M{x:.1f} {top}V{bottom:.1f}"/>')
+        parts.append(f'<text class="tick" x="{x:.1f}" y="{bottom + 17:.1f}" text-anchor="middle">{text}</text>')
+    for value, text in y_axis.ticks():
+        y = float(y_axis.place(value))
+        parts.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{LEFT + INNER}"/>')
+        parts.append(f'<text class="tick" x="{LEFT - 7}" y="{y + 4.5:.1f}" text-anchor="end">{text}</text>')
+    parts.append("</g>")
+    parts.append(f'<rect class="frame" x="{LEFT}" y="{top}" width="{INNER}" height="{bottom - top:.1f}"/>')
+    parts.append(f'<text class="axis" x="{LEFT}" y="{top - 11}">{escape(y_label)}</text>')
+    right = LEFT + INNER
+    parts.append(f'<text class="axis" x="{right}" y="{bottom + 37:.1f}" text-anchor="end">{escape(x_label)}</text>')
+    if note:
+        parts.append(f'<text class="note" x="{right}" y="{top - 11}" text-anchor="end">{escape(note)}</text>')
+    left_top, size = (LEFT, top), (INNER, round(bottom - top, 1))
+    place = 'x="{}" y="{}" width="{}" height="{}" viewBox="{} {} {} {}"'.format(*left_top, *size, *left_top, *size)
+    parts.append(f'<svg {place}><g class="curves">')  # an inner svg cuts what leaves it
+    for curve in curves:
+        data = _path(curve, x_axis, y_axis)
+        name = f"<title>{escape(curve.label)}</title>"
+        parts.append(f'<path class="c{curve.style}" {_label(curve)} d="{data}">{name}</path>')
+    parts.append(f'</g><g class="marks">{marks}</g></svg></svg>')
+    return "".join(parts)

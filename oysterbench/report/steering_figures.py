@@ -1,0 +1,71 @@
+"""The figures of an evaluation: written as PNG, and handed to the report as SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from oysterbench.core.files import write_atomically
+from oysterbench.evaluate.steering import DiveLog
+from oysterbench.evaluate.steering.dataset import Whole
+from oysterbench.exploration.labelled_views import LabelledViews
+from oysterbench.report.confusion import confusion_figure
+from oysterbench.report.drawing import Drawing
+from oysterbench.report.ladder import ladder_figure
+from oysterbench.report.rollout_paths import colours_of, dives_figure
+from oysterbench.report.steering import DiveRun, Figure, PictureRun
+from oysterbench.report.steering_samples import samples_figure, samples_of
+from oysterbench.results.records import samples as values_of
+
+Figures = list[tuple[Path, Figure]]
+"""Each with the file of its PNG."""
+
+
+def picture_figures(
+    dives: Sequence[LabelledViews], runs: Sequence[PictureRun], wholes: Mapping[str, Whole], folder: Path
+) -> Figures:
+    """Some pictures with what was commanded at them, and the confusions of each method, over all pictures."""
+    methods = list(dict.fromkeys(run.record.method for run in runs if run.commands is not None))
+    task = dives[0].task
+    made = [
+        _kept(
+            folder / f"confusion-{_safe(method)}.png",
+            confusion_figure(method, whole.score, task),
+            f"What {method} commands where the expert commands what",
+        )
+        for method, whole in wholes.items()
+    ]
+    samples = samples_of(dives, runs)
+    if samples and methods:
+        drawn = samples_figure(samples, task, colours_of(methods))
+        made.append(_kept(folder / "pictures.png", drawn, "Some of the pictures"))
+    return made
+
+
+def dive_figures(runs: Sequence[DiveRun], folder: Path) -> Figures:
+    """Pilots over all reefs, then each reef from above with its dives; none where all dives failed."""
+    pilots = list(dict.fromkeys(run.record.method for run in runs))
+    reefs = list(dict.fromkeys(run.record.sequence for run in runs))
+    colours = colours_of(pilots)
+    if all(run.log is None for run in runs):
+        return []
+    of_pilots = {pilot: [run.record for run in runs if run.record.method == pilot] for pilot in pilots}
+    values = {pilot: values_of(records, "oysters_per_min") for pilot, records in of_pilots.items()}
+    split = runs[0].record.split
+    made = [_kept(folder / "pilots.png", ladder_figure(split, values, colours), "Pilots over all reefs")]
+    for reef in reefs:
+        logs: dict[str, DiveLog] = {
+            run.record.method: run.log for run in runs if run.record.sequence == reef and run.log is not None
+        }
+        if logs:
+            made.append(_kept(folder / f"dives-{reef}.png", dives_figure(reef, logs, colours), f"Dives over {reef}"))
+    return made
+
+
+def _kept(path: Path, drawing: Drawing, title: str) -> tuple[Path, Figure]:
+    write_atomically(path, drawing.png())
+    return path, Figure(title, drawing.svg())
+
+
+def _safe(name: str) -> str:
+    return "".join(sign if sign.isalnum() or sign in "_.-" else "_" for sign in name)

@@ -1,0 +1,183 @@
+"""Curves of the scalar sensors over time, and the path from above, as SVG."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array
+from oysterbench.sequence import topics
+from oysterbench.sequence.types import Sequence, imu_arrays
+
+WIDTH, HEIGHT = 1080, 120
+LEFT, RIGHT, TOP, BOTTOM = 64, 8, 8, 20
+COLUMNS = 500
+"""Of a curve: each keeps the least and the greatest of its samples, so that no peak is lost."""
+
+XYZ = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Columns of a topic's table that share a plot: what is written beside each, and the factor to the unit shown."""
+
+    topic: str
+    title: str
+    columns: tuple[str, ...]
+    factor: float = 1.0
+
+
+def _wanted(sequence: Sequence) -> list[Strip]:
+    wanted = [
+        Strip(topics.IMU, "angular rate, deg/s", tuple(f"gyro_{axis}" for axis in XYZ), 180 / np.pi),
+        Strip(topics.IMU, "specific force, m/s²", tuple(f"accel_{axis}" for axis in XYZ)),
+        Strip(topics.DVL_VELOCITY, "DVL velocity, m/s", tuple(f"velocity_{axis}" for axis in XYZ)),
+        Strip(topics.DVL_ALTITUDE, "DVL altitude, m", ("range",)),
+        Strip(topics.PRESSURE, "pressure, kPa", ("pressure",), 1e-3),
+        Strip(topics.MAGNETOMETER, "magnetic field, µT", tuple(f"field_{axis}" for axis in XYZ), 1e6),
+    ]
+    wanted += [Strip(f"/{name}/range", f"{name} range, m", ("range",)) for name in sequence.altimeters]
+    counts = {topic: count for topic, _, count in sequence.contents()}
+    return [strip for strip in wanted if strip.topic == topics.IMU or counts.get(strip.topic)]
+
+
+def strips(sequence: Sequence, start_ns: int, end_ns: int) -> list[str]:
+    """A figure for each, over the same span of time."""
+    inertial = _inertial_table(sequence)
+    tables = (
+        (strip, inertial if strip.topic == topics.IMU else sequence.frame(strip.topic)) for strip in _wanted(sequence)
+    )
+    return [_plot(strip, table, start_ns, end_ns) for strip, table in tables]
+
+
+def _inertial_table(sequence: Sequence) -> pd.DataFrame:
+    """As `Sequence.frame` gives it, of layouts that make no tables as well."""
+    stamps, gyro, accel = imu_arrays(sequence.imu())
+    columns = [f"{kind}_{axis}" for kind in ("gyro", "accel") for axis in XYZ]
+    return pd.DataFrame(np.hstack([gyro, accel]), index=stamps, columns=columns)
+
+
+def _plot(strip: Strip, table: pd.DataFrame, start_ns: int, end_ns: int) -> str:
+    seconds = (table.index.to_numpy() - start_ns) * 1e-9
+    span = (end_ns - start_ns) * 1e-9
+    values = table[list(strip.columns)].to_numpy(dtype=float) * strip.factor
+    values[~np.isfinite(values)] = np.nan
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    margin = 0.06 * (high - low) or 0.5
+    low, high = low - margin, high + margin
+    across = WIDTH - LEFT - RIGHT
+    x = LEFT + seconds / span * across
+    y = TOP + (high - values) / (high - low) * (HEIGHT - TOP - BOTTOM)
+    curves = "".join(
+        f'<path class="c{k + 1}" d="{_curve(x, y[:, k], known_at=np.isfinite(values[:, k]))}"/>'
+        for k in range(len(strip.columns))
+    )
+    ticks = "".join(
+        f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at:.1f}" y2="{at:.1f}"/>'
+        f'<text x="{LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>'
+        for value, at in _ticks(low, high)
+    )
+    times = "".join(
+        f'<text x="{LEFT + value / span * across:.1f}" y="{HEIGHT - 4}" text-anchor="middle">{value:g} s</text>'
+        for value in _round_values(0.0, span * 0.995, 8)
+    )
+    axes = "".join(f'<span class="k{k + 1}">{axis}</span>' for k, axis in enumerate(XYZ))
+    legend = axes if len(strip.columns) > 1 else ""
+    return (
+        f'<figure class="card"><figcaption>{escape(strip.title)} {legend}</figcaption>'
+        f'<svg class="plot strip" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(strip.title)}">'
+        f'{ticks}{times}{curves}<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}" '
+        f'data-left="{LEFT}" data-right="{WIDTH - RIGHT}" data-span="{span:.6f}"/></svg></figure>'
+    )
+
+
+def _curve(x: Array, y: Array, known_at: NDArray[np.bool_]) -> str:
+    """Path through the least and greatest sample of each column of the plot; broken where nothing is known."""
+    column = np.minimum(((x - LEFT) / (WIDTH - LEFT - RIGHT) * COLUMNS).astype(int), COLUMNS - 1)
+    parts, pen = [], "M"
+    for group in np.split(np.arange(len(x)), np.flatnonzero(np.diff(column)) + 1):
+        inside = group[known_at[group]]
+        if len(inside) == 0:
+            pen = "M"
+            continue
+        ends = {int(inside[np.argmin(y[inside])]), int(inside[np.argmax(y[inside])])}
+        for k in sorted(ends):
+            parts.append(f"{pen}{x[k]:.1f} {y[k]:.1f}")
+            pen = "L"
+    return "".join(parts)
+
+
+def _ticks(low: float, high: float) -> list[tuple[float, float]]:
+    """Round values between two bounds, and their height on the plot."""
+    values = _round_values(low, high, 4)
+    return [(value, TOP + (high - value) / (high - low) * (HEIGHT - TOP - BOTTOM)) for value in values]
+
+
+def _round_values(low: float, high: float, n: int) -> list[float]:
+    """About n values that are multiples of 1, 2 or 5 times a power of ten, within two bounds."""
+    raw = (high - low) / n
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= raw * 0.999)
+    return [float(round(k * step, 12)) for k in range(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)]
+
+
+@dataclass(frozen=True)
+class PathPlot:
+    """The path from above as SVG, with a marker that the page moves; poses: per moment x, y (px) and heading (deg)."""
+
+    svg: str
+    title: str
+    poses: list[list[float]]
+
+
+SIDE = 400
+
+
+def path_plot(sequence: Sequence, times: NDArray[np.int64]) -> PathPlot | None:
+    """From the truth, with the oysters where they are known; None where the sequence has no truth."""
+    try:
+        truth = sequence.truth()
+    except SequenceError:
+        return None
+    xy = truth.positions[:, :2]
+    try:
+        oysters = sequence.oysters()[["x", "y"]].to_numpy(dtype=float)
+    except SequenceError:
+        oysters = np.zeros((0, 2))
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    half = max(float((high - low).max()) * 0.6, 0.5)
+    centre = (low + high) / 2
+    scale = SIDE / (2 * half)
+
+    def place(points: Array) -> Array:
+        return np.column_stack(
+            [SIDE / 2 + (points[:, 0] - centre[0]) * scale, SIDE / 2 - (points[:, 1] - centre[1]) * scale]
+        )
+
+    near = oysters[np.all(np.abs(oysters - centre) < half, axis=1)] if len(oysters) else oysters
+    dots = "".join(f"M{x:.0f} {y:.0f}h.1" for x, y in place(near))
+    every = max(len(xy) // 1000, 1)
+    line = "L".join(f"{x:.1f} {y:.1f}" for x, y in place(xy[::every]))
+    bar = _round_values(0.0, half, 2)[-1]
+    at = truth.at(np.clip(times, truth.stamps_ns[0], truth.stamps_ns[-1]))
+    forward = at.matrices[:, :2, 0]
+    heading = np.degrees(np.arctan2(-forward[:, 1], forward[:, 0]))  # y of the page points down
+    poses = [
+        [round(float(x), 1), round(float(y), 1), round(float(angle), 1)]
+        for (x, y), angle in zip(place(at.positions[:, :2]), heading, strict=True)
+    ]
+    svg = (
+        f'<svg class="plot map" viewBox="0 0 {SIDE} {SIDE}" role="img" aria-label="path from above">'
+        f'<path class="dots" d="{dots}"/><path class="c1" d="M{line}"/>'
+        f'<path class="bar" d="M14 {SIDE - 16}h{bar * scale:.1f}"/><text x="14" y="{SIDE - 22}">{bar:g} m</text>'
+        f'<g id="vehicle" transform="translate({poses[0][0]} {poses[0][1]}) rotate({poses[0][2]})">'
+        '<path class="vehicle" d="M12 0L-8 7L-4 0L-8 -7Z"/></g></svg>'
+    )
+    kinds = "path and oysters" if len(near) else "path"
+    return PathPlot(svg, f"{kinds} from above, east to the right", poses)

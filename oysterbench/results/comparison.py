@@ -1,0 +1,389 @@
+"""Methods set against each other: standings with ties, pairs, and both again within each class of conditions."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from oysterbench.core.errors import ResultError
+from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.statistics import Comparison, Sample, Standing, Summary, compare, rank, summarise
+from oysterbench.results.records import ResultRecord, comparable_key, method_key, plain, samples, weights_of
+
+PRIMARY = {
+    "slam": "score",
+    "segmentation": "iou",
+    "detection": "ap_mask",
+    "density": "map_score",
+    "steering": "skill",
+    "exploration": "oysters_per_min",
+}
+"""Track -> the metric that ranks."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A method with its settings: a label that no other of the board has, and all its runs."""
+
+    label: str
+    records: tuple[ResultRecord, ...]
+
+    @property
+    def failures(self) -> int:
+        """How many runs gave nothing that could be scored."""
+        return sum(record.failure is not None for record in self.records)
+
+    def sample(self, key: str, sequences: Iterable[str]) -> Sample:
+        """Values of a metric on some sequences."""
+        found = samples(self.records, key)
+        return {name: found[name] for name in sequences if name in found}
+
+    def weights(self, key: str, sequences: Iterable[str]) -> Sample | None:
+        """Weights of the same values in a mean; None where each sequence has one vote."""
+        found = weights_of(self.records, key)
+        return None if found is None else {name: found[name] for name in sequences if name in found}
+
+    def summary(self, key: str, sequences: Iterable[str]) -> Summary:
+        """Of a metric on some sequences."""
+        names = list(sequences)
+        return summarise(self.sample(key, names), self.weights(key, names))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the standings; coverage stands beside every error."""
+
+    label: str
+    standing: Standing
+    summaries: Mapping[str, Summary]
+    runs: int
+    failures: int
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two methods: where (a class of conditions, or everywhere) and by how much a is better than b."""
+
+    a: str
+    b: str
+    condition: str
+    value: str
+    comparison: Comparison
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method on one sequence or class of conditions: the runs' values of the ranking metric, summarised."""
+
+    label: str
+    sequence: str
+    runs: int
+    failures: int
+    median: float
+    low: float
+    high: float
+    coverage: float
+
+
+@dataclass(frozen=True)
+class Board:
+    """Results that may be compared: one track, split, evaluator and setting.
+
+    apart:     what tells it from another board of the same split; empty where there is none
+    sequences: those that every method was run on; the standings and pairs are over these alone
+    left_out:  those that some method was not run on
+    """
+
+    track: str
+    split: str
+    split_digest: str
+    evaluator_version: str
+    settings: Mapping[str, Any]
+    entries: tuple[Entry, ...]
+    given: tuple[ResultRecord, ...]
+    sequences: tuple[str, ...]
+    left_out: tuple[str, ...]
+    apart: str = ""
+
+    @property
+    def records(self) -> list[ResultRecord]:
+        """All its records, each with its method's label for a name, in the order in which they were given."""
+        labels = {id(record): entry.label for entry in self.entries for record in entry.records}
+        return [replace(record, method=labels[id(record)]) for record in self.given]
+
+    @property
+    def metric(self) -> str:
+        """Key of the metric that ranks."""
+        return PRIMARY[self.track]
+
+    @property
+    def better(self) -> Any:
+        """Its direction."""
+        found = find_metric(self.metric)
+        return found.better if found else "higher"
+
+    @property
+    def keys(self) -> list[str]:
+        """All metrics that any record holds."""
+        return list(dict.fromkeys(key for entry in self.entries for record in entry.records for key in record.metrics))
+
+    @cached_property
+    def standings(self) -> list[Row]:
+        """Methods in the order of their places, those without a value last."""
+        weights = {e.label: w for e in self.entries if (w := e.weights(self.metric, self.sequences)) is not None}
+        ranking = rank(
+            {e.label: e.sample(self.metric, self.sequences) for e in self.entries}, self.better, weights or None
+        )
+        found = []
+        for entry in self.entries:
+            chosen = [record for record in entry.records if record.sequence in self.sequences]
+            summaries = {key: entry.summary(key, self.sequences) for key in self.keys}
+            failures = sum(record.failure is not None for record in chosen)
+            found.append(Row(entry.label, ranking[entry.label], summaries, len(chosen), failures))
+        return sorted(found, key=lambda row: row.standing.place or math.inf)
+
+    @cached_property
+    def pairs(self) -> list[Pair]:
+        """Every two methods, the better placed first: over all sequences, and within each class of conditions.
+
+        Classes are left out where there is but one of them, which is everywhere.
+        """
+        order = {entry.label: entry for entry in self.entries}
+        labels = [row.label for row in self.standings]
+        places = [("", "", self.sequences)]
+        places += [(key, name, names) for key in STRATA for name, names in self.classes(key).items()]
+        found = []
+        for condition, value, names in places:
+            for i, a in enumerate(labels):
+                for b in labels[i + 1 :]:
+                    found.append(Pair(a, b, condition, value, self._compare(order[a], order[b], names)))
+        return found
+
+    def _compare(self, a: Entry, b: Entry, names: Sequence[str]) -> Comparison:
+        of_a, of_b = (entry.weights(self.metric, names) for entry in (a, b))
+        weights = None if of_a is None or of_b is None else (of_a, of_b)
+        return compare(a.sample(self.metric, names), b.sample(self.metric, names), self.better, weights)
+
+    def classes(self, condition: str) -> dict[str, tuple[str, ...]]:
+        """Sequences by their class of a condition; empty where all are of one class or it is not known of all."""
+        known = {name: self.conditions(name).get(condition) for name in self.sequences}
+        values = sorted({str(value) for value in known.values() if value is not None})
+        if None in known.values() or len(values) < 2:
+            return {}
+        return {value: tuple(name for name in self.sequences if str(known[name]) == value) for value in values}
+
+    def strata(self, condition: str) -> list[tuple[str, str, Summary]]:
+        """Class, method and summary of the ranking metric, where there are several classes."""
+        return [
+            (value, row.label, self._entry(row.label).summary(self.metric, names))
+            for value, names in self.classes(condition).items()
+            for row in self.standings
+        ]
+
+    def conditions(self, sequence: str) -> Mapping[str, float | str]:
+        """What a sequence is like."""
+        records = (record for entry in self.entries for record in entry.records if record.sequence == sequence)
+        return next((record.conditions for record in records if record.conditions), {})
+
+    def varying(self) -> dict[str, dict[str, float]]:
+        """Numeric conditions that differ between sequences: key -> sequence -> value."""
+        found = {}
+        for key in CONDITIONS:
+            values = {name: self.conditions(name).get(key) for name in (*self.sequences, *self.left_out)}
+            numbers = {name: float(v) for name, v in values.items() if isinstance(v, int | float)}
+            if len(numbers) > 1 and len(set(numbers.values())) > 1:
+                found[key] = numbers
+        return found
+
+    def cells(self, key: str | None = None) -> list[Cell]:
+        """Each method on each sequence: median and range over its runs of a metric, by default the one that ranks."""
+        key = key or self.metric
+        found = []
+        for name in (*self.sequences, *self.left_out):
+            for row in self.standings:
+                records = [record for record in self._entry(row.label).records if record.sequence == name]
+                if not records:
+                    continue
+                median, low, high = _median_and_range([record.metrics.get(key, math.nan) for record in records])
+                coverage = _median_and_range([record.metrics.get("coverage", math.nan) for record in records])[0]
+                failures = sum(record.failure is not None for record in records)
+                found.append(Cell(row.label, name, len(records), failures, median, low, high, coverage))
+        return found
+
+    def _entry(self, label: str) -> Entry:
+        return next(entry for entry in self.entries if entry.label == label)
+
+    @property
+    def name(self) -> str:
+        """What was run on, for a heading."""
+        return self._base + (f" ({self.apart})" if self.apart else "")
+
+    @property
+    def _base(self) -> str:
+        return self.split or ", ".join((*self.sequences, *self.left_out))
+
+
+def _median_and_range(values: Sequence[float]) -> tuple[float, float, float]:
+    known = [value for value in values if not math.isnan(value)]
+    return (float(np.median(known)), min(known), max(known)) if known else (math.nan,) * 3
+
+
+def boards(records: Iterable[ResultRecord]) -> list[Board]:
+    """Records sorted into boards, in the order of their first appearance; a record that is given twice counts once.
+
+    Raises ResultError where one sequence was scored against two truths, and for a track without a ranking metric.
+    """
+    groups: dict[tuple[str, ...], list[ResultRecord]] = {}
+    seen: set[str] = set()
+    for record in records:
+        text = record.to_json()
+        if text not in seen:
+            seen.add(text)
+            groups.setdefault(comparable_key(record), []).append(record)
+    found = [_board(group) for group in groups.values()]
+    return [replace(board, apart=_apart(board, found)) for board in found]
+
+
+def _apart(board: Board, found: Sequence[Board]) -> str:
+    """What tells a board from others of its name."""
+    others = [other for other in found if other is not board and other.name == board.name]
+    parts = []
+    if any(other.split_digest != board.split_digest for other in others):
+        parts.append(f"recipe {board.split_digest[:8]}")
+    if any(other.evaluator_version != board.evaluator_version for other in others):
+        parts.append(board.evaluator_version)
+    for key, value in board.settings.items():
+        if any(other.settings.get(key) != value for other in others):
+            parts.append(f"{key} = {value}")
+    return ", ".join(parts)
+
+
+def _board(records: Sequence[ResultRecord]) -> Board:
+    first = records[0]
+    if first.track not in PRIMARY:
+        raise ResultError(f"track {first.track!r}: expected one of {', '.join(PRIMARY)}, which have a ranking metric")
+    truths: dict[str, set[str]] = {}
+    for record in records:
+        truths.setdefault(record.sequence, set()).add(record.truth_digest)
+    for name, digests in truths.items():
+        if len(digests - {""}) > 1:
+            raise ResultError(
+                f"sequence {name!r} was scored against {len(digests - {''})} different truths: expected one sequence "
+                "per name; score again from truth files with different names, or compare fewer results"
+            )
+    by_method: dict[tuple[str, str], list[ResultRecord]] = {}
+    for record in records:
+        by_method.setdefault(method_key(record), []).append(record)
+    labels = _labels(list(by_method))
+    entries = tuple(Entry(labels[key], tuple(group)) for key, group in by_method.items())
+    run_on = [{record.sequence for record in entry.records} for entry in entries]
+    shared = set.intersection(*run_on)
+    return Board(
+        first.track,
+        first.split,
+        first.split_digest,
+        first.evaluator_version,
+        first.settings,
+        entries,
+        tuple(records),
+        tuple(name for name in truths if name in shared),
+        tuple(name for name in truths if name not in shared),
+    )
+
+
+def _labels(keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], str]:
+    """The method's name, with the settings that tell it from another of that name."""
+    found = {}
+    for name, settings in keys:
+        others = [json.loads(other) for n, other in keys if n == name]
+        own = json.loads(settings)
+        absent = object()
+        differing = [key for key in own if any(other.get(key, absent) != own[key] for other in others)]
+        inside = ", ".join(f"{key} = {own[key]}" for key in differing)
+        alone = len(others) == 1
+        found[name, settings] = name if alone else f"{name} ({inside or 'defaults'})"
+    return found
+
+
+def remarks(found: Sequence[Board]) -> list[str]:
+    """What a reader must know before the numbers: boards kept apart and why, sequences left out, no intervals."""
+    said = []
+    if len(found) > 1:
+        said.append(f"kept apart as {len(found)} comparisons, as they differ in {_differences(found)}")
+    for board in found:
+        where = f"{board.name}: " if len(found) > 1 else ""
+        if board.left_out:
+            names = ", ".join(board.left_out)
+            said.append(
+                f"{where}standings are over the {len(board.sequences)} sequences that every method was run on, without "
+                f"{names}"
+            )
+        reasons = dict.fromkeys(
+            row.summaries[board.metric].interval.reason for row in board.standings if board.metric in row.summaries
+        )
+        said += [f"{where}{reason}" for reason in reasons if reason and not reason.startswith("no run")]
+        said += [
+            f"{where}{row.label} has no {board.metric} and no place"
+            for row in board.standings
+            if row.standing.place is None and board.sequences
+        ]
+    return said
+
+
+def _differences(found: Sequence[Board]) -> str:
+    parts = []
+    for key, noun in (("track", "track"), ("split", "split"), ("evaluator_version", "evaluator")):
+        values = list(dict.fromkeys(getattr(board, key) or "no split" for board in found))
+        if len(values) > 1:
+            parts.append(f"{noun} ({', '.join(values)})")
+    if any(a.split == b.split and a.split_digest != b.split_digest for a in found for b in found):
+        parts.append("recipe of the split")
+    for key in dict.fromkeys(key for board in found for key in board.settings):
+        values = list(dict.fromkeys(json.dumps(plain(board.settings.get(key))) for board in found))
+        if len(values) > 1:
+            parts.append(f"setting {key} ({', '.join(values)})")
+    return ", ".join(parts)
+
+
+def as_plain(board: Board) -> dict[str, Any]:
+    """A board for JSON; numbers that do not exist are null, with the reason beside."""
+
+    def pair(found: Pair) -> dict[str, Any]:
+        return {**{key: getattr(found, key) for key in ("a", "b", "condition", "value")}, **asdict(found.comparison)}
+
+    return plain(
+        {
+            "track": board.track,
+            "split": board.split,
+            "split_digest": board.split_digest,
+            "evaluator_version": board.evaluator_version,
+            "settings": board.settings,
+            "metric": board.metric,
+            "sequences": board.sequences,
+            "left_out": board.left_out,
+            "standings": [
+                {
+                    "method": row.label,
+                    **asdict(row.standing),
+                    "runs": row.runs,
+                    "failures": row.failures,
+                    "statistics": {key: asdict(summary) for key, summary in row.summaries.items()},
+                }
+                for row in board.standings
+            ],
+            "pairs": [pair(found) for found in board.pairs],
+            "strata": [
+                {"condition": condition, "value": value, "method": label, **asdict(summary)}
+                for condition in STRATA
+                for value, label, summary in board.strata(condition)
+            ],
+            "per_sequence": [{**asdict(cell), "conditions": board.conditions(cell.sequence)} for cell in board.cells()],
+        }
+    )

@@ -1,0 +1,349 @@
+"""ResultRecord: the immutable JSON that tables, reports and the leaderboard read; and statistics over sequences."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from oysterbench.core.errors import ResultError
+from oysterbench.core.files import write_atomically
+from oysterbench.evaluate.metrics import FAILED, find_metric
+from oysterbench.evaluate.statistics import summarise
+from oysterbench.version import VERSION
+
+FORMAT = "oysterbench-result/2"
+
+MAPPINGS = ("metrics", "reasons", "conditions", "method_settings", "settings", "info", "hardware")
+"""Keys of a record that hold keys and values."""
+
+
+def hardware() -> dict[str, Any]:
+    """The machine: processor, cores that this process may use, platform and Python."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return {
+        "cpu": _cpu_name(),
+        "cores": cores,
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+    }
+
+
+def _cpu_name() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except (OSError, UnicodeDecodeError):
+        pass
+    return platform.processor() or platform.machine()
+
+
+def now() -> str:
+    """UTC in ISO 8601, to the second."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultRecord:
+    """One run of a method on one sequence, scored.
+
+    track, split, sequence:  what was run on; split_digest says exactly which recipe made it
+    truth_digest:            SHA-256 of what it was scored against, where that is known
+    conditions:              what the sequence is like (`evaluate.conditions.CONDITIONS`)
+    run, seed:               number of the run, from 0, and the seed that the method was given; None if it takes none
+    method, method_settings: what was run
+    metrics:                 by keys that carry their unit (`evaluate.metrics`); NaN where there is no value
+    reasons:                 why, for every metric that is NaN
+    failure:                 why there is no estimate, or it cannot be scored; None for a run that was scored.
+                             A failed run answers nothing: its score and coverage are 0 and its errors do not exist.
+    settings:                of the evaluator
+    notes:                   what a reader of the numbers should know, in sentences
+    info:                    what the method wants to keep with the result
+    """
+
+    track: str
+    split: str
+    sequence: str
+    method: str
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    failure: str | None = None
+    split_digest: str = ""
+    truth_digest: str = ""
+    conditions: Mapping[str, float | str] = field(default_factory=dict)
+    run: int = 0
+    seed: int | None = None
+    method_settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    info: Mapping[str, Any] = field(default_factory=dict)
+    evaluator_version: str = ""
+    oysterbench_version: str = VERSION
+    hardware: Mapping[str, Any] = field(default_factory=hardware)
+    created: str = field(default_factory=now)
+
+    def __post_init__(self) -> None:
+        """Copies of the mappings are kept, so that the caller's later changes do not reach the record."""
+        for key in MAPPINGS:
+            object.__setattr__(self, key, dict(getattr(self, key)))
+        object.__setattr__(self, "notes", tuple(self.notes))
+        if self.failure is not None:
+            object.__setattr__(self, "metrics", {**self.metrics, **FAILED.get(self.track, {"coverage": 0.0})})
+        for key, value in self.metrics.items():
+            if math.isinf(value):
+                raise ResultError(f"metric {key!r} of {self.method} on {self.sequence}: expected a number, got {value}")
+            if math.isnan(value) and not self.reasons.get(key):
+                raise ResultError(
+                    f"metric {key!r} of {self.method} on {self.sequence} is NaN: expected the reason in `reasons`"
+                )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON; a metric that is NaN becomes None."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values["metrics"] = {k: None if math.isnan(v) else plain(v) for k, v in self.metrics.items()}
+        return {"format": FORMAT, **{key: plain(value) for key, value in values.items()}}
+
+    def to_json(self) -> str:
+        """The record as JSON text."""
+        return dump(self.to_dict())
+
+    @classmethod
+    def from_dict(cls, values: Any, where: str = "result") -> ResultRecord:
+        """A record from plain values. Raises ResultError naming `where` and the key."""
+        if not isinstance(values, Mapping):
+            raise ResultError(f"{where}: expected a record (a JSON object), got {type(values).__name__}")
+        if values.get("format") != FORMAT:
+            raise ResultError(
+                f"{where}: key 'format': expected {FORMAT!r}, got {values.get('format')!r}; evaluate again with this "
+                "version of oysterbench"
+            )
+        known = {f.name: f for f in fields(cls)}
+        given = {key: value for key, value in values.items() if key != "format"}
+        for key in given:
+            if key not in known:
+                raise ResultError(f"{where}: unknown key {key!r}; known keys: {', '.join(known)}")
+        for key in known:
+            if key not in given:
+                raise ResultError(f"{where}: missing key {key!r}")
+            _check_kind(key, given[key], where)
+        given["metrics"] = {k: math.nan if v is None else v for k, v in given["metrics"].items()}
+        try:
+            return cls(**given)
+        except ResultError as error:
+            raise ResultError(f"{where}: {error}") from None
+
+    @classmethod
+    def from_json(cls, text: str, where: str = "result") -> ResultRecord:
+        """A record from JSON text."""
+        return cls.from_dict(_load(text, where), where)
+
+
+def _check_kind(key: str, value: Any, where: str) -> None:
+    """Refuse a value of another kind than the key's."""
+    expected = "text"
+    fits = isinstance(value, str)
+    if key in MAPPINGS:
+        expected, fits = "an object", isinstance(value, Mapping)
+    elif key == "run":
+        expected, fits = "a whole number from 0", isinstance(value, int) and not isinstance(value, bool) and value >= 0
+    elif key == "seed":
+        expected = "a whole number or null"
+        fits = value is None or (isinstance(value, int) and not isinstance(value, bool))
+    elif key == "notes":
+        expected, fits = "a list of texts", isinstance(value, list) and all(isinstance(note, str) for note in value)
+    elif key == "failure":
+        expected, fits = "text or null", value is None or isinstance(value, str)
+    if not fits:
+        raise ResultError(f"{where}: key {key!r}: expected {expected}, got {value!r:.60}")
+    if key == "conditions":
+        for condition, item in value.items():
+            if isinstance(item, bool) or not isinstance(item, str | int | float):
+                raise ResultError(f"{where}: key 'conditions.{condition}': expected a number or text, got {item!r:.60}")
+    if key == "metrics":
+        for metric, number in value.items():
+            if number is not None and (isinstance(number, bool) or not isinstance(number, int | float)):
+                raise ResultError(f"{where}: key 'metrics.{metric}': expected a number or null, got {number!r:.60}")
+
+
+def plain(value: Any) -> Any:
+    """Values that JSON knows: numpy scalars and arrays, tuples and paths converted, NaN as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    return str(value)
+
+
+def dump(value: Any) -> str:
+    """JSON text that every reader takes: no bare NaN."""
+    return json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def _load(text: str, where: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ResultError(f"{where}:{error.lineno}: not valid JSON: {error.msg}") from None
+
+
+def comparable_key(record: ResultRecord) -> tuple[str, ...]:
+    """Equal for records whose numbers may be set against each other: one recipe, one evaluator with one setting."""
+    settings = json.dumps(plain(record.settings), sort_keys=True)
+    return (record.track, record.split, record.split_digest, record.evaluator_version, settings)
+
+
+def method_key(record: ResultRecord) -> tuple[str, str]:
+    """Equal for runs of one method with one setting."""
+    return record.method, json.dumps(plain(record.method_settings), sort_keys=True)
+
+
+def samples(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]]:
+    """Values of a metric by sequence, one per run; NaN where a run has none."""
+    values: dict[str, list[float]] = {}
+    for record in records:
+        values.setdefault(record.sequence, []).append(float(record.metrics.get(key, math.nan)))
+    return values
+
+
+def weights_of(records: Sequence[ResultRecord], key: str) -> dict[str, list[float]] | None:
+    """Weights of a metric's values in a mean over sequences, shaped like `samples`; None where each has one vote.
+
+    Raises ResultError where a record has a value, and not its weight.
+    """
+    metric = find_metric(key)
+    if metric is None or not metric.weight:
+        return None
+    values, weights = samples(records, key), samples(records, metric.weight)
+    for name, found in values.items():
+        for value, weight in zip(found, weights[name], strict=True):
+            if not math.isnan(value) and math.isnan(weight):
+                raise ResultError(
+                    f"a result of {records[0].method} on {name} has {key}, but not {metric.weight}, by which it counts "
+                    "in the mean; evaluate again with this version of oysterbench"
+                )
+    return weights
+
+
+def aggregate(records: Iterable[ResultRecord]) -> list[dict[str, Any]]:
+    """For each track, split and method the mean of each metric over sequences, with its statistics.
+
+    Several runs on one sequence are averaged first, so that every sequence has one vote. A failed run counts with
+    score and coverage 0 and has no errors; a metric without any value is None, with the reason. Records of another
+    recipe, evaluator or setting are never averaged together: they make rows of their own.
+    """
+    groups: dict[tuple[str, ...], list[ResultRecord]] = {}
+    for record in records:
+        groups.setdefault((*comparable_key(record), *method_key(record)), []).append(record)
+    return [_aggregate_group(group) for group in groups.values()]
+
+
+def _aggregate_group(group: list[ResultRecord]) -> dict[str, Any]:
+    first = group[0]
+    summaries = {
+        key: summarise(samples(group, key), weights_of(group, key))
+        for key in dict.fromkeys(key for record in group for key in record.metrics)
+    }
+    reasons: dict[str, str] = {}
+    for key, summary in summaries.items():
+        if summary.reason:
+            reasons[key] = "; ".join(dict.fromkeys(r.reasons[key] for r in group if key in r.reasons))
+    failures = [record for record in group if record.failure is not None]
+    if len(failures) == len(group):
+        reasons["*"] = f"no run of {first.method} on {first.split or 'these sequences'} could be scored"
+    return {
+        "track": first.track,
+        "split": first.split,
+        "split_digest": first.split_digest,
+        "method": first.method,
+        "method_settings": plain(first.method_settings),
+        "metrics": {key: plain(summary.mean) for key, summary in summaries.items()},
+        "counts": {key: summary.sequences for key, summary in summaries.items()},
+        "statistics": {key: plain(asdict(summary)) for key, summary in summaries.items()},
+        "reasons": reasons,
+        "sequences": len({record.sequence for record in group}),
+        "runs": len(group),
+        "failures": len(failures),
+        "evaluator_version": first.evaluator_version,
+        "settings": plain(first.settings),
+    }
+
+
+def document(records: Iterable[ResultRecord], data_set: Any = None) -> dict[str, Any]:
+    """What `oysterbench eval --json` prints: all records and their aggregate; data_set: what is known over all
+    sequences together and cannot be made of the records, for tracks that have such a thing."""
+    records = list(records)
+    made = {"results": [record.to_dict() for record in records], "aggregate": aggregate(records)}
+    return made if data_set is None else {**made, "data_set": plain(data_set)}
+
+
+def write_results(path: str | os.PathLike[str], records: Iterable[ResultRecord], data_set: Any = None) -> None:
+    """Write `document(records)` as JSON, nothing half-written."""
+    write_atomically(path, (dump(document(records, data_set)) + "\n").encode())
+
+
+def read_results(path: str | os.PathLike[str]) -> list[ResultRecord]:
+    """The records of a file that `write_results` wrote. Raises ResultError naming file and key."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ResultError(f"{path}: no such file; `oysterbench eval` writes results") from None
+    except UnicodeDecodeError:
+        raise ResultError(f"{path} is not text; expected results in JSON") from None
+    except OSError as error:
+        raise ResultError(f"{path}: cannot be read: {error.strerror or error}") from None
+    content = _load(text, str(path))
+    if not isinstance(content, Mapping) or not isinstance(content.get("results"), list):
+        raise ResultError(f"{path}: expected an object with the list 'results', as `oysterbench eval` writes it")
+    return [ResultRecord.from_dict(values, f"{path}: results[{i}]") for i, values in enumerate(content["results"])]
+
+
+Finder = Callable[[str], "list[ResultRecord] | None"]
+"""Gives the records that a text names which is no file; None where it names none."""
+
+
+def labelled_results(names: Iterable[str], find: Finder | None = None) -> list[ResultRecord]:
+    """The records of files, or of folders that hold results.json, each as a path or as LABEL=PATH; or of what else
+    `find` knows by a name.
+
+    A label takes the place of the method's name, or stands before it where the file holds several methods. Raises
+    ResultError where two different records say that they are the same run of one method.
+    """
+    records: list[ResultRecord] = []
+    sources: dict[tuple[str, ...], tuple[str, ResultRecord]] = {}
+    for name in names:
+        label, _, rest = name.rpartition("=")
+        if label and Path(name).exists():  # a name that has the sign in it
+            label, rest = "", name
+        path = Path(rest)
+        found = find(rest) if find is not None and not path.exists() else None
+        if found is None:
+            found = read_results(path / "results.json" if path.is_dir() else path)
+        if not found:
+            raise ResultError(f"{path}: holds no result; expected what `oysterbench eval` writes")
+        methods = {record.method for record in found}
+        for record in found:
+            if label:
+                record = replace(record, method=label if len(methods) == 1 else f"{label} {record.method}")
+            key = (*comparable_key(record), *method_key(record), record.sequence, str(record.run))
+            other = sources.setdefault(key, (str(path), record))
+            if other[1] != record:
+                raise ResultError(
+                    f"{other[0]} and {path}: both hold run {record.run} of {record.method} on {record.sequence}, with "
+                    f"different numbers; tell them apart by labels, e.g. `oysterbench compare A={other[0]} B={path}`"
+                )
+            records.append(record)
+    return records

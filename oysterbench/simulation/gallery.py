@@ -1,0 +1,173 @@
+"""Sheets of pictures: a recipe before it is rendered, and what water, light, reef and view do to it."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import RecipeError
+from oysterbench.core.files import write_atomically
+from oysterbench.recipe import CameraRecipe, RigRecipe, SplitRecipe, carry, count, load_split, vary_split
+
+Picture = NDArray[np.uint8]
+Progress = Callable[[int, int], None]
+
+PREVIEW_WIDTH = 400  # px of a preview's frames: small enough for a sheet in seconds, large enough to judge
+PREVIEW_FRAMES = 12
+SHEET_COLUMNS = 4
+GAP = 6  # px between pictures
+CAPTION = 24  # px of height
+PAPER = (24, 26, 28)
+INK = (232, 232, 228)
+
+
+def preview(split: SplitRecipe, sequence: str | None = None, progress: Progress = lambda done, total: None) -> Picture:
+    """A sheet (H, W, 3) uint8 RGB of small frames, evenly over the time of a sequence (the first by default)."""
+    from oysterbench.simulation.simulated_sequence import build_stage, look
+
+    recipe = split.sequence[0] if sequence is None else split.find_sequence(sequence)
+    small = dataclasses.replace(split, rig=shrink(split.rig, PREVIEW_WIDTH))
+    cameras = small.rig.camera
+    if not cameras:
+        raise RecipeError(f"split {split.name}: rig {split.rig.name} has no camera to look through")
+    each = max(1, PREVIEW_FRAMES // len(cameras))
+    stage = build_stage(small, recipe.name, b"")
+    pictures: list[Picture] = []
+    captions: list[str] = []
+    for camera in cameras:
+        frames = count(recipe.duration_s, camera.rate_hz)
+        for index in np.unique(np.linspace(0, frames - 1, each).round().astype(int)):
+            progress(len(pictures), each * len(cameras))
+            pictures.append(look(stage, camera, int(index)).colour)
+            captions.append(f"{camera.name}  {index / camera.rate_hz:.1f} s")
+    progress(len(pictures), len(pictures))
+    return sheet(pictures, captions, SHEET_COLUMNS)
+
+
+def shrink(rig: RigRecipe, width: int) -> RigRecipe:
+    """The rig with its cameras' pictures reduced to a width in px; the fields of view stay."""
+
+    def reduce(camera: CameraRecipe) -> CameraRecipe:
+        height = max(16, round(camera.height * width / camera.width))
+        return dataclasses.replace(camera, width=width, height=height) if width < camera.width else camera
+
+    return dataclasses.replace(rig, camera=tuple(reduce(camera) for camera in rig.camera))
+
+
+def sheet(pictures: Sequence[Picture], captions: Sequence[str], columns: int) -> Picture:
+    """Pictures (H, W, 3) uint8 RGB in rows, each over its caption; all are brought to the size of the first."""
+    height, width = pictures[0].shape[:2]
+    rows = -(-len(pictures) // columns)
+    paper = np.full(
+        (rows * (height + CAPTION) + (rows + 1) * GAP, columns * (width + GAP) + GAP, 3), PAPER, dtype=np.uint8
+    )
+    for k, (picture, caption) in enumerate(zip(pictures, captions, strict=True)):
+        top = GAP + (k // columns) * (height + CAPTION + GAP)
+        left = GAP + (k % columns) * (width + GAP)
+        paper[top : top + height, left : left + width] = _fit(picture, width, height)
+        cv2.putText(paper, caption, (left + 4, top + height + 17), cv2.FONT_HERSHEY_SIMPLEX, 0.45, INK, 1, cv2.LINE_AA)
+    return paper
+
+
+def _fit(picture: Picture, width: int, height: int) -> Picture:
+    """The middle of a picture, brought to width x height px."""
+    h, w = picture.shape[:2]
+    scale = max(width / w, height / h)
+    grown = cv2.resize(
+        picture, (max(width, round(w * scale)), max(height, round(h * scale))), interpolation=cv2.INTER_AREA
+    )
+    top, left = (grown.shape[0] - height) // 2, (grown.shape[1] - width) // 2
+    return np.asarray(grown[top : top + height, left : left + width], dtype=np.uint8)
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write an (H, W, 3) uint8 RGB picture as JPEG or PNG by its suffix, whole or not at all."""
+    done, data = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    if not done:
+        raise RecipeError(f"{path}: expected a name that ends in .jpg or .png")
+    write_atomically(path, data.tobytes())
+
+
+def real_pictures(folder: Path, n: int) -> Iterator[tuple[str, Picture]]:
+    """n pictures of a folder of real images (`images/*.jpg`), evenly over their names."""
+    files = sorted((folder / "images").glob("*.jpg")) or sorted(folder.glob("*.jpg"))
+    if not files:
+        raise RecipeError(f"{folder}: expected a folder with images/*.jpg, found none")
+    for index in np.unique(np.linspace(0, len(files) - 1, n).round().astype(int)):
+        pixels = cv2.imread(str(files[index]), cv2.IMREAD_COLOR_RGB)
+        if pixels is None:
+            raise RecipeError(f"{files[index]}: expected an image, could not read one")
+        yield files[index].stem, np.asarray(pixels, dtype=np.uint8)
+
+
+def panels(table: Path, progress: Progress = lambda done, total: None) -> tuple[list[Picture], list[str]]:
+    """The pictures that a gallery file describes, and their captions.
+
+    A gallery file names a `split`, and has [[panel]] tables with a `caption`, a time `at_s`, and `set`, the keys of the
+    split that are replaced (see `recipe.vary_split`); where they say so, with another `rig` and through its `camera`.
+    """
+    split, rows = _read_gallery(table)
+    from oysterbench.simulation.simulated_sequence import build_stage, look
+
+    pictures: list[Picture] = []
+    for k, row in enumerate(rows):
+        progress(k, len(rows))
+        varied = vary_panel(split, row, table)
+        varied = dataclasses.replace(varied, rig=shrink(varied.rig, PREVIEW_WIDTH))
+        camera = next(c for c in varied.rig.camera if c.name == row.get("camera", varied.rig.camera[0].name))
+        stage = build_stage(varied, varied.sequence[0].name, b"")
+        pictures.append(look(stage, camera, round(row["at_s"] * camera.rate_hz)).colour)
+    progress(len(rows), len(rows))
+    return pictures, [row["caption"] for row in rows]
+
+
+def vary_panel(split: SplitRecipe, row: dict[str, Any], table: Path) -> SplitRecipe:
+    """The split of a panel."""
+    where = f"{table}: panel {row['caption']!r}"
+    carried = carry(split, row["rig"], where) if "rig" in row else split
+    cameras = [camera.name for camera in carried.rig.camera]
+    if row.get("camera", cameras[0]) not in cameras:
+        raise RecipeError(f"{where}: key 'camera': expected one of {', '.join(cameras)}, got {row['camera']!r}")
+    return vary_split(carried, row["set"], where)
+
+
+def _read_gallery(path: Path) -> tuple[SplitRecipe, list[dict[str, Any]]]:
+    """Split and panels of a gallery file; RecipeError names what is wrong in it."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise RecipeError(f"{path}: no such gallery file") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RecipeError(f"{path}: not valid TOML: {error}") from None
+    rows = content.get("panel")
+    if not isinstance(content.get("split"), str) or not isinstance(rows, list) or not rows:
+        raise RecipeError(f"{path}: expected `split = NAME` and at least one [[panel]]")
+    for number, row in enumerate(rows, start=1):
+        for key, kind, wanted in (("caption", str, "text"), ("at_s", int | float, "seconds"), ("set", dict, "a table")):
+            if not isinstance(row.get(key), kind):
+                raise RecipeError(f"{path}: panel {number}: key {key!r}: expected {wanted}, got {row.get(key)!r}")
+    return load_split(content["split"]), rows
+
+
+def gallery(real: Path | None = None, progress: Progress = lambda done, total: None) -> Picture:
+    """The sheet over waters, lights, reefs and views; or, given a folder of real images, close-ups beside those."""
+    folder = Path(str(resources.files("oysterbench_datasets") / "gallery"))
+    if real is None:
+        return sheet(*panels(folder / "reef.toml", progress), SHEET_COLUMNS)
+    compared = list(real_pictures(real, 2 * SHEET_COLUMNS))  # found wanting before the rendering begins
+    pictures, captions = panels(folder / "beside-real.toml", progress)
+    both: list[Picture] = []
+    names: list[str] = []
+    for start in range(0, len(pictures), SHEET_COLUMNS):
+        row = slice(start, start + SHEET_COLUMNS)
+        both += [*pictures[row], *(picture for _, picture in compared[row])]
+        names += [*captions[row], *(f"real: {name}" for name, _ in compared[row])]
+    return sheet(both, names, SHEET_COLUMNS)

@@ -1,0 +1,76 @@
+"""The salt of hidden splits: a secret that enters every stream of random numbers. It is read, used, and never shown."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from oysterbench.core.errors import RecipeError
+
+SALT_FILE, SALT = "OYSTERBENCH_SALT_FILE", "OYSTERBENCH_SALT"
+"""Environment variables: the path of a file that holds the salt, and the salt itself."""
+
+LEAST_BYTES = 16
+LEAST_DISTINCT = 8  # values among its bytes: fewer are typed, not drawn
+HOW_TO_MAKE = "`head -c 32 /dev/urandom | base64 > FILE` makes a good one"
+
+
+class Salt(bytes):
+    """Bytes that no message, log or traceback spells out."""
+
+    def __repr__(self) -> str:
+        return "Salt(...)"
+
+    __str__ = __repr__
+
+
+def read_salt(file: Path | None = None) -> Salt | None:
+    """The salt of a file, or of the environment; None where none is given. The end of a line at its end is no part.
+
+    Raises RecipeError for a file that cannot be read, and for a salt that could be guessed: what is made with it is
+    published, and every guess can be tried on that.
+    """
+    where, found = "--salt-file", file
+    if found is None and os.environ.get(SALT_FILE):
+        where, found = SALT_FILE, Path(os.environ[SALT_FILE])
+    if found is not None:
+        try:
+            data = found.read_bytes()
+        except OSError as error:
+            raise RecipeError(f"{where}: {found}: the salt cannot be read: {error.strerror}") from None
+    elif os.environ.get(SALT):
+        where, data = SALT, os.environb[SALT.encode()]
+    else:
+        return None
+    salt = Salt(data.rstrip(b"\r\n"))
+    if not is_strong(salt):
+        raise RecipeError(
+            f"{where}: expected a salt of at least {LEAST_BYTES} bytes, {LEAST_DISTINCT} of them different, so that "
+            f"nobody guesses it; got {len(salt)} bytes, {len(set(salt))} different; {HOW_TO_MAKE}"
+        )
+    return salt
+
+
+def is_strong(salt: bytes) -> bool:
+    """Whether a salt is long and mixed enough to keep a split hidden."""
+    return len(salt) >= LEAST_BYTES and len(set(salt)) >= LEAST_DISTINCT
+
+
+def salt_for(name: str, hidden: bool, file: Path | None = None) -> bytes:
+    """The salt that a split of this name is made with: none if it is public, whatever the environment holds.
+
+    Raises RecipeError where a hidden split has none, and where one is given for a public split.
+    """
+    if not hidden:
+        if file is not None:
+            raise RecipeError(
+                f"--salt-file: split {name} is public, and the same for everybody; only hidden splits take a salt"
+            )
+        return b""
+    salt = read_salt(file)
+    if salt is None:
+        raise RecipeError(
+            f"split {name} is hidden: it is made with a secret salt only, and none is given; expected --salt-file, or "
+            f"{SALT_FILE} or {SALT} in the environment; {HOW_TO_MAKE}"
+        )
+    return salt

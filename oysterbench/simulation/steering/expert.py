@@ -1,0 +1,186 @@
+"""The expert: it sees the truth, looks a few steps ahead, and commands what gains the most views of live oysters.
+
+A receding-horizon beam search. For each pair of classes that a plan may begin with, the best few continuations are
+kept from step to step; a plan's worth is what its pictures show for the first time, less what leaving the altitude
+band, touching and being turned at the fence cost, plus what waits where it ends: the best spot that is left, by the
+time it takes to get there. Views are reckoned on cells of bottom, by range and by the edges of the picture; what stands
+in the way of what is left to the pictures themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench.recipe import SteeringRecipe
+from oysterbench.simulation.steering.site import Site
+from oysterbench.simulation.steering.vehicle import advance, folded, rotations, turns
+
+CELL_M = 0.25
+SPOT_M = 1.0  # cells of what waits further away
+PICTURE_INSET = 0.95  # of the picture's half sides: what is cut by its edge is no view
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How the expert looks ahead. Costs are in oysters."""
+
+    steps: int = 5
+    beam: int = 2
+    yaw_stride: int = 1
+    """Continuations turn by every class, or by every second or third from straight on."""
+    pitch_stride: int = 2
+    discount: float = 0.97
+    """Of what a later step gains: it may turn out otherwise."""
+    patience_s: float = 18.0
+    """What waits loses 1/e of its worth over so long a way."""
+    waiting: float = 1.0
+    """Worth of what waits, against what a picture shows."""
+    band_cost: float = 300.0
+    """Of a step a metre outside the altitude band."""
+    contact_cost: float = 100.0
+    """Of a step that touches something, and of one that ends where going straight on would in the next."""
+    fence_cost: float = 3.0
+    turn_cost: float = 0.005
+    """Of a class away from straight on, in what the best spot holds: of two commands that gain the same, the calmer."""
+
+
+class Expert:
+    """Values of the commands at a state. unseen: the site's oysters that no picture has shown yet."""
+
+    def __init__(self, site: Site, plan: Plan = Plan()) -> None:
+        self.site = site
+        self.plan = plan
+        task = site.task
+        self._yaw, self._pitch = turns(task)
+        self._straight = (task.yaw_deg.index(0.0), task.pitch_deg.index(0.0))
+        size = max(1, round(2 * site.half_m / CELL_M))
+        place = np.clip(((site.oysters[:, :2] + site.half_m) / (2 * site.half_m) * size).astype(int), 0, size - 1)
+        self._cells, self._cell_of = np.unique(place[:, 1] * size + place[:, 0], return_inverse=True)
+        held = np.maximum(np.bincount(self._cell_of), 1)
+        self._centres = np.stack(
+            [np.bincount(self._cell_of, weights=site.oysters[:, k]) / held for k in range(3)], axis=-1
+        ).reshape(-1, 3)
+        spots = max(1, round(2 * site.half_m / SPOT_M))
+        self._spots_per_side = spots
+        lines = (np.arange(spots) + 0.5) / spots * 2 * site.half_m - site.half_m
+        x, y = np.meshgrid(lines, lines)
+        self._spots = np.stack([x.ravel(), y.ravel()], axis=-1)
+        spot = np.clip(((self._centres[:, :2] + site.half_m) / (2 * site.half_m) * spots).astype(int), 0, spots - 1)
+        self._spot_of = spot[:, 1] * spots + spot[:, 0]
+
+    def command(self, state: Array, found: NDArray[np.bool_]) -> tuple[int, int]:
+        """Classes of yaw and pitch at a state (5,), when the oysters of `found` (N,) have been seen."""
+        return best(self.values(state, found))
+
+    def values(self, state: Array, found: NDArray[np.bool_]) -> Array:
+        """(Y, P) what the best plan gains that begins with these classes, in oysters, rounded to 1e-4."""
+        task, plan = self.site.task, self.plan
+        counts = np.bincount(self._cell_of[~found], minlength=len(self._cells)).astype(np.float32)
+        waiting: Array = np.asarray(
+            np.bincount(self._spot_of, weights=counts, minlength=self._spots_per_side**2), dtype=float
+        )
+        far = task.speed_m_s * task.step_s * plan.steps + self.site.range_m
+        near = np.flatnonzero((counts > 0) & (np.linalg.norm(self._centres[:, :2] - state[:2], axis=1) <= far))
+        centres, counts = self._centres[near], counts[near]
+
+        classes = np.stack(np.meshgrid(np.arange(len(self._yaw)), np.arange(len(self._pitch)), indexing="ij"), axis=-1)
+        roots = classes.reshape(-1, 2)
+        calm = plan.turn_cost * max(1.0, float(waiting.max()))
+        states, worth = self._step(np.repeat(state[None], len(roots), axis=0), roots, 0, calm)
+        shown = self._shows(states, centres)
+        worth += shown @ counts
+        root = np.arange(len(roots))
+        onward = self._onward()
+        for step in range(1, plan.steps):
+            parent = np.repeat(np.arange(len(states)), len(onward))
+            moved, gained = self._step(states[parent], np.tile(onward, (len(states), 1)), step, calm)
+            fresh = self._shows(moved, centres) & ~shown[parent]
+            total = worth[parent] + gained + plan.discount**step * (fresh @ counts)
+            kept = self._best_of(root[parent], total + self._waits(moved, waiting))
+            states, worth, root = moved[kept], total[kept], root[parent][kept]
+            shown = shown[parent[kept]] | fresh[kept]
+        worth = worth + self._waits(states, waiting)
+        values = np.full(len(roots), -np.inf)
+        np.maximum.at(values, root, worth)
+        return np.round(values.reshape(len(self._yaw), len(self._pitch)), 4)
+
+    def _onward(self) -> NDArray[np.intp]:
+        """Pairs of classes (C, 2) that plans go on with."""
+        strides = (self.plan.yaw_stride, self.plan.pitch_stride)
+        sides = [
+            np.arange(straight % stride, len(turn), stride)
+            for straight, stride, turn in zip(self._straight, strides, (self._yaw, self._pitch), strict=True)
+        ]
+        return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def _step(self, states: Array, classes: NDArray[np.intp], step: int, calm: float) -> tuple[Array, Array]:
+        """States (N, 5) after commands (N, 2), and what they cost, negative (N,); calm: of a class off straight on."""
+        site, plan, task = self.site, self.plan, self.site.task
+        way = advance(states, self._yaw[classes[:, 0]], self._pitch[classes[:, 1]], task)
+        way, turned = folded(way, site.half_m)
+        low, high = task.altitude_m
+        after = way[:, -1]
+        altitude = site.altitude(after)
+        outside = np.maximum(low - altitude, 0.0) + np.maximum(altitude - high, 0.0)
+        ahead = advance(after, np.zeros(len(after)), np.zeros(len(after)), task)
+        course = np.concatenate([way, ahead], axis=1)[:, ::2]
+        touches = (course[..., 2] < site.floor(course[..., 0], course[..., 1])).any(axis=1)
+        cost = plan.band_cost * outside + plan.contact_cost * touches + plan.fence_cost * turned.any(axis=1)
+        cost += calm * np.abs(classes - self._straight).sum(axis=1)
+        return after, -(plan.discount**step) * cost
+
+    def _shows(self, states: Array, centres: Array) -> NDArray[np.bool_]:
+        """(N, M) whether a picture at a state shows a place."""
+        site = self.site
+        body = rotations(states)
+        camera = (body @ site.mount[:3, :3]).astype(np.float32)
+        eye = states[:, :3] + body @ site.mount[:3, 3]
+        away = (centres[None] - eye[:, None]).astype(np.float32)
+        seen = away @ camera  # (N, M, 3): right, down, forward
+        right, down, forward = (seen[..., k] for k in range(3))
+        wide, tall = (PICTURE_INSET * slope for slope in site.slopes)
+        inside = (np.abs(right) <= wide * forward) & (np.abs(down) <= tall * forward)
+        near: NDArray[np.bool_] = inside & (np.einsum("nmk,nmk->nm", seen, seen) <= site.range_m**2)
+        return near
+
+    def _waits(self, states: Array, waiting: Array) -> Array:
+        """(N,) worth of the best spot that is left, by the time to turn to it and to go there."""
+        spots = np.flatnonzero(waiting)
+        if not len(spots):
+            return np.zeros(len(states))
+        task = self.site.task
+        away = self._spots[spots][None] - states[:, None, :2]
+        bearing = np.arctan2(away[..., 1], away[..., 0]) - states[:, None, 3]
+        turn = np.abs(np.remainder(bearing + np.pi, 2 * np.pi) - np.pi)
+        time_s = np.linalg.norm(away, axis=-1) / task.speed_m_s + turn / self._yaw.max() * task.step_s
+        worth = waiting[spots] * np.exp(-time_s / self.plan.patience_s)
+        return self.plan.waiting * worth.max(axis=1)
+
+    def _best_of(self, root: NDArray[np.intp], worth: Array) -> NDArray[np.intp]:
+        """Indices of the best `beam` plans of each root; of equals the first."""
+        order = np.lexsort((np.arange(len(root)), -np.round(worth, 4), root))
+        first = np.searchsorted(root[order], root[order])
+        return order[np.arange(len(order)) - first < self.plan.beam]
+
+
+def best(values: Array) -> tuple[int, int]:
+    """Classes of the greatest value; of equals the first."""
+    yaw, pitch = np.unravel_index(int(np.argmax(values)), values.shape)
+    return int(yaw), int(pitch)
+
+
+def altitude_pitch(site: Site, state: Array, ahead_s: float = 2.0) -> int:
+    """The class of pitch that brings a vehicle to the middle of the altitude band over the bottom ahead."""
+    task: SteeringRecipe = site.task
+    reach = task.speed_m_s * ahead_s
+    x, y = state[0] + reach * np.cos(state[3]), state[1] + reach * np.sin(state[3])
+    bottom = max(float(site.world.ground_height(px, py)) for px, py in ((state[0], state[1]), (x, y)))
+    wanted = bottom + 0.5 * sum(task.altitude_m)
+    down = np.arctan2(state[2] - wanted, reach)
+    limit = np.radians(task.max_pitch_deg)
+    pitch = turns(task)[1]
+    return int(np.argmin(np.abs(state[4] + pitch - np.clip(down, -limit, limit))))

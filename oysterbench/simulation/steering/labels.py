@@ -1,0 +1,40 @@
+"""What the expert would command at each picture of a sequence: the labels of behavioural cloning."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from oysterbench.exploration.rollout import measured
+from oysterbench.recipe import SteeringRecipe, count
+from oysterbench.sensors import clock
+from oysterbench.sequence.topics import EPOCH_NS
+from oysterbench.simulation.simulated_sequence import Stage
+from oysterbench.simulation.steering.expert import Expert, best
+from oysterbench.simulation.steering.observation import Sight
+from oysterbench.simulation.steering.site import build_site
+from oysterbench.simulation.steering.vehicle import state_of
+
+
+def steering_csv(stage: Stage, task: SteeringRecipe) -> bytes:
+    """Table of `Sequence.steering`, as CSV. The expert knows which oysters the pictures before have shown."""
+    site = build_site(stage, task)
+    expert, sight = Expert(site), Sight(site)
+    camera = site.camera
+    n = count(stage.recipe.duration_s, camera.rate_hz)
+    stamps = clock.stamps(n, camera.rate_hz, EPOCH_NS, camera.clock_offset_ms)
+    renderer = stage.renderers[camera.name]
+    rows = []
+    for stamp, body in zip(stamps.tolist(), stage.bodies(np.arange(n) / camera.rate_hz), strict=True):
+        T_map_cam = body @ site.mount
+        depth, _, instances = renderer.truth(T_map_cam)
+        sight.look(T_map_cam, depth, instances)
+        state = state_of(body[:3, 3], body[:3, :3])
+        values = expert.values(state, sight.found)
+        yaw, pitch = best(values)
+        own = measured(site, state)
+        row: dict[str, float] = {"stamp_ns": stamp, "yaw": yaw, "pitch": pitch}
+        row |= {"heading_rad": own.heading, "pitch_rad": own.pitch, "depth_m": own.depth, "altitude_m": own.altitude}
+        row |= {f"value_{y}_{p}": value for (y, p), value in np.ndenumerate(values)}
+        rows.append(row)
+    return pd.DataFrame(rows).to_csv(index=False, lineterminator="\n", float_format="%.10g").encode()

@@ -1,0 +1,198 @@
+"""Answers and truths are read from whatever holds them, and what is wrong is refused by name, in one line."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from oysterbench.annotations import open_answers, open_truth, read_coco
+from oysterbench.annotations.masks import check_names
+from oysterbench.core.errors import LabelError
+from oysterbench.evaluate.detection.instances import from_mask
+
+MASK = np.zeros((6, 8), bool)
+MASK[1:4, 2:6] = True
+POLYGON = [2.0, 1.0, 6.0, 1.0, 6.0, 4.0, 2.0, 4.0]
+COUNTS = [13, 3, 3, 3, 3, 3, 3, 3, 14]  # of MASK, column by column
+
+
+def write_png(path, values):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), values)
+
+
+def said(folder, name="a", form="auto"):
+    return open_answers(folder, form).get(name)
+
+
+@pytest.mark.parametrize("write", ["png8", "png01", "png16", "npy", "npz", "float"])
+def test_masks_and_probabilities_are_read_from_every_form(tmp_path, write):
+    if write.startswith("png"):
+        values = (
+            MASK.astype(np.uint16) * 65535
+            if write == "png16"
+            else MASK.astype(np.uint8) * (255 if write == "png8" else 1)
+        )
+        write_png(tmp_path / "clip" / "a.png", values)
+    elif write == "npy":
+        (tmp_path / "clip").mkdir()
+        np.save(tmp_path / "clip" / "a.npy", MASK)
+    else:
+        (tmp_path / "clip").mkdir()
+        np.savez(tmp_path / "clip" / "a.npz", MASK.astype(np.float32) if write == "float" else MASK)
+    answer = said(tmp_path, "clip/a")
+    assert np.array_equal(answer.mask(0.5), MASK)
+
+
+def test_one_npz_holds_an_array_for_each_image(tmp_path):
+    np.savez(tmp_path / "all.npz", **{"clip/a": MASK, "clip/b": ~MASK})
+    answers = open_answers(tmp_path / "all.npz")
+    assert answers.names == ("clip/a", "clip/b")
+    assert np.array_equal(answers.get("clip/b").mask(0.5), ~MASK)
+
+
+def test_numbers_of_classes_are_read_as_such(tmp_path):
+    write_png(tmp_path / "a.png", MASK.astype(np.uint8) * 2)
+    assert np.array_equal(said(tmp_path, form="classes").mask(0.5), MASK)
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-20])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "form", "message"),
+    [
+        (lambda p: cut(p), "auto", r"a\.png: not a whole PNG file: its end is missing"),
+        (lambda p: p.write_bytes(b""), "auto", r"a\.png: not a whole PNG file"),
+        (lambda p: write_png(p, np.full((4, 4, 3), (1, 2, 3), np.uint8)), "auto", "expected one channel"),
+        (lambda p: write_png(p, MASK.astype(np.uint8) * 3 + 1), "mask", "0 and one other number, got 1, 4"),
+        (lambda p: write_png(p, MASK.astype(np.uint8) * 77), "classes", "a: unknown class 77; known classes: 0 water"),
+    ],
+)
+def test_files_that_are_not_what_they_should_be_are_refused_by_name(tmp_path, spoil, form, message):
+    write_png(tmp_path / "a.png", MASK.astype(np.uint8))
+    spoil(tmp_path / "a.png")
+    with pytest.raises(LabelError, match=message) as caught:
+        said(tmp_path, form=form)
+    assert "\n" not in str(caught.value)
+
+
+def test_masks_of_0_and_1_among_probability_maps_are_not_guessed_at(tmp_path):
+    write_png(tmp_path / "a.png", MASK.astype(np.uint8))
+    write_png(tmp_path / "b.png", MASK.astype(np.uint8) * 200)
+    answers = open_answers(tmp_path)
+    answers.get("a")
+    with pytest.raises(LabelError, match=r"a has 0 and 1 alone.*--estimate-kind says which"):
+        answers.get("b")
+
+
+def test_missing_and_further_answers_are_refused_by_name(tmp_path):
+    with pytest.raises(LabelError, match="no answer for b; expected one answer for each of 2 images"):
+        check_names(["a", "b"], ["a"], tmp_path)
+    with pytest.raises(LabelError, match="no image of the truth is named c, d, e and 1 more"):
+        check_names(["a"], ["a", "c", "d", "e", "f"], tmp_path)
+    for place in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(LabelError, match="expected a"):
+            open_answers(place)
+
+
+def document(**changes):
+    """A COCO file of two images with one oyster."""
+    one = {"id": 7, "image_id": 1, "category_id": 3, "segmentation": [POLYGON], "bbox": [2, 1, 4, 3], "area": 12}
+    images = [{"id": k, "file_name": f"clip/{name}.jpg", "width": 8, "height": 6} for k, name in ((1, "a"), (2, "b"))]
+    categories = [{"id": 3, "name": "oyster"}, {"id": 4, "name": "stone"}]
+    return {"images": images, "categories": categories, "annotations": [one | changes]}
+
+
+def wrote(path, content):
+    path.write_text(json.dumps(content))
+    return path
+
+
+@pytest.mark.parametrize(
+    "segmentation",
+    [
+        [POLYGON],
+        {"size": [6, 8], "counts": COUNTS},
+        {"size": [6, 8], "counts": from_mask(MASK).mask["counts"].decode()},
+    ],
+)
+def test_coco_is_read_from_polygons_and_run_lengths(tmp_path, segmentation):
+    file = read_coco(wrote(tmp_path / "x.json", document(segmentation=segmentation)))
+    assert file.names == ("clip/a", "clip/b")
+    assert np.array_equal(file.mask("clip/a", 0.5).oyster, MASK)
+    assert not file.mask("clip/b", 0.5).oyster.any()
+    (one,) = file.instances("clip/a", scored=False).instances
+    assert (one.box, one.area) == ((2.0, 1.0, 4.0, 3.0), 12.0)
+    assert one.mask["counts"] == from_mask(MASK).mask["counts"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"image_id": 9}, "image_id 9 is of no image"),
+        ({"category_id": 9}, "category_id 9 is of no category; known: 3 oyster, 4 stone"),
+        ({"segmentation": [POLYGON[:-1]]}, "three corners x y or more, got 7 numbers"),
+        ({"segmentation": {"size": [8, 6], "counts": COUNTS}}, r"run lengths of the size \[6, 8\], got \[8, 6\]"),
+        ({"segmentation": {"size": [6, 8], "counts": [40]}}, "add up to 48 pixels, got 40"),
+        ({"bbox": [1, 2, -3, 4]}, r"expected 'bbox' as \[x, y, width, height\] in px, got \[1, 2, -3, 4\]"),
+    ],
+)
+def test_bad_annotations_are_refused_by_item(tmp_path, changes, message):
+    with pytest.raises(LabelError, match=rf"x\.json: annotations\[0\]: .*{message}"):
+        read_coco(wrote(tmp_path / "x.json", document(**changes))).instances("clip/a", scored=False)
+
+
+@pytest.mark.parametrize("score", [None, float("nan"), "high", True])
+def test_results_without_a_score_are_refused_by_item(tmp_path, score):
+    truth = read_coco(wrote(tmp_path / "x.json", document()))
+    result = {"image_id": 1, "category_id": 3, "segmentation": [POLYGON]} | ({} if score is None else {"score": score})
+    file = read_coco(wrote(tmp_path / "r.json", [result]), truth.ids)
+    with pytest.raises(LabelError, match=r"r\.json: \[0\]: expected a 'score', a number, got"):
+        file.instances("clip/a", scored=True)
+
+
+def test_doubled_ids_and_lists_without_images_are_refused(tmp_path):
+    content = document()
+    content["annotations"] *= 2
+    with pytest.raises(LabelError, match=r"annotations\[1\]: id 7 is used a second time"):
+        read_coco(wrote(tmp_path / "x.json", content))
+    content["images"] *= 2
+    with pytest.raises(LabelError, match=r"images\[2\]: id 1 or file_name .* is used a second time"):
+        read_coco(wrote(tmp_path / "x.json", content))
+    with pytest.raises(LabelError, match="expected a truth in COCO form"):
+        read_coco(wrote(tmp_path / "r.json", []))
+    (tmp_path / "r.json").write_text("{")
+    with pytest.raises(LabelError, match=r"r\.json: cannot be read as JSON"):
+        read_coco(tmp_path / "r.json")
+
+
+def test_clips_of_a_plain_folder_are_its_folders_or_what_the_manifest_says(tmp_path):
+    for name in ("one/a", "one/b", "two/c"):
+        write_png(tmp_path / f"{name}.png", MASK.astype(np.uint8) * 255)
+    assert [(clip.name, clip.names) for clip in open_truth(tmp_path)] == [
+        ("one", ("one/a", "one/b")),
+        ("two", ("two/c",)),
+    ]
+    (tmp_path / "manifest.csv").write_text("id,clip\none/a,x\none/b,y\ntwo/c,x\n")
+    assert [clip.name for clip in open_truth(tmp_path)] == ["x", "y"]
+    (tmp_path / "manifest.csv").write_text("id,clip\none/a,x\n")
+    with pytest.raises(LabelError, match="does not say which clip one/b is of"):
+        open_truth(tmp_path)
+
+
+def test_a_number_of_the_truth_may_be_ignored_and_unknown_classes_are_refused(tmp_path):
+    values = MASK.astype(np.uint8) * 2
+    values[0, 0] = 255
+    write_png(tmp_path / "a.png", values)
+    ((truth, _),) = open_truth(tmp_path, "classes")[0].images()
+    assert np.array_equal(truth.oyster, MASK)
+    assert truth.ignore.sum() == 1
+    with pytest.raises(LabelError, match=r"a\.png: unknown class 255; known classes: 0 water"):
+        list(open_truth(tmp_path, "classes", ignore_value=7)[0].images())
+    with pytest.raises(LabelError, match=r"a\.png: expected a mask of 0 and one other number, got 0, 2, 255"):
+        list(open_truth(tmp_path)[0].images())

@@ -1,0 +1,298 @@
+"""Labelled images: every form gives what was put into it, and what is wrong is named."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from pycocotools import mask as coco_masks
+
+import oysterbench
+from oysterbench.annotations import LabelledSet, joined, open_labelled, write_folder
+from oysterbench.annotations.coco import segmentation_mask
+from oysterbench.annotations.image import OYSTER
+from oysterbench.annotations.polygons import rasterise
+from oysterbench.annotations.sequences import LEAST_PIXELS, LEAST_VISIBILITY, countable
+from oysterbench.core.errors import LabelError
+from oysterbench.sequence.export import export_sequence
+from oysterbench.sequence.export.polygons import mask_polygons
+from tests.helpers.labelled_folders import HEIGHT, WIDTH, image, picture, write_png, yolo_folder
+
+SQUARE = "0 0.25 0.25 0.75 0.25 0.75 0.75 0.25 0.75\n"
+
+
+# Polygons
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_polygons_along_the_borders_of_a_mask_give_it_back(seed):
+    mask = np.random.default_rng(seed).random((23, 31)) < 0.6
+    found = np.zeros_like(mask)
+    for polygon in mask_polygons(mask):
+        found ^= rasterise(np.reshape(polygon, (-1, 2)), *mask.shape)
+    assert np.array_equal(found, mask)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_polygon_holds_the_pixels_whose_centres_are_in_it(seed):
+    rng = np.random.default_rng(seed)
+    polygon = rng.uniform(-10, 50, (7, 2))  # crosses itself, and leaves the image
+    mask = rasterise(polygon, 30, 40)
+    for row, column in zip(rng.integers(0, 30, 200), rng.integers(0, 40, 200), strict=True):
+        x, y = column + 0.5, row + 0.5
+        ends = np.roll(polygon, -1, axis=0)
+        crossings = sum(
+            (y0 > y) != (y1 > y) and x < (x1 - x0) * (y - y0) / (y1 - y0) + x0
+            for (x0, y0), (x1, y1) in zip(polygon, ends, strict=True)
+        )
+        assert mask[row, column] == bool(crossings % 2)
+
+
+# YOLO
+
+
+def test_yolo_polygons_become_masks_and_the_smaller_one_lies_on_top(tmp_path):
+    inner = "0 0.375 0.375 0.5 0.375 0.5 0.5 0.375 0.5\n"
+    found = open_labelled(yolo_folder(tmp_path / "set", {"a": inner + SQUARE, "b": ""}))
+    assert [entry.name for entry in found.entries] == ["a", "b"]
+    assert np.array_equal(found[0].pixels, picture(0))
+    assert found[0].oysters.sum() == HEIGHT * WIDTH / 4
+    assert (found[0].instances == 1).sum() == HEIGHT * WIDTH / 64
+    assert not found[1].oysters.any()
+
+
+def test_a_polygon_that_leaves_the_image_ends_at_its_border(tmp_path):
+    found = open_labelled(yolo_folder(tmp_path / "set", {"a": "0 -0.5 -0.5 0.5 -0.5 0.5 0.5 -0.5 0.5\n"}))
+    assert found[0].oysters.sum() == HEIGHT * WIDTH / 4
+
+
+def test_a_manifest_gives_clips_splits_and_order(tmp_path):
+    manifest = "id,clip,split,more\nb,two,test,1\na,one,train,2\n"
+    found = open_labelled(yolo_folder(tmp_path / "set", {"a": SQUARE, "b": ""}, manifest))
+    assert [(e.name, e.clip, e.split) for e in found.entries] == [("b", "two", "test"), ("a", "one", "train")]
+    assert [entry.name for entry in found.of_split("train").entries] == ["a"]
+    with pytest.raises(LabelError, match="no image of split 'val'; its splits: test, train"):
+        found.of_split("val")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 0 0 1 0 1 1\n", r"a.txt:1: class 1 is not an oyster; known classes: 0 = oyster"),
+        (SQUARE + "0 0.1 0.2 0.3 0.4\n", r"a.txt:2: expected three corners x y or more, got 4 numbers: a box"),
+        ("0 0 0 nan 0 1 1\n", r"a.txt:1: expected corners in fractions"),
+        ("0 0 0 416 0 416 416\n", r"a.txt:1: expected corners in fractions"),
+        ("oyster 0 0 1 0 1 1\n", r"a.txt:1: expected numbers"),
+    ],
+)
+def test_a_bad_line_of_labels_is_refused_by_file_and_line(text, message, tmp_path):
+    found = open_labelled(yolo_folder(tmp_path / "set", {"a": text}))
+    with pytest.raises(LabelError, match=message):
+        found[0]
+
+
+@pytest.mark.parametrize(
+    ("manifest", "message"),
+    [
+        ("id,clip\na,one\n", "does not list images/b"),
+        ("id,clip\na,one\nb,one\nc,one\n", "lists 'c', but images/ has no such image"),
+        ("id,clip\na,one\na,two\n", "'a' is listed a second time"),
+        ("id,clip,split\na,one,train\nb,one,\n", "'b' has no split"),
+        ("id,video\na,one\n", "missing: clip"),
+    ],
+)
+def test_a_manifest_that_does_not_fit_the_images_is_refused(manifest, message, tmp_path):
+    with pytest.raises(LabelError, match=message):
+        open_labelled(yolo_folder(tmp_path / "set", {"a": "", "b": ""}, manifest))
+
+
+def test_images_and_labels_without_each_other_are_named(tmp_path):
+    folder = yolo_folder(tmp_path / "set", {"a": "", "b": ""})
+    (folder / "labels" / "b.txt").unlink()
+    with pytest.raises(LabelError, match=r"image b has no labels/b\.txt"):
+        open_labelled(folder)
+    (folder / "images" / "b.png").unlink()
+    (folder / "labels" / "c.txt").write_text("")
+    with pytest.raises(LabelError, match=r"labels/c\.txt has no image"):
+        open_labelled(folder)
+
+
+# Images
+
+
+def test_a_truncated_jpeg_is_refused_and_not_half_grey(tmp_path):
+    folder = yolo_folder(tmp_path / "set", {"a": ""})
+    (folder / "images" / "a.png").unlink()
+    data = cv2.imencode(".jpg", picture(0))[1].tobytes()
+    (folder / "images" / "a.jpg").write_bytes(data[:-40])
+    with pytest.raises(LabelError, match=r"a\.jpg: (the JPEG ends before its end marker|not an image)"):
+        open_labelled(folder)[0]
+
+
+@pytest.mark.parametrize("data", [b"", b"not a picture"])
+def test_what_is_no_image_is_refused(data, tmp_path):
+    folder = yolo_folder(tmp_path / "set", {"a": ""})
+    (folder / "images" / "a.png").write_bytes(data)
+    with pytest.raises(LabelError, match=r"a\.png: not an image that can be decoded"):
+        open_labelled(folder)[0]
+
+
+# Folders of masks
+
+
+def test_what_is_written_as_a_folder_is_read_back(tmp_path):
+    images = [image(k, clip="one" if k < 2 else "two") for k in range(3)]
+    images[1].ignore[:5] = True
+    assert write_folder(images, tmp_path / "set", {"one-0": "train", "one-1": "train", "two-2": "test"}) == 3
+    found = open_labelled(tmp_path / "set")
+    assert found.clips == ("one", "two")
+    assert len(found.of_split("train")) == 2
+    for mine, other in zip(images, found, strict=True):
+        for key in ("pixels", "classes", "instances", "ignore"):
+            assert np.array_equal(getattr(mine, key), getattr(other, key)), key
+
+
+def test_without_instances_what_hangs_together_is_one(tmp_path):
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[4:10, 4:10] = mask[20:30, 20:30] = 255
+    write_png(tmp_path / "images" / "a.png", picture(0))
+    write_png(tmp_path / "masks" / "a.png", mask)
+    found = open_labelled(tmp_path)[0]
+    assert sorted(np.bincount(found.instances.ravel())[1:]) == [36, 100]
+
+
+def test_masks_that_do_not_fit_are_named(tmp_path):
+    write_png(tmp_path / "images" / "a.png", picture(0))
+    write_png(tmp_path / "masks" / "a.png", np.zeros((HEIGHT, WIDTH + 1), np.uint8))
+    with pytest.raises(LabelError, match=f"expected the size of the image, {WIDTH} x {HEIGHT}, got {WIDTH + 1} x"):
+        open_labelled(tmp_path)[0]
+    write_png(tmp_path / "masks" / "a.png", np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH).astype(np.uint8))
+    with pytest.raises(LabelError, match=r"masks/a\.png: expected 0 and one other value"):
+        open_labelled(tmp_path)[0]
+    write_png(tmp_path / "masks" / "b.png", np.zeros((HEIGHT, WIDTH), np.uint8))
+    with pytest.raises(LabelError, match=r"b has no image"):
+        open_labelled(tmp_path)
+
+
+# COCO
+
+
+def coco_file(folder, segmentation, **more):
+    """A file of one image and one annotation."""
+    write_png(folder / "a.png", picture(0))
+    document = {
+        "images": [{"id": 3, "file_name": "a.png", "width": WIDTH, "height": HEIGHT, "clip": "one"}],
+        "categories": [{"id": 7, "name": "oyster"}, {"id": 8, "name": "stone"}],
+        "annotations": [{"id": 1, "image_id": 3, "category_id": 7, "segmentation": segmentation, **more}],
+    }
+    (folder / "all.json").write_text(json.dumps(document))
+    return folder
+
+
+def test_coco_run_lengths_are_those_of_pycocotools(tmp_path):
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        mask = cv2.resize(rng.random((6, 8)), (WIDTH, HEIGHT)) > rng.uniform(0.2, 0.8)
+        runs = coco_masks.encode(np.asfortranarray(mask.astype(np.uint8)))
+        text = {"size": runs["size"], "counts": runs["counts"].decode()}
+        assert np.array_equal(segmentation_mask(text, HEIGHT, WIDTH, "here"), mask)
+        flat = mask.T.ravel().astype(int)
+        edges = np.flatnonzero(np.diff(flat)) + 1
+        counts = np.diff(np.r_[0, edges, flat.size]).tolist()
+        plain = {"size": [HEIGHT, WIDTH], "counts": [0, *counts] if flat[0] else counts}
+        assert np.array_equal(segmentation_mask(plain, HEIGHT, WIDTH, "here"), mask)
+
+
+def test_coco_polygons_crowds_and_other_categories(tmp_path):
+    box = [8, 8, 24, 8, 24, 20, 8, 20]
+    assert open_labelled(coco_file(tmp_path, [box]))[0].oysters.sum() == 16 * 12
+    crowd = open_labelled(coco_file(tmp_path, [box], iscrowd=1))[0]
+    assert crowd.ignore.sum() == 16 * 12
+    assert not crowd.oysters.any()
+    assert not open_labelled(coco_file(tmp_path, [box], category_id=8))[0].oysters.any()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("image_id", 99, r"annotations\[0\]: image_id 99 is of no image"),
+        ("category_id", 99, r"annotations\[0\]: category_id 99 is of no category"),
+        ("segmentation", {"size": [1, 1], "counts": [1]}, r"annotations\[0\]: expected run lengths of the size"),
+        ("segmentation", [[1, 2, 3]], r"annotations\[0\]: expected polygons of three corners"),
+    ],
+)
+def test_a_bad_annotation_is_refused_by_its_place(key, value, message, tmp_path):
+    folder = coco_file(tmp_path, [[8, 8, 24, 8, 24, 20]])
+    document = json.loads((folder / "all.json").read_text())
+    document["annotations"][0][key] = value
+    (folder / "all.json").write_text(json.dumps(document))
+    with pytest.raises(LabelError, match=message):
+        open_labelled(folder)[0]
+
+
+def test_a_rendered_sequence_and_its_coco_export_have_the_same_oysters(tiny_file, tmp_path):
+    folder, _ = export_sequence(oysterbench.open(tiny_file), "coco", tmp_path / "coco")
+    rendered, exported = open_labelled(tiny_file), open_labelled(folder)
+    assert len(rendered) == len(exported) == 5
+    assert any(one.oysters.any() for one in rendered)
+    for one, other in zip(rendered, exported, strict=True):
+        assert np.array_equal(one.pixels, other.pixels)
+        assert np.array_equal(one.oysters, other.oysters)
+        assert one.clip == "tiny-01"
+        assert one.conditions == {"camera": "cam_front"}
+
+
+# Rendered sequences
+
+
+def test_oysters_too_small_or_too_hidden_to_count_are_ignored():
+    instances = np.zeros((20, 20), np.uint16)
+    instances[:4, :4], instances[8:10, 8:10], instances[12:18, 12:18], instances[0, 10:] = 1, 2, 3, 4
+    classes = np.where(instances > 0, OYSTER, 1).astype(np.uint8)
+    classes[0, 10:] = 3  # a stone, however small, is background as before
+    visibility = np.full(instances.shape, np.nan, np.float32)
+    visibility[instances > 0] = 1.0
+    visibility[instances == 3] = 0.99 * LEAST_VISIBILITY
+    assert (instances == 1).sum() == LEAST_PIXELS
+    kept, ignore = countable(classes, instances, visibility)
+    assert set(np.unique(kept)) == {0, 1, 4}
+    assert np.array_equal(ignore, np.isin(instances, (2, 3)))
+
+
+# Sets
+
+
+def test_sets_joined_keep_their_images_apart(tmp_path):
+    one = open_labelled(yolo_folder(tmp_path / "one", {"a": SQUARE}))
+    other = open_labelled(yolo_folder(tmp_path / "other", {"a": ""}))
+    both = joined([one, other], "both")
+    assert [entry.name for entry in both.entries] == ["one/a", "other/a"]
+    assert [(image.name, image.clip) for image in both] == [(entry.name, entry.clip) for entry in both.entries]
+    with pytest.raises(LabelError, match="two images are named 'a'"):
+        LabelledSet("twice", [*one.entries, *other.entries])
+
+
+def test_a_digest_changes_with_labels_pictures_and_sides(tmp_path):
+    folder = yolo_folder(tmp_path / "set", {"a": SQUARE, "b": ""}, "id,clip,split\na,one,train\nb,two,test\n")
+    digests = {open_labelled(folder).digest()}
+    assert open_labelled(folder).digest() in digests
+    (folder / "labels" / "b.txt").write_text(SQUARE)
+    digests.add(open_labelled(folder).digest())
+    write_png(folder / "images" / "a.png", picture(9))
+    digests.add(open_labelled(folder).digest())
+    (folder / "manifest.csv").write_text("id,clip,split\na,one,train\nb,two,train\n")
+    digests.add(open_labelled(folder).digest())
+    assert len(digests) == 4
+
+
+def test_what_holds_no_labels_or_could_be_two_things_is_refused(tmp_path):
+    with pytest.raises(LabelError, match="no such file or folder"):
+        open_labelled(tmp_path / "absent")
+    with pytest.raises(LabelError, match="got none of them"):
+        open_labelled(tmp_path)
+    for kind in ("images", "labels", "masks"):
+        (tmp_path / kind).mkdir()
+    with pytest.raises(LabelError, match="got what could be yolo or masks"):
+        open_labelled(tmp_path)

@@ -1,0 +1,58 @@
+"""What a rendered sequence tells of its images: names, masks, sizes, and how much seabed they show."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from oysterbench.annotations import open_labelled, open_truth
+from oysterbench.annotations.truth import footprint_m2
+from oysterbench.core.geometry import transform
+from oysterbench.sequence import CameraCalibration
+
+HEIGHT, WIDTH, FOCAL = 240, 320, 200.0
+
+
+def camera(**options):
+    matrix = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
+    return CameraCalibration(WIDTH, HEIGHT, 1.0, matrix, np.zeros(5), np.eye(4), **options)
+
+
+def test_the_seabed_in_view_is_that_of_a_plane_below():
+    down = transform(Rotation.from_euler("x", 180, degrees=True).as_matrix(), np.array([3.0, 4.0, -1.0]))
+    level = np.full((HEIGHT, WIDTH), 2.0, np.float32)
+    expected = (WIDTH - 1) * (HEIGHT - 1) * (2.0 / FOCAL) ** 2
+    assert footprint_m2(level, camera(), down) == pytest.approx(expected, rel=1e-9)
+    # Seen obliquely, a level bottom 2 m below shows the area between where the corners' rays meet it.
+    tilt = Rotation.from_euler("x", 150, degrees=True)
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    rays = np.stack([(u - WIDTH / 2) / FOCAL, (v - HEIGHT / 2) / FOCAL, np.ones_like(u)], axis=-1) @ tilt.as_matrix().T
+    depth = (-2.0 / rays[..., 2]).astype(np.float32)
+    corners = [(rays * depth[..., None])[i, j, :2] for i, j in ((0, 0), (0, -1), (-1, -1), (-1, 0))]
+    x, y = np.array(corners).T
+    area = 0.5 * abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    assert footprint_m2(depth, camera(), transform(tilt.as_matrix(), np.zeros(3))) == pytest.approx(area, rel=1e-5)
+
+
+def test_nothing_is_said_of_a_flat_port_or_of_empty_water():
+    assert footprint_m2(np.ones((HEIGHT, WIDTH), np.float32), camera(port_m=0.02, port_index=1.33), np.eye(4)) is None
+    assert footprint_m2(np.zeros((HEIGHT, WIDTH), np.float32), camera(), np.eye(4)) is None
+
+
+def test_a_sequence_is_a_clip_with_the_truth_that_training_has(tiny_file):
+    (clip,) = open_truth(tiny_file)
+    labelled = open_labelled(tiny_file)
+    assert clip.names == tuple(entry.name for entry in labelled.entries)
+    assert clip.name == "tiny-01"
+    for (truth, pixels), image in zip(clip.images(), labelled, strict=True):
+        assert truth.name == image.name
+        assert np.array_equal(pixels, image.pixels)
+        assert np.array_equal(truth.oyster, image.oysters)
+        ignored = np.zeros_like(image.ignore) if truth.ignore is None else truth.ignore
+        assert np.array_equal(ignored, image.ignore)
+        singles = [one for one in clip.instances(truth).instances if not one.crowd]
+        assert len(singles) == len(np.unique(image.instances[(image.instances > 0) & image.oysters]))
+        numbers = np.unique(truth.instances[truth.oyster & (truth.instances > 0)])
+        assert np.isfinite(truth.heights_mm[numbers]).all()
+        assert truth.footprint_m2 > 0.1  # a camera that looks ahead sees far

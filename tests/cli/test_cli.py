@@ -1,0 +1,390 @@
+"""The command line, as its users type it: in a process of its own, with exit codes and streams."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import oysterbench
+from oysterbench.cli.main import FORMATS, main
+from oysterbench.core.trajectory import Trajectory, write_tum
+from tests.helpers.paths import COMMAND, ROOT
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
+
+
+def run(*arguments, home=None, cwd=None):
+    environment = dict(os.environ)
+    if home is not None:
+        environment["OYSTERBENCH_HOME"] = str(home)
+    return subprocess.run(
+        [COMMAND, *map(str, arguments)], capture_output=True, text=True, env=environment, cwd=cwd, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def recipe(tmp_path_factory):
+    """The tiny split as a file, its rig beside it."""
+    folder = tmp_path_factory.mktemp("recipe")
+    (folder / "rig.toml").write_text(TINY_RIG)
+    path = folder / "tiny.toml"
+    path.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
+    return path
+
+
+@pytest.fixture(scope="module")
+def kept_home(tmp_path_factory):
+    """An OYSTERBENCH_HOME that the tests of this file share."""
+    return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture
+def trajectories(tmp_path):
+    """A truth and an estimate that is 0.1 m off in alternating directions, as TUM files."""
+    stamps = 1_000_000_000_000 + np.arange(200) * 50_000_000
+    angle = np.linspace(0, 4, 200)
+    positions = np.column_stack([np.cos(angle), np.sin(angle), 0.3 * angle])
+    quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (200, 1))
+    off = positions + np.where(np.arange(200) % 2, 0.1, -0.1)[:, None] * [0, 0, 1]
+    write_tum(tmp_path / "truth.tum", Trajectory(stamps, positions, quaternions))
+    write_tum(tmp_path / "mine.tum", Trajectory(stamps, off, quaternions))
+    return tmp_path / "truth.tum", tmp_path / "mine.tum"
+
+
+def assert_one_line(result, pattern, code=1):
+    assert result.returncode == code, result.stderr
+    assert result.stdout == ""
+    assert re.fullmatch(rf"oysterbench: [^\n]*{pattern}[^\n]*\n", result.stderr), result.stderr
+
+
+def test_help_shows_examples_and_every_command_has_its_own(recipe):
+    assert "Examples:" in run("--help").stdout
+    for name in main.commands:
+        assert "Examples:" in run(name, "--help").stdout
+
+
+def test_the_readme_names_every_command():
+    readme = (ROOT / "README.md").read_text()
+    for name in main.commands:
+        assert f"oysterbench {name}" in readme
+
+
+def test_version():
+    assert run("--version").stdout == f"oysterbench, version {oysterbench.__version__}\n"
+
+
+def test_help_loads_no_numpy():
+    code = "import sys; sys.argv = ['oysterbench', '--help']; from oysterbench.cli.main import FORMATS, main\n"
+    code += "try: main()\nexcept SystemExit: pass\nassert 'numpy' not in sys.modules and 'rich' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_eval_renders_runs_and_prints_json_and_nothing_else(recipe, kept_home, tmp_path):
+    arguments = ("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", "--json")
+    first = run(*arguments, "--out", tmp_path / "out", home=kept_home)
+    assert first.returncode == 0, first.stderr
+    assert "rendering tiny: 25 of 25 frames" in first.stderr
+    document = json.loads(first.stdout)
+    (record,) = document["results"]
+    assert (record["track"], record["split"], record["sequence"]) == ("slam", "tiny", "tiny-01")
+    assert record["method"] == "dead_reckoning"
+    metrics = record["metrics"]
+    for key in (
+        "ate_rmse_m",
+        "ate_percent",
+        "ate_rotation_rmse_deg",
+        "rpe_1s_translation_rmse_m",
+        "rpe_1s_rotation_rmse_deg",
+        "coverage",
+        "realtime_factor",
+    ):
+        assert np.isfinite(metrics[key]), key
+    assert metrics["coverage"] > 0.95
+    assert document["aggregate"][0]["metrics"]["ate_rmse_m"] == metrics["ate_rmse_m"]
+    assert json.loads((tmp_path / "out" / "results.json").read_text()) == document
+    assert "<svg" in (tmp_path / "out" / "report.html").read_text()
+
+    second = run(*arguments, home=kept_home)
+    assert "rendering" not in second.stderr, "the second run renders nothing"
+    again = json.loads(second.stdout)["results"][0]["metrics"]
+    assert again["ate_rmse_m"] == metrics["ate_rmse_m"]
+
+
+def test_eval_prints_a_table(recipe, kept_home):
+    result = run("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", home=kept_home)
+    assert result.returncode == 0
+    assert re.search(r"tiny-01 +dead_reckoning +\d", result.stdout)
+
+
+def test_eval_scores_two_files(trajectories):
+    truth, estimate = trajectories
+    result = run("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--align", "none", "--json")
+    assert result.returncode == 0, result.stderr
+    metrics = json.loads(result.stdout)["results"][0]["metrics"]
+    assert metrics["ate_rmse_m"] == pytest.approx(0.1, abs=1e-9)
+    assert metrics["coverage"] == 1.0
+
+
+@pytest.mark.parametrize("align", ["none", "origin", "se3", "posyaw", "sim3"])
+@pytest.mark.parametrize("associate", ["interpolate", "nearest"])
+def test_eval_takes_every_alignment_and_association(trajectories, align, associate):
+    truth, estimate = trajectories
+    options = ("--align", align, "--associate", associate)
+    result = run("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, *options, "--json")
+    assert result.returncode == 0, result.stderr
+    assert json.loads(result.stdout)["results"][0]["settings"]["align"] == align
+
+
+def test_eval_runs_a_method_several_times_and_says_how_the_runs_spread(recipe, kept_home, tmp_path):
+    arguments = ("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", "--runs", "2")
+    result = run(*arguments, "--out", tmp_path / "out", home=kept_home)
+    assert result.returncode == 0, result.stderr
+    assert "running dead_reckoning on tiny-01, run 2 (2 of 2)" in result.stderr
+    assert "dead_reckoning (2 runs)" in result.stdout
+    assert "Runs on tiny" in result.stdout
+    records = json.loads((tmp_path / "out" / "results.json").read_text())["results"]
+    assert [record["run"] for record in records] == [0, 1]
+    assert records[0]["conditions"]["water_type"] == "1C"
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {"results.json", "results.csv", "results.tex", "results.md", "report.html"} <= names
+    assert {"tiny-01-truth.tum", "tiny-01-dead_reckoning-1.tum", "tiny-01-dead_reckoning-2.tum"} <= names
+
+
+def test_eval_writes_the_forms_that_are_asked_for(trajectories, tmp_path):
+    truth, estimate = trajectories
+    files = ("--csv", tmp_path / "r.csv", "--md", tmp_path / "r.md", "--report", tmp_path / "new" / "r.html")
+    result = run("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--tex", "-", *files)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.startswith("% needs \\usepackage{booktabs,graphicx}")
+    assert "mine.tum" in (tmp_path / "r.csv").read_text()
+    assert "| truth.tum | mine.tum |" in (tmp_path / "r.md").read_text()
+    assert "oysterbench eval --track slam" in (tmp_path / "new" / "r.html").read_text()
+    assert f"written: {tmp_path / 'r.csv'}" in result.stderr
+
+
+@pytest.fixture
+def two_results(trajectories, tmp_path):
+    """Two folders of results: one estimate under two names, scored against one truth."""
+    truth, estimate = trajectories
+    other = estimate.with_name("theirs.tum")
+    other.write_text(estimate.read_text())
+    for name, path in (("ours", estimate), ("theirs", other)):
+        arguments = ("--truth", truth, "--estimate", path, "--align", "none", "--out", tmp_path / name)
+        assert run("eval", "--track", "slam", *arguments).returncode == 0
+    return tmp_path / "ours", tmp_path / "theirs"
+
+
+def test_compare_ranks_any_results_and_equal_ones_tie(two_results):
+    result = run("compare", *two_results, "--json")
+    assert result.returncode == 0, result.stderr
+    document = json.loads(result.stdout)
+    (board,) = document["comparisons"]
+    assert [(row["method"], row["place"], row["rank"]) for row in board["standings"]] == [
+        ("mine.tum", 1, None),
+        ("theirs.tum", 1, None),
+    ]
+    (pair,) = board["pairs"]
+    assert (pair["verdict"], pair["ties"], pair["difference"]) == ("not told apart", 1, 0.0)
+    assert document["remarks"] == ["1 sequence: no 95% interval can be had from fewer than 6"]
+    table = run("compare", *two_results).stdout
+    assert "Standings on truth.tum" in table
+    assert "Pairs on truth.tum" in table
+
+
+def test_compare_writes_all_forms_and_its_json_is_alone_on_stdout(two_results, tmp_path):
+    forms = [f"--{form}={tmp_path / form}" for form in ("csv", "tex", "md", "report")]
+    result = run("compare", *two_results, *forms, "--json")
+    assert json.loads(result.stdout)["comparisons"]
+    assert all((tmp_path / form).stat().st_size > 100 for form in ("csv", "tex", "md", "report"))
+
+
+def test_compare_keeps_other_settings_apart_and_says_so(two_results, trajectories, tmp_path):
+    truth, estimate = trajectories
+    arguments = ("--truth", truth, "--estimate", estimate, "--align", "se3", "--out", tmp_path / "other")
+    assert run("eval", "--track", "slam", *arguments).returncode == 0
+    result = run("compare", two_results[0], tmp_path / "other", "--json")
+    document = json.loads(result.stdout)
+    assert len(document["comparisons"]) == 2
+    assert 'kept apart as 2 comparisons, as they differ in setting align ("none", "se3")' in document["remarks"]
+
+
+def test_compare_asks_for_labels_where_two_files_say_to_be_the_same_run(two_results, trajectories, tmp_path):
+    truth, estimate = trajectories
+    worse = tmp_path / "again" / "mine.tum"
+    worse.parent.mkdir()
+    worse.write_text("\n".join(estimate.read_text().splitlines()[:100]))
+    arguments = ("--truth", truth, "--estimate", worse, "--align", "none", "--out", tmp_path / "again")
+    assert run("eval", "--track", "slam", *arguments).returncode == 0
+    first, second = two_results[0], tmp_path / "again"
+    assert_one_line(run("compare", first, second), "both hold run 0 of mine.tum .*oysterbench compare A=")
+    result = run("compare", f"before={first}", f"after={second}", "--json")
+    labels = [row["method"] for row in json.loads(result.stdout)["comparisons"][0]["standings"]]
+    assert labels == ["before", "after"]
+
+
+def test_compare_refuses_what_is_no_result_in_one_line(tmp_path):
+    (tmp_path / "empty.json").write_text('{"results": []}')
+    (tmp_path / "other.json").write_text("[1]")
+    assert_one_line(run("compare", tmp_path / "absent.json"), "absent.json: no such file")
+    assert_one_line(run("compare", tmp_path / "empty.json"), "holds no result")
+    assert_one_line(run("compare", tmp_path / "other.json"), "expected an object with the list 'results'")
+
+
+def test_an_unknown_split_is_one_line(home):
+    result = run("eval", "--track", "slam", "--split", "slam-maxi", home=home)
+    assert_one_line(result, "unknown split 'slam-maxi'; known splits: .*slam-mini")
+    assert_one_line(run("render", "slam-maxi", home=home), "unknown split")
+    assert not home.exists()
+
+
+def test_an_unknown_method_is_one_line_before_anything_is_rendered(home):
+    assert_one_line(
+        run("eval", "--track", "slam", "--method", "magic", home=home), "unknown method 'magic'; installed methods: "
+    )
+    assert not home.exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("eval",),
+        ("eval", "--track", "swimming"),
+        ("eval", "--track", "slam", "--truth", "a.tum"),
+        ("eval", "--track", "slam", "--truth", "a.tum", "--estimate", "b.tum", "--split", "slam-mini"),
+        ("eval", "--track", "slam", "--align", "sideways"),
+        ("eval", "--track", "slam", "--truth", "a.tum", "--estimate", "b.tum", "--runs", "2"),
+        ("eval", "--track", "slam", "--json", "--csv", "-"),
+        ("eval", "--track", "slam", "--runs", "0"),
+        ("compare",),
+        ("render",),
+        ("render", "slam-mini", "--workers", "0"),
+        ("fly",),
+    ],
+)
+def test_wrong_usage_exits_with_2(arguments):
+    result = run(*arguments)
+    assert result.returncode == 2
+    assert "Traceback" not in result.stderr
+    assert "Usage:" in result.stderr
+
+
+def test_a_bad_estimate_is_one_line_and_writes_nothing(trajectories, tmp_path):
+    truth, estimate = trajectories
+    lines = estimate.read_text().splitlines()
+    cases = {
+        "nan.tum": ([*lines[:5], lines[5].replace(lines[5].split()[1], "nan"), *lines[6:]], "nan"),
+        "late.tum": ([re.sub(r"^1", "2", line) for line in lines], "overlap|common|time"),
+        "short.tum": ([*lines[:3], "1 2 3"], "short.tum:4"),
+        "empty.tum": ([], "holds no pose"),
+    }
+    for name, (content, pattern) in cases.items():
+        (tmp_path / name).write_text("\n".join(content))
+        out = tmp_path / f"{name}-out"
+        result = run("eval", "--track", "slam", "--truth", truth, "--estimate", tmp_path / name, "--out", out)
+        assert_one_line(result, f"(?i:{pattern})")
+        assert not out.exists()
+    result = run("eval", "--track", "slam", "--truth", truth, "--estimate", tmp_path / "absent.tum")
+    assert_one_line(result, r"absent\.tum: no such file")
+
+
+def test_a_damaged_sequence_is_one_line(recipe, kept_home, tmp_path):
+    out = tmp_path / "data"
+    assert run("render", recipe, "--out", out).returncode == 0
+    path = out / "tiny-01.mcap"
+    path.write_bytes(path.read_bytes()[:-1000])
+    assert_one_line(run("info", path), "truncated or damaged")
+    assert_one_line(run("render", recipe, "--out", out), "truncated or damaged.*delete it and render")
+
+
+def test_render_says_where_the_files_are_and_info_what_is_in_them(recipe, kept_home):
+    result = run("render", recipe, home=kept_home)
+    assert result.returncode == 0
+    path = Path(result.stdout.strip())
+    assert path.is_file()
+    assert kept_home in path.parents
+    facts = json.loads(run("info", path, "--json").stdout)
+    assert facts["sequence"] == "tiny-01"
+    assert {row["topic"]: row["messages"] for row in facts["topics"]}["/imu"] == 250
+    assert "/cam_front/image" in run("info", path).stdout
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_export_writes_a_folder_and_prints_it(dive_file, tmp_path, form):
+    result = run("export", dive_file, "--format", form, "--out", tmp_path / "out")
+    assert result.returncode == 0, result.stderr
+    assert result.stdout == f"{tmp_path / 'out'}\n"
+    assert any((tmp_path / "out").iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["out"], "nothing is left beside it"
+    again = run("export", dive_file, "--format", form, "--out", tmp_path / "out")
+    assert_one_line(again, "is there already; it was left as it is")
+
+
+def test_export_says_what_is_worth_knowing_as_json_too(dive_file, tmp_path):
+    result = run("export", dive_file, "--format", "euroc", "--out", tmp_path / "out", "--no-truth", "--json")
+    assert json.loads(result.stdout) == {
+        "folder": str(tmp_path / "out"),
+        "format": "euroc",
+        "notes": ["cam0 is cam_left", "cam1 is cam_right"],
+    }
+    assert result.stderr == ""
+    assert not (tmp_path / "out" / "mav0" / "state_groundtruth_estimate0").exists()
+
+
+def test_export_offers_every_format_that_there_is():
+    from oysterbench.sequence.export import FORMATS as WRITTEN
+
+    assert set(FORMATS) == set(WRITTEN)
+    text = run("export", "--help").stdout
+    assert all(re.search(rf"^ +{form} +\w", text, re.M) for form in FORMATS)
+
+
+def test_an_export_of_nothing_is_one_line(dive_file, tmp_path):
+    assert_one_line(
+        run("export", tmp_path / "absent.mcap", "--format", "tum", "--out", tmp_path / "out"), "no such file"
+    )
+    assert_one_line(
+        run("export", dive_file, "--format", "coco", "--out", tmp_path / "out", "--no-truth"), "which are truth"
+    )
+    assert run("export", dive_file, "--format", "rosbag", "--out", tmp_path / "out").returncode == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_view_writes_one_page(dive_file, tmp_path):
+    result = run("view", dive_file, cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (0, "hand-made.html\n"), result.stderr
+    assert "cam_right" in (tmp_path / "hand-made.html").read_text()
+    assert run("view", dive_file, "--out", tmp_path / "pages" / "mine.html").returncode == 0
+    assert (tmp_path / "pages" / "mine.html").is_file()
+    assert_one_line(run("view", tmp_path / "absent.mcap"), "no such file")
+
+
+def test_splits_lists_what_is_here(home):
+    rows = json.loads(run("splits", "--json", home=home).stdout)["splits"]
+    assert any(row["name"] == "slam-mini" and not row["complete"] for row in rows)
+    assert "slam-mini" in run("splits", home=home).stdout
+
+
+def test_ctrl_c_is_one_line_and_the_work_goes_on_from_there(recipe, tmp_path):
+    out = tmp_path / "data"
+    process = subprocess.Popen(
+        [COMMAND, "render", str(recipe), "--out", str(out), "--workers", "2"], stderr=subprocess.PIPE, text=True
+    )
+    while process.poll() is None and not list(out.glob(".parts/*/*.part")):
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=60)
+    if process.returncode == 0:
+        pytest.skip("the render was done before it could be interrupted")
+    assert process.returncode == 130
+    assert "Traceback" not in stderr
+    assert "the same command goes on from there" in stderr.splitlines()[-1]
+    assert not (out / "tiny-01.mcap").exists()
+    assert run("render", recipe, "--out", out).returncode == 0

@@ -1,0 +1,112 @@
+"""What `oysterbench eval` is told of how to read its files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+from oysterbench.cli.main import main
+from oysterbench.core.geometry import transform
+from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL
+from tests.helpers.trajectory_files import dive, kitti, mcap, seconds, tum
+
+TRUTH = dive(100)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Score a file of bytes against the truth with more arguments: (exit code, stdout, stderr)."""
+    (tmp_path / "truth.tum").write_bytes(tum(TRUTH))
+
+    def call(estimate: bytes, *more: str):
+        (tmp_path / "estimate").write_bytes(estimate)
+        command = ["eval", "--track", "slam", "--truth", str(tmp_path / "truth.tum")]
+        result = CliRunner().invoke(main, [*command, "--estimate", str(tmp_path / "estimate"), *more])
+        assert result.exception is None or isinstance(result.exception, SystemExit)
+        return result.exit_code, result.stdout, result.stderr
+
+    return call
+
+
+def scored(outcome) -> tuple[float, list[str]]:
+    """Position error in m, and notes."""
+    code, stdout, stderr = outcome
+    assert code == 0, stderr
+    (record,) = json.loads(stdout)["results"]
+    return record["metrics"]["ate_rmse_m"], record["notes"]
+
+
+def refused(outcome) -> str:
+    code, stdout, stderr = outcome
+    assert code == 1
+    assert stdout == ""
+    assert stderr.startswith("oysterbench: ")
+    assert stderr.count("\n") == 1
+    return stderr
+
+
+def test_quaternions_as_w_x_y_z_are_read_so_and_the_record_says_it(run):
+    mixed = tum(replace(TRUTH, quaternions=TRUTH.quaternions[:, [3, 0, 1, 2]]))
+    error_m, notes = scored(run(mixed, "--json"))
+    assert error_m < 1e-9
+    assert any("they are read so (--quaternion wxyz" in note for note in notes)
+    _, notes = scored(run(mixed, "--quaternion", "xyzw", "--json"))
+    assert not any("they are read so" in note for note in notes)
+
+
+def test_millimetres_are_decided_by_an_option(run):
+    data = tum(replace(TRUTH, positions=1000 * TRUTH.positions))
+    assert "--unit mm" in refused(run(data))
+    assert scored(run(data, "--unit", "mm", "--json"))[0] < 1e-9
+
+
+def test_a_camera_is_decided_by_its_place_as_numbers_or_as_a_file(run, tmp_path):
+    place = transform(ROTATION_BODY_OPTICAL, [0.2, 0.0, -0.1])
+    camera = TRUTH.matrices @ place
+    quaternions = Rotation.from_matrix(camera[:, :3, :3]).as_quat()
+    data = tum(replace(TRUTH, positions=camera[:, :3, 3], quaternions=quaternions))
+    assert "--frame optical" in refused(run(data))
+    x, y, z, w = Rotation.from_matrix(ROTATION_BODY_OPTICAL).as_quat()
+    assert scored(run(data, "--T-body-estimate", f"0.2,0,-0.1,{x},{y},{z},{w}", "--json"))[0] < 1e-9
+    np.savetxt(tmp_path / "place.txt", place)
+    assert scored(run(data, "--T-body-estimate", str(tmp_path / "place.txt"), "--json"))[0] < 1e-9
+    assert scored(run(data, "--frame", "optical", "--json"))[0] > 0.01
+
+
+def test_a_place_that_is_none_is_a_usage_error(run):
+    code, _, stderr = run(tum(TRUTH), "--T-body-estimate", "1,2,3")
+    assert code == 2
+    assert "expected x,y,z,qx,qy,qz,qw or a 4 x 4 matrix" in stderr
+
+
+def test_kitti_takes_the_stamps_of_the_truth_or_of_a_file(run, tmp_path):
+    error_m, notes = scored(run(kitti(TRUTH), "--json"))
+    assert error_m < 1e-9
+    assert any("take the given times one to one" in note for note in notes)
+    half = TRUTH.select(slice(0, 50))
+    assert "--times FILE" in refused(run(kitti(half)))
+    (tmp_path / "times.txt").write_text("\n".join(map(seconds, half.stamps_ns.tolist())))
+    assert scored(run(kitti(half), "--times", str(tmp_path / "times.txt"), "--json"))[0] < 1e-9
+
+
+def test_a_topic_of_an_mcap_file_is_scored(run):
+    assert scored(run(mcap(TRUTH), "--topic", "/odom", "--json"))[0] < 1e-9
+    assert "choose it with --topic: /odom" in refused(run(mcap(TRUTH), "--topic", "/other"))
+
+
+def test_poses_out_of_order_are_sorted_when_asked(run):
+    lines = tum(TRUTH).splitlines()
+    data = b"\n".join(lines[50:] + lines[:50])
+    assert "estimate:51: expected increasing stamps" in refused(run(data))
+    assert scored(run(data, "--sort", "--json"))[0] < 1e-9
+
+
+def test_reading_options_without_files_are_a_usage_error():
+    result = CliRunner().invoke(main, ["eval", "--track", "slam", "--quaternion", "wxyz", "--sort"])
+    assert result.exit_code == 2
+    assert "--quaternion, --sort: says how to read files" in result.stderr

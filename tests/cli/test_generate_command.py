@@ -1,0 +1,91 @@
+"""The command `render`: what it is asked for, what it says."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from oysterbench.cli import render as cli_render
+from oysterbench.cli.main import main
+from oysterbench.cli.render import plain_progress
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
+
+TWO = TINY_SPLIT.replace("duration_s = 2.5", "duration_s = 1.0").replace('rig = "tiny"', 'rig = "rig.toml"')
+TWO += TWO[TWO.index("[[sequence]]") :].replace("tiny-01", "tiny-02")
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    (tmp_path / "rig.toml").write_text(TINY_RIG)
+    (tmp_path / "tiny.toml").write_text(TWO)
+    return tmp_path / "tiny.toml"
+
+
+def render(recipe, *args):
+    return CliRunner().invoke(main, ["render", str(recipe), "--out", str(recipe.parent / "out"), *args])
+
+
+def test_one_sequence_of_two_is_rendered(recipe):
+    result = render(recipe, "--sequence", "tiny-02", "--workers", "1", "--json")
+    assert result.exit_code == 0, result.stderr
+    assert list(json.loads(result.stdout)["files"]) == ["tiny-02"]
+    assert sorted(path.name for path in (recipe.parent / "out").glob("*.mcap")) == ["tiny-02.mcap"]
+    assert "rendering tiny: 0 of 10 frames" in result.stderr
+    assert "rendering tiny: 10 of 10 frames" in result.stderr
+
+
+def test_an_unknown_sequence_is_named(recipe):
+    result = render(recipe, "--sequence", "tiny-03")
+    assert result.exit_code == 1
+    assert result.stderr == "oysterbench: split tiny has no sequence 'tiny-03'; it has tiny-01, tiny-02\n"
+
+
+def test_a_sheet_of_one_sequence_is_previewed(recipe):
+    result = render(recipe, "--sequence", "tiny-02", "--preview")
+    assert result.exit_code == 0, result.stderr
+    assert [path.name for path in (recipe.parent / "out").iterdir()] == ["tiny-tiny-02-preview.png"]
+
+
+def test_workers_and_a_scheduler_exclude_each_other(recipe):
+    result = render(recipe, "--workers", "2", "--scheduler", "tcp://127.0.0.1:9")
+    assert result.exit_code == 2
+    assert "a cluster's workers are its own" in result.stderr
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_missing_gpu_is_one_clear_line(recipe, workers):
+    import warp
+
+    if warp.is_cuda_available():
+        pytest.skip("there is a CUDA device")
+    result = render(recipe, "--device", "cuda", "--workers", workers)
+    assert result.exit_code == 1
+    said = [line for line in result.stderr.splitlines() if line.startswith("oysterbench: ")]
+    assert len(said) == 1
+    assert "--device cuda: there is no such device here; expected one of cpu" in said[0]
+
+
+def test_progress_off_a_terminal_tells_the_time_left(capsys, monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr(cli_render.time, "monotonic", lambda: now[0])
+    tell = plain_progress("rendering x")
+    for done in range(40, 101):  # 40 were there before
+        tell(done, 100)
+        now[0] += 30.0
+    said = capsys.readouterr().err.splitlines()
+    assert said[0] == "rendering x: 40 of 100 frames"
+    assert "rendering x: 50 of 100 frames, 25 min left" in said, "half a minute for each of the 50 that are left"
+    assert said[-1] == "rendering x: 100 of 100 frames"
+    assert len(said) == 7
+
+
+def test_progress_off_a_terminal_is_told_every_few_minutes(capsys, monkeypatch):
+    now = [1000.0]
+    monkeypatch.setattr(cli_render.time, "monotonic", lambda: now[0])
+    tell = plain_progress("rendering x")
+    for done in range(3):
+        tell(done, 1000)
+        now[0] += 400.0
+    assert len(capsys.readouterr().err.splitlines()) == 3

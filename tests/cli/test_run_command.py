@@ -1,0 +1,210 @@
+"""The command `run`, as its users type it: streams, exit codes, resuming after a kill."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+import oysterbench
+from oysterbench.core.trajectory import write_tum
+from oysterbench.results.records import read_results
+from tests.helpers.paths import COMMAND
+from tests.helpers.programs import command
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
+
+PATIENCE_S = 120.0
+
+
+def start(*arguments, **options):
+    words = [COMMAND, "run", *map(str, arguments)]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+
+
+def run(*arguments, **options):
+    process = start(*arguments, **options)
+    out, err = process.communicate()
+    return subprocess.CompletedProcess(arguments, process.returncode, out, err)
+
+
+@pytest.fixture
+def answer(tmp_path, dive_file):
+    """The true poses of the hand-made dive as a TUM file."""
+    write_tum(tmp_path / "answer.tum", oysterbench.open(dive_file).truth())
+    return tmp_path / "answer.tum"
+
+
+def until(condition, process):
+    """Wait for a condition, as long as the process is there."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def is_alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_program_is_run_scored_and_compared(dive_file, answer, tmp_path):
+    out = tmp_path / "out"
+    done = run("mine", "--command", command(tmp_path, "copies", answer), "--on", dive_file, "--out", out, "--json")
+    assert done.returncode == 0, done.stderr
+    (result,) = json.loads(done.stdout)["results"]
+    assert result["method"] == "mine"
+    assert result["metrics"]["ate_rmse_m"] < 1e-9
+    assert "running mine on hand-made, run 1 (1 of 1)" in done.stderr
+    assert {path.name for path in out.iterdir()} >= {"results.json", "report.html", "hand-made-mine.tum", "runs"}
+    compared = subprocess.run([COMMAND, "compare", out, "--json"], capture_output=True, text=True, check=False)
+    assert compared.returncode == 0, compared.stderr
+
+
+def test_a_failed_run_is_one_line_and_exit_code_1(dive_file, answer, tmp_path):
+    template = command(tmp_path, "refuses", answer)
+    done = run("--command", template, "--on", dive_file, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 1
+    assert "exit status 3; it last said: no vocabulary | giving up" in done.stderr
+    assert "Traceback" not in done.stderr
+    (result,) = json.loads(done.stdout)["results"]
+    assert result["metrics"]["score"] == 0.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_what_was_finished_survives_and_the_same_command_goes_on(number, dive_file, answer, tmp_path):
+    arguments = ("mine", "--command", command(tmp_path, "waits", answer), "--on", dive_file)
+    arguments = (*arguments, "--runs", "2", "--jobs", "1", "--out", tmp_path / "out")
+    pid_file, log = Path(f"{answer}.pid"), Path(f"{answer}.log")
+    process = start(*arguments)
+    until(lambda: pid_file.is_file() and pid_file.read_text() and (tmp_path / "out/results.json").is_file(), process)
+    assert [record.run for record in read_results(tmp_path / "out/results.json")] == [0]
+    process.send_signal(number)
+    _, err = process.communicate()
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert "interrupted; what was finished is kept, and the same command goes on from there" in err
+    pid = int(pid_file.read_text())
+    end = time.monotonic() + PATIENCE_S
+    while is_alive(pid) and time.monotonic() < end:  # its supervisor hears of the death and ends it
+        time.sleep(0.01)
+    assert not is_alive(pid)
+    Path(f"{answer}.go").touch()
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert "run 2 (1 of 1)" in done.stderr
+    assert log.read_text() == "run\n" * 3  # the first, the one that was stopped, and that one again
+    assert [record.run for record in read_results(tmp_path / "out/results.json")] == [0, 1]
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_jobs_that_run_side_by_side_all_end_and_all_go_on(number, dive_file, answer, tmp_path):
+    arguments = ("mine", "--command", command(tmp_path, "holds", answer, "mcap", "{seed}"), "--on", dive_file)
+    arguments = (*arguments, "--runs", "3", "--jobs", "2", "--out", tmp_path / "out")
+    pid_files = [Path(f"{answer}.pid{k}") for k in (1, 2)]
+    process = start(*arguments)
+    until(
+        lambda: (
+            all(path.is_file() and path.read_text() for path in pid_files) and (tmp_path / "out/results.json").is_file()
+        ),
+        process,
+    )
+    process.send_signal(number)
+    process.communicate()
+    pids = [int(path.read_text()) for path in pid_files]
+    end = time.monotonic() + PATIENCE_S
+    while any(map(is_alive, pids)) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not any(map(is_alive, pids))
+    Path(f"{answer}.go").touch()
+    done = run(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert sorted(Path(f"{answer}.log").read_text().split()) == ["0", "1", "1", "2", "2"]
+    assert [record.run for record in read_results(tmp_path / "out/results.json")] == [0, 1, 2]
+
+
+def test_a_sequence_without_truth_gives_poses_and_no_score(dive_file, answer, tmp_path):
+    from oysterbench.methods.inputs import write_input
+
+    write_input(dive_file, "mcap", tmp_path / "hidden.mcap")
+    template = command(tmp_path, "copies", answer)
+    done = run("mine", "--command", template, "--on", tmp_path / "hidden.mcap", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert "hand-made has no truth to score by; the poses: " in done.stderr
+    assert (tmp_path / "out/hand-made-mine.tum").is_file()
+    assert read_results(tmp_path / "out/results.json") == []
+
+
+def test_a_split_is_rendered_and_run_on(tmp_path):
+    (tmp_path / "rig.toml").write_text(TINY_RIG)
+    recipe = tmp_path / "tiny.toml"
+    recipe.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
+    environment = {**os.environ, "OYSTERBENCH_HOME": str(tmp_path / "home")}
+    done = run("dead_reckoning", "--split", recipe, "--sequence", "tiny-01", "--json", env=environment)
+    assert done.returncode == 0, done.stderr
+    (result,) = json.loads(done.stdout)["results"]
+    assert result["split"] == "tiny"
+    assert result["conditions"]["water_type"] == "1C"
+    assert result["metrics"]["coverage"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "expected --split SPLIT or --on SEQUENCE, one of them"),
+        (("--split", "slam-mini"), "expected a METHOD, or --command"),
+        (
+            ("a", "b", "--split", "slam-mini", "--command", "x {euroc} {out}"),
+            "expected one name for it at most, got a, b",
+        ),
+        (("a", "--split", "slam-mini", "--poses-of", "imu"), "a method of Python answers with the poses of base_link"),
+        (("--split", "slam-mini", "--command", "x {euroc} {out}", "--set", "a=1"), "are for methods of Python"),
+        (("a", "--on", "x.mcap"), "--on needs --out"),
+        (("a", "--on", "x.mcap", "--out", "o", "--sequence", "s"), "--sequence chooses from a split"),
+    ],
+)
+def test_a_request_that_contradicts_itself_is_a_usage_error(arguments, message):
+    done = run(*arguments)
+    assert done.returncode == 2
+    assert message in done.stderr
+
+
+def test_variants_of_a_method_stand_in_one_table(dive_file, tmp_path):
+    arguments = ("dead_reckoning", "--set", "imu_inflation=2", "--ablate", "start.level_s=0.5", "--on", dive_file)
+    done = run(*arguments, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    plain, ablated = read_results(tmp_path / "out/results.json")
+    assert plain.method == "dead_reckoning[imu_inflation=2]"
+    assert ablated.method == "dead_reckoning[imu_inflation=2,start.level_s=0.5]"
+    assert (plain.method_settings, ablated.method_settings) == (
+        {"imu_inflation": 2.0},
+        {"imu_inflation": 2.0, "start.level_s": 0.5},
+    )
+    assert ablated.info["settings"]["start"]["level_s"] == 0.5
+    assert plain.metrics["ate_rmse_m"] != ablated.metrics["ate_rmse_m"]
+    assert "[imu_inflation=2" in done.stdout
+
+
+def test_an_unknown_option_is_one_line_with_those_like_it(home):
+    done = run("dead_reckoning", "--ablate", "level_s=1", "--split", "slam-mini")
+    assert done.returncode == 1
+    assert "method 'dead_reckoning' has no option 'level_s'; did you mean start.level_s? Its " in done.stderr
+    assert "the fields of oysterbench_baselines.dead_reckoning" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not home.exists()
+
+
+def test_an_unknown_method_is_named_before_anything_is_rendered(home):
+    done = run("orb_slam", "--split", "slam-mini")
+    assert done.returncode == 1
+    assert "unknown method 'orb_slam'; installed methods: " in done.stderr
+    assert "module:Class" in done.stderr
+    assert not home.exists()

@@ -1,0 +1,318 @@
+"""The same trajectory from every format that it comes in, to the nanosecond and the last digit."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import numpy as np
+import pytest
+from rosbags.rosbag2.enums import StoragePlugin
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import invert, transform
+from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz, write_tum
+from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, poses_of_body
+from oysterbench.evaluate.slam.diagnose import diagnose
+from tests.helpers import trajectory_files as files
+from tests.helpers.trajectory_files import Messages, dive
+
+
+def assert_same(read: Trajectory, expected: Trajectory, atol: float = 0.0) -> None:
+    np.testing.assert_array_equal(read.stamps_ns, expected.stamps_ns)
+    assert read.stamps_ns.dtype == np.int64
+    np.testing.assert_allclose(read.positions, expected.positions, rtol=0, atol=atol)
+    np.testing.assert_allclose(read.quaternions, expected.quaternions, rtol=0, atol=atol)
+    assert (read.covariances is None) == (expected.covariances is None)
+    if expected.covariances is not None:
+        np.testing.assert_array_equal(read.covariances, expected.covariances)
+
+
+def written(tmp_path, data: bytes, name: str = "poses.dat"):
+    path = tmp_path / name
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("form", ["tum", "euroc", "csv", "npz", "mcap"])
+def test_a_file_is_recognised_by_its_content_whatever_its_name(tmp_path, form):
+    assert_same(read_trajectory(written(tmp_path, getattr(files, form)(dive()))), dive())
+
+
+@pytest.mark.parametrize("form", ["csv", "npz", "mcap"])
+def test_covariances_are_read(tmp_path, form):
+    expected = dive(covariances=True)
+    assert_same(read_trajectory(written(tmp_path, getattr(files, form)(expected))), expected)
+
+
+def test_a_ros_1_bag_is_read(tmp_path):
+    expected = dive(covariances=True)
+    assert_same(read_trajectory(files.write_bag1(tmp_path / "poses.bag", expected)), expected)
+
+
+def test_an_mcap_file_of_ros_1_messages_is_read(tmp_path):
+    assert_same(read_trajectory(written(tmp_path, files.mcap_of_ros1(dive()))), dive())
+
+
+def test_a_real_sequence_has_one_truth_in_two_formats(shared_data):
+    folder = shared_data / "floor-euroc"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is absent")
+    one = read_trajectory(folder / "truth_body.tum")
+    other = read_trajectory(folder / "mav0" / "state_groundtruth_estimate0" / "data.csv")
+    assert len(one) == 640
+    assert one.stamps_ns[:2].tolist() == [1_000_000_000_000, 1_000_050_000_000]
+    assert_same(other, one)
+    assert diagnose(one, other) == []
+
+
+@pytest.mark.parametrize("storage", list(StoragePlugin))
+def test_a_ros_2_folder_and_the_file_in_it_are_read(tmp_path, storage):
+    folder = files.write_bag2(tmp_path / "bag", dive(), storage)
+    assert_same(read_trajectory(folder), dive())
+    (inside,) = [path for path in folder.iterdir() if path.suffix in (".db3", ".mcap")]
+    assert_same(read_trajectory(inside), dive())
+
+
+@pytest.mark.parametrize("kind", ["pose_stamped", "pose_with_covariance", "odometry", "transform", "tf"])
+def test_every_kind_of_message_with_a_pose_is_read(tmp_path, kind):
+    messages = Messages(dive())
+    topics = {"/where": [getattr(messages, kind)(i) for i in range(len(dive()))]}
+    path = written(tmp_path, files.mcap(dive(), topics))
+    trajectory = read_trajectory(path)
+    assert_same(trajectory, dive())
+    assert trajectory.notes == ("poses.dat: the poses are those of its only topic with poses, /where",)
+
+
+def test_the_last_of_several_paths_is_read(tmp_path):
+    messages = Messages(dive())
+    path = written(tmp_path, files.mcap(dive(), {"/path": [messages.path(n) for n in range(1, 13)]}))
+    trajectory = read_trajectory(path, topic="/path")
+    assert_same(trajectory, dive())
+    assert trajectory.notes == ("poses.dat: /path holds 12 paths, of which the last is read",)
+
+
+def test_a_topic_among_several_must_be_chosen(tmp_path):
+    messages = Messages(dive())
+    other = Messages(dive().select(slice(0, 5)))
+    topics = {
+        "/a": [messages.odometry(i) for i in range(12)],
+        "/b": [other.pose_stamped(i) for i in range(5)],
+    }
+    path = written(tmp_path, files.mcap(dive(), topics))
+    with pytest.raises(TrajectoryError, match="expected one topic with poses, got 2; choose it with --topic: /a, /b"):
+        read_trajectory(path)
+    assert len(read_trajectory(path, topic="/b")) == 5
+    with pytest.raises(TrajectoryError, match="expected '/c' to be a topic with poses, got none of that name"):
+        read_trajectory(path, topic="/c")
+
+
+def test_a_transform_among_several_must_be_chosen(tmp_path):
+    messages = Messages(dive())
+    topics = {"/tf": [messages.tf(i, "base_link", "camera") for i in range(12)]}
+    path = written(tmp_path, files.mcap(dive(), topics))
+    with pytest.raises(TrajectoryError, match=r"choose it with --topic: /tf:map.base_link, /tf:map.camera"):
+        read_trajectory(path)
+    assert_same(read_trajectory(path, topic="/tf:map.base_link"), dive())
+
+
+def test_covariances_of_zero_are_unknown(tmp_path):
+    assert read_trajectory(written(tmp_path, files.mcap(dive()))).covariances is None
+
+
+def test_messages_without_stamps_are_refused(tmp_path):
+    still = Trajectory(np.zeros(12, dtype=np.int64), dive().positions, dive().quaternions)
+    topics = {"/odom": [Messages(still).odometry(i) for i in range(12)]}
+    with pytest.raises(TrajectoryError, match="carry no stamps"):
+        read_trajectory(written(tmp_path, files.mcap(dive(), topics)))
+
+
+def test_damage_in_a_checked_mcap_file_is_found(tmp_path):
+    data = bytearray(files.mcap(dive()))
+    data[len(data) // 3] ^= 4
+    with pytest.raises(TrajectoryError, match="damaged"):
+        read_trajectory(written(tmp_path, bytes(data)))
+
+
+def test_kitti_poses_take_the_given_times_one_to_one(tmp_path):
+    path = written(tmp_path, files.kitti(dive()))
+    lines = "\n".join(files.seconds(stamp) for stamp in dive().stamps_ns.tolist())
+    times = read_times(written(tmp_path, lines.encode(), "times.txt"))
+    trajectory = read_trajectory(path, times=times)
+    assert_same(trajectory, dive(), atol=1e-12)
+    assert trajectory.notes == ("poses.dat: its 12 poses carry no stamps and take the given times one to one",)
+
+
+def test_kitti_poses_without_times_are_refused_with_the_option(tmp_path):
+    path = written(tmp_path, files.kitti(dive()))
+    with pytest.raises(TrajectoryError, match=r"carry no stamps; give a file with one time a line \(--times FILE\)"):
+        read_trajectory(path)
+    with pytest.raises(TrajectoryError, match="expected a time for each of 12 poses, got 3 times"):
+        read_trajectory(path, times=np.arange(3))
+
+
+def test_a_kitti_matrix_that_is_no_rotation_is_refused_with_its_line(tmp_path):
+    lines = files.kitti(dive()).decode().splitlines()
+    lines[4] = " ".join(["1"] * 12)
+    path = written(tmp_path, "\n".join(lines).encode())
+    with pytest.raises(TrajectoryError, match=r"poses.dat:5: expected the columns .* to be a rotation matrix"):
+        read_trajectory(path, times=dive().stamps_ns)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "timestamp_ns,x,y,z,qx,qy,qz,qw",
+        "t [ns],p_x,p_y,p_z,q_x,q_y,q_z,q_w",
+        "Time (ns); pos_x; pos_y; pos_z; quat_x; quat_y; quat_z; quat_w",
+        "stamp_ns\ttx\tty\ttz\tqx\tqy\tqz\tqw",
+        "# nanoseconds_time x y z qx qy qz qw",
+        "%time,field.pose.position.x,field.pose.position.y,field.pose.position.z,"
+        "field.pose.orientation.x,field.pose.orientation.y,field.pose.orientation.z,field.pose.orientation.w",
+    ],
+)
+def test_a_header_may_spell_the_columns_in_many_ways(tmp_path, header):
+    text = files.tum(dive()).decode().replace(".", "", 0)
+    rows = [line.split() for line in text.splitlines()]
+    sign = next((sign for sign in (",", ";", "\t") if sign in header), " ")
+    lines = [header, *(sign.join([row[0].replace(".", ""), *row[1:]]) for row in rows)]
+    assert_same(read_trajectory(written(tmp_path, "\n".join(lines).encode())), dive())
+
+
+def test_velocities_and_biases_are_not_taken_for_positions(tmp_path):
+    header = "t,v_x,v_y,v_z,b_w_x,b_w_y,b_w_z,w_x,x,y,z,qx,qy,qz,qw"
+    trajectory = read_trajectory(written(tmp_path, f"{header}\n1.5,9,9,9,9,9,9,9,1,2,3,0,0,0,1\n".encode()))
+    np.testing.assert_array_equal(trajectory.positions, [[1, 2, 3]])
+
+
+def test_a_header_gives_the_unit_of_the_positions(tmp_path):
+    rows = "\n1.5,1000,2000,3000,0,0,0,1\n"
+    for header in ("t,x_mm,y_mm,z_mm,qx,qy,qz,qw", "t [s],x [mm],y [mm],z [mm],qx [],qy [],qz [],qw []"):
+        path = written(tmp_path, (header + rows).encode())
+        np.testing.assert_array_equal(read_trajectory(path).positions, [[1, 2, 3]])
+        np.testing.assert_array_equal(read_trajectory(path, unit="m").positions, [[1000, 2000, 3000]])
+    path = written(tmp_path, ("t,x_m,y_m,z_m,qx,qy,qz,qw" + rows).encode())
+    np.testing.assert_array_equal(read_trajectory(path).positions, [[1000, 2000, 3000]])
+    with pytest.raises(TrajectoryError, match="expected a header that names"):
+        read_trajectory(written(tmp_path, ("t,x [ft],y [ft],z [ft],qx,qy,qz,qw" + rows).encode()))
+
+
+def test_a_part_of_a_covariance_is_left_out_and_said(tmp_path):
+    path = written(tmp_path, b"t,x,y,z,qx,qy,qz,qw,cov_x_x,cov_y_y\n1.5,1,2,3,0,0,0,1,4,5\n")
+    trajectory = read_trajectory(path)
+    assert trajectory.covariances is None
+    assert trajectory.notes == ("poses.dat: its covariances are left out: 2 columns are not all of one",)
+
+
+def test_the_upper_half_of_a_covariance_is_enough(tmp_path):
+    axes = ("x", "y", "z", "rx", "ry", "rz")
+    names = [f"cov_{a}_{b}" for i, a in enumerate(axes) for b in axes[i:]]
+    values = ",".join(str(10 if a.split("_")[1] == a.split("_")[2] else 1) for a in names)
+    text = f"t,x,y,z,qx,qy,qz,qw,{','.join(names)}\n1.5,1,2,3,0,0,0,1,{values}\n"
+    covariances = read_trajectory(written(tmp_path, text.encode())).covariances
+    np.testing.assert_array_equal(covariances, [9 * np.eye(6) + 1])
+
+
+def test_a_pipe_is_read_whole(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    data = files.tum(dive(300))
+    writer = threading.Thread(target=pipe.write_bytes, args=(data,))
+    writer.start()
+    assert_same(read_trajectory(pipe), dive(300))
+    writer.join()
+
+
+def test_a_header_that_names_no_pose_is_refused(tmp_path):
+    with pytest.raises(TrajectoryError, match="expected a header that names a column for each of t, x, y"):
+        read_trajectory(written(tmp_path, b"a,b,c,d,e,f,g,h\n1,1,2,3,0,0,0,1\n"))
+
+
+def test_an_option_decides_the_format_the_unit_and_the_order(tmp_path):
+    path = written(tmp_path, b"1500,1000,2000,3000,0.8,0,0,0.6\n")
+    trajectory = read_trajectory(path, format="tum", time_unit="ms", quaternion="wxyz", unit="mm")
+    assert trajectory.stamps_ns.tolist() == [1_500_000_000]
+    np.testing.assert_array_equal(trajectory.positions, [[1, 2, 3]])
+    np.testing.assert_array_equal(trajectory.quaternions, [[0, 0, 0.6, 0.8]])
+
+
+def test_an_option_that_is_none_of_its_choices_is_refused(tmp_path):
+    with pytest.raises(TrajectoryError, match="quaternion: expected one of xyzw, wxyz, got 'zyxw'"):
+        read_trajectory(tmp_path, quaternion="zyxw")
+
+
+def test_an_npz_says_what_is_missing_in_it(tmp_path):
+    np.savez(tmp_path / "a.npz", stamps_ns=np.arange(3), positions=np.zeros((3, 3)))
+    with pytest.raises(TrajectoryError, match="expected an array 'quaternions', got positions, stamps_ns"):
+        read_trajectory(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", stamps_ns=np.arange(3), positions=np.zeros((2, 3)), quaternions=np.zeros((3, 4)))
+    with pytest.raises(TrajectoryError, match=r"expected 'positions' as numbers \(3, 3\), got float64 \(2, 3\)"):
+        read_trajectory(tmp_path / "b.npz")
+
+
+def test_an_npz_with_objects_runs_no_code(tmp_path):
+    np.savez(tmp_path / "a.npz", stamps_ns=np.array([object()]), positions=np.zeros((1, 3)))
+    with pytest.raises(TrajectoryError, match=r"not an \.npz of plain arrays"):
+        read_trajectory(tmp_path / "a.npz")
+
+
+def test_float_stamps_of_an_npz_are_said_to_be_rounded(tmp_path):
+    t = dive()
+    np.savez(
+        tmp_path / "a.npz",
+        t=np.array([float(files.seconds(s)) for s in t.stamps_ns.tolist()]),
+        positions=t.positions,
+        quaternions=t.quaternions,
+    )
+    trajectory = read_trajectory(tmp_path / "a.npz")
+    assert np.abs(trajectory.stamps_ns - t.stamps_ns).max() <= 120
+    assert trajectory.notes == ("a.npz: 't' is float64, which holds these stamps to 238 ns only",)
+
+
+def test_what_is_written_reads_back(tmp_path):
+    expected = dive(covariances=True)
+    write_npz(tmp_path / "a.npz", expected)
+    assert_same(read_trajectory(tmp_path / "a.npz"), expected)
+    write_tum(tmp_path / "a.tum", dive())
+    assert (tmp_path / "a.tum").read_text().splitlines()[1].startswith("1700000000.123456789 ")
+    assert_same(read_trajectory(tmp_path / "a.tum"), dive(), atol=1e-11)
+
+
+def test_poses_of_a_camera_become_poses_of_the_body(tmp_path):
+    place = transform(ROTATION_BODY_OPTICAL, [0.18, 0.02, -0.1])
+    camera = dive().matrices @ place
+    times = dive().stamps_ns
+    lines = "".join(" ".join(map(repr, matrix[:3].ravel().tolist())) + "\n" for matrix in camera)
+    body = read_trajectory(written(tmp_path, lines.encode()), times=times, T_body_estimate=place)
+    np.testing.assert_allclose(body.matrices, dive().matrices, rtol=0, atol=1e-12)
+    turned = read_trajectory(tmp_path / "poses.dat", times=times, frame="optical")
+    np.testing.assert_allclose(turned.matrices[:, :3, :3], dive().matrices[:, :3, :3], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(turned.positions, camera[:, :3, 3], rtol=0, atol=1e-12)
+
+
+def test_the_covariance_of_a_lever_arm_is_that_of_drawn_poses():
+    rng = np.random.Generator(np.random.Philox(3))
+    place = transform(np.eye(3), [0.5, -0.3, 0.8])
+    pose = dive(covariances=True).select(slice(4, 5))
+    covariance = np.diag([1, 2, 3, 4, 5, 6]) * 1e-6
+    pose = Trajectory(pose.stamps_ns, pose.positions, pose.quaternions, covariance[None])
+    moved = poses_of_body(pose, place)
+    from scipy.spatial.transform import Rotation
+
+    drawn = rng.multivariate_normal(np.zeros(6), covariance, 200_000)
+    turns = Rotation.from_rotvec(drawn[:, 3:]) * Rotation.from_quat(pose.quaternions[0])
+    places = pose.positions[0] + drawn[:, :3] + turns.apply(invert(place)[:3, 3])
+    sample = np.cov(np.column_stack([places, drawn[:, 3:]]).T)
+    np.testing.assert_allclose(moved.covariances[0], sample, rtol=0.02, atol=5e-8)
+
+
+def test_a_matrix_that_is_no_rigid_transform_is_refused(tmp_path):
+    with pytest.raises(TrajectoryError, match="expected a rigid transform"):
+        read_trajectory(tmp_path, T_body_estimate=2 * np.eye(4))
+
+
+def test_a_covariance_that_is_none_is_refused(tmp_path):
+    bad = dive(covariances=True)
+    bad.covariances[3, 2, 2] = -1.0
+    with pytest.raises(TrajectoryError, match="message 4: expected a finite, symmetric covariance"):
+        read_trajectory(written(tmp_path, files.mcap(bad)))

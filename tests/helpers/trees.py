@@ -1,0 +1,119 @@
+"""Published trees with hand-made dives in them, small enough to publish in a blink."""
+
+from __future__ import annotations
+
+import json
+import random
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.index import Index, Release
+from oysterbench.hub.manifest import FileEntry, Manifest
+from oysterbench.hub.publish import publish, publish_hidden
+from oysterbench.hub.sign import load_key, make_key
+from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
+from oysterbench.sequence.write import SequenceWriter
+from tests.helpers.hand_made_dive import RIG, all_types, calibration, messages
+
+FACTS = {"split": "fake-val", "version": "1.0", "track": "slam", "rig": "hand", "summary": "Two short dives by hand"}
+DIGEST = sha256(b"the recipe")
+SECRET = sha256(b"the recipe, with a salt")
+SEED = "seed = 20261120"
+
+PIECE = 1 << 19
+SIZE = 20 * PIECE + 1234
+"""Of the large file of `Big`, in bytes."""
+
+
+def write_sequence(path: Path, name: str, seconds: float = 1.0, digest: str = DIGEST, compress: bool = True) -> Path:
+    """A dive as `generate` writes one: with its recipe and the truth inside."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sent, types = messages(seconds), all_types()
+    with open(path, "wb") as file:
+        writer = SequenceWriter(file, types, compress)
+        known = {"sequence": name, "split": FACTS["split"], "split_version": FACTS["version"], "track": "slam"}
+        writer.metadata(METADATA, {**known, "rig": "hand", "digest": digest, "oysterbench": "0.1.0"})
+        writer.attachment(CALIBRATION, "application/json", json.dumps(calibration()).encode())
+        writer.attachment("classes.json", "application/json", b"{}")
+        writer.attachment("split.toml", "application/toml", SEED.encode())
+        writer.attachment("rig.toml", "application/toml", RIG)
+        writer.attachment(OYSTERS, "text/csv", b"id,state,x,y,z\n7,live,0.5,0.1,-3.0\n40000,box,0.8,-0.2,-3.0\n")
+        for topic in types:
+            for message in sent:
+                if message.topic == topic:
+                    writer.write(message)
+            writer.section()
+        writer.finish()
+    return path
+
+
+def write_split(folder: Path, digest: str = DIGEST) -> dict[str, Path]:
+    """The two sequences of the split: name -> file."""
+    return {
+        "dive-01": write_sequence(folder / "dive-01.mcap", "dive-01", 1.0, digest),
+        "dive-02": write_sequence(folder / "dive-02.mcap", "dive-02", 0.6, digest),
+    }
+
+
+def a_key(folder: Path):
+    """A new signing key and its public half."""
+    public = make_key(folder / "key.pem")
+    return load_key(folder / "key.pem"), public
+
+
+def publish_split(tree: Path, files: dict[str, Path], key, **facts: str):
+    """Publish, with other facts where given."""
+    return publish(tree, {**FACTS, **facts}, files, key, DIGEST)
+
+
+def publish_secret(tree: Path, truth: Path, files: dict[str, Path], key):
+    """Publish as a hidden split."""
+    return publish_hidden(tree, truth, FACTS, files, key)
+
+
+class Big:
+    """A published split of one file of random bytes."""
+
+    def __init__(self, folder):
+        self.key, self.public = a_key(folder)
+        self.data = random.Random(7).randbytes(SIZE)
+        pieces = tuple(sha256(self.data[k : k + PIECE]) for k in range(0, SIZE, PIECE))
+        self.entry = FileEntry("dive-01.mcap", SIZE, sha256(self.data), PIECE, pieces, {}, {}, 0)
+        manifest = Manifest("big", "1.0", "slam", "hand", "random bytes", "0", (self.entry,))
+        facts = {"track": "slam", "summary": "", "hidden": False, "published": "2026-01-01", "croissant": "0" * 64}
+        release = Release(manifest.sha256, len(manifest.data), SIZE, 1, **facts)
+        self.files = {
+            "index.json": Index().with_release("big", "1.0", release).signed_with(self.key),
+            f"manifests/{manifest.sha256}.json": manifest.data,
+            f"blobs/{self.entry.sha256}": self.data,
+        }
+        self.blob = f"blobs/{self.entry.sha256}"
+
+
+def tree_bytes(tree: Path) -> dict[str, bytes]:
+    """Every file of a tree by its path."""
+    return {str(path.relative_to(tree)): path.read_bytes() for path in sorted(tree.rglob("*")) if path.is_file()}
+
+
+@contextmanager
+def oysterbench_serve(tree: Path):
+    """`oysterbench serve` in a thread; gives its address."""
+    import uvicorn
+
+    from oysterbench.hub.serve import settings
+
+    server = uvicorn.Server(uvicorn.Config(**settings(tree, "127.0.0.1", 0)))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive()
+        time.sleep(0.005)
+    port = server.servers[0].sockets[0].getsockname()[1]
+    try:
+        yield f"http://127.0.0.1:{port}"
+    finally:
+        server.should_exit = True
+        thread.join()

@@ -1,0 +1,263 @@
+"""Maps of oysters: each is counted once, where it lies, and what cannot be mapped is refused by name."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from oysterbench.core.errors import LabelError, OysterbenchError, SequenceError, TrajectoryError
+from oysterbench.core.trajectory import write_tum
+from oysterbench.mapping import MapSettings, Seen, build_map, read_seen, true_seen
+from oysterbench.report.density_files import write_map
+from oysterbench.tracks.density import TRUE_POSES, Survey, map_count, run_survey, true_map
+from tests.helpers.flat_reef import BEGIN, BOTTOM, LANE, FlatReef, moved, scattered
+
+DISCS = scattered(-1.2, 3.6)
+SETTINGS = MapSettings(cell_m=0.5)
+
+
+def map_of(reef, trajectory=None, settings=SETTINGS, seen=None, depth="layer", **options):
+    trajectory = trajectory or reef.truth()
+    return build_map(reef, trajectory, seen or (lambda: true_seen(reef, "cam")), "cam", depth, settings, **options)
+
+
+@pytest.fixture(scope="module")
+def once():
+    return FlatReef(LANE, DISCS)
+
+
+@pytest.fixture(scope="module")
+def found(once):
+    return map_of(once)
+
+
+def test_with_true_poses_and_masks_the_count_is_within_three_percent():
+    wide = FlatReef(np.concatenate([LANE, LANE[::-1] + np.array([0.0, 0.9])]), DISCS)
+    truth, found = true_map(wide, "cam", SETTINGS), map_of(wide)
+    assert truth.count.shown > 200
+    assert found.total.count == pytest.approx(truth.count.shown, rel=0.03)
+    assert found.total.live == pytest.approx(truth.count.live, rel=0.03)
+    assert found.total.dead > 0
+
+
+def test_each_oyster_is_one_entry_at_its_place(found):
+    numbers = [{patch.number for patch in track.patches} for track in found.tracks]
+    assert all(len(of_one) == 1 for of_one in numbers)
+    assert len({min(of_one) for of_one in numbers}) == len(numbers)
+    for track, (number,) in zip(found.tracks, numbers, strict=True):
+        if track.whole:
+            # A little off where most of it is cut in most pictures.
+            assert np.linalg.norm(track.centre[:2] - DISCS.centres[number - 1]) < 0.012
+            assert track.centre[2] == pytest.approx(BOTTOM, abs=1e-4)
+
+
+def test_a_lane_flown_twice_counts_no_oyster_twice(found):
+    again = map_of(FlatReef(np.concatenate([LANE, LANE[::-1] + 0.011]), DISCS))
+    assert again.total.count == pytest.approx(found.total.count, rel=0.03)
+    numbers = [min(patch.number for patch in track.patches) for track in again.tracks]
+    assert len(set(numbers)) == len(numbers)
+
+
+def test_a_second_pass_that_is_off_by_centimetres_counts_no_oyster_twice(found):
+    twice = FlatReef(np.concatenate([LANE, LANE[::-1]]), DISCS)
+    off = moved(twice.truth(), np.array([0.02, -0.015, 0.005]), slice(8, None))
+    again = map_of(twice, off, replace(SETTINGS, pose_sigma_m=0.02))
+    assert again.total.count == pytest.approx(found.total.count, rel=0.05)
+
+
+def test_a_second_pass_that_is_off_by_a_metre_is_other_ground(found):
+    twice = FlatReef(np.concatenate([LANE, LANE]), DISCS)
+    off = moved(twice.truth(), np.array([0.0, 20.0, 0.0]), slice(8, None))
+    again = map_of(twice, replace(off, stamps_ns=twice.stamps))
+    assert again.total.count == pytest.approx(2 * found.total.count, rel=0.01)
+    assert again.total.area_m2 == pytest.approx(2 * found.total.area_m2, rel=0.02)
+
+
+def test_an_oyster_that_the_edge_always_cuts_counts_a_half():
+    alone = replace(DISCS, centres=np.array([[0.0, 0.0], [0.0, 0.69]]), radii=np.full(2, 0.03), live=np.full(2, True))
+    found = map_of(FlatReef(LANE[:1], alone))
+    assert sorted(one.weight for one in found.oysters) == [0.5, 1.0]
+    assert found.total.count == 1.5
+    assert found.total.count_low < 1.5 < found.total.count_high
+
+
+def test_area_is_that_of_the_pictures(found):
+    # 2.1 m of way under a picture of 120 x 160 px at 115 px a metre.
+    assert found.total.area_m2 == pytest.approx((2.1 + 120 / 115) * 160 / 115, rel=0.02)
+
+
+def test_cells_of_which_too_little_was_seen_have_no_number(found):
+    grid = found.grid
+    little = (grid.area_m2 > 0) & (grid.area_m2 < SETTINGS.least_cover * SETTINGS.cell_m**2)
+    assert little.any()
+    assert np.isnan(grid.density[little]).all()
+    assert (grid.classes[little] == -1).all()
+    assert np.isfinite(grid.density[grid.known]).all()
+    assert (grid.low[grid.known] <= grid.density[grid.known]).all()
+    assert (grid.high[grid.known] >= grid.density[grid.known]).all()
+
+
+def test_the_bottom_as_a_plane_under_the_dvl_is_where_it_is(once, found):
+    from_echoes = map_of(once, depth="plane")
+    assert from_echoes.total.count == pytest.approx(found.total.count, rel=0.05)
+    assert np.allclose([one.centre[2] for one in from_echoes.oysters], BOTTOM, atol=0.02)
+
+
+def test_scores_take_a_map_of_the_truth_for_true(once):
+    runs = {
+        run.record.method: run.record.metrics
+        for run in run_survey(Survey(once, "cam", {"turned": _turned(once.truth())}), None, SETTINGS, "layer")
+    }
+    assert abs(runs[TRUE_POSES]["count_error_percent"]) < 5  # on so little ground, edges count
+    assert runs[TRUE_POSES]["twice_percent"] == 0
+    assert runs[TRUE_POSES]["coverage"] == 1
+    # What differs by a turn and a shift is the same once it is aligned.
+    assert runs["turned"]["count_error_percent"] == pytest.approx(runs[TRUE_POSES]["count_error_percent"], abs=1.5)
+    assert runs["turned"]["cell_mae_per_m2"] == pytest.approx(runs[TRUE_POSES]["cell_mae_per_m2"], abs=0.5)
+
+
+def test_a_path_that_cannot_be_mapped_is_a_failure_in_the_results(once):
+    late = replace(once.truth(), stamps_ns=once.stamps + 10**12)
+    runs = list(run_survey(Survey(once, "cam", {"late": late}), None, SETTINGS))
+    assert [run.record.failure is None for run in runs] == [True, False]
+    assert runs[1].record.metrics["map_score"] == 0
+
+
+def test_entries_that_show_one_oyster_are_told(once, found):
+    owners = {(p.frame, p.number): 1 for track in found.tracks for p in track.patches}
+    count = map_count(found, owners)
+    assert list(count.owners) == [1] * len(found.tracks)
+    assert count.found == {1}
+
+
+def _turned(trajectory):
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    half = np.sqrt(0.5)
+    quaternions = np.tile([0.0, 0.0, half, half], (len(trajectory), 1))
+    # One pose stands aside, so that a line does not leave the turn open.
+    return replace(trajectory, positions=trajectory.positions @ turn.T + [5.0, 2.0, 1.0], quaternions=quaternions)
+
+
+# Refusals.
+
+
+def test_a_trajectory_of_another_time_is_refused(once):
+    late = replace(once.truth(), stamps_ns=once.stamps + 10**12)
+    with pytest.raises(TrajectoryError, match="overlap in time"):
+        map_of(once, late)
+
+
+def test_masks_of_another_sequence_are_refused_by_their_name(once, tmp_path):
+    (tmp_path / "other" / "cam").mkdir(parents=True)
+    cv2.imwrite(str(tmp_path / "other" / "cam" / f"{BEGIN}.png"), np.zeros((120, 160), np.uint8))
+    with pytest.raises(LabelError, match="masks of another sequence: expected those of flat, got other"):
+        map_of(once, seen=lambda: read_seen(tmp_path, once, "cam", "auto", 0.5))
+
+
+def test_masks_of_another_sequence_are_refused_by_their_stamps(once):
+    foreign = [Seen(BEGIN + 5, "cam", np.ones((120, 160), int))]
+    with pytest.raises(LabelError, match="took no picture at"):
+        map_of(once, seen=lambda: foreign)
+
+
+def test_masks_of_another_size_are_refused(once):
+    with pytest.raises(LabelError, match="expected 160 x 120 px"):
+        map_of(once, seen=lambda: [Seen(BEGIN, "cam", np.ones((60, 80), int))])
+
+
+def test_masks_without_an_oyster_are_refused(once):
+    empty = [Seen(BEGIN, "cam", np.zeros((120, 160), int))]
+    with pytest.raises(LabelError, match="all of them are empty"):
+        map_of(once, seen=lambda: empty)
+    assert map_of(once, seen=lambda: empty, allow_none=True).total.count == 0
+
+
+def test_no_depth_is_refused_with_what_there_is():
+    bare = FlatReef(LANE, DISCS, layers=("class", "instance"))
+    with pytest.raises(SequenceError, match="no layer depth"):
+        map_of(bare)
+    with pytest.raises(SequenceError, match="no camera beside cam"):
+        map_of(bare, depth="stereo")
+    bare.dvl_calibration = None
+    with pytest.raises(SequenceError, match="neither DVL nor altimeter"):
+        map_of(bare, depth="plane")
+
+
+def test_an_unknown_camera_is_refused(once):
+    with pytest.raises(SequenceError, match="no camera 'left'; its cameras: cam"):
+        build_map(once, once.truth(), lambda: [], "left", "layer")
+
+
+def test_settings_that_make_no_sense_are_refused():
+    for wrong in ({"cell_m": 0.0}, {"least_cover": 2.0}, {"far_m": 0.1}, {"pose_sigma_m": -1.0}, {"cell_m": 0.02}):
+        with pytest.raises(OysterbenchError, match=next(iter(wrong))):
+            MapSettings(**wrong)
+
+
+# Files.
+
+
+def test_masks_from_files_give_the_map_of_the_same_masks(once, found, tmp_path):
+    folder = tmp_path / "flat" / "cam"
+    folder.mkdir(parents=True)
+    for k, stamp in enumerate(once.stamps):
+        cv2.imwrite(str(folder / f"{stamp}.png"), once.numbers(k).astype(np.uint16))
+    read = map_of(once, seen=lambda: read_seen(tmp_path, once, "cam", "instances", 0.5))
+    assert read.total.count == found.total.count
+    assert read.total.unknown == read.total.count
+    for k, stamp in enumerate(once.stamps):
+        cv2.imwrite(str(folder / f"{stamp}.png"), ((once.numbers(k) > 0) * 255).astype(np.uint8))
+    cut = map_of(once, seen=lambda: read_seen(tmp_path, once, "cam", "mask", 0.5))
+    assert cut.total.count == pytest.approx(found.total.count, rel=0.05)
+
+
+def test_annotations_tell_live_from_dead(once, tmp_path):
+    square = [40, 40, 60, 40, 60, 60, 40, 60]
+    other = [value + 40 for value in square]
+    document = {
+        "images": [{"id": 1, "file_name": f"cam_{BEGIN}.png", "width": 160, "height": 120}],
+        "categories": [{"id": 1, "name": "live"}, {"id": 2, "name": "dead"}],
+        "annotations": [
+            {"id": 1, "image_id": 1, "category_id": 1, "segmentation": [square]},
+            {"id": 2, "image_id": 1, "category_id": 2, "segmentation": [other]},
+        ],
+    }
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    found = map_of(once, seen=lambda: read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5))
+    assert (found.total.live, found.total.dead, found.total.unknown) == (1, 1, 0)
+
+
+def test_what_is_written_says_what_was_found(found, tmp_path):
+    written = {path.name: path for path in write_map(found, tmp_path / "map")}
+    facts = json.loads(written["summary.json"].read_text())
+    assert facts["oysters"]["count"] == found.total.count
+    rows = written["grid.csv"].read_text().splitlines()
+    head = rows[0].split(",")
+    cells = [dict(zip(head, row.split(","), strict=True)) for row in rows[1:]]
+    assert sum(float(cell["live"]) + float(cell["dead"]) for cell in cells) == found.total.count
+    assert any(cell["live_per_m2"] == "" for cell in cells)
+    # The world file puts an oyster's place on a pixel that was seen.
+    size, _, _, minus, west, north = map(float, written["density.pgw"].read_text().split())
+    pixels = cv2.imread(str(written["mosaic.png"]), cv2.IMREAD_UNCHANGED)
+    x, y = found.oysters[0].centre[:2]
+    assert pixels[round((y - north) / minus), round((x - west) / size), 3] == 255
+    figure = cv2.imread(str(written["map.png"]))
+    assert figure.std() > 20
+    assert "<svg" in written["map.html"].read_text()
+
+
+def test_the_same_input_gives_the_same_bytes(once, found, tmp_path):
+    first = [path.read_bytes() for path in write_map(found, tmp_path / "a")]
+    again = [path.read_bytes() for path in write_map(map_of(once), tmp_path / "b")]
+    assert first == again
+
+
+def test_a_trajectory_file_is_as_good_as_its_poses(once, found, tmp_path):
+    from oysterbench.core.trajectory import read_trajectory
+
+    write_tum(tmp_path / "poses.tum", once.truth())
+    assert map_of(once, read_trajectory(tmp_path / "poses.tum")).total.count == found.total.count

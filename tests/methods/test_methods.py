@@ -1,0 +1,186 @@
+"""Methods: found by name, run without the truth, failures named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+import oysterbench
+from oysterbench.core.errors import MethodError
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.methods import Estimate, LandmarkMap, Method, find_method, method_names, run_method
+from oysterbench.methods.options import with_options
+
+
+class Still:
+    """Stands still at the stamps of the first camera."""
+
+    name = "still"
+    track = "slam"
+
+    def run(self, sequence):
+        stamps = np.array([image.stamp_ns for image in sequence.images("cam_front")])
+        return Estimate(Trajectory(stamps, np.zeros((len(stamps), 3)), np.tile([0.0, 0, 0, 1], (len(stamps), 1))))
+
+
+class Raises(Still):
+    def run(self, sequence):
+        raise RuntimeError("out of ideas")
+
+
+class Peeks(Still):
+    def run(self, sequence):
+        return Estimate(sequence.truth())
+
+
+def test_the_baselines_are_installed_as_methods():
+    assert {"gtsam_vi", "dead_reckoning"} <= set(method_names("slam"))
+    for name in ("gtsam_vi", "dead_reckoning"):
+        method = find_method(name)
+        assert isinstance(method, Method)
+        assert method.name == name
+
+
+def test_an_unknown_method_is_named_with_what_is_installed():
+    with pytest.raises(MethodError, match=r"unknown method 'orb_slam'; installed methods: .*gtsam_vi"):
+        find_method("orb_slam")
+
+
+def test_a_run_is_measured(tiny_file):
+    run = run_method(Still(), oysterbench.open(tiny_file))
+    assert len(run.estimate.trajectory) == 25
+    assert run.wall_s > 0
+
+
+def test_an_exception_of_a_method_becomes_one_line(tiny_file):
+    with pytest.raises(MethodError, match="method 'still' failed on sequence tiny-01: RuntimeError: out of ideas"):
+        run_method(Raises(), oysterbench.open(tiny_file))
+
+
+def test_a_method_that_reaches_for_the_truth_is_stopped(tiny_file):
+    with pytest.raises(MethodError, match="a method does not see the truth"):
+        run_method(Peeks(), oysterbench.open(tiny_file))
+
+
+# Variants
+
+
+@dataclass(frozen=True)
+class Inner:
+    floor_m: float = 0.5
+
+
+@dataclass(frozen=True)
+class Settings:
+    tracks: int = 140
+    loops: bool = True
+    grid: tuple[int, int] = (5, 4)
+    start: Inner = field(default_factory=Inner)
+
+
+class Optional(Still):
+    """Has a parameter of its own and settings."""
+
+    name = "optional"
+
+    def __init__(self, output: str = "smoothed", camera: str | None = None, settings: Settings | None = None):
+        self.output, self.camera, self.settings = output, camera, settings or Settings()
+
+
+HERE = f"{__name__}:Optional"
+
+
+def test_a_variant_has_its_options_and_a_name_that_says_them():
+    method = find_method(f"{HERE}[loops=false, grid=[8,6],start.floor_m=2,output=online,camera=7]")
+    assert method.settings == Settings(loops=False, grid=(8, 6), start=Inner(2.0))
+    assert (method.output, method.camera) == ("online", 7)
+    assert method.name == "optional[loops=false,grid=8-6,start.floor_m=2,output=online,camera=7]"
+    assert find_method(HERE).name == "optional"
+    assert with_options(f"{HERE}[loops=false]", ["loops=true", "tracks=9"]) == f"{HERE}[loops=true,tracks=9]"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            "loop=false",
+            "has no option 'loop'; its options: output, camera, tracks, loops, grid, start.floor_m",
+        ),
+        ("loops=0", "option 'loops' of method 'test_methods:Optional': expected true or false, such as true, got '0'"),
+        ("tracks=9.5", "expected a whole number, such as 140, got '9.5'"),
+        ("start.floor_m=deep", "expected a number, such as 0.5, got 'deep'"),
+        ("grid=8", "expected a list, such as [5,4], got '8'"),
+        ("loops", "expected key=value, got 'loops'"),
+        ("loops=true,loops=false", "'loops' is given twice"),
+        ("start=1", "has no option 'start'"),
+    ],
+)
+def test_an_option_that_a_method_does_not_have_is_named_with_those_it_has(options, message):
+    with pytest.raises(MethodError) as caught:
+        find_method(f"{HERE}[{options}]")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_method_without_options_says_so():
+    with pytest.raises(MethodError, match=r"has no option 'loops'; it has none"):
+        find_method(f"{__name__}:Still[loops=false]")
+
+
+# What an estimate may hold
+
+
+STAMPS = np.arange(3, dtype=np.int64) * 10**9
+
+
+def path(stamps=STAMPS, **changes):
+    n = len(stamps)
+    return Trajectory(
+        stamps, **{"positions": np.zeros((n, 3)), "quaternions": np.tile([0.0, 0, 0, 1], (n, 1))} | changes
+    )
+
+
+def landmarks(**changes):
+    values = {
+        "keyframes": path(),
+        "landmarks": np.zeros((2, 3)),
+        "colours": np.zeros((2, 3), dtype=np.uint8),
+        "observations": np.array([1, 2]),
+    }
+    return LandmarkMap(**values | changes)
+
+
+@pytest.mark.parametrize(
+    ("alternatives", "message"),
+    [
+        ({"online": path(positions=np.full((3, 3), np.nan))}, "alternative 'online': pose 1: expected finite numbers"),
+        ({"online": path(STAMPS[::-1])}, "alternative 'online': pose 2: expected increasing stamps"),
+        ({"online": path(STAMPS[:0])}, "alternative 'online': expected poses, got none"),
+        ({"../online": path()}, "name of a path: expected letters, digits and _ -, got '../online'"),
+        ({"optimised": path()}, "expected other names than that of the scored path, got 'optimised'"),
+    ],
+)
+def test_a_further_path_that_is_none_is_named(alternatives, message):
+    with pytest.raises(MethodError) as caught:
+        Estimate(path(), scored="optimised", alternatives=alternatives)
+    assert message in str(caught.value)
+    assert Estimate(path(), scored="optimised", alternatives={"online": path()}).scored == "optimised"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"colours": np.zeros((1, 3), dtype=np.uint8)}, "map: expected colours (2, 3), got (1, 3)"),
+        ({"colours": np.zeros((2, 3))}, "map: expected colours as uint8, got float64"),
+        ({"observations": np.zeros(2)}, "map: expected observations as whole numbers, got float64"),
+        ({"landmarks": np.array([[0.0, 0, 0], [0, np.inf, 0]])}, "map: expected finite landmarks, got"),
+        ({"keyframes": path(STAMPS[::-1])}, "map: key frame 2: expected increasing stamps"),
+    ],
+)
+def test_a_map_of_other_shapes_or_numbers_is_named(changes, message):
+    with pytest.raises(MethodError) as caught:
+        landmarks(**changes)
+    assert message in str(caught.value)
+    assert len(landmarks().landmarks) == 2

@@ -1,0 +1,27 @@
+"""Results of the density track in tables and on the page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from oysterbench.mapping import MapSettings
+from oysterbench.report import comparison_tables, csv_text, html_report, results_table
+from oysterbench.report.density_figure import figure
+from oysterbench.tracks.density import TRUE_POSES, Survey, run_survey
+from tests.helpers.flat_reef import LANE, FlatReef, scattered
+
+
+def test_paths_stand_beside_each_other_in_table_and_page():
+    reef = FlatReef(LANE[:4], scattered(-0.6, 1.8))
+    late = replace(reef.truth(), stamps_ns=reef.stamps + 10**12)
+    runs = list(run_survey(Survey(reef, "cam", {"late": late}), None, MapSettings(cell_m=0.5)))
+    runs = [replace(run, figure="" if run.result is None else figure(run.result).svg(), result=None) for run in runs]
+    records = [run.record for run in runs]
+    table = results_table(records)
+    assert [line.cells[1] for line in table.lines] == [TRUE_POSES, "late"]
+    assert table.lines[1].kind == "failed"
+    assert isinstance(comparison_tables(records), list)
+    assert csv_text(records).count("\n") == 3
+    page = html_report(runs, "oysterbench eval --track density")
+    assert page.count("<svg xmlns") == 1
+    assert "Oyster maps on flat" in page

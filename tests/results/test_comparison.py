@@ -1,0 +1,149 @@
+"""Results are compared where they may be, kept apart where not, and ties are called ties."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from oysterbench.core.errors import ResultError
+from oysterbench.results.comparison import as_plain, boards, remarks
+from tests.results.test_results import record
+
+
+def runs(method: str, scores, water=None, **changes):
+    """One record per score, on sequences s0, s1, ...; a score of None is a failed run."""
+    found = []
+    for i, score in enumerate(scores):
+        conditions = {"water": water[i % len(water)], "secchi_m": float(i)} if water else {}
+        values = {"metrics": {"score": score, "coverage": 1.0}} if score is not None else {"metrics": {}}
+        values["failure"] = None if score is not None else "lost"
+        found.append(record(method=method, sequence=f"s{i}", **{**values, "conditions": conditions, **changes}))
+    return found
+
+
+GOOD, BAD = [0.9, 0.8, 0.85, 0.9, 0.95, 0.7, 0.8, 0.9], [0.3, 0.2, 0.1, 0.4, 0.3, 0.2, 0.3, 0.2]
+
+
+def test_methods_are_ranked_by_the_score_with_ties():
+    near = [score + (0.02 if i % 2 else -0.02) for i, score in enumerate(GOOD)]
+    (board,) = boards([*runs("bad", BAD), *runs("good", GOOD), *runs("near", near)])
+    assert [(row.label, row.standing.rank) for row in board.standings][2] == ("bad", 3)
+    assert {row.label: row.standing.rank for row in board.standings} == {"good": 1, "near": 1, "bad": 3}
+    pair = next(pair for pair in board.pairs if {pair.a, pair.b} == {"good", "bad"})
+    assert (pair.comparison.verdict, pair.comparison.wins, pair.comparison.losses) == ("better", 8, 0)
+    assert pair.comparison.interval.low > 0.4
+
+
+def test_a_failed_run_scores_zero_in_the_standings():
+    (board,) = boards([*runs("a", [0.8, None]), *runs("b", [0.5, 0.5])])
+    first, second = board.standings
+    assert (first.label, second.label) == ("b", "a")
+    assert (second.failures, second.runs, second.summaries["score"].mean) == (1, 2, 0.4)
+
+
+def test_methods_that_all_failed_share_the_last_place_at_zero():
+    (board,) = boards([*runs("a", [None, None]), *runs("b", [None, None])])
+    assert [row.standing.place for row in board.standings] == [1, 1]
+    assert all(row.summaries["score"].mean == 0.0 for row in board.standings)
+    assert "ate_rmse_m" not in board.standings[0].summaries
+
+
+def test_nothing_to_compare_is_no_board():
+    assert boards([]) == []
+    assert remarks([]) == []
+
+
+def test_one_sequence_has_places_and_says_why_there_are_no_ranks():
+    found = boards([*runs("a", [0.9]), *runs("b", [0.2])])
+    assert [(row.label, row.standing.place, row.standing.rank) for row in found[0].standings] == [
+        ("a", 1, None),
+        ("b", 2, None),
+    ]
+    assert remarks(found) == ["1 sequence: no 95% interval can be had from fewer than 6"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"settings": {"align": "se3"}}, 'setting align ("posyaw", "se3")'),
+        ({"evaluator_version": "slam 9"}, "evaluator (slam 1, slam 9)"),
+        ({"split_digest": "cd" * 32}, "recipe of the split"),
+        ({"split": "other"}, "split (slam-mini, other)"),
+    ],
+)
+def test_what_differs_in_more_than_the_method_is_kept_apart(change, said):
+    found = boards([*runs("a", [0.9]), *runs("b", [0.8], **change)])
+    assert [len(board.standings) for board in found] == [1, 1]
+    assert remarks(found)[0] == f"kept apart as 2 comparisons, as they differ in {said}"
+
+
+def test_standings_are_over_the_sequences_that_all_were_run_on():
+    found = boards([*runs("a", [0.5, 0.5]), *runs("b", [0.4, 0.6, 1.0])])
+    assert (found[0].sequences, found[0].left_out) == (("s0", "s1"), ("s2",))
+    assert [row.standing.place for row in found[0].standings] == [1, 1]
+    assert any("without s2" in remark for remark in remarks(found))
+    assert [cell.sequence for cell in found[0].cells()].count("s2") == 1
+
+
+def test_a_file_given_twice_counts_once():
+    (board,) = boards([*runs("a", [0.5]), *runs("a", [0.5])])
+    assert board.standings[0].runs == 1
+
+
+def test_one_method_with_two_settings_is_two_methods():
+    records = [*runs("a", [0.5], method_settings={"k": 1, "m": 2}), *runs("a", [0.6], method_settings={"k": 3, "m": 2})]
+    (board,) = boards(records)
+    assert [row.label for row in board.standings] == ["a (k = 3)", "a (k = 1)"]
+
+
+def test_two_truths_under_one_name_are_refused():
+    with pytest.raises(ResultError, match="sequence 's0' was scored against 2 different truths"):
+        boards([*runs("a", [0.5], truth_digest="x"), *runs("b", [0.5], truth_digest="y")])
+
+
+def test_an_unknown_track_is_refused():
+    with pytest.raises(ResultError, match="track 'cooking': expected one of slam"):
+        boards(runs("a", [0.5], track="cooking"))
+
+
+def test_classes_of_conditions_are_compared_on_their_own():
+    water = ("clear", "turbid")
+    a = [0.9 if i % 2 else 0.1 for i in range(16)]
+    b = [0.1 if i % 2 else 0.9 for i in range(16)]
+    (board,) = boards([*runs("a", a, water), *runs("b", b, water)])
+    assert {(pair.condition, pair.value): pair.comparison.sequences for pair in board.pairs} == {
+        ("", ""): 16,
+        ("water", "clear"): 8,
+        ("water", "turbid"): 8,
+    }
+    verdicts = {(pair.a, pair.value): pair.comparison.verdict for pair in board.pairs}
+    assert verdicts["a", ""] == "not told apart"
+    assert (verdicts["a", "clear"], verdicts["a", "turbid"]) == ("worse", "better")
+    assert [(value, label, round(s.mean, 3)) for value, label, s in board.strata("water")][:2] == [
+        ("clear", "a", 0.1),
+        ("clear", "b", 0.9),
+    ]
+    assert board.strata("light") == []
+    assert list(board.varying()) == ["secchi_m"]
+
+
+def test_cells_give_median_range_and_failures_of_the_runs():
+    records = [*runs("a", [0.5]), *runs("a", [0.9], run=1), *runs("a", [None], run=2)]
+    ((cell,)) = boards(records)[0].cells()
+    assert (cell.runs, cell.failures, cell.median, cell.low, cell.high) == (3, 1, 0.5, 0.0, 0.9)
+
+
+def test_a_board_is_strict_json():
+    (board,) = boards([*runs("a", [0.5, None]), *runs("b", [0.4, 0.6])])
+    values = json.loads(json.dumps(as_plain(board), allow_nan=False))
+    assert values["standings"][0]["method"] == "b"
+    assert values["pairs"][0]["interval"]["low"] is None
+    assert values["pairs"][0]["interval"]["reason"].startswith("2 sequences")
+
+
+def test_boards_of_one_split_are_told_apart_by_name_and_records_by_label():
+    found = boards([*runs("a", [0.9]), *runs("a", [0.8], settings={"align": "se3"})])
+    assert [board.name for board in found] == ["slam-mini (align = posyaw)", "slam-mini (align = se3)"]
+    (board,) = boards([*runs("a", [0.5], method_settings={"k": 1}), *runs("a", [0.6], method_settings={"k": 3})])
+    assert [kept.method for kept in board.records] == ["a (k = 1)", "a (k = 3)"]

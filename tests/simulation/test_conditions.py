@@ -1,0 +1,56 @@
+"""The conditions of a sequence are those of its recipe, and every one of them has a heading."""
+
+from __future__ import annotations
+
+import pytest
+
+from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.simulation.conditions import conditions
+from tests.helpers.tiny import TINY_SPLIT, make_split
+
+
+def of(**changes: str):
+    text = TINY_SPLIT
+    for old, new in changes.values():
+        assert old in text
+        text = text.replace(old, new)
+    return conditions(make_split(text), "tiny-01")
+
+
+def test_conditions_are_named_and_every_class_is_text():
+    found = of()
+    assert found.keys() == CONDITIONS.keys()
+    assert all(isinstance(found[key], str) for key in STRATA)
+    assert (found["path"], found["motion"]) == ("loop", "loop, calm")
+    assert found["oysters_per_m2"] == pytest.approx(60 / 25)
+    assert found["altitude_m"] == 0.9
+
+
+def test_water_is_classed_by_the_depth_at_which_a_disc_vanishes():
+    classes = {}
+    for secchi in (0.6, 2.0, 8.0):
+        found = of(water=('jerlov = "1C"', f'jerlov = "1C"\nsecchi_m = {secchi}'))
+        assert found["secchi_m"] == pytest.approx(secchi, rel=1e-3)
+        classes[secchi] = found["water"]
+    assert classes == {0.6: "turbid", 2.0: "murky", 8.0: "clear"}
+
+
+@pytest.mark.parametrize(
+    ("line", "light"),
+    [
+        ("wind_m_s = 0.0", "sun"),
+        ("wind_m_s = 4.0", "sun with caustics"),
+        ("sky_fraction = 0.9", "overcast"),
+        ("daylight = 0.0", "dark"),
+    ],
+)
+def test_light_is_classed_by_what_casts_shadows(line, light):
+    assert of(light=("sun_elevation_deg = 50.0", f"sun_elevation_deg = 50.0\n{line}"))["light"] == light
+
+
+def test_a_dense_reef_and_a_disturbed_vehicle_are_told_from_others():
+    assert of()["density"] == "sparse"
+    assert of(reef=("oysters = 60", "oysters = 600"))["density"] == "dense"
+    assert of(reef=("oysters = 60", "oysters = 6"))["density"] == "bare"
+    surge = of(site=("[sequence.path]", "[sequence.site]\nwave_height_m = 0.4\n\n[sequence.path]"))
+    assert surge["motion"] == "loop, disturbed"

@@ -1,0 +1,168 @@
+"""Generation: the same bytes from any number of workers, after any interruption."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.files import locked
+from oysterbench.recipe import count
+from oysterbench.simulation.generate import digest, generate_split, plan, split_folder
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
+
+
+def sha256(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_two_workers_give_the_bytes_of_one(tiny_split, tiny_file, tmp_path):
+    seen = []
+    files = generate_split(tiny_split, tmp_path, workers=2, progress=lambda done, total: seen.append((done, total)))
+    assert sha256(files["tiny-01"]) == sha256(tiny_file)
+    assert seen[0] == (0, 25)
+    assert seen[-1] == (25, 25)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "tiny-01.mcap"], "nothing else is left behind"
+
+
+def test_what_is_there_is_not_rendered_again(tiny_split, tiny_file):
+    before = tiny_file.stat().st_mtime_ns
+    seen = []
+    generate_split(tiny_split, tiny_file.parent, progress=lambda done, total: seen.append(done))
+    assert seen == []
+    assert tiny_file.stat().st_mtime_ns == before
+
+
+def test_what_is_there_does_not_wait_for_what_is_being_rendered(tiny_split, tiny_file):
+    """As when one sequence of a split is rendered, and a method runs on another."""
+    found: list[dict[str, Path]] = []
+    ask = threading.Thread(target=lambda: found.append(generate_split(tiny_split, tiny_file.parent)), daemon=True)
+    with locked(tiny_file.parent / ".lock"):
+        ask.start()
+        ask.join(30)
+        assert found == [{"tiny-01": tiny_file}]
+
+
+RENDER = """
+import sys
+from pathlib import Path
+from oysterbench.simulation.generate import generate_split
+from oysterbench.recipe import parse_split
+split = parse_split(Path(sys.argv[1]).read_text(), "tiny.toml", rig_source=Path(sys.argv[2]).read_text())
+if __name__ == "__main__":
+    generate_split(split, Path(sys.argv[3]), workers=2)
+"""
+
+
+def test_a_render_killed_again_and_again_ends_in_the_same_bytes(tiny_file, tmp_path):
+    script, recipe, rig, out = (tmp_path / name for name in ("render.py", "tiny.toml", "rig.toml", "out"))
+    script.write_text(RENDER)
+    recipe.write_text(TINY_SPLIT)
+    rig.write_text(TINY_RIG)
+    command = [sys.executable, script, recipe, rig, out]
+    finished = out / "tiny-01.mcap"
+    parts_seen = 0
+    for wanted in (1, 2, 3):
+        process = subprocess.Popen(command, start_new_session=True)
+        while process.poll() is None and len(list(out.glob(".parts/*/*.part"))) < wanted and not finished.exists():
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        assert not finished.exists() or sha256(finished) == sha256(tiny_file)
+        parts = len(list(out.glob(".parts/*/*.part")))
+        assert parts >= parts_seen or finished.exists(), "what was finished is kept"
+        parts_seen = parts
+    subprocess.run(command, check=True)
+    assert sha256(finished) == sha256(tiny_file)
+    assert not (out / ".parts").exists()
+
+
+def test_workers_leave_with_a_parent_that_is_killed(tmp_path):
+    script, recipe, rig, out = (tmp_path / name for name in ("render.py", "tiny.toml", "rig.toml", "out"))
+    script.write_text(RENDER)
+    recipe.write_text(TINY_SPLIT.replace("duration_s = 2.5", "duration_s = 600.0"))
+    rig.write_text(TINY_RIG)
+    process = subprocess.Popen([sys.executable, script, recipe, rig, out], start_new_session=True)
+    try:
+        while not list(out.glob(".parts/*/*.part")):
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.kill()  # the parent alone: its workers notice
+        process.wait()
+        for _ in range(200):
+            if not members(process.pid):
+                return
+            time.sleep(0.05)
+        pytest.fail(f"workers outlive their parent: {members(process.pid)}")
+    finally:
+        if members(process.pid):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def members(group):
+    """Live processes of a process group, by /proc."""
+    found = []
+    for entry in os.listdir("/proc"):
+        if entry.isdigit():
+            try:
+                fields = Path(f"/proc/{entry}/stat").read_text().rsplit(")", 1)[1].split()
+            except OSError:
+                continue
+            if int(fields[2]) == group and fields[0] != "Z":
+                found.append(int(entry))
+    return found
+
+
+PLAIN_PROCESSOR = {
+    "NPY_DISABLE_CPU_FEATURES": " ".join(name for name in __cpu_dispatch__ if __cpu_features__[name]),
+    "OPENBLAS_CORETYPE": "Nehalem",
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA",
+}
+"""Makes NumPy, OpenBLAS and the C library compute as on an old processor."""
+
+
+def test_another_processor_gives_the_same_bytes(tiny_file, tmp_path):
+    script, recipe, rig, out = (tmp_path / name for name in ("render.py", "tiny.toml", "rig.toml", "out"))
+    script.write_text(RENDER)
+    recipe.write_text(TINY_SPLIT)
+    rig.write_text(TINY_RIG)
+    subprocess.run([sys.executable, script, recipe, rig, out], env={**os.environ, **PLAIN_PROCESSOR}, check=True)
+    assert sha256(out / "tiny-01.mcap") == sha256(tiny_file)
+
+
+def test_a_file_of_another_recipe_is_refused_and_left_alone(tiny_file, tmp_path):
+    other = make_split(TINY_SPLIT.replace("seed = 5", "seed = 6"))
+    copy = tmp_path / "tiny-01.mcap"
+    copy.write_bytes(tiny_file.read_bytes())
+    with pytest.raises(SequenceError, match="made by another recipe of tiny"):
+        generate_split(other, tmp_path)
+    assert sha256(copy) == sha256(tiny_file)
+
+
+def test_the_salt_decides_the_bytes(tiny_split):
+    assert digest(tiny_split, b"a") != digest(tiny_split, b"b")
+    assert split_folder(tiny_split, b"a") != split_folder(tiny_split)
+
+
+def test_every_frame_is_in_one_job(tiny_split):
+    recipe = tiny_split.sequence[0]
+    frames = [job.frame for job in plan(tiny_split, recipe) if job.source]
+    assert frames == list(range(25))
+    assert sum(job.frames for job in plan(tiny_split, recipe)) == 25
+
+
+@pytest.mark.parametrize(
+    ("duration", "rate", "expected"), [(2.5, 10.0, 25), (1.0, 3.0, 3), (0.3, 10.0, 3), (0.31, 10.0, 4)]
+)
+def test_samples_lie_below_the_duration(duration, rate, expected):
+    assert count(duration, rate) == expected
+    assert (expected - 1) / rate < duration

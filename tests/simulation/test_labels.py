@@ -1,0 +1,79 @@
+"""The labels in a sequence file: the expert's, for evaluators and for learning, and hidden from methods."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import oysterbench
+from oysterbench.core.errors import MethodError, RecipeError, SequenceError
+from oysterbench.recipe import load_split, parse_split
+from oysterbench.simulation.generate import generate_split
+from oysterbench.simulation.simulated_sequence import build_stage
+from oysterbench.simulation.steering.labels import steering_csv
+
+MINI = load_split("steer-mini")
+SHORT = MINI.source.replace("duration_s = 40.0", "duration_s = 4.0").replace("size_m = 12.0", "size_m = 11.0")
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory):
+    split = parse_split(SHORT, "short.toml")
+    files = generate_split(split, tmp_path_factory.mktemp("split"), names=["mini-01"])
+    return split, oysterbench.open(files["mini-01"])
+
+
+def test_each_picture_has_a_label(sequence):
+    _, opened = sequence
+    table = opened.steering()
+    assert table["stamp_ns"].tolist() == [image.stamp_ns for image in opened.images("cam_front")]
+    values = table[[f"value_{y}_{p}" for y in range(7) for p in range(7)]].to_numpy()
+    assert np.array_equal(values.argmax(axis=1), 7 * table["yaw"] + table["pitch"])
+    truth = opened.truth()
+    at = np.searchsorted(truth.stamps_ns, table["stamp_ns"])
+    assert table["depth_m"].to_numpy() == pytest.approx(-truth.positions[at, 2], abs=1e-3)
+    assert table["altitude_m"].between(0.3, 2.0).all()
+
+
+def test_labels_are_the_same_wherever_they_are_made(sequence):
+    split, _ = sequence
+    tables = []
+    for _ in range(2):
+        build_stage.cache_clear()
+        tables.append(steering_csv(build_stage(split, "mini-01", b""), split.steering))
+    assert tables[0] == tables[1]
+
+
+def test_a_method_does_not_see_them(sequence):
+    with pytest.raises(MethodError, match="does not see the truth"):
+        sequence[1].for_method().steering()
+
+
+def test_a_file_without_labels_says_so(tmp_path):
+    text = SHORT.replace('track = "steering"', 'track = "segmentation"')
+    text = text[: text.index("[steering]")] + text[text.index("[defaults]") :]
+    files = generate_split(parse_split(text, "plain.toml"), tmp_path, names=["mini-01"])
+    with pytest.raises(SequenceError, match=r"no truth about steering: no attachment truth/steering\.csv"):
+        oysterbench.open(files["mini-01"]).steering()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("yaw_deg = [30.0, 20.0", "yaw_deg = [20.0, 30.0", r"'steering\.yaw_deg': expected at least 3 falling"),
+        ("-8.0, 0.0, 8.0", "-8.0, 8.0", r"'steering\.pitch_deg': expected at least 3 rising .* 0 among them"),
+        ("altitude_m = [0.5, 1.4]", "altitude_m = [1.4, 0.5]", r"'steering\.altitude_m': expected the lowest"),
+        ("dive_s = 30.0", "dive_s = 0.0", r"'steering\.dive_s': expected 1 to 3600"),
+        ('track = "steering"', 'track = "slam"', r"expected no table \[steering\] for track = 'slam'"),
+    ],
+)
+def test_a_task_that_cannot_be_is_refused(old, new, said):
+    assert SHORT.count(old) == 1
+    with pytest.raises(RecipeError, match=said):
+        parse_split(SHORT.replace(old, new), "short.toml")
+
+
+def test_a_fence_that_leaves_no_room_is_refused():
+    split = parse_split(SHORT.replace("dive_s = 30.0", "dive_s = 30.0\nfence_m = 5.0"), "short.toml")
+    with pytest.raises(RecipeError, match=r"'steering\.fence_m': expected a fence that leaves"):
+        steering_csv(build_stage(split, "mini-01", b""), split.steering)

@@ -1,0 +1,375 @@
+"""The track steering, run: methods over labelled pictures, and dives that are kept and found again."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from oysterbench.core.errors import LabelError, RecipeError, ResultError
+from oysterbench.exploration.labelled_views import labelled_views
+from oysterbench.exploration.rollout_store import packed, unpacked
+from oysterbench.methods import find_method
+from oysterbench.report.exploring import pilots_table, places, places_table, whole_of
+from oysterbench.report.rollout_paths import apart
+from oysterbench.report.steering_samples import bow_pixels, samples_of
+from oysterbench.results.records import ResultRecord
+from oysterbench.tracks.steering import Clock, evaluate_pictures
+from oysterbench.tracks.steering_rollouts import REFERENCES, make_loop, run_dives
+from tests.helpers import exploring_pilots
+from tests.helpers.exploring_made import label_table, made_explore, made_log, made_split, write_labelled
+
+SPLIT = made_split()
+
+PILOTS = "tests.helpers.exploring_pilots"
+
+
+@pytest.fixture(scope="module")
+def dives(tmp_path_factory):
+    """Two labelled sequences."""
+    folder = tmp_path_factory.mktemp("labelled")
+    return [
+        labelled_views(write_labelled(folder / f"{name}.mcap", name, label_table(n, seed)), SPLIT.steering)
+        for name, n, seed in (("one", 9, 1), ("two", 7, 2))
+    ]
+
+
+def test_views_come_in_time_order_with_the_state_of_their_label(dives):
+    table = label_table(9, 1)
+    dive = dives[0]
+    views = list(dive.views())
+    assert [view.name for view in views] == [f"one/cam_front/{stamp}" for stamp in table["stamp_ns"]]
+    assert [view.state.heading for view in views] == table["heading_rad"].tolist()
+    assert [view.state.pitch for view in views] == table["pitch_rad"].tolist()
+    assert [view.time_s for view in views] == [2.0 * k for k in range(9)]
+    assert views[0].state.depth == 2.0
+    assert views[0].state.altitude == 1.0
+    assert views[0].pixels.shape == (24, 32, 3)
+    assert dive.labels.worth[4, 2, 5] == table["value_2_5"][4]
+    assert (dive.labels.classes == table[["yaw", "pitch"]].to_numpy()).all()
+
+
+def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(dives):
+    runs = evaluate_pictures(SPLIT, dives, [exploring_pilots.Reader(), exploring_pilots.Unsure()])
+    for run in runs:
+        assert run.record.failure is None
+        metrics = run.record.metrics
+        assert metrics["skill"] == metrics["yaw_macro_f1"] == metrics["pitch_macro_f1"] == 1
+        assert metrics["joint_accuracy"] == metrics["yaw_within_one"] == metrics["pitch_accuracy"] == 1
+        assert metrics["regret_oysters"] == 0
+        assert metrics["pictures"] == {"one": 9, "two": 7}[run.record.sequence]
+        assert metrics["pictures_per_s"] > 0
+        assert (run.record.track, run.record.split, run.record.evaluator_version) == (
+            "steering",
+            "made",
+            "navigation 1",
+        )
+        assert ResultRecord.from_json(run.record.to_json()) == run.record
+    costs = {(run.record.method, run.record.sequence): run.record.metrics["yaw_cost_classes"] for run in runs}
+    assert costs["reader", "one"] == 0
+    classes = label_table(9, 1)["yaw"]
+    spread = np.mean([np.abs(np.arange(7) - c).sum() / 14 for c in classes])
+    assert costs["unsure", "one"] == pytest.approx(spread)  # half of it on the right one, half on all alike
+
+
+def test_straight_and_chance_are_the_floor(dives):
+    runs = evaluate_pictures(SPLIT, dives, [find_method("straight"), find_method("chance")])
+    assert {run.record.method: run.record.seed for run in runs} == {"straight": None, "chance": 0}
+    straight, chance = runs[:2]
+    assert (straight.commands.classes == 3).all()
+    again = evaluate_pictures(SPLIT, dives, [find_method("chance")])[0]
+    assert (again.commands.classes == chance.commands.classes).all()
+    other = evaluate_pictures(SPLIT, dives, [find_method("chance[seed=1]")])[0]
+    assert (other.commands.classes != chance.commands.classes).any()
+    assert len(set(map(tuple, chance.commands.classes.tolist()))) > 4
+
+
+@pytest.mark.parametrize(
+    ("pilot", "said"),
+    [
+        ("Ahead", "before it had answered one/cam_front"),
+        ("Wrong", "expected a Steering of the view one/cam_front"),
+        ("Short", "expected 9 answers, one to each view, got 1"),
+        ("Broken", "ValueError: no such weight"),
+        ("Few", "yaw_probability: expected 7 numbers"),
+        ("NotNumbers", "pitch_probability: expected 7 numbers"),
+        ("Negative", "pitch_probability: expected 7 numbers, none below 0"),
+        ("Outside", "yaw: expected a class from 0 to 6, got 7"),
+    ],
+)
+def test_a_method_that_does_not_do_as_agreed_fails_by_name_and_the_others_go_on(dives, pilot, said):
+    method = getattr(exploring_pilots, pilot)()
+    runs = evaluate_pictures(SPLIT, dives[:1], [method, exploring_pilots.Reader()])
+    assert method.name in runs[0].record.failure
+    assert said in runs[0].record.failure
+    assert "\n" not in runs[0].record.failure
+    assert runs[0].record.metrics == {"skill": 0.0}
+    assert runs[1].record.metrics["skill"] == 1
+
+
+def test_a_sequence_without_labels_is_refused_by_name(tmp_path):
+    path = write_labelled(tmp_path / "bare.mcap", "bare", None)
+    with pytest.raises(LabelError, match=r"bare\.mcap.*steer-mini"):
+        labelled_views(path, SPLIT.steering)
+
+
+def test_labels_and_pictures_that_do_not_belong_together_are_refused(tmp_path):
+    table = label_table(6, 3)
+    fewer = write_labelled(tmp_path / "fewer.mcap", "fewer", table, pictures=4)
+    with pytest.raises(LabelError, match="6 labels, and only 4 pictures"):
+        list(labelled_views(fewer, SPLIT.steering).views())
+    shifted = table.assign(stamp_ns=table["stamp_ns"] + 1)
+    moved = write_labelled(tmp_path / "moved.mcap", "moved", table)
+    dive = dataclasses.replace(labelled_views(moved, SPLIT.steering), table=shifted)
+    with pytest.raises(LabelError, match="expected a label of that stamp"):
+        list(dive.views())
+    narrow = write_labelled(tmp_path / "narrow.mcap", "narrow", table.drop(columns="value_6_6"))
+    with pytest.raises(LabelError, match="value_6_6"):
+        labelled_views(narrow, SPLIT.steering)
+    wide = write_labelled(tmp_path / "wide.mcap", "wide", table.assign(value_7_0=0.0))
+    with pytest.raises(LabelError, match="7 x 7 commands, got 50"):
+        labelled_views(wide, SPLIT.steering)
+
+
+def test_what_reading_takes_is_not_the_methods():
+    now = [0.0]
+
+    class Told(Clock):
+        def _now(self):
+            return now[0], now[0]
+
+    def views():
+        for k in range(3):
+            now[0] += 10.0
+            yield k
+
+    clock = Told()
+    with clock:
+        for _ in clock.leave_out(views()):
+            now[0] += 1.0
+    assert clock.wall_s == pytest.approx(3.0)
+
+
+def test_all_pictures_together_are_only_scored_of_methods_that_failed_nowhere(dives):
+    runs = evaluate_pictures(SPLIT, dives, [exploring_pilots.Reader(), exploring_pilots.Broken()])
+    wholes = whole_of(runs)
+    assert list(wholes) == ["reader"]
+    assert wholes["reader"].score.metrics["pictures"] == 16
+
+
+def test_a_dive_is_read_as_it_was_written():
+    log = made_log("one", "expert", 5, [1, 2, 3])
+    data = packed(log)
+    assert data == packed(log)
+    back = unpacked(data)
+    for field in dataclasses.fields(log):
+        own, read = getattr(log, field.name), getattr(back, field.name)
+        assert np.array_equal(own, read)
+        assert type(own) is type(read)
+        assert getattr(own, "dtype", None) == getattr(read, "dtype", None)
+
+
+@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 nothing", b"\x93NUMPY"])
+def test_a_damaged_dive_is_refused_by_name(tmp_path, damage):
+    loop = make_loop(SPLIT, explore=made_explore)
+    run_dives(loop, ["one"], ["expert"], tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(damage)
+    with pytest.raises(ResultError, match=rf"{file.name}.*--again"):
+        run_dives(loop, ["one"], ["expert"], tmp_path)
+    assert run_dives(loop, ["one"], ["expert"], tmp_path, again=True)[0].log is not None
+
+
+def counted(calls):
+    """`made_explore`, which notes what it was asked for."""
+
+    def explore(split, reef, pilot, **options):
+        calls.append((reef, pilot if isinstance(pilot, str) else pilot.name, options["seconds"]))
+        return made_explore(split, reef, pilot, **options)
+
+    return explore
+
+
+def test_finished_dives_are_kept_and_made_anew_where_anything_is_different(tmp_path):
+    calls: list = []
+    loop = make_loop(SPLIT, explore=counted(calls))
+    pilots = [PILOTS + ":Settled", *REFERENCES]
+    told: list = []
+    first = run_dives(loop, ["one", "two"], pilots, tmp_path, progress=lambda done, total: told.append((done, total)))
+    assert len(calls) == 8
+    assert told == [(k, 8) for k in range(9)]
+    assert [(run.record.sequence, run.record.method) for run in first[:4]] == [("one", pilot) for pilot in pilots]
+    calls.clear()
+    again = run_dives(loop, ["one", "two"], pilots, tmp_path)
+    assert calls == []
+    assert [run.record.metrics for run in again] == [run.record.metrics for run in first]
+
+    run_dives(make_loop(SPLIT, 7, explore=counted(calls)), ["one"], pilots, tmp_path)
+    assert {seconds for _, _, seconds in calls} == {7.0}
+    assert len(calls) == 4
+    calls.clear()
+    run_dives(loop, ["one"], [PILOTS + ":Settled[gain=2]"], tmp_path)
+    assert len(calls) == 1
+    calls.clear()
+    other = dataclasses.replace(SPLIT, seed=8, source=SPLIT.source.replace("seed = 7", "seed = 8"))
+    run_dives(make_loop(other, explore=counted(calls)), ["one"], ["expert"], tmp_path)
+    assert len(calls) == 1
+    calls.clear()
+    run_dives(loop, ["one"], ["expert"], tmp_path, again=True)
+    assert len(calls) == 1
+
+
+def test_an_interrupted_evaluation_goes_on_from_there(tmp_path):
+    calls: list = []
+
+    def stopped(split, reef, pilot, **options):
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return counted(calls)(split, reef, pilot, **options)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_dives(make_loop(SPLIT, explore=stopped), ["one", "two"], REFERENCES, tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+    calls.clear()
+    runs = run_dives(make_loop(SPLIT, explore=counted(calls)), ["one", "two"], REFERENCES, tmp_path)
+    assert [call[:2] for call in calls] == [("one", "random"), *(("two", pilot) for pilot in REFERENCES)]
+    assert all(run.log is not None for run in runs)
+
+
+def test_processes_make_the_dives_that_one_makes(tmp_path):
+    loop = make_loop(SPLIT, explore=made_explore)
+    pilots = [PILOTS + ":Reader", *REFERENCES]
+    alone = run_dives(loop, ["one", "two"], pilots, tmp_path / "1")
+    several = run_dives(loop, ["one", "two"], pilots, tmp_path / "2", workers=2)
+    assert [run.record.metrics for run in alone] == [run.record.metrics for run in several]
+    names = [sorted(path.name for path in (tmp_path / name).iterdir()) for name in "12"]
+    assert names[0] == names[1]
+    for name in names[0]:
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
+
+
+@pytest.mark.parametrize(("pilot", "said"), [("Broken", "no such weight"), ("Short", "12 commands, got 1")])
+def test_a_pilot_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, pilot, said):
+    loop = make_loop(SPLIT, explore=made_explore)
+    failed, fine = run_dives(loop, ["one"], [f"{PILOTS}:{pilot}", "random"], tmp_path)
+    assert said in failed.record.failure
+    assert failed.record.metrics == {"oysters_per_min": 0.0}
+    assert failed.log is None
+    assert fine.record.metrics["oysters_per_min"] == 13 / 0.2
+    assert len(list(tmp_path.iterdir())) == 1
+    calls: list = []
+    run_dives(
+        make_loop(SPLIT, explore=counted(calls)),
+        ["one"],
+        [f"{PILOTS}:{pilot}", "random"],
+        tmp_path,
+    )
+    assert len(calls) == 1
+
+
+def test_records_of_dives_say_all_that_decides_them(tmp_path):
+    (run,) = run_dives(make_loop(SPLIT, 6, explore=made_explore), ["two"], [PILOTS + ":Settled"], tmp_path)
+    record = run.record
+    assert (record.track, record.split, record.sequence) == ("exploration", "made", "two")
+    assert record.settings == {"dive_s": 6.0, "start": 0}
+    assert record.method_settings == {"gain": 1.0}
+    assert record.conditions["water_type"] == "5C"
+    assert record.truth_digest
+    assert ResultRecord.from_json(record.to_json()) == record
+
+
+def test_dives_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
+    """The real loop, small: what a log says of itself agrees, and a second evaluation finds the same dives."""
+    loop = make_loop(SPLIT, 4)
+    pilots = ["straight", "random"]
+    runs = run_dives(loop, ["one"], pilots, tmp_path)
+    for run in runs:
+        log = run.log
+        assert run.record.failure is None
+        assert len(log.commands) == 4
+        assert len(log.states) == len(log.seen) == len(log.altitude) == len(log.covered) == 5
+        assert log.seen.sum() == log.found.sum()
+        assert (np.diff(log.covered) >= 0).all()
+        assert (np.abs(log.states[:, :2]) <= log.half_m).all()
+        assert run.record.metrics["oysters_seen"] <= len(log.oysters)
+        assert run.record.metrics["distance_m"] == pytest.approx(4 * 0.5, rel=0.05)
+    first, second = (run.log for run in runs)
+    assert (first.commands == 3).all()
+    assert (first.states[0] == second.states[0]).all()  # all begin at the same place
+    assert runs[0].record.truth_digest == runs[1].record.truth_digest
+    anew = run_dives(loop, ["one"], pilots, tmp_path / "anew")
+    for run, other in zip(runs, anew, strict=True):
+        for field in dataclasses.fields(run.log):
+            if field.name not in ("wall_s", "cpu_s"):
+                assert np.array_equal(getattr(run.log, field.name), getattr(other.log, field.name)), field.name
+
+
+@pytest.mark.parametrize("seconds", [0, -3, float("nan"), float("inf"), 0.4])
+def test_a_dive_without_a_step_is_refused(seconds):
+    with pytest.raises(RecipeError, match="--seconds: expected at least 1"):
+        make_loop(SPLIT, seconds)
+
+
+def test_a_split_of_another_track_has_no_dives(tiny_split):
+    with pytest.raises(RecipeError, match="is of the track 'slam'"):
+        make_loop(tiny_split)
+
+
+def test_pilots_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
+    split = made_split(tuple(f"r{k}" for k in range(7)))
+    reefs = [sequence.name for sequence in split.sequence]
+    loop = make_loop(split, explore=made_explore)
+    runs = run_dives(loop, reefs, [PILOTS + ":Reader", *REFERENCES], tmp_path)
+    found = places(runs)
+    assert set(found) == {PILOTS + ":Reader", "lawnmower"}
+    assert found["lawnmower"].value == pytest.approx(0.5)
+    assert found[PILOTS + ":Reader"].value == pytest.approx(0.0)
+    assert found["lawnmower"].interval.low == pytest.approx(0.5)
+    assert len(places_table(found).lines) == 2
+    lines = {line.cells[0]: line.cells for line in pilots_table(runs).lines if line.cells[1].startswith("oysters")}
+    assert len(lines) == 6
+    assert lines["expert \N{MINUS SIGN} random"][2:] == ("+130.0", "130.0 to 130.0", "7 / 0 / 0", "better")
+    assert lines["expert \N{MINUS SIGN} lawnmower"][2] == "+65.0"
+    assert places([run for run in runs if run.record.method != "random"]) == {}
+
+
+def test_names_at_the_ends_of_curves_do_not_meet():
+    places = [10.0, 11.0, 12.0, 90.0]
+    moved = apart(places, 18.0)
+    assert all(b - a >= 18.0 - 1e-9 for a, b in pairwise(moved))
+    assert np.mean(moved) == pytest.approx(np.mean(places))
+    assert moved[-1] == 90.0  # nobody is near it
+    assert apart([], 5.0) == []
+    assert apart([10.0, 11.0], 4.0, last=11.0) == [7.0, 11.0]
+
+
+def test_the_bow_is_drawn_where_the_camera_would_see_it(tmp_path):
+    """A camera that looks along the bow, and a level vehicle: by hand."""
+    dive = labelled_views(write_labelled(tmp_path / "one.mcap", "one", label_table(1)), SPLIT.steering)
+    view = next(dive.views())
+    along = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    camera = dataclasses.replace(dive.sequence.cameras["cam_front"], T_base_cam=along)
+    dive.sequence.cameras["cam_front"] = camera
+    level = dataclasses.replace(view, state=dataclasses.replace(view.state, pitch=0.0))
+    ends, bow = bow_pixels(dive, level)
+    f, (cx, cy) = 19.0, (15.5, 11.5)
+    assert bow == pytest.approx([cx, cy])
+    assert ends[3, 3] == pytest.approx([cx, cy])
+    assert ends[0, 3] == pytest.approx([cx - f * np.tan(np.radians(30)), cy])  # 30 degrees to the left
+    assert ends[3, 6] == pytest.approx([cx, cy + f * np.tan(np.radians(24))])  # 24 degrees down
+    steep = dataclasses.replace(view, state=dataclasses.replace(view.state, pitch=np.radians(24)))
+    ends, _ = bow_pixels(dive, steep)
+    assert ends[3, 6] == pytest.approx([cx, cy + f * np.tan(np.radians(6))])  # the vehicle's limit is 30 degrees
+    assert ends[3, 2] == pytest.approx([cx, cy - f * np.tan(np.radians(8))])
+
+
+def test_samples_are_even_over_sequences_and_time(dives):
+    runs = evaluate_pictures(SPLIT, dives, [exploring_pilots.Reader(), exploring_pilots.Broken()])
+    samples = samples_of(dives, runs, 5)
+    assert [sample.name for sample in samples] == ["one"] * 3 + ["two"] * 2
+    assert [sample.view.time_s for sample in samples[:3]] == [4, 8, 12]
+    for sample in samples:
+        assert sample.commanded == {"reader": sample.expert}
+        assert sample.worth[sample.expert] == sample.worth.max()

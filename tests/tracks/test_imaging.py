@@ -1,0 +1,212 @@
+"""Methods of images are given pictures and no truth, and every way to score ends in records, tables and a report."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from oysterbench.annotations import Clip
+from oysterbench.cli.main import main
+from oysterbench.core.streams import stream
+from oysterbench.evaluate.detection import DetectionSettings
+from oysterbench.evaluate.segmentation import SegmentationSettings, TruthImage
+from oysterbench.evaluate.segmentation.images import OYSTER
+from oysterbench.methods.images import Detections, Picture, Segmentation
+from oysterbench.report import dataset_tables, html_report, images_csv
+from oysterbench.results.records import ResultRecord
+from oysterbench.tracks.detection import evaluate_detection
+from oysterbench.tracks.segmentation import evaluate_segmentation
+from oysterbench_baselines.threshold import All, Colour, Nothing
+
+
+def make_clip(name, images=3):
+    """Light squares on dark ground, which are oysters; the last picture has none."""
+    rng = stream(2, b"", "imaging", name)
+    made = []
+    for k in range(images):
+        classes = np.zeros((48, 64), np.uint8)
+        if k < images - 1:
+            classes[10:22, 8:20] = classes[30:40, 40:54] = OYSTER
+        instances = cv2.connectedComponents((classes == OYSTER).astype(np.uint8))[1].astype(np.uint16)
+        grey = np.where(classes == OYSTER, 180, 60) + rng.integers(0, 20, classes.shape)
+        pixels = np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)
+        made.append((TruthImage(f"{name}/{k}", classes, False, instances=instances, footprint_m2=2.0), pixels))
+    return Clip(name, tuple(truth.name for truth, _ in made), lambda: iter(made), "0" * 64, {"water": name[-1]})
+
+
+@pytest.fixture
+def clips():
+    return [make_clip("clip-a"), make_clip("clip-b", 2)]
+
+
+class Given:
+    """Answers with what a function says."""
+
+    track = "segmentation"
+
+    def __init__(self, name, answer):
+        self.name, self.answer = name, answer
+
+    def run(self, images):
+        for image in images:
+            assert type(image) is Picture  # a name and pixels: nothing that leads to the truth
+            yield self.answer(image)
+
+
+def light(image):
+    return Segmentation(image.name, oyster=image.pixels[..., 0] > 120)
+
+
+def test_trivial_rows_are_worth_what_the_cover_says(clips):
+    runs, rows = evaluate_segmentation(None, clips, [All(), Nothing(), Given("light", light)], SegmentationSettings())
+    by_name = {row.method: row.metrics for row in rows}
+    cover = by_name["all"]["cover"]
+    assert by_name["all"]["iou"] == pytest.approx(cover)
+    assert by_name["none"]["iou"] == 0.0
+    assert by_name["none"]["image_iou"] == pytest.approx(2 / 5)  # two of five pictures have no oyster
+    assert by_name["light"]["iou"] == 1.0
+    assert by_name["all"]["empty_false_positive_rate"] == 1.0
+    assert by_name["light"]["empty_false_positive_rate"] == 0.0
+    for run in runs:
+        assert ResultRecord.from_json(run.record.to_json()).to_json() == run.record.to_json()
+        assert run.record.metrics["images_per_s"] > 0
+
+
+def test_a_colour_that_differs_from_its_surroundings_is_found(clips):
+    _, rows = evaluate_segmentation(None, clips, [Colour()], SegmentationSettings())
+    assert rows[0].metrics["iou"] > 2 * rows[0].metrics["cover"]
+    assert rows[0].whole.curve is not None
+
+
+def test_methods_that_fail_have_a_record_that_finds_nothing_and_the_others_go_on(clips):
+    def raises(image):
+        raise ValueError("no idea")
+
+    methods = [
+        Given("raises", raises),
+        Given("another", lambda image: Segmentation("x", oyster=image.pixels[..., 0] > 9)),
+        Given("small", lambda image: Segmentation(image.name, oyster=np.zeros((2, 2), bool))),
+        Given("array", lambda image: Given("array", image)),
+        Given("light", light),
+    ]
+    runs, rows = evaluate_segmentation(None, clips[:1], methods, SegmentationSettings())
+    failures = {run.record.method: run.record.failure for run in runs}
+    assert failures["raises"] == "method 'raises' failed on clip-a: ValueError: no idea"
+    assert "expected an answer to clip-a/0, got one to 'x'" in failures["another"]
+    assert "expected an estimate of the truth's size, 64 x 48, got 2 x 2" in failures["small"]
+    assert "expected an answer to clip-a/0" in failures["array"]
+    assert failures["light"] is None
+    assert [row.method for row in rows] == ["light"]
+    record = runs[0].record
+    assert record.metrics["iou"] == 0.0
+    assert record.metrics["union_px"] == record.metrics["truth_px"] == 2 * (144 + 140)
+
+
+def test_an_answer_too_few_is_a_failure(clips):
+    class Lazy(Given):
+        def run(self, images):
+            yield light(next(iter(images)))
+
+    runs, _ = evaluate_segmentation(None, clips[:1], [Lazy("lazy", None)], SegmentationSettings())
+    assert "expected 3 answers, one to each picture, got 1" in runs[0].record.failure
+
+
+def test_what_hangs_together_is_one_oyster_and_detections_are_taken_as_they_are(clips):
+    def numbered(image):
+        numbers = cv2.connectedComponents((image.pixels[..., 0] > 120).astype(np.uint8))[1]
+        return Detections(image.name, np.full(int(numbers.max()), 0.9), numbers=numbers)
+
+    def boxed(image):
+        found = numbered(image).numbers
+        boxes = [
+            [*(float(v) for v in cv2.boundingRect((found == k).astype(np.uint8)))] for k in range(1, found.max() + 1)
+        ]
+        return Detections(image.name, np.full(len(boxes), 0.9), boxes=np.array(boxes).reshape(-1, 4))
+
+    methods = [Given("light", light), Given("numbered", numbered), Given("boxed", boxed), Nothing()]
+    runs, rows = evaluate_detection(None, clips, methods, DetectionSettings())
+    assert all(run.record.failure is None for run in runs)
+    by_name = {row.method: row.metrics for row in rows}
+    for name in ("light", "numbered"):
+        assert by_name[name]["ap_mask"] == pytest.approx(1.0)
+        assert by_name[name]["pq"] == pytest.approx(1.0)
+    assert by_name["boxed"]["ap_box"] == pytest.approx(1.0)
+    assert np.isnan(by_name["boxed"]["ap_mask"])
+    assert by_name["none"]["density_error_per_m2"] == pytest.approx(-6 / 10)
+
+
+def test_the_report_has_tables_curves_and_pictures(clips):
+    runs, rows = evaluate_segmentation(None, clips, [All(), Colour()], SegmentationSettings())
+    page = html_report(runs, "oysterbench eval", data_set=rows)
+    for text in ("Over the data set", "IoU over the threshold of probability", "Pictures", "data:image/jpeg;base64"):
+        assert text in page
+    assert page.count("<figure>") == 2 * (3 + 2)
+    titles = [table.title for table in dataset_tables(rows)]
+    assert titles == ["Over the data set", "By class within images"]
+    lines = images_csv(runs).splitlines()
+    assert len(lines) == 1 + 2 * 5
+    assert lines[0].startswith("clip,method,run,image,iou")
+    runs, rows = evaluate_detection(None, clips, [Given("light", light)], DetectionSettings())
+    assert "at an overlap of 0.5" in html_report(runs, "oysterbench eval", data_set=rows)
+
+
+@pytest.fixture
+def folders(tmp_path):
+    mask = np.zeros((20, 30), np.uint8)
+    mask[5:15, 5:15] = 255
+    for clip in ("one", "two"):
+        for side, values in (("truth", mask), ("estimate", np.roll(mask, 5, axis=1))):
+            (tmp_path / side / clip).mkdir(parents=True)
+            assert cv2.imwrite(str(tmp_path / side / clip / "a.png"), values)
+    return tmp_path
+
+
+def command(*arguments):
+    return CliRunner().invoke(main, ["eval", *map(str, arguments)])
+
+
+def test_folders_are_scored_from_the_command_line(folders):
+    files = ("--truth", folders / "truth", "--estimate", folders / "estimate")
+    done = command("--track", "segmentation", *files, "--json", "--out", folders / "out")
+    assert done.exit_code == 0, done.output
+    document = json.loads((folders / "out" / "results.json").read_text())
+    assert document["data_set"][0]["metrics"]["iou"] == pytest.approx(1 / 3)
+    assert [record["sequence"] for record in document["results"]] == ["one", "two"]
+    assert {path.name for path in (folders / "out").iterdir()} >= {
+        "report.html",
+        "results.csv",
+        "results.md",
+        "images.csv",
+    }
+    again = command("--track", "segmentation", *files)
+    assert "Over the data set" in again.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--align", "se3"], "--align: of the track slam, not of segmentation"),
+        (["--max-detections", "9"], "--max-detections is of the track detection"),
+        (["--threshold", "2"], "evaluator setting 'threshold'"),
+        (["--estimate-kind", "classes"], "unknown class 255"),
+    ],
+)
+def test_bad_requests_are_refused_in_one_line(folders, arguments, message):
+    done = command(
+        "--track", "segmentation", "--truth", folders / "truth", "--estimate", folders / "estimate", *arguments
+    )
+    assert done.exit_code != 0
+    assert message in done.output
+    (line,) = [line for line in done.output.splitlines() if message in line]
+    assert len(line) < 300
+
+
+def test_a_missing_pair_is_named(folders):
+    (folders / "estimate" / "two" / "a.png").unlink()
+    done = command("--track", "segmentation", "--truth", folders / "truth", "--estimate", folders / "estimate")
+    assert done.exit_code == 1
+    assert "no answer for two/a" in done.output

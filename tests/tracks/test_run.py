@@ -1,0 +1,433 @@
+"""The runner: other programs and classes, contained, measured, resumed; whatever they do is a record and no crash."""
+
+from __future__ import annotations
+
+import os
+import re
+
+import numpy as np
+import pytest
+
+import oysterbench
+from oysterbench.core.errors import MethodError, SequenceError
+from oysterbench.core.ply import read_ply
+from oysterbench.core.trajectory import Trajectory, read_trajectory, write_tum
+from oysterbench.core.trajectory.frames import poses_of_body
+from oysterbench.evaluate.slam.scoring import SlamSettings
+from oysterbench.methods import runner
+from oysterbench.methods.entrants import Command, PythonMethod
+from oysterbench.methods.inputs import FORMS, frame_pose, write_input
+from oysterbench.report.tables import results_table
+from oysterbench.sequence.export.parts import sensor_poses
+from oysterbench.sequence.names import TRUTH_TOPICS
+from oysterbench.tracks.slam_runs import Dive, dives_of, run_slam
+from tests.helpers.programs import command
+
+NAME = "hand-made"
+
+
+@pytest.fixture(scope="module")
+def truth(dive_file):
+    return oysterbench.open(dive_file).truth()
+
+
+@pytest.fixture
+def answer(tmp_path, truth):
+    """The true poses of the vehicle as a TUM file."""
+    write_tum(tmp_path / "answer.tum", truth)
+    return tmp_path / "answer.tum"
+
+
+@pytest.fixture
+def run(dive_file, tmp_path):
+    """Run entrants on the hand-made dive; the list of what was finished."""
+
+    def call(*entrants, **options):
+        options = {"limit_s": 60.0, **options}
+        return list(run_slam([Dive(NAME, dive_file)], entrants, SlamSettings(), tmp_path / "out", **options))
+
+    return call
+
+
+def moved(truth: Trajectory, T_base_frame: np.ndarray) -> Trajectory:
+    """Poses of another frame of the vehicle."""
+    return poses_of_body(truth, np.linalg.inv(T_base_frame))
+
+
+# What a program is given, and how its answer is read
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_program_that_answers_in_the_frame_of_its_input_is_right_to_the_digit(form, run, truth, dive_file, tmp_path):
+    sequence = oysterbench.open(dive_file)
+    frame = {"euroc": "imu", "tum": "cam_left", "kitti": "cam_left", "mcap": "base"}[form]
+    given = moved(truth, frame_pose(sequence, frame, form))
+    if form == "kitti":  # stamps as KITTI has them: from the first image
+        given = Trajectory(given.stamps_ns - truth.stamps_ns[0], given.positions, given.quaternions)
+    write_tum(tmp_path / "given.tum", given)
+    (done,) = run(Command(command(tmp_path, "copies", tmp_path / "given.tum", form), "copies"))
+    record = done.scored.record
+    assert record.failure is None
+    assert record.metrics["ate_rmse_m"] < 1e-9
+    assert record.metrics["ate_rotation_rmse_deg"] < 1e-6
+    assert record.metrics["coverage"] == 1.0
+    assert not (tmp_path / "out" / "inputs").exists()
+
+
+def test_poses_of_a_frame_that_was_not_said_are_named_in_the_record(run, truth, dive_file, tmp_path):
+    turned = moved(truth, frame_pose(oysterbench.open(dive_file), "cam_left", "euroc"))
+    write_tum(tmp_path / "given.tum", turned)
+    template = command(tmp_path, "copies", tmp_path / "given.tum", "euroc")
+    (wrong,) = run(Command(template, "wrong"))
+    assert any("are they of a camera or an IMU?" in note for note in wrong.scored.record.notes)
+    (right,) = run(Command(template, "right", poses_of="cam_left"))
+    assert right.scored.record.metrics["ate_rmse_m"] < 1e-9
+
+
+def test_a_frame_that_the_vehicle_lacks_is_a_failure_that_lists_its_cameras(run, answer, tmp_path):
+    (done,) = run(Command(command(tmp_path, "copies", answer), "copies", poses_of="cam_top"))
+    assert "expected base, imu, camera or one of its cameras: cam_left, cam_right" in done.failure
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_a_program_is_given_holds_no_truth(form, dive_file, tmp_path, truth):
+    place = tmp_path / "given"
+    write_input(dive_file, form, place)
+    files = [place] if place.is_file() else [path for path in place.rglob("*") if path.is_file()]
+    assert files
+    names = " ".join(str(path.relative_to(tmp_path)) for path in files)
+    assert not any(word in names for word in ("truth", "state", "depth", "oyster", "poses"))
+    # The digits of a true position, in any frame of the vehicle, as any of the formats would write them.
+    sequence = oysterbench.open(dive_file)
+    digits = set()
+    for frame in ("base", "imu", "cam_left"):
+        poses = sensor_poses(truth, frame_pose(sequence, frame, form))
+        digits |= {f"{abs(value):.6f}"[:7].encode() for value in poses[40:, :2, 3].ravel() if abs(value) > 0.1}
+    for path in files:
+        if path.suffix in (".csv", ".txt", ".yaml"):
+            text = path.read_bytes()
+            assert not any(number in text for number in digits), path
+    if form == "mcap":
+        content = oysterbench.open(place)
+        topics = {topic for topic, _, _ in content.contents()}
+        assert topics >= {"/imu", "/cam_left/image"}
+        assert not topics & {*TRUTH_TOPICS, "/cam_left/depth", "/cam_left/instance", "/fls/cloud"}
+        assert set(content.attachments) == {"calibration.json"}
+        with pytest.raises(SequenceError, match="no truth"):
+            content.truth()
+
+
+def test_an_input_is_made_once_for_all_runs_and_kept_where_that_is_asked_for(run, answer, tmp_path, monkeypatch):
+    made = []
+    original = runner.Processes.run
+
+    def spy(self, words, limit_s, folder):
+        made.append("oysterbench.methods.inputs" in words)
+        return original(self, words, limit_s, folder)
+
+    monkeypatch.setattr(runner.Processes, "run", spy)
+    run(Command(command(tmp_path, "copies", answer), "copies"), times=3, workers=2, keep_inputs=True)
+    assert made.count(True) == 1
+    assert made.count(False) == 3
+    assert list((tmp_path / "out" / "inputs").glob("*/*.mcap"))
+    run(Command(command(tmp_path, "copies", answer), "more"), keep_inputs=True)
+    assert made.count(True) == 1
+
+
+def test_an_euroc_folder_is_run_on_like_a_file(dive_file, answer, tmp_path):
+    from oysterbench.sequence.export import export_sequence
+
+    folder, _ = export_sequence(oysterbench.open(dive_file), "euroc", tmp_path / "flight")
+    (dive,) = dives_of([folder])
+    write_tum(tmp_path / "imu.tum", dive.truth)
+    entrant = Command(command(tmp_path, "copies", tmp_path / "imu.tum", "euroc"), "copies")
+    (done,) = run_slam([dive], [entrant], SlamSettings(), tmp_path / "out")
+    assert done.scored.record.metrics["ate_rmse_m"] < 1e-9
+    assert done.scored.record.split == ""
+    (refused,) = run_slam([dive], [Command(command(tmp_path, "copies", answer), "m")], SlamSettings(), tmp_path / "out")
+    assert "{mcap} needs a sequence file" in refused.failure
+
+
+# What a run costs
+
+
+def test_cost_command_versions_and_hardware_are_recorded(run, answer, tmp_path):
+    template = command(tmp_path, "copies", answer)
+    (done,) = run(Command(template, "copies"))
+    record = done.scored.record
+    assert 0 < record.metrics["cpu_s"] < 60
+    assert 0 < record.metrics["wall_s"] < 60
+    assert record.metrics["peak_memory_mb"] > 5
+    assert record.metrics["realtime_factor"] == pytest.approx(1.98 / record.metrics["wall_s"])
+    assert record.method_settings == {"command": template, "poses_of": "base"}
+    assert record.hardware["cores"] >= 1
+    about = record.info["run"]
+    assert about["command"][-1].endswith("trajectory.tum")
+    assert len(about["versions"]["program_sha256"]) == 64
+    assert about["limit_s"] == 60.0
+
+
+def test_time_and_memory_of_children_count(run, answer, tmp_path):
+    (done,) = run(Command(command(tmp_path, "works", answer), "works"))
+    assert done.scored.record.metrics["cpu_s"] >= 0.5
+    assert 150 < done.scored.record.metrics["peak_memory_mb"] < 250
+
+
+# What goes wrong with a program
+
+
+@pytest.mark.parametrize(
+    ("program", "failure"),
+    [
+        ("sleeps", "time limit of 1 s reached: killed; it last said: still here"),
+        ("crashes", "killed by SIGSEGV"),
+        ("refuses", "exit status 3; it last said: no vocabulary | giving up"),
+        ("silent", "ended well, but left no trajectory at {out}"),
+        ("garbage", "left what cannot be read as a trajectory: "),
+        ("empty", "left what cannot be read as a trajectory: "),
+    ],
+)
+def test_a_program_that_fails_leaves_a_record_that_says_how(program, failure, run, answer, tmp_path):
+    limit_s = 1.0 if program == "sleeps" else 60.0
+    (done,) = run(Command(command(tmp_path, program, answer), program), limit_s=limit_s)
+    record = done.scored.record
+    assert record.failure.startswith(f"method {program!r} on hand-made: {failure}")
+    assert "\n" not in record.failure
+    assert record.metrics["coverage"] == 0.0
+    assert record.metrics["score"] == 0.0
+
+
+def test_megabytes_of_output_do_no_harm(run, answer, tmp_path):
+    (done,) = run(Command(command(tmp_path, "talks", answer), "talks"))
+    assert done.failure is None
+    assert (tmp_path / "out/runs/talks/hand-made/1/stdout.txt").stat().st_size == 60_000 * 80
+
+
+def test_processes_that_outlive_their_program_are_killed_and_noted(run, answer, tmp_path):
+    (done,) = run(Command(command(tmp_path, "leaves", answer), "leaves"))
+    assert done.scored.record.metrics["coverage"] == 1.0
+    assert "1 processes were still running when it had ended: they were killed" in done.scored.record.notes
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "answer.tum.pid").read_text()), 0)
+
+
+@pytest.mark.parametrize(
+    ("template", "message"),
+    [
+        ("true {euroc}", "expected {out}, where the program leaves its trajectory, and one of {euroc}"),
+        ("true {out}", "and one of {euroc}, {tum}, {kitti}, {mcap}, what it reads, got {out}"),
+        ("true {euroc} {mcap} {out}", "got {euroc}, {mcap}, {out}"),
+        ("true {bag} {out}", "unknown placeholder {bag}; known: {euroc}"),
+        ("true {euroc} {out} 'awk {'", "write {{ and }} for braces of your own"),
+        ("true '{euroc} {out}", "No closing quotation"),
+        ("no-such-program {euroc} {out}", "no program 'no-such-program' that can be run"),
+    ],
+)
+def test_a_command_line_of_another_shape_is_refused_before_anything_runs(template, message):
+    with pytest.raises(MethodError) as caught:
+        Command(template)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_braces_of_the_program_itself_are_doubled(tmp_path):
+    entrant = Command("printf '{{%s}}' {euroc} {out}", "prints")
+    words = entrant.command(tmp_path / "in", tmp_path, 0)
+    assert words[1:] == ["{%s}", str(tmp_path / "in"), str(tmp_path / "trajectory.tum")]
+
+
+# Many jobs
+
+
+def test_two_jobs_run_at_a_time(run, answer, tmp_path):
+    entrant = Command(command(tmp_path, "meets", answer, "mcap", "2"), "meets")
+    assert [done.failure for done in run(entrant, times=2, workers=2)] == [None, None]
+
+
+def test_jobs_wait_for_memory(run, answer, tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "available_bytes", lambda: runner.ASSUMED_BYTES)
+    entrant = Command(command(tmp_path, "meets", answer, "mcap", "2"), "meets")
+    first, second = run(entrant, times=2, workers=2, limit_s=2.0)
+    assert "time limit" in first.failure  # it was alone
+    assert second.failure is None  # the first had left its sign
+
+
+def test_what_is_finished_is_not_run_again_unless_that_is_asked_for(run, answer, tmp_path):
+    counts = Command(command(tmp_path, "counts", answer, "mcap", "{seed}"), "counts")
+    log = tmp_path / "answer.tum.log"
+    first = run(counts, times=2)
+    assert [done.scored.record.seed for done in first] == [0, 1]
+    assert log.read_text() == "0\n1\n"
+    second = run(counts, times=3)
+    assert log.read_text() == "0\n1\n2\n"
+    assert [done.scored.record.to_dict() for done in second[:2]] == [done.scored.record.to_dict() for done in first]
+    run(counts, times=1, again=True)
+    assert log.read_text() == "0\n1\n2\n0\n"
+
+
+def test_what_failed_is_run_again_where_that_is_asked_for(run, answer, tmp_path):
+    refuses = Command(command(tmp_path, "refuses", answer), "refuses")
+    (failed,) = run(refuses)
+    (tmp_path / "refuses.py").write_text("import shutil, sys; shutil.copy(sys.argv[1], sys.argv[3])")
+    (kept,) = run(refuses)
+    assert kept.failure == failed.failure
+    (mended,) = run(refuses, retry=True)
+    assert mended.failure is None
+
+
+def test_results_of_another_command_are_not_taken_for_its_own(run, answer, tmp_path):
+    run(Command(command(tmp_path, "copies", answer), "mine"))
+    with pytest.raises(MethodError, match=r"holds run 1 of another mine .*--again runs it anew"):
+        run(Command(command(tmp_path, "counts", answer), "mine"))
+
+
+def test_one_runner_works_in_a_folder_at_a_time(dive_file, answer, tmp_path):
+    entrant = Command(command(tmp_path, "copies", answer), "copies")
+    running = run_slam([Dive(NAME, dive_file)], [entrant], SlamSettings(), tmp_path, times=2)
+    next(running)
+    with pytest.raises(MethodError, match="another run is working in it"):
+        list(run_slam([Dive(NAME, dive_file)], [entrant], SlamSettings(), tmp_path))
+    running.close()
+
+
+# Classes
+
+
+METHODS = """
+import os
+import numpy as np
+from oysterbench.methods import Estimate, LandmarkMap
+from oysterbench.core.trajectory import Trajectory
+
+
+class Turns:
+    name, track = "turns", "slam"
+
+    def run(self, sequence):
+        stamps = np.array([sample.stamp_ns for sample in sequence.imu()])
+        t = (stamps - stamps[0]) * 1e-9
+        positions = np.column_stack([np.sin(t), 1 - np.cos(t), 0 * t])
+        return Estimate(Trajectory(stamps, positions, np.tile([0.0, 0, 0, 1], (len(stamps), 1))))
+
+
+class Seeded(Turns):
+    name, seed = "seeded", 40
+
+    def run(self, sequence):
+        estimate = super().run(sequence)
+        return Estimate(estimate.trajectory, {"seed": self.seed, "noise": np.float32(0.5), "where": os.getpid()})
+
+
+class Raises(Turns):
+    name = "raises"
+
+    def run(self, sequence):
+        raise RuntimeError("out of ideas")
+
+
+class Exits(Turns):
+    name = "exits"
+
+    def run(self, sequence):
+        os._exit(9)
+
+
+class Peeks(Turns):
+    name = "peeks"
+
+    def run(self, sequence):
+        return Estimate(sequence.truth())
+
+
+class Paths(Turns):
+    name = "paths"
+
+    def run(self, sequence):
+        path = super().run(sequence).trajectory
+        late = path.select(slice(len(path) // 2, None))
+        late = Trajectory(late.stamps_ns, late.positions, late.quaternions, np.tile(np.eye(6), (len(late), 1, 1)))
+        n = 4
+        colours = np.tile(np.uint8([200, 100, 50]), (n, 1))
+        seen = LandmarkMap(path.select(slice(None, None, 50)), np.eye(n)[:, :3], colours, np.arange(n))
+        return Estimate(path, scored="optimised", alternatives={"online": late}, map=seen)
+
+
+class Other(Turns):
+    track = "steering"
+
+
+class Empty:
+    pass
+"""
+
+
+@pytest.fixture
+def own_methods(tmp_path, monkeypatch):
+    (tmp_path / "own_methods.py").write_text(METHODS)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+
+def test_a_class_runs_in_a_process_of_its_own_with_the_seed_of_its_run(own_methods, run):
+    runs = run(PythonMethod("own_methods:Seeded"), times=2)
+    assert [done.scored.record.seed for done in runs] == [40, 41]
+    assert [done.scored.record.info["seed"] for done in runs] == [40, 41]
+    assert runs[0].scored.record.info["noise"] == 0.5
+    assert len({os.getpid(), *(done.scored.record.info["where"] for done in runs)}) == 3
+    assert runs[0].scored.record.metrics["coverage"] > 0.9
+    assert "numpy" in runs[0].scored.record.info["run"]["versions"]
+    # The time of `run` counts, not that of Python's start; that is kept beside it.
+    process = runs[0].outcome.process
+    assert runs[0].outcome.wall_s < process["wall_s"]
+    assert process["peak_bytes"] > 30e6
+
+
+@pytest.mark.parametrize(
+    ("name", "failure"),
+    [
+        ("Raises", "method 'raises' failed on sequence hand-made: RuntimeError: out of ideas"),
+        ("Exits", "method 'exits' on hand-made: exit status 9"),
+        ("Peeks", "a method does not see the truth: Sequence.truth() is for evaluators"),
+    ],
+)
+def test_a_class_that_fails_leaves_a_record_that_says_how(name, failure, own_methods, run):
+    (done,) = run(PythonMethod(f"own_methods:{name}"))
+    assert done.scored.record.failure == failure
+
+
+@pytest.mark.parametrize(
+    ("reference", "message"),
+    [
+        ("own_methods:Absent", "own_methods.py has no 'Absent'"),
+        ("own_methods:Empty", "expected an object with name, track and run"),
+        ("own_methods:Other", "is of the track 'steering'; expected one of 'slam'"),
+        ("no_such_module:Slam", "cannot be loaded: No module named 'no_such_module'"),
+        ("own_methods:", "expected module:Class, such as my_slam:MySlam"),
+    ],
+)
+def test_a_class_that_cannot_be_had_is_named(reference, message, own_methods):
+    with pytest.raises(MethodError) as caught:
+        PythonMethod(reference)
+    assert message in str(caught.value)
+
+
+def test_further_paths_and_the_map_lie_beside_the_scored_path(own_methods, run, tmp_path):
+    (done,) = run(PythonMethod("own_methods:Paths"))
+    out = tmp_path / "out"
+    scored, online = (read_trajectory(out / f"hand-made-paths{part}.tum") for part in ("", ".online"))
+    assert len(online) == len(scored) - len(scored) // 2
+    landmarks = read_ply(out / "hand-made-paths.map.ply")
+    assert [landmarks[key].tolist() for key in ("x", "red", "observations")] == [[1, 0, 0, 0], [200] * 4, [0, 1, 2, 3]]
+    assert len(read_trajectory(out / "runs/paths/hand-made/1/keyframes.tum")) == -(-len(scored) // 50)
+    info = done.scored.record.info
+    assert info["map"] == {"keyframes": -(-len(scored) // 50), "landmarks": 4}
+    assert info["paths"]["scored"] == "optimised"
+    assert info["paths"]["alternatives"]["online"]["coverage"] == pytest.approx(0.5, abs=0.02)
+    assert done.scored.record.metrics["coverage"] > 0.9
+    (said,) = results_table([done.scored.record]).notes
+    assert "nees_position" not in done.scored.record.metrics
+    assert 0.0 < info["paths"]["alternatives"]["online"]["nees_position"] < 3.0
+    assert re.match(r"paths: scored is the optimised path; not scored: online \(ATE \S+ m, NEES of position ", said)
+    # Of what is finished already, all of it is read again.
+    (again,) = run(PythonMethod("own_methods:Paths"))
+    assert again.scored.record.to_dict() == done.scored.record.to_dict()
