@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import LightRecipe
 from oysterbench.render.light import build_light
@@ -21,7 +21,6 @@ from oysterbench.scene.rig import GRAVITY
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-Array = NDArray[np.float64]
 
 PERIOD_M = 4.0  # the waves repeat: few pictures see as far
 CELLS = 256  # of the tile, a side: 16 mm, about what the sun's disc blurs at 2 m

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import LampRecipe
 from oysterbench.render.optics import Lamps, look_up
 from oysterbench.render.target import KERNEL_OPTIONS
@@ -22,7 +22,6 @@ from oysterbench.render.water import IMAGE_CONE_RAD, Water, forward_share
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-Array = NDArray[np.float64]
 
 DAYLIGHT_LUX = 100_000.0  # full sun and sky on level ground: what an irradiance of 1 stands for
 BEAM_PIXELS = 8  # width of a cell of the grid of beams

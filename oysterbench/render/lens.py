@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import RecipeError
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import CameraRecipe
 from oysterbench.scene.rig import PORT_INDEX, camera_matrix
-
-Array = NDArray[np.float64]
 
 NEWTON_STEPS = 30
 RESIDUAL = 1e-9

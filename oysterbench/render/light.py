@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import LampRecipe, LightRecipe
 from oysterbench.render.lamps import DAYLIGHT_LUX, lamp_spread
 from oysterbench.render.water import IMAGE_CONE_RAD, Water, forward_share
-
-Array = NDArray[np.float64]
 
 WATER_INDEX = 1.34  # refractive index of sea water
 GREY_ALBEDO = 0.16  # a reef's mean; exposed to GREY_LEVEL at GREY_RANGE_M

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss, legvander
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from oysterbench.core.geometry import Array
 
 WATER_INDEX = 1.34
 STREAMS = 24  # per hemisphere

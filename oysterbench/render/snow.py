@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe
 from oysterbench.render.lamps import phase
@@ -21,7 +22,6 @@ from oysterbench.scene.rig import camera_matrix
 
 wp.set_module_options(KERNEL_OPTIONS)
 
-Array = NDArray[np.float64]
 
 SMALLEST_M, LARGEST_M = 0.0004, 0.003  # diameters; numbers fall with their cube (Jackson et al. 1997)
 NEAREST_M = 0.06  # nearer flakes are too far out of focus to be seen
@@ -60,8 +60,6 @@ class Snow:
         reach = 5.0 / float((water.absorption + 0.2 * water.scattering).min())
         self._reach = float(np.clip(reach, 0.3, FARTHEST_M))
         h, w = camera.height, camera.width
-        edges = np.array([[u, v, 1.0] for u in np.linspace(0, w - 1, 5) for v in np.linspace(0, h - 1, 5)])
-        self._edges = edges
         self.light = wp.zeros((h, w, 4), dtype=wp.int32, device=device) if per_m3 > 0 else None
 
     def flakes(self, T_map_cam: Array, rays: NDArray[np.float32], time_s: float) -> tuple[Array, Array]:

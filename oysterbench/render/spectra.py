@@ -9,12 +9,10 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq, nnls
 
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import WaterRecipe
-
-Array = NDArray[np.float64]
 
 WAVELENGTHS: Array = np.arange(400.0, 701.0, 10.0)
 """nm, (31,)"""

@@ -16,14 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import WaterRecipe
 from oysterbench.render.radiance import Daylight, solve_daylight
 from oysterbench.render.spectra import camera_weights, molecular_scattering, water_constituents
-
-Array = NDArray[np.float64]
 
 ASYMMETRY = 0.92  # of the Henyey-Greenstein phase function; gives a backscattered share of 0.018, as Petzold measured
 IMAGE_CONE_RAD = float(np.deg2rad(45.0))

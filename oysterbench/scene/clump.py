@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from oysterbench.core.geometry import Array
 from oysterbench.scene.collisions import Crowd, probe_points, total_overlap
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.terrain import Terrain
-
-Array = NDArray[np.float64]
 
 CLUMP_LIMITS = (3, 15)
 SIZE_SHAPE = 5.0  # of the gamma distribution of clump sizes

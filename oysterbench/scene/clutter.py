@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.instances import Instances, lean_with, make_instances, placed_vertices, rest
 from oysterbench.scene.library import BROAD_SHARE, Library
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.terrain import Terrain
-
-Array = NDArray[np.float64]
 
 STONE_RADIUS_M = (0.02, 0.11)
 ROCK_RADIUS_M = (0.10, 0.20)

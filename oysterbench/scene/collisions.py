@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from oysterbench.core.geometry import Array
 from oysterbench.scene.instances import Instances
-
-Array = NDArray[np.float64]
 
 ELLIPSOID = (np.array([0.50, 0.0, -0.05]), np.array([0.50, 0.33, 0.15]))  # a shell: centre, half axes, in heights
 REACH = 0.52  # of a shell from its ellipsoid's centre, in heights

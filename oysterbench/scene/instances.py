@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import CLASSES
 from oysterbench.scene.mesh import Mesh, round_positions
 from oysterbench.scene.terrain import Terrain
-
-Array = NDArray[np.float64]
 
 CLASS_NUMBERS = {name: number for number, name in CLASSES.items()}
 ROWS_AT_ONCE = 512  # bounds the memory that placing needs

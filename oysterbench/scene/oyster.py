@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
+from oysterbench.core.geometry import Array
 from oysterbench.scene.mesh import Mesh, build_mesh, join_meshes
-
-Array = NDArray[np.float64]
 
 SLICES = 44
 POINTS = 18  # of one spline in a slice

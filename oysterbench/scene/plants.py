@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from oysterbench.core.geometry import Array
 from oysterbench.scene.mesh import Mesh, build_mesh, join_meshes
-
-Array = NDArray[np.float64]
 
 BLADE_RINGS, FROND_RINGS = 12, 15
 ACROSS = np.array([-1.0, -0.68, -0.36, -0.12, 0.0, 0.12, 0.36, 0.68, 1.0])  # columns of a lamina, dense at its midrib

@@ -6,9 +6,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from oysterbench.core.geometry import Array
 from oysterbench.scene.mesh import Mesh, build_mesh
-
-Array = NDArray[np.float64]
 
 SUBDIVISIONS = 3  # 1280 faces
 LUMPS = 14

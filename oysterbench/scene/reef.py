@@ -7,18 +7,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, ndtri
 
+from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.clump import Growth, clump_centres, clump_sizes, grow_clumps
 from oysterbench.scene.collisions import Crowd, total_overlap
 from oysterbench.scene.instances import CLASS_NUMBERS, Instances, join_instances, lean_with, make_instances, rest
 from oysterbench.scene.library import Library
-from oysterbench.scene.oyster import STATES
 from oysterbench.scene.terrain import Terrain
 
 __all__ = ["CLASS_NUMBERS", "Instances", "place_oysters"]
 
-Array = NDArray[np.float64]
 
 SIZE_SPREAD = 0.28  # standard deviation of ln(height)
 SIZE_LIMITS_M = (0.0249, 0.172)  # the range measured in 1122 Virginia oysters
@@ -185,9 +184,3 @@ def _shell_colours(n: int, white: Array, generator: np.random.Generator) -> Arra
     colours = mix[:, :1] * brown + mix[:, 1:2] * grey + mix[:, 2:] * pale
     colours = colours * np.exp(0.18 * generator.standard_normal((n, 1)))
     return colours + (pale - colours) * (white * generator.random(n))[:, None]
-
-
-def count_states(library: Library, oysters: Instances) -> dict[str, int]:
-    """How many oysters there are of each of STATES."""
-    names = state_names(library, oysters)
-    return {state: names.count(state) for state in STATES}

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from oysterbench.core.geometry import Array
 from oysterbench.scene.mesh import Mesh, build_mesh
 
-Array = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 SIDES = 28  # of what is round

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from oysterbench.core.geometry import Array
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.mesh import Mesh, build_mesh, round_positions
-
-Array = NDArray[np.float64]
 
 CELL_M = 0.0125
 MAX_CELLS = 2048  # per side of the reef: bounds memory and time

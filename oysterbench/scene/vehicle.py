@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oysterbench.recipe import RigRecipe
 from oysterbench.scene.mesh import Mesh, join_meshes
 from oysterbench.scene.solids import bent_tube, dome, plate, ring, rounded_box, tube
-
-Array = NDArray[np.float64]
 
 BLUE, BLACK, GREY = (0.02, 0.10, 0.42), (0.025, 0.025, 0.03), (0.30, 0.31, 0.32)
 FLOAT_BLUE, GLASS, YELLOW = (0.04, 0.17, 0.45), (0.10, 0.12, 0.13), (0.55, 0.42, 0.03)

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.geometry import Array
 from oysterbench.render.radiance import WATER_INDEX, Daylight
 from oysterbench.render.water import ASYMMETRY
-
-Array = NDArray[np.float64]
 
 HALF_WIDTH_M = 150.0  # of the water body: many times what light travels in any water that scatters
 CHECK_M = 0.02

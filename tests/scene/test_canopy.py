@@ -9,8 +9,8 @@ import pytest
 
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe, load_split
-from oysterbench.scene.canopy import measure_relief
 from oysterbench.scene.world import World, build_world
+from tests.helpers.canopy import measure_relief
 
 RECIPE = load_split("slam-mini").sequence[0]
 DENSE = ReefRecipe(

@@ -10,8 +10,8 @@ import pytest
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe, load_split
 from oysterbench.scene.collisions import Crowd
-from oysterbench.scene.crowding import clump_roots, measure_crowding
 from oysterbench.scene.world import World, build_world
+from tests.helpers.crowding import clump_roots, measure_crowding
 
 RECIPE = load_split("slam-mini").sequence[0]
 REEF = ReefRecipe(size_m=4.0, depth_m=3.0, relief_rms_m=0.02, density_per_m2=20.0, bottom="sand")

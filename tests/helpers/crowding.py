@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from oysterbench.core.geometry import Array
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.world import World
-
-Array = NDArray[np.float64]
 
 CELLS = 36  # along each side of the box around a shell
 POINTS = 96  # of a shell's solid that are looked for in others
