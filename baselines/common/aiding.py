@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from oysterbench.core.geometry import Array, invert
-from oysterbench.core.measurements import DvlSample, MagneticSample, PressureSample
+from oysterbench.core.measurements import DvlMeasurement, MagneticMeasurement, PressureMeasurement
 from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.common.filter import (
     ATTITUDE,
@@ -56,7 +56,7 @@ def sensors_of(sequence: Sequence) -> list[str]:
     return [kind for kind in kinds if getattr(sequence, f"{kind}_calibration") is not None]
 
 
-def dvl_rows(sample: DvlSample, floor: float) -> tuple[Array, Array, Array] | None:
+def dvl_rows(sample: DvlMeasurement, floor: float) -> tuple[Array, Array, Array] | None:
     """Directions (K, 3) in the DVL's frame, velocities (K,) m/s along them, and their variances (K,).
 
     The beams that are valid, each for itself: fewer than three, which give no velocity, still say something. The noise
@@ -100,11 +100,11 @@ class Aiding:
         self._waves = self.settings.wave_sigma**2  # m^2, variance of the height that waves press
         self._off = 0.0  # m, by how much readings are off the prediction in the mean
 
-    def add(self, filter: InvariantFilter, sample: DvlSample | PressureSample | MagneticSample) -> bool:
+    def add(self, filter: InvariantFilter, sample: DvlMeasurement | PressureMeasurement | MagneticMeasurement) -> bool:
         """Correct a filter that has been propagated to the sample's stamp; whether any of it was believed."""
-        if isinstance(sample, DvlSample):
+        if isinstance(sample, DvlMeasurement):
             return self._add_velocity(filter, sample)
-        if isinstance(sample, PressureSample):
+        if isinstance(sample, PressureMeasurement):
             return self._add_depth(filter, sample)
         return self._add_field(filter, sample)
 
@@ -117,11 +117,11 @@ class Aiding:
         at = self._rows.get("pressure")
         return None if at is None else float(filter.extra[at.start - CORE])
 
-    def height(self, sample: PressureSample) -> float:
+    def height(self, sample: PressureMeasurement) -> float:
         """z (m) of the pressure sensor over the water's surface, by its reading."""
         return (self.atmosphere - sample.pressure) / self.weight
 
-    def height_variance(self, sample: PressureSample, interval_s: float) -> float:
+    def height_variance(self, sample: PressureMeasurement, interval_s: float) -> float:
         """Variance (m^2) of that, less what is constant, for readings that are so far apart.
 
         Waves press alike on readings that follow each other: as white noise they must count for less.
@@ -129,7 +129,7 @@ class Aiding:
         alike = max(1.0, self.settings.wave_tau_s / max(interval_s, 1e-3))
         return sample.variance / self.weight**2 + self.settings.depth_sigma**2 + self._waves * alike
 
-    def _add_velocity(self, filter: InvariantFilter, sample: DvlSample) -> bool:
+    def _add_velocity(self, filter: InvariantFilter, sample: DvlMeasurement) -> bool:
         """Along beam b: b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r), scale s and misalignment m of the DVL's axes.
 
         Linear in v, but not in v and the calibration together: the slopes by the calibration are taken at the velocity
@@ -166,7 +166,7 @@ class Aiding:
         slope[:, at.start + 1 : at.stop] = cross(then) @ left_jacobian(-calibration[1:])
         return self._update(filter, "dvl", residual, directions @ slope, variances)
 
-    def _add_depth(self, filter: InvariantFilter, sample: PressureSample) -> bool:
+    def _add_depth(self, filter: InvariantFilter, sample: PressureMeasurement) -> bool:
         """z of the sensor in odom, and a constant: the depth at which odom lies, with the sensor's own offset.
 
         How much waves press is told by how far the readings scatter about the motion that is known otherwise.
@@ -194,7 +194,7 @@ class Aiding:
             self._waves += share * (max(scatter, 0.0) - self._waves)
         return believed
 
-    def _add_field(self, filter: InvariantFilter, sample: MagneticSample) -> bool:
+    def _add_field(self, filter: InvariantFilter, sample: MagneticMeasurement) -> bool:
         """A R_mag_imu R^T f + h: field f in odom, hard iron h and soft iron A, none of which is known beforehand.
 
         With f free, one attitude says nothing; yaw is held by how the field turns against the vehicle.

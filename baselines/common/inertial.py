@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
-from oysterbench.sequence.types import ImuSample
+from oysterbench.sequence.types import ImuMeasurement
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class SampleBuffer:
     """
 
     def __init__(self) -> None:
-        self._samples: list[ImuSample] = []
-        self._cut: ImuSample | None = None
+        self._samples: list[ImuMeasurement] = []
+        self._cut: ImuMeasurement | None = None
 
-    def add(self, sample: ImuSample) -> None:
+    def add(self, sample: ImuMeasurement) -> None:
         self._samples.append(sample)
 
     def cut(self, stamp_ns: int) -> Segment:
@@ -62,9 +62,9 @@ class SampleBuffer:
                 share = (stamp_ns - last.stamp_ns) / (after[0].stamp_ns - last.stamp_ns)
                 gyro = last.gyro + share * (after[0].gyro - last.gyro)
                 accel = last.accel + share * (after[0].accel - last.accel)
-                last = ImuSample(stamp_ns, gyro, accel)
+                last = ImuMeasurement(stamp_ns, gyro, accel)
             else:
-                last = ImuSample(stamp_ns, last.gyro, last.accel)
+                last = ImuMeasurement(stamp_ns, last.gyro, last.accel)
             nodes.append(last)
         self._cut, self._samples = last, after
         stamps = np.array([node.stamp_ns for node in nodes], dtype=np.int64)

@@ -13,7 +13,7 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate
-from oysterbench.sequence.types import ImuSample, Sequence
+from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.aiding import Aiding, AidingSettings, sensors_of
 from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.common.inertial import SampleBuffer
@@ -55,7 +55,7 @@ class DeadReckoning:
             head.append(item)
             if item.stamp_ns - head[0].stamp_ns > self.settings.start.level_s * 1e9:
                 break
-        inertial = [item for item in head if isinstance(item, ImuSample)]
+        inertial = [item for item in head if isinstance(item, ImuMeasurement)]
         if len(inertial) < 2:
             raise MethodError(
                 f"dead_reckoning: expected inertial samples in sequence {sequence.name}, got {len(inertial)}"
@@ -77,12 +77,12 @@ class DeadReckoning:
         for item in chain(head, stream):
             if item.stamp_ns < inertial[0].stamp_ns:
                 continue
-            if isinstance(item, ImuSample):
+            if isinstance(item, ImuMeasurement):
                 samples.add(item)
             segment = samples.cut(item.stamp_ns)
             for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
                 filter.propagate(dt, gyro, accel)
-            if isinstance(item, ImuSample):
+            if isinstance(item, ImuMeasurement):
                 stamps.append(item.stamp_ns)
                 poses.append(filter.pose @ T_imu_base)
                 covariances.append(filter.pose_covariance(poses[-1][:3, 3]) + FLOOR)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from oysterbench.core.geometry import Array
-from oysterbench.core.measurements import DvlSample, RangeSample
+from oysterbench.core.measurements import DvlMeasurement, RangeMeasurement
 from oysterbench.sequence.types import AltimeterCalibration
 from oysterbench_baselines.common.filter import cross, rotation_exp
 from oysterbench_baselines.gtsam_full.settings import EchoSettings
@@ -59,7 +59,11 @@ class Ground:
 
 
 def altimeter_echo(
-    sample: RangeSample, mount: AltimeterCalibration, T_imu_base: Array, moved: tuple[Array, Array], of: EchoSettings
+    sample: RangeMeasurement,
+    mount: AltimeterCalibration,
+    T_imu_base: Array,
+    moved: tuple[Array, Array],
+    of: EchoSettings,
 ) -> Echo | None:
     """Of an altimeter; None where nothing answered. moved: see `_carried`."""
     if not np.isfinite(sample.range):
@@ -70,7 +74,7 @@ def altimeter_echo(
     return Echo(origin, axis, float(sample.range), sigma, mount.beam_rad / 2, ALTIMETER)
 
 
-def beam_echoes(sample: DvlSample, T_imu_dvl: Array, moved: tuple[Array, Array], of: EchoSettings) -> list[Echo]:
+def beam_echoes(sample: DvlMeasurement, T_imu_dvl: Array, moved: tuple[Array, Array], of: EchoSettings) -> list[Echo]:
     """Of the beams of a DVL that have a range, each for itself."""
     echoes = []
     for direction, length, valid in zip(sample.beam_directions, sample.beam_ranges, sample.beam_valid, strict=True):

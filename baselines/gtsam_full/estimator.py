@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array, invert
-from oysterbench.core.measurements import DvlSample, MagneticSample, PressureSample, RangeSample
+from oysterbench.core.measurements import DvlMeasurement, MagneticMeasurement, PressureMeasurement, RangeMeasurement
 from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.common.aiding import Aiding
 from oysterbench_baselines.common.filter import (
@@ -67,14 +67,16 @@ class AidedEstimator(Estimator):
         has_dvl = "dvl" in settings.sensors(sequence)
         self.model: AidedModel = AidedModel(camera, self.imu, settings, has_dvl, has_dvl or bool(sequence.altimeters))
         self._altimeters = sequence.altimeters
-        self._ranges: dict[str, RangeSample | DvlSample] = {}  # the latest, by sensor
+        self._ranges: dict[str, RangeMeasurement | DvlMeasurement] = {}  # the latest, by sensor
         self._velocity_ns: int | None = None  # when the DVL last gave a velocity that was believed
-        self._parts: list[tuple[Segment, DvlSample | None]] = []  # since the last key frame
-        self._intervals: dict[int, list[tuple[Segment, DvlSample | None]]] = {}  # by the key frame that they lead to
+        self._parts: list[tuple[Segment, DvlMeasurement | None]] = []  # since the last key frame
+        self._intervals: dict[
+            int, list[tuple[Segment, DvlMeasurement | None]]
+        ] = {}  # by the key frame that they lead to
         self._heights: dict[int, tuple[float, float]] = {}  # of the pressure sensor at a key frame, and 1 sigma, m
         self._fields: dict[int, tuple[Array, float]] = {}  # magnetic field at a key frame, and 1 sigma, FIELD_UNIT
-        self._pressure: PressureSample | None = None
-        self._field: MagneticSample | None = None
+        self._pressure: PressureMeasurement | None = None
+        self._field: MagneticMeasurement | None = None
         self._first_field: tuple[Array, int] | None = None
 
     # Samples.
@@ -86,22 +88,22 @@ class AidedEstimator(Estimator):
         if self.keyframes:
             self._parts.append((segment, None))
 
-    def add_sample(self, sample: DvlSample | PressureSample | MagneticSample | RangeSample) -> None:
+    def add_sample(self, sample: DvlMeasurement | PressureMeasurement | MagneticMeasurement | RangeMeasurement) -> None:
         """A sample at the end of the last segment."""
-        if isinstance(sample, RangeSample):
+        if isinstance(sample, RangeMeasurement):
             self._ranges[sample.sensor] = sample
             return
-        if isinstance(sample, DvlSample):
+        if isinstance(sample, DvlMeasurement):
             self._ranges["dvl"] = sample
         if not self.aiding.add(self.filter, sample):
             return  # what the filter refuses as a lie is none in the window either
-        if isinstance(sample, DvlSample):
+        if isinstance(sample, DvlMeasurement):
             self._velocity_ns = sample.stamp_ns
             if self._parts:
                 self._parts[-1] = (self._parts[-1][0], sample)
-        elif isinstance(sample, PressureSample):
+        elif isinstance(sample, PressureMeasurement):
             self._pressure = sample
-        elif isinstance(sample, MagneticSample):
+        elif isinstance(sample, MagneticMeasurement):
             self._field = sample
 
     def add_frame(self, stamp_ns: int, segment: Segment, ids: NDArray[np.int64], rays: Array) -> None:
@@ -179,7 +181,7 @@ class AidedEstimator(Estimator):
             moved = delay * f.rate, delay * f.rotation.T @ f.velocity
             if delay > of.delay_s:
                 continue
-            if isinstance(sample, DvlSample):
+            if isinstance(sample, DvlMeasurement):
                 echoes += beam_echoes(sample, self.aiding.T_imu_dvl, moved, of)
             else:
                 echoes.append(altimeter_echo(sample, self._altimeters[name], T_imu_base, moved, of))

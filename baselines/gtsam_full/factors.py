@@ -13,7 +13,7 @@ import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
 from oysterbench.core.geometry import Array
-from oysterbench.core.measurements import DvlSample
+from oysterbench.core.measurements import DvlMeasurement
 from oysterbench_baselines.common.aiding import dvl_rows
 from oysterbench_baselines.common.filter import cross
 from oysterbench_baselines.common.inertial import Segment
@@ -56,7 +56,7 @@ class Velocity:
 
 
 def sum_velocities(
-    parts: list[tuple[Segment, DvlSample | None]], state: State, gravity: float, T_imu_dvl: Array, floor: float
+    parts: list[tuple[Segment, DvlMeasurement | None]], state: State, gravity: float, T_imu_dvl: Array, floor: float
 ) -> Velocity | None:
     """All samples of an interval, carried to its beginning along the inertial measurements, as one; None without any.
 

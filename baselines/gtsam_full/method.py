@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from oysterbench.core.errors import MethodError
-from oysterbench.core.measurements import Image, ImuSample
+from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
@@ -51,7 +51,7 @@ class GtsamFull(GtsamVi):
             head.append(item)
             if item.stamp_ns - head[0].stamp_ns > self.settings.start.level_s * 1e9:
                 break
-        inertial = [item for item in head if isinstance(item, ImuSample)]
+        inertial = [item for item in head if isinstance(item, ImuMeasurement)]
         if len(inertial) < 2:
             raise MethodError(f"gtsam_full: expected inertial samples in sequence {sequence.name}, got {len(inertial)}")
         first = (
@@ -67,7 +67,7 @@ class GtsamFull(GtsamVi):
         since_frame, since_image = list[Segment](), list[Segment]()
         last_ns = latest_ns = int(first[0][0])  # of the last frame, and of the last inertial sample
         for item in chain(head, stream):
-            if isinstance(item, ImuSample):
+            if isinstance(item, ImuMeasurement):
                 samples.add(item)
                 latest_ns = item.stamp_ns
                 if latest_ns - last_ns < patience_ns:
@@ -83,7 +83,7 @@ class GtsamFull(GtsamVi):
                     R_before_now = relative_rotation(since, estimator.gyro_bias)
                     tracks = front_end.track(item.pixels, R_imu_cam.T @ R_before_now @ R_imu_cam, since.duration)
                     since_image = []
-            elif not isinstance(item, ImuSample):
+            elif not isinstance(item, ImuMeasurement):
                 estimator.add_sample(item)
                 continue
             if estimator.frames and item.stamp_ns <= last_ns:

@@ -10,7 +10,7 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image
 from oysterbench.methods import Estimate
-from oysterbench.sequence.types import ImuSample, Sequence
+from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FrontEnd, Tracks
@@ -59,18 +59,18 @@ class GtsamVi:
         since_image = list[Segment]()
         last_ns, seen_ns = 0, 0  # of the last frame, and of the last picture
         for item in pairs(sequence.stream(*cameras), camera, second, self.settings.stereo_stamp_s):
-            if isinstance(item, ImuSample):
+            if isinstance(item, ImuMeasurement):
                 samples.add(item)
                 blind_ns = item.stamp_ns - seen_ns
                 if seen_ns == 0 or item.stamp_ns - last_ns < patience_ns or blind_ns > self.settings.coast_s * 1e9:
                     continue
             elif item[0].stamp_ns <= last_ns:
                 continue  # its place has been taken
-            stamp_ns = item.stamp_ns if isinstance(item, ImuSample) else item[0].stamp_ns
+            stamp_ns = item.stamp_ns if isinstance(item, ImuMeasurement) else item[0].stamp_ns
             segment = samples.cut(stamp_ns)
             since_image.append(segment)
             since, last_ns = Segment.join(since_image), stamp_ns
-            if isinstance(item, ImuSample) or (front_end.repeats(item[0].pixels) and estimator.has_moved(since)):
+            if isinstance(item, ImuMeasurement) or (front_end.repeats(item[0].pixels) and estimator.has_moved(since)):
                 estimator.add_frame(stamp_ns, segment, NO_TRACKS.ids, NO_TRACKS.rays)  # it is missing, or stale
                 continue
             image, other = item

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
-from oysterbench.sequence.types import CameraCalibration, ImuSample, Sequence
+from oysterbench.sequence.types import CameraCalibration, ImuMeasurement, Sequence
 from oysterbench_baselines.gtsam_vi.frontend import Tracks, distort, follow, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.settings import Settings
 
@@ -27,8 +27,8 @@ def second_camera(sequence: Sequence, first: str, settings: Settings) -> str | N
 
 
 def pairs(
-    stream: Iterator[ImuSample | Image], first: str, second: str | None, tolerance_s: float
-) -> Iterator[ImuSample | tuple[Image, Image | None]]:
+    stream: Iterator[ImuMeasurement | Image], first: str, second: str | None, tolerance_s: float
+) -> Iterator[ImuMeasurement | tuple[Image, Image | None]]:
     """The stream with each frame of the first camera, and that of the second taken with it where there is one."""
     waiting: Image | None = None  # of the first camera
     other: Image | None = None  # the latest of the second
@@ -37,7 +37,7 @@ def pairs(
         if waiting is not None and item.stamp_ns - waiting.stamp_ns > tolerance:
             yield waiting, None
             waiting = None
-        if isinstance(item, ImuSample):
+        if isinstance(item, ImuMeasurement):
             yield item
         elif item.camera == first:
             if waiting is not None:  # two of the first camera within the tolerance

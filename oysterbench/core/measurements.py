@@ -1,4 +1,4 @@
-"""Samples: what one message of each sensor says. Sensors make them, files hold them, readers give them back."""
+"""Measurements: what one message of each sensor says. Sensors make them, files hold them, readers give them back."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Image:
 
 
 @dataclass(frozen=True)
-class ImuSample:
+class ImuMeasurement:
     """Angular rate (3,) rad/s and specific force (3,) m/s^2, both in the IMU frame."""
 
     stamp_ns: int
@@ -37,7 +37,7 @@ class ImuSample:
 
 
 @dataclass(frozen=True)
-class DvlSample:
+class DvlMeasurement:
     """Velocity over ground (3,) m/s in the DVL's frame (x forward, y left, z up), NaN without bottom lock.
 
     covariance (3, 3) (m/s)^2, that of the reported velocity; figure_of_merit: its 1-sigma size, m/s; altitude: above
@@ -57,7 +57,7 @@ class DvlSample:
 
 
 @dataclass(frozen=True)
-class PressureSample:
+class PressureMeasurement:
     """Absolute pressure, Pa, and the variance of its noise, Pa^2."""
 
     stamp_ns: int
@@ -66,7 +66,7 @@ class PressureSample:
 
 
 @dataclass(frozen=True)
-class MagneticSample:
+class MagneticMeasurement:
     """Magnetic field (3,) T in the magnetometer's frame, and the variance of its noise per axis, T^2."""
 
     stamp_ns: int
@@ -75,7 +75,7 @@ class MagneticSample:
 
 
 @dataclass(frozen=True)
-class RangeSample:
+class RangeMeasurement:
     """Range of an altimeter's echo, m along its axis; +inf where nothing answers within its reach."""
 
     stamp_ns: int

@@ -18,7 +18,7 @@ from oysterbench.methods.piloting import commands
 from oysterbench.methods.steering import SteeringMethod, VehicleState, View
 from oysterbench.recipe import SplitRecipe
 from oysterbench.scene.path.disturbance import sway
-from oysterbench.simulation.simulated_sequence import build_stage
+from oysterbench.simulation.simulated_sequence import build_sequence
 from oysterbench.simulation.steering.expert import Expert, best
 from oysterbench.simulation.steering.observation import Sight
 from oysterbench.simulation.steering.site import Site, build_site
@@ -60,9 +60,9 @@ def explore(
     steps = round((split.steering.dive_s if seconds is None else seconds) / split.steering.step_s)
     if steps < 1:
         raise RecipeError(f"seconds: expected at least a step of {split.steering.step_s:g} s, got {seconds:g}")
-    stage = build_stage(split, reef, salt, device)
-    site = build_site(stage, split.steering)
-    streams = stage.streams.at("steering", start)
+    simulated = build_sequence(split, reef, salt, device)
+    site = build_site(simulated, split.steering)
+    streams = simulated.streams.at("steering", start)
     pictures = not isinstance(pilot, str)
     dive = Dive(site, reef, steps, streams, progress or (lambda done, total: None), pictures)
     lessons: list[Lesson] = []
@@ -101,7 +101,7 @@ class Dive:
 
     def __post_init__(self) -> None:
         self._began = time.perf_counter(), time.process_time()
-        task, plan = self.site.task, self.site.stage.recipe.path
+        task, plan = self.site.task, self.site.simulated.recipe.path
         self._turns = turns(task)
         times = np.arange(self.steps + 1) * task.step_s
         # Long under way: the sway has grown to its full size.
@@ -135,7 +135,7 @@ class Dive:
         """See what can be seen from here; the truth alone where nobody looks at pictures."""
         body = self.body()
         T_map_cam = body @ self.site.mount
-        renderer = self.site.stage.renderers[self.site.camera.name]
+        renderer = self.site.simulated.renderers[self.site.camera.name]
         if self.pictures:
             noise = self.streams.generator("noise", self.done)
             frame = renderer.render(T_map_cam, noise, self.done * self.site.task.step_s, body)

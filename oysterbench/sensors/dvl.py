@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
-from oysterbench.core.measurements import DvlSample
+from oysterbench.core.measurements import DvlMeasurement
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import DvlRecipe, SiteRecipe
 from oysterbench.render.rays import RayCaster
@@ -36,7 +36,7 @@ def measure(
     stamps_ns: Sequence[int] | NDArray[np.int64],
     streams: Streams,
     bottom: str = "sand",
-) -> list[DvlSample]:
+) -> list[DvlMeasurement]:
     """What the log reports at times (N,) s, stamped with stamps_ns (N,); at its recipe's rate at any altitude.
 
     The velocity of the log along each beam, scaled by the error of scale and the assumed over the true speed of sound,
@@ -142,11 +142,11 @@ def _cone(axis: Array) -> Array:
 
 def _sample(
     stamp: int, recipe: DvlRecipe, beams: Array, ranges: Array, along: Array, valid: NDArray[np.bool_]
-) -> DvlSample:
+) -> DvlMeasurement:
     """One message's worth."""
     velocity, covariance = solve(beams, along, valid, recipe.beam_noise_m_s)
     locked = valid.sum() >= FEWEST_BEAMS
-    return DvlSample(
+    return DvlMeasurement(
         stamp_ns=stamp,
         velocity=velocity,
         covariance=covariance,

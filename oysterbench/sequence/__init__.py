@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.measurements import Image, ImuSample
+from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
-__all__ = ["CameraCalibration", "Image", "ImuCalibration", "ImuSample", "Sequence", "describe", "open_sequence"]
+__all__ = ["CameraCalibration", "Image", "ImuCalibration", "ImuMeasurement", "Sequence", "describe", "open_sequence"]
 
 
 def open_sequence(path: str | os.PathLike[str]) -> Sequence:

@@ -12,7 +12,7 @@ import numpy as np
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
-from oysterbench.core.measurements import Image, ImuSample
+from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
 from oysterbench.sequence.types import Sequence
@@ -72,13 +72,13 @@ class EurocSequence(Sequence):
                 raise SequenceError(f"{path}: expected an image, could not read one")
             yield Image(int(stamp), camera, pixels)
 
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         for line in _rows(self._root / "imu0" / "data.csv"):
             fields = line.split(",")
             if not _within(int(fields[0]), start_ns, end_ns):
                 continue
             values = np.array(fields[1:7], dtype=float)
-            yield ImuSample(int(fields[0]), values[:3], values[3:])
+            yield ImuMeasurement(int(fields[0]), values[:3], values[3:])
 
     @property
     def duration_s(self) -> float:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.measurements import (
     Cloud,
-    DvlSample,
+    DvlMeasurement,
     Image,
-    ImuSample,
-    MagneticSample,
-    PressureSample,
-    RangeSample,
+    ImuMeasurement,
+    MagneticMeasurement,
+    PressureMeasurement,
+    RangeMeasurement,
     ScanPing,
     SonarImage,
 )
@@ -115,26 +115,26 @@ class McapSequence(Sequence):
             stamp, pixels = self._decoded(topics.read_layer, data, layer)
             yield Image(stamp, camera, pixels)
 
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         return self._samples(topics.read_imu, (topics.IMU,), start_ns, end_ns)
 
-    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlSample]:
+    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlMeasurement]:
         if self.dvl_calibration is None:
             self._lacks("DVL")
         names = (topics.DVL_VELOCITY, topics.DVL_BEAMS, topics.DVL_ALTITUDE)
         return self._samples(topics.read_dvl, names, start_ns, end_ns, self.dvl_calibration.beam_directions)
 
-    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureSample]:
+    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureMeasurement]:
         if self.pressure_calibration is None:
             self._lacks("pressure sensor")
         return self._samples(topics.read_pressure, (topics.PRESSURE,), start_ns, end_ns)
 
-    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticSample]:
+    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticMeasurement]:
         if self.magnetometer_calibration is None:
             self._lacks("magnetometer")
         return self._samples(topics.read_magnetic, (topics.MAGNETOMETER,), start_ns, end_ns)
 
-    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeSample]:
+    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeMeasurement]:
         self._check(name, self.altimeters, "altimeter")
         return self._samples(topics.read_range, (f"/{name}/range",), start_ns, end_ns, name)
 

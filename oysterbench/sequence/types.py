@@ -15,12 +15,12 @@ from oysterbench.core.errors import MethodError, SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import (
     Cloud,
-    DvlSample,
+    DvlMeasurement,
     Image,
-    ImuSample,
-    MagneticSample,
-    PressureSample,
-    RangeSample,
+    ImuMeasurement,
+    MagneticMeasurement,
+    PressureMeasurement,
+    RangeMeasurement,
     ScanPing,
     SonarImage,
 )
@@ -43,7 +43,15 @@ if TYPE_CHECKING:
 __all__ = ["CameraCalibration", "ImuCalibration", "Measurement", "SensorsOnly", "Sequence", "imu_arrays"]
 
 Measurement = (
-    ImuSample | DvlSample | PressureSample | MagneticSample | RangeSample | SonarImage | ScanPing | Image | Cloud
+    ImuMeasurement
+    | DvlMeasurement
+    | PressureMeasurement
+    | MagneticMeasurement
+    | RangeMeasurement
+    | SonarImage
+    | ScanPing
+    | Image
+    | Cloud
 )
 """What a stream may hold."""
 
@@ -76,22 +84,22 @@ class Sequence(ABC):
         """Colour frames of a camera, in time order."""
 
     @abstractmethod
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         """Inertial samples, in time order."""
 
-    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlSample]:
+    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlMeasurement]:
         """Samples of the Doppler velocity log, in time order."""
         self._lacks("DVL")
 
-    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureSample]:
+    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureMeasurement]:
         """Samples of the pressure sensor, in time order."""
         self._lacks("pressure sensor")
 
-    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticSample]:
+    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticMeasurement]:
         """Samples of the magnetometer, in time order."""
         self._lacks("magnetometer")
 
-    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeSample]:
+    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeMeasurement]:
         """Ranges of an altimeter, in time order."""
         self._lacks(f"altimeter {name!r}")
 
@@ -199,19 +207,19 @@ class SensorsOnly(Sequence):
     def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         return self._iterators["images"](camera, start_ns, end_ns)
 
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         return self._iterators["imu"](start_ns, end_ns)
 
-    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlSample]:
+    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlMeasurement]:
         return self._iterators["dvl"](start_ns, end_ns)
 
-    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureSample]:
+    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureMeasurement]:
         return self._iterators["pressure"](start_ns, end_ns)
 
-    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticSample]:
+    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticMeasurement]:
         return self._iterators["magnetometer"](start_ns, end_ns)
 
-    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeSample]:
+    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeMeasurement]:
         return self._iterators["ranges"](name, start_ns, end_ns)
 
     def sonar(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[SonarImage]:
@@ -261,7 +269,7 @@ def _closed(call: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *arguments: call(*arguments)
 
 
-def imu_arrays(samples: Iterator[ImuSample]) -> tuple[NDArray[np.int64], Array, Array]:
+def imu_arrays(samples: Iterator[ImuMeasurement]) -> tuple[NDArray[np.int64], Array, Array]:
     """Stamps (N,) ns, gyro (N, 3) rad/s and accel (N, 3) m/s^2 of all samples."""
     rows = list(samples)
     return (

@@ -31,7 +31,7 @@ INK = (232, 232, 228)
 
 def preview(split: SplitRecipe, sequence: str | None = None, progress: Progress = lambda done, total: None) -> Picture:
     """A sheet (H, W, 3) uint8 RGB of small frames, evenly over the time of a sequence (the first by default)."""
-    from oysterbench.simulation.simulated_sequence import build_stage, look
+    from oysterbench.simulation.simulated_sequence import build_sequence, render_frame
 
     recipe = split.sequence[0] if sequence is None else split.find_sequence(sequence)
     small = dataclasses.replace(split, rig=shrink(split.rig, PREVIEW_WIDTH))
@@ -39,14 +39,14 @@ def preview(split: SplitRecipe, sequence: str | None = None, progress: Progress 
     if not cameras:
         raise RecipeError(f"split {split.name}: rig {split.rig.name} has no camera to look through")
     each = max(1, PREVIEW_FRAMES // len(cameras))
-    stage = build_stage(small, recipe.name, b"")
+    simulated = build_sequence(small, recipe.name, b"")
     pictures: list[Picture] = []
     captions: list[str] = []
     for camera in cameras:
         frames = count(recipe.duration_s, camera.rate_hz)
         for index in np.unique(np.linspace(0, frames - 1, each).round().astype(int)):
             progress(len(pictures), each * len(cameras))
-            pictures.append(look(stage, camera, int(index)).colour)
+            pictures.append(render_frame(simulated, camera, int(index)).colour)
             captions.append(f"{camera.name}  {index / camera.rate_hz:.1f} s")
     progress(len(pictures), len(pictures))
     return sheet(pictures, captions, SHEET_COLUMNS)
@@ -115,7 +115,7 @@ def panels(table: Path, progress: Progress = lambda done, total: None) -> tuple[
     split that are replaced (see `recipe.vary_split`); where they say so, with another `rig` and through its `camera`.
     """
     split, rows = _read_gallery(table)
-    from oysterbench.simulation.simulated_sequence import build_stage, look
+    from oysterbench.simulation.simulated_sequence import build_sequence, render_frame
 
     pictures: list[Picture] = []
     for k, row in enumerate(rows):
@@ -123,8 +123,8 @@ def panels(table: Path, progress: Progress = lambda done, total: None) -> tuple[
         varied = vary_panel(split, row, table)
         varied = dataclasses.replace(varied, rig=shrink(varied.rig, PREVIEW_WIDTH))
         camera = next(c for c in varied.rig.camera if c.name == row.get("camera", varied.rig.camera[0].name))
-        stage = build_stage(varied, varied.sequence[0].name, b"")
-        pictures.append(look(stage, camera, round(row["at_s"] * camera.rate_hz)).colour)
+        simulated = build_sequence(varied, varied.sequence[0].name, b"")
+        pictures.append(render_frame(simulated, camera, round(row["at_s"] * camera.rate_hz)).colour)
     progress(len(rows), len(rows))
     return pictures, [row["caption"] for row in rows]
 

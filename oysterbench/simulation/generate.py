@@ -227,20 +227,20 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
         )
     from oysterbench.render.device import check_device
     from oysterbench.simulation.sensor_simulation import oyster_csv, recorders, sensor_messages
-    from oysterbench.simulation.simulated_sequence import build_stage
+    from oysterbench.simulation.simulated_sequence import build_sequence
 
     check_device(device)
-    stage = build_stage(split, job.sequence, salt, device)
+    simulated = build_sequence(split, job.sequence, salt, device)
     tables = {}
     if job.source:
-        messages = recorders(stage)[job.source](job.frame, job.frame + 1)
+        messages = recorders(simulated)[job.source](job.frame, job.frame + 1)
     else:
-        messages = sensor_messages(stage)
-        tables[OYSTERS] = oyster_csv(stage)
+        messages = sensor_messages(simulated)
+        tables[OYSTERS] = oyster_csv(simulated)
         if split.steering is not None:
             from oysterbench.simulation.steering.labels import steering_csv
 
-            tables[STEERING] = steering_csv(stage, split.steering)
+            tables[STEERING] = steering_csv(simulated, split.steering)
     kinds = topics.rig_topics(split.rig)
     types = {name: kinds[name] for name, source in _sources(split.rig).items() if source == job.source}
     return pack(messages, types, tables)

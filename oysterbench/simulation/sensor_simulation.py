@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
-from oysterbench.core.measurements import ImuSample, MagneticSample, PressureSample, RangeSample
+from oysterbench.core.measurements import ImuMeasurement, MagneticMeasurement, PressureMeasurement, RangeMeasurement
 from oysterbench.recipe import CameraRecipe, SensorRecipe, SonarRecipe, count
 from oysterbench.scene.waves import build_waves
 from oysterbench.sensors import altimeter, clock, dvl, imu, magnetometer, pressure
@@ -20,7 +20,7 @@ from oysterbench.sequence import topics
 from oysterbench.sequence.calibration import camera_calibration
 from oysterbench.sequence.topics import EPOCH_NS, Message
 from oysterbench.simulation.calibration import rig_calibration
-from oysterbench.simulation.simulated_sequence import Stage, look, look_behind
+from oysterbench.simulation.simulated_sequence import SimulatedSequence, render_frame, render_layers
 
 INERTIAL_STEP = 1e-7  # rad/s and m/s^2: four orders below the noise of the best unit's sample
 TRUTH_STEP = 1e-6  # m, m/s and rad/s
@@ -31,7 +31,7 @@ RANGE_STEP = 1e-6  # m
 DVL_READINGS = ("velocity", "altitude", "beam_ranges", "beam_velocities")
 
 
-def settle(values: Array | float, step: float) -> Array:
+def quantise(values: Array | float, step: float) -> Array:
     """Values rounded to a step, far above the last bits, in which the mathematics of two processors differ.
 
     So the same recipe gives the same bytes on any machine.
@@ -39,95 +39,95 @@ def settle(values: Array | float, step: float) -> Array:
     return np.rint(values / step) * step + 0.0  # and no negative zeros
 
 
-def frame_messages(stage: Stage, camera: CameraRecipe, first: int, last: int) -> Iterator[Message]:
+def frame_messages(simulated: SimulatedSequence, camera: CameraRecipe, first: int, last: int) -> Iterator[Message]:
     """Messages of frames [first, last): colour and calibration of each, layers at their own rate."""
-    calibration = camera_calibration(rig_calibration(stage.rig, stage.recipe.site)["cameras"][camera.name])
-    stamps, kept = _clock(stage, camera, "camera", camera.name)
+    calibration = camera_calibration(rig_calibration(simulated.rig, simulated.recipe.site)["cameras"][camera.name])
+    stamps, kept = _clock(simulated, camera, "camera", camera.name)
     every = round(camera.rate_hz / camera.layer_rate_hz) if camera.layer_rate_hz else 0
     for index in range(first, last):
         if not kept[index]:
             continue
-        frame = look(stage, camera, index)
+        frame = render_frame(simulated, camera, index)
         stamp = int(stamps[index])
         yield topics.camera_info(stamp, camera.name, calibration)
         yield topics.colour_message(stamp, camera.name, frame.colour, camera.jpeg_quality, camera.image_format)
         if every and index % every == 0:
             layers: dict[str, NDArray] = {"depth": frame.depth, "class": frame.classes, "instance": frame.instances}
-            layers |= look_behind(stage, camera, index)
+            layers |= render_layers(simulated, camera, index)
             for name in camera.layers:
                 yield topics.layer_message(stamp, camera.name, name, layers[name])
 
 
-def ping_messages(stage: Stage, recipe: SonarRecipe, first: int, last: int) -> Iterator[Message]:
+def ping_messages(simulated: SimulatedSequence, recipe: SonarRecipe, first: int, last: int) -> Iterator[Message]:
     """Messages of an imaging sonar's pings [first, last)."""
-    stamps, kept = _clock(stage, recipe, "sonar", recipe.name)
-    bodies = stage.bodies(np.arange(first, last) / recipe.rate_hz)
+    stamps, kept = _clock(simulated, recipe, "sonar", recipe.name)
+    bodies = simulated.bodies(np.arange(first, last) / recipe.rate_hz)
     for index, body in zip(range(first, last), bodies, strict=True):
         if kept[index]:
-            image, cloud = stage.sonars[recipe.name].ping(body, stage.streams, index, int(stamps[index]))
+            image, cloud = simulated.sonars[recipe.name].ping(body, simulated.streams, index, int(stamps[index]))
             yield topics.sonar_message(image)
             if cloud is not None:
                 yield topics.cloud_message(cloud)
 
 
-def sensor_messages(stage: Stage) -> Iterator[Message]:
+def sensor_messages(simulated: SimulatedSequence) -> Iterator[Message]:
     """Messages of everything that needs no pictures: inertial unit, truth, and the small sensors that the rig has."""
-    rig = stage.rig
-    yield from _inertial(stage)
-    yield from _truth(stage)
+    rig = simulated.rig
+    yield from _inertial(simulated)
+    yield from _truth(simulated)
     if rig.dvl is not None:
-        yield from _dvl(stage)
+        yield from _dvl(simulated)
     if rig.pressure is not None:
-        yield from _pressure(stage)
+        yield from _pressure(simulated)
     if rig.magnetometer is not None:
-        yield from _magnetic(stage)
-    yield from _ranges(stage)
-    yield from _scans(stage)
+        yield from _magnetic(simulated)
+    yield from _ranges(simulated)
+    yield from _scans(simulated)
 
 
-def oyster_csv(stage: Stage) -> bytes:
+def oyster_csv(simulated: SimulatedSequence) -> bytes:
     """The truth about each oyster (`World.oyster_table`), as CSV."""
-    return stage.world.oyster_table().to_csv(index=False, lineterminator="\n", float_format="%.10g").encode()
+    return simulated.world.oyster_table().to_csv(index=False, lineterminator="\n", float_format="%.10g").encode()
 
 
 def _clock(
-    stage: Stage, recipe: SensorRecipe | CameraRecipe, *name: str
+    simulated: SimulatedSequence, recipe: SensorRecipe | CameraRecipe, *name: str
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Stamps of all of a sensor's samples, and which of them arrive."""
-    n = count(stage.recipe.duration_s, recipe.rate_hz)
+    n = count(simulated.recipe.duration_s, recipe.rate_hz)
     stamps = clock.stamps(n, recipe.rate_hz, EPOCH_NS, recipe.clock_offset_ms)
-    return stamps, clock.kept(n, recipe, stage.streams.at(*name))
+    return stamps, clock.kept(n, recipe, simulated.streams.at(*name))
 
 
-def _times(stage: Stage, recipe: SensorRecipe) -> Array:
+def _times(simulated: SimulatedSequence, recipe: SensorRecipe) -> Array:
     """Times of all of a sensor's samples, s from the start."""
-    return np.arange(count(stage.recipe.duration_s, recipe.rate_hz)) / recipe.rate_hz
+    return np.arange(count(simulated.recipe.duration_s, recipe.rate_hz)) / recipe.rate_hz
 
 
-def _inertial(stage: Stage) -> Iterator[Message]:
-    unit = stage.rig.imu
-    stamps, kept = _clock(stage, unit, "imu")
-    readings = imu.measure(stage.path, unit, _times(stage, unit), stage.streams)
-    gyro, accel = (settle(values, INERTIAL_STEP) for values in readings)
+def _inertial(simulated: SimulatedSequence) -> Iterator[Message]:
+    unit = simulated.rig.imu
+    stamps, kept = _clock(simulated, unit, "imu")
+    readings = imu.measure(simulated.path, unit, _times(simulated, unit), simulated.streams)
+    gyro, accel = (quantise(values, INERTIAL_STEP) for values in readings)
     gyro_variance, accel_variance = (
         density**2 * unit.rate_hz for density in (unit.gyro_noise_density, unit.accel_noise_density)
     )
     for stamp, rate, force in compress(zip(stamps, gyro, accel, strict=True), kept):
-        yield topics.imu_message(ImuSample(int(stamp), rate, force), gyro_variance, accel_variance)
+        yield topics.imu_message(ImuMeasurement(int(stamp), rate, force), gyro_variance, accel_variance)
 
 
-def _truth(stage: Stage) -> Iterator[Message]:
-    n = count(stage.recipe.duration_s, stage.rig.truth_rate_hz)
-    times = np.arange(n) / stage.rig.truth_rate_hz
-    motion = stage.path.at(times)
-    truth = stage.path.trajectory(times, clock.stamps(n, stage.rig.truth_rate_hz, EPOCH_NS))
+def _truth(simulated: SimulatedSequence) -> Iterator[Message]:
+    n = count(simulated.recipe.duration_s, simulated.rig.truth_rate_hz)
+    times = np.arange(n) / simulated.rig.truth_rate_hz
+    motion = simulated.path.at(times)
+    truth = simulated.path.trajectory(times, clock.stamps(n, simulated.rig.truth_rate_hz, EPOCH_NS))
     velocity = np.einsum("nji,nj->ni", motion.rotation, motion.velocity)
     rows = zip(
         truth.stamps_ns.tolist(),
-        settle(truth.positions, TRUTH_STEP),
-        settle(truth.quaternions, ATTITUDE_STEP),
-        settle(velocity, TRUTH_STEP),
-        settle(motion.rate, TRUTH_STEP),
+        quantise(truth.positions, TRUTH_STEP),
+        quantise(truth.quaternions, ATTITUDE_STEP),
+        quantise(velocity, TRUTH_STEP),
+        quantise(motion.rate, TRUTH_STEP),
         strict=True,
     )
     for stamp, position, attitude, speed, rate in rows:
@@ -136,60 +136,67 @@ def _truth(stage: Stage) -> Iterator[Message]:
         yield topics.transform_message(stamp, position, attitude)
 
 
-def _dvl(stage: Stage) -> Iterator[Message]:
-    recipe = stage.rig.dvl
+def _dvl(simulated: SimulatedSequence) -> Iterator[Message]:
+    recipe = simulated.rig.dvl
     assert recipe is not None
-    stamps, kept = _clock(stage, recipe, "dvl")
-    site, bottom = stage.recipe.site, stage.recipe.reef.bottom
-    samples = dvl.measure(stage.path, stage.caster, recipe, site, _times(stage, recipe), stamps, stage.streams, bottom)
+    stamps, kept = _clock(simulated, recipe, "dvl")
+    site, bottom = simulated.recipe.site, simulated.recipe.reef.bottom
+    samples = dvl.measure(
+        simulated.path, simulated.caster, recipe, site, _times(simulated, recipe), stamps, simulated.streams, bottom
+    )
     for sample in compress(samples, kept):
-        readings: dict[str, Any] = {name: settle(getattr(sample, name), dvl.READING_STEP) for name in DVL_READINGS}
-        settled = dataclasses.replace(sample, **readings)
-        yield from topics.dvl_messages(settled, recipe.min_range_m, recipe.max_range_m, np.radians(recipe.janus_deg))
+        readings: dict[str, Any] = {name: quantise(getattr(sample, name), dvl.READING_STEP) for name in DVL_READINGS}
+        quantised = dataclasses.replace(sample, **readings)
+        yield from topics.dvl_messages(quantised, recipe.min_range_m, recipe.max_range_m, np.radians(recipe.janus_deg))
 
 
-def _pressure(stage: Stage) -> Iterator[Message]:
-    recipe = stage.rig.pressure
+def _pressure(simulated: SimulatedSequence) -> Iterator[Message]:
+    recipe = simulated.rig.pressure
     assert recipe is not None
-    stamps, kept = _clock(stage, recipe, "pressure")
-    site = stage.recipe.site
-    waves = build_waves(site, stage.recipe.reef.depth_m, stage.streams)  # the ones that move the vehicle
-    values = settle(
-        pressure.measure(stage.path, recipe, site, waves, _times(stage, recipe), stage.streams), PRESSURE_STEP
+    stamps, kept = _clock(simulated, recipe, "pressure")
+    site = simulated.recipe.site
+    waves = build_waves(site, simulated.recipe.reef.depth_m, simulated.streams)  # the ones that move the vehicle
+    values = quantise(
+        pressure.measure(simulated.path, recipe, site, waves, _times(simulated, recipe), simulated.streams),
+        PRESSURE_STEP,
     )
     variance = pressure.noise_variance(recipe, site)
     for stamp, value in compress(zip(stamps, values, strict=True), kept):
-        yield topics.pressure_message(PressureSample(int(stamp), float(value), variance))
+        yield topics.pressure_message(PressureMeasurement(int(stamp), float(value), variance))
 
 
-def _magnetic(stage: Stage) -> Iterator[Message]:
-    recipe = stage.rig.magnetometer
+def _magnetic(simulated: SimulatedSequence) -> Iterator[Message]:
+    recipe = simulated.rig.magnetometer
     assert recipe is not None
-    stamps, kept = _clock(stage, recipe, "magnetometer")
-    fields = magnetometer.measure(stage.path, recipe, stage.recipe.site, _times(stage, recipe), stage.streams)
+    stamps, kept = _clock(simulated, recipe, "magnetometer")
+    fields = magnetometer.measure(
+        simulated.path, recipe, simulated.recipe.site, _times(simulated, recipe), simulated.streams
+    )
     variance = magnetometer.noise_variance(recipe)
-    for stamp, field in compress(zip(stamps, settle(fields, FIELD_STEP), strict=True), kept):
-        yield topics.magnetic_message(MagneticSample(int(stamp), field, variance))
+    for stamp, field in compress(zip(stamps, quantise(fields, FIELD_STEP), strict=True), kept):
+        yield topics.magnetic_message(MagneticMeasurement(int(stamp), field, variance))
 
 
-def _ranges(stage: Stage) -> Iterator[Message]:
-    site, bottom = stage.recipe.site, stage.recipe.reef.bottom
-    for recipe in stage.rig.altimeter:
-        stamps, kept = _clock(stage, recipe, "altimeter", recipe.name)
-        ranges = altimeter.measure(stage.path, stage.caster, recipe, site, _times(stage, recipe), stage.streams, bottom)
+def _ranges(simulated: SimulatedSequence) -> Iterator[Message]:
+    site, bottom = simulated.recipe.site, simulated.recipe.reef.bottom
+    for recipe in simulated.rig.altimeter:
+        stamps, kept = _clock(simulated, recipe, "altimeter", recipe.name)
+        ranges = altimeter.measure(
+            simulated.path, simulated.caster, recipe, site, _times(simulated, recipe), simulated.streams, bottom
+        )
         beam = float(np.radians(recipe.beam_deg))
-        for stamp, value in compress(zip(stamps, settle(ranges, RANGE_STEP), strict=True), kept):
-            sample = RangeSample(int(stamp), recipe.name, float(value))
+        for stamp, value in compress(zip(stamps, quantise(ranges, RANGE_STEP), strict=True), kept):
+            sample = RangeMeasurement(int(stamp), recipe.name, float(value))
             yield topics.range_message(sample, recipe.min_range_m, recipe.max_range_m, beam, recipe.noise_m**2)
 
 
-def _scans(stage: Stage) -> Iterator[Message]:
-    for recipe in stage.rig.scanner:
-        head = ScanningSonar(stage.caster, recipe, stage.recipe.site, stage.recipe.reef.bottom)
-        stamps, kept = _clock(stage, recipe, "scanner", recipe.name)
-        bodies = stage.bodies(_times(stage, recipe))
+def _scans(simulated: SimulatedSequence) -> Iterator[Message]:
+    for recipe in simulated.rig.scanner:
+        head = ScanningSonar(simulated.caster, recipe, simulated.recipe.site, simulated.recipe.reef.bottom)
+        stamps, kept = _clock(simulated, recipe, "scanner", recipe.name)
+        bodies = simulated.bodies(_times(simulated, recipe))
         for index in np.flatnonzero(kept):
-            ping = head.ping(bodies[index], stage.streams, int(index), int(stamps[index]))
+            ping = head.ping(bodies[index], simulated.streams, int(index), int(stamps[index]))
             yield from topics.scan_messages(ping)
 
 
@@ -197,13 +204,13 @@ Recorder = Callable[[int, int], Iterator[Message]]
 """Messages of the frames or pings [first, last) of what it belongs to."""
 
 
-def recorders(stage: Stage) -> dict[str, Recorder]:
+def recorders(simulated: SimulatedSequence) -> dict[str, Recorder]:
     """What records much: a function for each camera and imaging sonar, by name."""
 
     def frames(camera: CameraRecipe) -> Recorder:
-        return lambda first, last: frame_messages(stage, camera, first, last)
+        return lambda first, last: frame_messages(simulated, camera, first, last)
 
     def pings(recipe: SonarRecipe) -> Recorder:
-        return lambda first, last: ping_messages(stage, recipe, first, last)
+        return lambda first, last: ping_messages(simulated, recipe, first, last)
 
-    return {c.name: frames(c) for c in stage.rig.camera} | {s.name: pings(s) for s in stage.rig.sonar}
+    return {c.name: frames(c) for c in simulated.rig.camera} | {s.name: pings(s) for s in simulated.rig.sonar}

@@ -24,7 +24,7 @@ SHUTTER_POSES = 4  # besides the frame's own, evenly while the shutter is open
 
 
 @dataclass(frozen=True)
-class Stage:
+class SimulatedSequence:
     """A built sequence: the reef and the path over it. Renderers and sonars are made when they are first asked for."""
 
     rig: RigRecipe
@@ -57,7 +57,7 @@ class Stage:
 
 
 @lru_cache(maxsize=1)
-def build_stage(split: SplitRecipe, name: str, salt: bytes, device: str = "cpu") -> Stage:
+def build_sequence(split: SplitRecipe, name: str, salt: bytes, device: str = "cpu") -> SimulatedSequence:
     """Built once per process and sequence; a worker's next job is most often of the same sequence."""
     streams = Streams(split.seed, salt, (name,))
     recipe = draw(
@@ -67,28 +67,28 @@ def build_stage(split: SplitRecipe, name: str, salt: bytes, device: str = "cpu")
     )
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
-    return Stage(split.rig, recipe, world, path, streams, device)
+    return SimulatedSequence(split.rig, recipe, world, path, streams, device)
 
 
-def look(stage: Stage, camera: CameraRecipe, index: int) -> Frame:
+def render_frame(simulated: SimulatedSequence, camera: CameraRecipe, index: int) -> Frame:
     """Frame `index` of a camera: what it sees at index / rate_hz seconds."""
     time_s = index / camera.rate_hz
     opened = camera.shutter_ms * 1e-3 * (np.arange(SHUTTER_POSES) / SHUTTER_POSES - 0.5) if camera.shutter_ms else ()
-    body, *shutter = stage.bodies(np.maximum(time_s + np.array([0.0, *opened]), 0.0))
+    body, *shutter = simulated.bodies(np.maximum(time_s + np.array([0.0, *opened]), 0.0))
     mount = camera_pose(camera)
-    noise = stage.streams.generator("camera", camera.name, "noise", index)
-    renderer = stage.renderers[camera.name]
+    noise = simulated.streams.generator("camera", camera.name, "noise", index)
+    renderer = simulated.renderers[camera.name]
     return renderer.render(body @ mount, noise, time_s, body, [pose @ mount for pose in shutter])
 
 
-def look_behind(stage: Stage, camera: CameraRecipe, index: int) -> dict[str, NDArray[Any]]:
+def render_layers(simulated: SimulatedSequence, camera: CameraRecipe, index: int) -> dict[str, NDArray[Any]]:
     """Those layers of frame `index` that no frame carries by itself, as the camera's recipe names them."""
     wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
     if not wanted:
         return {}
     time_s = index / camera.rate_hz
-    (body,) = stage.bodies(np.array([time_s]))
-    renderer = stage.renderers[camera.name]
+    (body,) = simulated.bodies(np.array([time_s]))
+    renderer = simulated.renderers[camera.name]
     layers: dict[str, NDArray[Any]] = dict(
         renderer.layers(body @ camera_pose(camera), [*wanted, "instances"], time_s, body)
     )

@@ -10,7 +10,7 @@ import pytest
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import align_yaw
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sequence.types import Image, ImuSample, Sequence
+from oysterbench.sequence.types import Image, ImuMeasurement, Sequence
 from oysterbench_baselines.dead_reckoning import DeadReckoning
 from tests.helpers import synthetic_dive as dive
 
@@ -20,7 +20,7 @@ class InertialOnly(Sequence):
 
     name = "inertial"
 
-    def __init__(self, samples: list[ImuSample]) -> None:
+    def __init__(self, samples: list[ImuMeasurement]) -> None:
         self.cameras = {}
         self.imu_calibration = dive.imu_calibration()
         self.metadata = {}
@@ -29,7 +29,7 @@ class InertialOnly(Sequence):
     def images(self, camera: str) -> Iterator[Image]:
         return iter(())
 
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         return iter(self._samples)
 
     @property
@@ -43,7 +43,7 @@ class InertialOnly(Sequence):
         raise AssertionError("a method asked for the truth")
 
 
-def samples(noisy: bool, pose=dive.resting_start_pose, duration_s: float = 15.0) -> list[ImuSample]:
+def samples(noisy: bool, pose=dive.resting_start_pose, duration_s: float = 15.0) -> list[ImuMeasurement]:
     generator = np.random.default_rng(0) if noisy else None
     return dive.inertial_samples(pose, dive.imu_calibration(), duration_s, generator)
 

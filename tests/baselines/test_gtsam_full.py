@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, align_yaw
-from oysterbench.core.measurements import ImuSample
+from oysterbench.core.measurements import ImuMeasurement
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
@@ -61,7 +61,7 @@ def estimate(sequence: Sequence, frames: list, settings: Settings | None = None)
         while frame is not None and frame[0] < item.stamp_ns:
             see(estimator, samples, since, frame)
             frame = next(waiting, None)
-        if isinstance(item, ImuSample):
+        if isinstance(item, ImuMeasurement):
             samples.add(item)
             continue
         since.append(samples.cut(item.stamp_ns))
@@ -175,7 +175,7 @@ def test_it_finds_back_to_the_true_motion_after_the_inertial_unit_has_lied():
     def lie(sample):
         if not 12.0 < (sample.stamp_ns - dive.START_NS) * 1e-9 < 12.7:
             return sample
-        return ImuSample(sample.stamp_ns, sample.gyro, sample.accel + np.array([15.0, 0, 0]))
+        return ImuMeasurement(sample.stamp_ns, sample.gyro, sample.accel + np.array([15.0, 0, 0]))
 
     sequence.change("imu", lie)
     estimator = estimate(sequence, tracks(sequence, 4, (np.inf, np.inf)))

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, transform
-from oysterbench.core.measurements import RangeSample
+from oysterbench.core.measurements import RangeMeasurement
 from oysterbench.core.streams import Streams, stream
 from oysterbench.recipe import AltimeterRecipe, SiteRecipe
 from oysterbench.sensors import acoustics, altimeter
@@ -152,14 +152,14 @@ def test_the_altimeters_own_reading_over_a_level_bottom_is_what_is_predicted():
         at = transform(motion.rotation[k], motion.position[k])
         points = rng.uniform([-1, -1, 0], [1, 1, 0], size=(400, 3)) + motion.position[k] * [1, 1, 0]
         points[:, 2] = -dive.BOTTOM_M
-        echo = altimeter_echo(RangeSample(k, "altimeter", float(length)), mount, np.eye(4), STILL, OF)
+        echo = altimeter_echo(RangeMeasurement(k, "altimeter", float(length)), mount, np.eye(4), STILL, OF)
         assert echo is not None
         ground = meet(echo, at, np.arange(400), points)
         assert ground is not None
         off.append(echo_error(echo, ground, gtsam.Pose3(at), points[ground.ids], np.zeros(2))[0])
     assert np.abs(np.mean(off)) < 2 * OF.offset_sigma
     assert np.ptp(off) < 0.02
-    assert altimeter_echo(RangeSample(0, "altimeter", np.inf), mount, np.eye(4), STILL, OF) is None
+    assert altimeter_echo(RangeMeasurement(0, "altimeter", np.inf), mount, np.eye(4), STILL, OF) is None
 
 
 @pytest.mark.parametrize("holes", [0, 2])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from oysterbench.core.geometry import Array
-from oysterbench.core.measurements import DvlSample, Image, MagneticSample, PressureSample
+from oysterbench.core.measurements import DvlMeasurement, Image, MagneticMeasurement, PressureMeasurement
 from oysterbench.core.trajectory import Trajectory
 from oysterbench_baselines.dead_reckoning import DeadReckoning
 from oysterbench_baselines.gtsam_full import GtsamFull
@@ -36,7 +36,7 @@ def during(begin_s: float, end_s: float, how: Callable[[Any], Any]) -> Callable[
     return change
 
 
-def deaf(sample: DvlSample, keep: int = 0) -> DvlSample:
+def deaf(sample: DvlMeasurement, keep: int = 0) -> DvlMeasurement:
     """Without bottom lock but for the first `keep` beams."""
     valid = np.arange(4) < keep
     return dataclasses.replace(
@@ -100,7 +100,7 @@ def test_ranges_count_only_where_the_dvl_gives_no_velocity():
     """From 6 s to 10 s it measures how far the bottom is, and not how fast it passes."""
     sequence = make(2, 12.0)
 
-    def mute(sample: DvlSample) -> DvlSample:
+    def mute(sample: DvlMeasurement) -> DvlMeasurement:
         nothing = np.full(4, np.nan)
         return dataclasses.replace(sample, velocity=nothing[:3], beam_velocities=nothing)
 
@@ -129,12 +129,12 @@ def test_spikes_of_pressure_and_a_wreck_beside_the_compass_are_refused():
     generator = np.random.default_rng(0)
     sequence = make(4, 16.0)
 
-    def spike(sample: PressureSample) -> PressureSample:
+    def spike(sample: PressureMeasurement) -> PressureMeasurement:
         if generator.random() > 0.05:
             return sample
         return dataclasses.replace(sample, pressure=sample.pressure + generator.choice([-1, 1]) * 2e4)  # 2 m
 
-    def iron(sample: MagneticSample) -> MagneticSample:
+    def iron(sample: MagneticMeasurement) -> MagneticMeasurement:
         return dataclasses.replace(sample, field=sample.field + np.array([20e-6, -15e-6, 5e-6]))
 
     sequence.change("pressure", spike)

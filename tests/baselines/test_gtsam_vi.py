@@ -14,7 +14,7 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, align_yaw, invert
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sequence.euroc import EurocSequence
-from oysterbench.sequence.types import Image, ImuSample, Sequence
+from oysterbench.sequence.types import Image, ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
@@ -28,7 +28,7 @@ def estimate(measured: dive.Dive, settings: Settings | None = None) -> Estimator
     estimator = Estimator(measured.camera, measured.inertial, settings or Settings())
     samples = SampleBuffer()
     for item in measured.stream():
-        if isinstance(item, ImuSample):
+        if isinstance(item, ImuMeasurement):
             samples.add(item)
             continue
         stamp, ids, pixels = item
@@ -92,7 +92,7 @@ def lie(measured: dive.Dive) -> None:
     for k, sample in enumerate(measured.samples):
         if 8.0 < (sample.stamp_ns - dive.START_NS) * 1e-9 < 8.7:
             false = sample.accel + np.array([15.0, 0, 0])
-            measured.samples[k] = ImuSample(sample.stamp_ns, sample.gyro, false)
+            measured.samples[k] = ImuMeasurement(sample.stamp_ns, sample.gyro, false)
 
 
 def test_it_starts_anew_after_the_inertial_unit_has_lied():
@@ -153,7 +153,7 @@ class FlatBottom(Sequence):
             pixels = cv2.warpPerspective(self._texture, homography, (calibration.width, calibration.height))
             yield Image(dive.START_NS + round(time * 1e9), camera, np.repeat(pixels[:, :, None], 3, axis=2))
 
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         generator = np.random.default_rng(3)
         return iter(dive.inertial_samples(dive.survey_pose, self.imu_calibration, self._seconds, generator))
 

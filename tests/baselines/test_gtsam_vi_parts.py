@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import invert
 from oysterbench.methods import seed_of
-from oysterbench.sequence.types import ImuSample
+from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo
 from oysterbench_baselines.gtsam_vi.covariance import discounted, filter_slopes, joint_covariance
@@ -286,7 +286,7 @@ def test_the_epipolar_check_finds_what_slides_over_a_flat_scene():
 def test_the_inertial_measurements_between_two_stamps_are_cut_where_the_stamps_lie():
     samples = SampleBuffer()
     for k in range(5):  # a rate that grows by 1 rad/s in 1 s
-        samples.add(ImuSample(k * 10_000_000, np.full(3, k * 0.01), np.zeros(3)))
+        samples.add(ImuMeasurement(k * 10_000_000, np.full(3, k * 0.01), np.zeros(3)))
     first, second = samples.cut(15_000_000), samples.cut(40_000_000)
     assert first.duration == pytest.approx(0.015)
     assert second.duration == pytest.approx(0.025)
@@ -314,7 +314,7 @@ def test_the_closed_form_start_finds_scale_gravity_and_gyro_bias():
     samples, views, segments, pending, stamps = SampleBuffer(), [], [], [], []
     frame = 0
     for item in measured.stream():
-        if isinstance(item, ImuSample):
+        if isinstance(item, ImuMeasurement):
             samples.add(item)
             continue
         stamp, ids, pixels = item

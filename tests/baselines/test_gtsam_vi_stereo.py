@@ -14,7 +14,7 @@ from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam.scoring import score
 from oysterbench.evaluate.slam.settings import SlamSettings
-from oysterbench.sequence.types import ImuSample
+from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo, Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
@@ -29,7 +29,7 @@ def estimate(measured: dive.Dive, blind_right: bool = False) -> Estimator:
     estimator = Estimator(measured.camera, measured.inertial, Settings(), camera)
     samples, frame = SampleBuffer(), 0
     for item in measured.stream():
-        if isinstance(item, ImuSample):
+        if isinstance(item, ImuMeasurement):
             samples.add(item)
             continue
         stamp, ids, pixels = item
@@ -139,12 +139,12 @@ def item(camera: str, ms: int) -> Image:
 
 
 def test_frames_are_paired_by_their_stamps_in_whichever_order_they_come():
-    sample = ImuSample(15_000_000, np.zeros(3), np.zeros(3))
+    sample = ImuMeasurement(15_000_000, np.zeros(3), np.zeros(3))
     order: Iterator = iter(
         [item("l", 0), item("r", 0), sample, item("r", 20), item("l", 20), item("l", 40), item("l", 60)]
     )
     found = list(pairs(order, "l", "r", 1e-3))
-    assert [type(row) for row in found] == [tuple, ImuSample, tuple, tuple, tuple]
+    assert [type(row) for row in found] == [tuple, ImuMeasurement, tuple, tuple, tuple]
     frames = [row for row in found if isinstance(row, tuple)]
     assert [(a.stamp_ns // 1_000_000, b and b.stamp_ns // 1_000_000) for a, b in frames] == [
         (0, 0), (20, 20), (40, None), (60, None),

@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import X
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
-from oysterbench.sequence import ImuSample
+from oysterbench.sequence import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_vi import Settings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
@@ -86,7 +86,7 @@ def test_heading_is_never_learnt_from_what_cannot_tell_it():
     estimator.model.starts[0] = np.diag([1e-8] * 3 + [0.25, 0.25, 1.0]), np.eye(3) * 4.0
     samples, known = SampleBuffer(), []
     for item in measured.stream():
-        if isinstance(item, ImuSample):
+        if isinstance(item, ImuMeasurement):
             samples.add(item)
             continue
         stamp, ids, pixels = item

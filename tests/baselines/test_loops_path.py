@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import X
 
 from oysterbench.core.geometry import Array, align_yaw, invert
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sequence.types import ImuSample
+from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import undistort
@@ -74,7 +74,7 @@ def estimate(measured: dive.Dive, loops: bool, false_m: float = 0.0, **settings:
         estimator.loops.viewer = estimator.loops.index = estimator.loops.verifier = knowing  # type: ignore[assignment]
     samples = SampleBuffer()
     for item in measured.stream():
-        if isinstance(item, ImuSample):
+        if isinstance(item, ImuMeasurement):
             samples.add(item)
             continue
         stamp, ids, pixels = item

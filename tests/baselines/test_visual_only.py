@@ -14,7 +14,7 @@ from oysterbench.core.geometry import Array, invert, transform
 from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
-from oysterbench.sequence.types import CameraCalibration, ImuSample, Sequence
+from oysterbench.sequence.types import CameraCalibration, ImuMeasurement, Sequence
 from oysterbench_baselines.visual_only import VisualOnly
 from oysterbench_baselines.visual_only.lens import Lens
 from oysterbench_baselines.visual_only.method import poses_of_base
@@ -71,7 +71,7 @@ class Bottom(Sequence):
             stamp = dive.START_NS + round(t * 1e9)
             yield Image(stamp, camera, np.repeat(grey[..., None], 3, axis=2))
 
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         raise AssertionError("visual odometry asked for the inertial unit")
 
     def truth(self) -> Trajectory:

@@ -20,7 +20,7 @@ from typing import Any
 from oysterbench.recipe import load_split
 from oysterbench.sequence import topics
 from oysterbench.simulation import generate
-from oysterbench.simulation.simulated_sequence import build_stage
+from oysterbench.simulation.simulated_sequence import build_sequence
 
 SHARE = 0.10
 """At most so much of the time may go into the file."""
@@ -62,7 +62,7 @@ def measure(split_name: str, seconds: float, image_format: str) -> dict[str, flo
         camera=tuple(dataclasses.replace(camera, image_format=image_format) for camera in split.rig.camera),
     )
     split = dataclasses.replace(split, sequence=(sequence,), rig=rig)
-    build_stage(split, sequence.name, b"")
+    build_sequence(split, sequence.name, b"")
     clock = Clock()
     for name in topics.__all__:
         if name.endswith(("_message", "_messages")) or name == "camera_info":

@@ -151,14 +151,14 @@ def test_the_readme_tells_of_every_sequence(name):
 @pytest.mark.parametrize(("name", "sequence"), SEQUENCES, ids=lambda value: value)
 def test_every_sequence_can_be_built(name, sequence):
     """World and way; those of hidden splits with three salts, as the real one is not here."""
-    from oysterbench.simulation.simulated_sequence import build_stage
+    from oysterbench.simulation.simulated_sequence import build_sequence
 
     split = load_split(name)
     salts = [stream(1, b"", "salt", k).bytes(32) for k in range(3)] if split.hidden else [b""]
     for salt in salts:
-        stage = build_stage(split, sequence, salt)
-        assert len(stage.world.instances) < 2**16 - 1
-        assert stage.path.duration_s == stage.recipe.duration_s
+        simulated = build_sequence(split, sequence, salt)
+        assert len(simulated.world.instances) < 2**16 - 1
+        assert simulated.path.duration_s == simulated.recipe.duration_s
 
 
 DEFAULTS = """

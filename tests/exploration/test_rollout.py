@@ -12,7 +12,7 @@ from oysterbench.exploration.references import REFERENCES
 from oysterbench.exploration.rollout import explore
 from oysterbench.methods.steering import Steering
 from oysterbench.recipe import load_split
-from oysterbench.simulation.simulated_sequence import build_stage
+from oysterbench.simulation.simulated_sequence import build_sequence
 from oysterbench.simulation.steering.site import build_site
 
 SPLIT = load_split("steer-mini")
@@ -91,7 +91,7 @@ def test_a_log_adds_up(logs):
 
 
 def test_the_hull_is_never_below_what_it_would_touch(logs):
-    site = build_site(build_stage(SPLIT, REEF, b""), SPLIT.steering)
+    site = build_site(build_sequence(SPLIT, REEF, b""), SPLIT.steering)
     for log in logs.values():
         assert np.all(log.states[:, 2] >= site.floor(log.states[:, 0], log.states[:, 1]) - 1e-9)
 

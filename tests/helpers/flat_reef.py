@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from oysterbench.core.geometry import transform
-from oysterbench.core.measurements import DvlSample, Image, ImuSample
+from oysterbench.core.measurements import DvlMeasurement, Image, ImuMeasurement
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence import Sequence
 from oysterbench.sequence.calibration import CameraCalibration, DvlCalibration
@@ -76,13 +76,15 @@ class FlatReef(Sequence):
 
     def imu(self, start_ns=None, end_ns=None):
         for stamp in self.stamps:
-            yield ImuSample(int(stamp), np.zeros(3), np.array([0, 0, 9.81]))
+            yield ImuMeasurement(int(stamp), np.zeros(3), np.array([0, 0, 9.81]))
 
     def dvl(self, start_ns=None, end_ns=None):
         ranges = ALTITUDE / -self.beams[:, 2]
         valid = np.ones(4, dtype=bool)
         for stamp in self.stamps:
-            yield DvlSample(int(stamp), np.zeros(3), np.eye(3), 0.1, ALTITUDE, self.beams, ranges, np.zeros(4), valid)
+            yield DvlMeasurement(
+                int(stamp), np.zeros(3), np.eye(3), 0.1, ALTITUDE, self.beams, ranges, np.zeros(4), valid
+            )
 
     def images(self, camera, start_ns=None, end_ns=None):
         for k, stamp in self._between(start_ns, end_ns):

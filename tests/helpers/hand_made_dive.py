@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.geometry import transform
 from oysterbench.core.measurements import (
     Cloud,
-    DvlSample,
-    ImuSample,
-    MagneticSample,
-    PressureSample,
-    RangeSample,
+    DvlMeasurement,
+    ImuMeasurement,
+    MagneticMeasurement,
+    PressureMeasurement,
+    RangeMeasurement,
     ScanPing,
     SonarImage,
 )
@@ -154,11 +154,11 @@ def colour(t: float, name: str) -> np.ndarray:
 class Samples:
     """What went into the file, by what a reader calls it."""
 
-    imu: list[ImuSample] = field(default_factory=list)
-    dvl: list[DvlSample] = field(default_factory=list)
-    pressure: list[PressureSample] = field(default_factory=list)
-    magnetometer: list[MagneticSample] = field(default_factory=list)
-    ranges: list[RangeSample] = field(default_factory=list)
+    imu: list[ImuMeasurement] = field(default_factory=list)
+    dvl: list[DvlMeasurement] = field(default_factory=list)
+    pressure: list[PressureMeasurement] = field(default_factory=list)
+    magnetometer: list[MagneticMeasurement] = field(default_factory=list)
+    ranges: list[RangeMeasurement] = field(default_factory=list)
     sonar: list[SonarImage] = field(default_factory=list)
     scans: list[ScanPing] = field(default_factory=list)
     clouds: list[Cloud] = field(default_factory=list)
@@ -177,7 +177,9 @@ def samples(seconds: float = 2.0) -> Samples:
     generator = np.random.default_rng(1)
     for stamp, _ in stamps(100, seconds):
         noise = generator.normal(size=6) * 0.01
-        made.imu.append(ImuSample(stamp, np.array([0, 0, RATE]) + noise[:3], np.array([0, 0, 9.80665]) + noise[3:]))
+        made.imu.append(
+            ImuMeasurement(stamp, np.array([0, 0, RATE]) + noise[:3], np.array([0, 0, 9.80665]) + noise[3:])
+        )
     for stamp, t in stamps(8, seconds):
         lock = t < seconds - 0.5
         valid = np.array([True, True, True, lock])
@@ -185,7 +187,7 @@ def samples(seconds: float = 2.0) -> Samples:
         along = (DIRECTIONS @ [SPEED, 0, 0]).astype(np.float32).astype(float)
         covariance = np.diag([1e-4, 1e-4, 1e-6]) if lock else np.full((3, 3), np.nan)
         made.dvl.append(
-            DvlSample(
+            DvlMeasurement(
                 stamp_ns=stamp,
                 velocity=np.array([SPEED, 0.01 * t, 0]) if lock else np.full(3, np.nan),
                 covariance=covariance,
@@ -199,12 +201,14 @@ def samples(seconds: float = 2.0) -> Samples:
         )
     for stamp, t in stamps(20, seconds):
         made.pressure.append(
-            PressureSample(stamp, 101325.0 + 1010 * 9.80665 * 1.8 + 20 * round(3 * np.sin(9 * t)), 400.0)
+            PressureMeasurement(stamp, 101325.0 + 1010 * 9.80665 * 1.8 + 20 * round(3 * np.sin(9 * t)), 400.0)
         )
     for stamp, t in stamps(50, seconds):
-        made.magnetometer.append(MagneticSample(stamp, np.array([2e-5 * np.cos(RATE * t), 1e-6, -4e-5]), 9e-14))
+        made.magnetometer.append(MagneticMeasurement(stamp, np.array([2e-5 * np.cos(RATE * t), 1e-6, -4e-5]), 9e-14))
     for stamp, t in stamps(5, seconds):
-        made.ranges.append(RangeSample(stamp, "alt", float("inf") if t > seconds - 0.3 else 1.1875 + round(5 * t) / 64))
+        made.ranges.append(
+            RangeMeasurement(stamp, "alt", float("inf") if t > seconds - 0.3 else 1.1875 + round(5 * t) / 64)
+        )
         pixels = generator.integers(0, 65536, (BINS, BEAMS)).astype(np.uint16)
         made.sonar.append(SonarImage(stamp, "fls", pixels))
         n = generator.integers(3, 30)

@@ -9,7 +9,13 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from oysterbench.core.geometry import Array, left_product
-from oysterbench.core.measurements import DvlSample, Image, ImuSample, MagneticSample, PressureSample
+from oysterbench.core.measurements import (
+    DvlMeasurement,
+    Image,
+    ImuMeasurement,
+    MagneticMeasurement,
+    PressureMeasurement,
+)
 from oysterbench.core.streams import Streams
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.recipe import DvlRecipe, ImuRecipe, MagnetometerRecipe, PressureRecipe, RigRecipe, SiteRecipe
@@ -99,7 +105,7 @@ class SensorDive(Sequence):
         self.magnetometer_calibration = known.magnetometer
         times, stamps = self._clock(vehicle.imu.rate_hz)
         readings = zip(stamps, *imu.measure(path, vehicle.imu, times, streams), strict=True)
-        self._samples: dict[str, list[Any]] = {"imu": [ImuSample(int(s), g, f) for s, g, f in readings]}
+        self._samples: dict[str, list[Any]] = {"imu": [ImuMeasurement(int(s), g, f) for s, g, f in readings]}
         if vehicle.dvl is not None:
             times, stamps = self._clock(vehicle.dvl.rate_hz)
             caster: Any = LevelBottom()
@@ -109,14 +115,14 @@ class SensorDive(Sequence):
             values = pressure.measure(path, vehicle.pressure, site, waves, times, streams)
             variance = pressure.noise_variance(vehicle.pressure, site)
             self._samples["pressure"] = [
-                PressureSample(int(s), float(v), variance) for s, v in zip(stamps, values, strict=True)
+                PressureMeasurement(int(s), float(v), variance) for s, v in zip(stamps, values, strict=True)
             ]
         if vehicle.magnetometer is not None:
             times, stamps = self._clock(vehicle.magnetometer.rate_hz)
             fields = magnetometer.measure(path, vehicle.magnetometer, site, times, streams)
             variance = magnetometer.noise_variance(vehicle.magnetometer)
             self._samples["magnetometer"] = [
-                MagneticSample(int(s), f, variance) for s, f in zip(stamps, fields, strict=True)
+                MagneticMeasurement(int(s), f, variance) for s, f in zip(stamps, fields, strict=True)
             ]
 
     def _clock(self, rate_hz: float) -> tuple[Array, np.ndarray]:
@@ -134,16 +140,16 @@ class SensorDive(Sequence):
     def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         return iter(())
 
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuSample]:
+    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
         return self._read("imu", start_ns, end_ns)
 
-    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlSample]:
+    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlMeasurement]:
         return self._read("dvl", start_ns, end_ns)
 
-    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureSample]:
+    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureMeasurement]:
         return self._read("pressure", start_ns, end_ns)
 
-    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticSample]:
+    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticMeasurement]:
         return self._read("magnetometer", start_ns, end_ns)
 
     @property

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, invert, transform
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sequence.types import CameraCalibration, ImuCalibration, ImuSample
+from oysterbench.sequence.types import CameraCalibration, ImuCalibration, ImuMeasurement
 
 START_NS = 1_700_000_000_000_000_000
 GRAVITY = 9.80665
@@ -73,13 +73,13 @@ class Dive:
 
     camera: CameraCalibration
     inertial: ImuCalibration
-    samples: list[ImuSample]
+    samples: list[ImuMeasurement]
     stamps_ns: np.ndarray
     tracks: list[tuple[np.ndarray, Array]]
     truth: Trajectory
     right: list[Array]
 
-    def stream(self) -> Iterator[ImuSample | tuple[int, np.ndarray, Array]]:
+    def stream(self) -> Iterator[ImuMeasurement | tuple[int, np.ndarray, Array]]:
         """Samples and frames in time order, samples first at one stamp."""
         waiting = iter(self.samples)
         sample = next(waiting, None)
@@ -138,7 +138,7 @@ def inertial_samples(
     calibration: ImuCalibration,
     duration_s: float,
     generator: np.random.Generator | None,
-) -> list[ImuSample]:
+) -> list[ImuMeasurement]:
     """Samples at the instants k / rate; with a generator, the unit's turn-on biases, random walks and white noise."""
     rate = calibration.rate_hz
     times = np.arange(0, duration_s + 1e-9, 1 / rate)
@@ -159,7 +159,7 @@ def inertial_samples(
             signal += np.cumsum(generator.normal(size=(n, 3)), axis=0) * walk / np.sqrt(rate)
             signal += generator.normal(size=(n, 3)) * density * np.sqrt(rate)
     stamps = START_NS + np.round(times * 1e9).astype(np.int64)
-    return [ImuSample(int(s), g, f) for s, g, f in zip(stamps, gyro, force, strict=True)]
+    return [ImuMeasurement(int(s), g, f) for s, g, f in zip(stamps, gyro, force, strict=True)]
 
 
 def _track(*arguments, **keywords):

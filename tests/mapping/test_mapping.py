@@ -13,7 +13,7 @@ import pytest
 import oysterbench
 from oysterbench.core.errors import OysterbenchError, SequenceError, TrajectoryError
 from oysterbench.core.geometry import transform
-from oysterbench.core.measurements import Image, ImuSample
+from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.ply import read_ply
 from oysterbench.core.trajectory import Trajectory, write_tum
 from oysterbench.mapping import CloudSettings, build_cloud
@@ -73,7 +73,7 @@ class Reef(Sequence):
 
     def imu(self, start_ns=None, end_ns=None):
         for stamp in self.stamps:
-            yield ImuSample(int(stamp), np.zeros(3), np.array([0, 0, 9.81]))
+            yield ImuMeasurement(int(stamp), np.zeros(3), np.array([0, 0, 9.81]))
 
     def images(self, name, start_ns=None, end_ns=None):
         calibration = self.cameras[name]

@@ -17,7 +17,7 @@ from oysterbench.scene.path import build_path
 from oysterbench.scene.path.routes import dense_spots
 from oysterbench.scene.rig import GRAVITY
 from oysterbench.sensors.imu import ideal_imu
-from oysterbench.simulation.simulated_sequence import build_stage, look
+from oysterbench.simulation.simulated_sequence import build_sequence, render_frame
 from tests.helpers.tiny import TINY_SPLIT, make_split
 
 BASE = load_split("slam-mini").sequence[0]
@@ -106,17 +106,17 @@ def test_it_starts_at_rest_and_is_never_faster_than_its_speed(kind):
 
 
 @pytest.fixture(scope="module")
-def stage():
-    return build_stage(make_split(TINY_SPLIT.replace("size_m = 5.0", "size_m = 11.0")), "tiny-01", b"")
+def simulated():
+    return build_sequence(make_split(TINY_SPLIT.replace("size_m = 5.0", "size_m = 11.0")), "tiny-01", b"")
 
 
 @pytest.mark.parametrize("kind", KEYS)
-def test_a_frame_of_every_kind_in_a_recipe_can_be_rendered(kind, stage):
+def test_a_frame_of_every_kind_in_a_recipe_can_be_rendered(kind, simulated):
     head = TINY_SPLIT[: TINY_SPLIT.index("[sequence.path]")].replace("size_m = 5.0", "size_m = 11.0")
     (recipe,) = make_split(head + as_toml({"kind": kind, "speed_m_s": 0.4, "altitude_m": 1.2, **KEYS[kind]})).sequence
-    path = build_path(recipe, stage.world.ground_height, stage.world.obstacle_height, stage.streams)
-    (camera,) = stage.rig.camera
-    frame = look(dataclasses.replace(stage, path=path), camera, 24)
+    path = build_path(recipe, simulated.world.ground_height, simulated.world.obstacle_height, simulated.streams)
+    (camera,) = simulated.rig.camera
+    frame = render_frame(dataclasses.replace(simulated, path=path), camera, 24)
     assert frame.colour.shape == (48, 64, 3)
     assert frame.colour.std() > 1.0
     assert (frame.classes == 1).mean() > 0.3  # looking at the bottom

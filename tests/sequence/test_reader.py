@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 
 import oysterbench
 from oysterbench.core.errors import MethodError, SequenceError
-from oysterbench.core.measurements import ImuSample, SonarImage
+from oysterbench.core.measurements import ImuMeasurement, SonarImage
 from oysterbench.sequence import topics
 from oysterbench.sequence.file import read_messages
 from oysterbench.sequence.write import SequenceWriter
@@ -57,20 +57,20 @@ def test_a_stream_merges_what_is_named_inertial_first(sequence):
     assert stamps == sorted(stamps)
     kinds = [type(item).__name__ for item in items]
     assert {kind: kinds.count(kind) for kind in set(kinds)} == {
-        "ImuSample": 200,
+        "ImuMeasurement": 200,
         "SonarImage": 10,
-        "DvlSample": 16,
+        "DvlMeasurement": 16,
         "Image": 20,
-        "RangeSample": 10,
+        "RangeMeasurement": 10,
         "ScanPing": 40,
-        "PressureSample": 40,
-        "MagneticSample": 100,
+        "PressureMeasurement": 40,
+        "MagneticMeasurement": 100,
     }
     at_start = [type(item) for item in items if item.stamp_ns == START]
-    assert at_start[:2] == [ImuSample, SonarImage], "inertial first, then as named"
+    assert at_start[:2] == [ImuMeasurement, SonarImage], "inertial first, then as named"
     part = list(sequence.stream("dvl", start_ns=START + 10**9, end_ns=START + 10**9 + 2 * 10**8))
-    assert [type(item).__name__ for item in part].count("ImuSample") == 20
-    assert [type(item).__name__ for item in part].count("DvlSample") == 2
+    assert [type(item).__name__ for item in part].count("ImuMeasurement") == 20
+    assert [type(item).__name__ for item in part].count("DvlMeasurement") == 2
 
 
 def test_a_stream_of_no_name_is_of_all_cameras(sequence):
@@ -216,7 +216,7 @@ def long_file(path, megabytes: int, seconds: float):
         writer.attachment("truth/oysters.csv", "text/csv", generator.bytes(min(frame * 4, megabytes * 10_000)))
         for stamp, _ in dive.stamps(200, seconds):
             gyro, accel = generator.normal(size=(2, 3))
-            writer.write(topics.imu_message(ImuSample(stamp, gyro, accel), 1e-6, 1e-4))
+            writer.write(topics.imu_message(ImuMeasurement(stamp, gyro, accel), 1e-6, 1e-4))
         writer.section()
         n = megabytes * 1_000_000 // frame
         for k in range(n):

@@ -10,7 +10,7 @@ from rosbags.highlevel import AnyReader
 import oysterbench
 from oysterbench.core.errors import MethodError, SequenceError
 from oysterbench.recipe import parse_split
-from oysterbench.sequence import Image, ImuSample, topics
+from oysterbench.sequence import Image, ImuMeasurement, topics
 from oysterbench.sequence.types import imu_arrays
 from oysterbench.simulation.generate import generate_split
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
@@ -70,7 +70,7 @@ def test_the_stream_merges_sensors_in_time_order_inertial_first(sequence):
     items = list(sequence.stream())
     keys = [(item.stamp_ns, isinstance(item, Image)) for item in items]
     assert keys == sorted(keys)
-    assert sum(isinstance(item, ImuSample) for item in items) == 250
+    assert sum(isinstance(item, ImuMeasurement) for item in items) == 250
     assert sum(isinstance(item, Image) for item in items) == 25
 
 

@@ -15,7 +15,7 @@ from oysterbench.recipe import load_split, split_names
 from oysterbench.sequence import open_sequence
 from oysterbench.simulation.generate import generate_split, split_folder
 from oysterbench.simulation.salt import Salt, read_salt, salt_for
-from oysterbench.simulation.simulated_sequence import build_stage
+from oysterbench.simulation.simulated_sequence import build_sequence
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
 
 ONE, OTHER = b"0123456789abcdef-one", b"0123456789abcdef-two"
@@ -68,10 +68,10 @@ def test_world_way_and_noise_are_other_ones_with_another_salt(files):
 
 def test_what_the_recipe_lets_be_drawn_is_drawn_with_the_salt():
     split = make_split(HIDDEN)
-    speeds = {salt: build_stage(split, "tiny-01", salt).recipe.path.speed_m_s for salt in (ONE, OTHER, b"")}
+    speeds = {salt: build_sequence(split, "tiny-01", salt).recipe.path.speed_m_s for salt in (ONE, OTHER, b"")}
     assert len(set(speeds.values())) == 3
     assert all(0.2 <= speed <= 0.4 for speed in speeds.values())
-    assert build_stage(split, "tiny-01", ONE).recipe.drawn == ()
+    assert build_sequence(split, "tiny-01", ONE).recipe.drawn == ()
 
 
 def test_the_same_salt_gives_the_same_bytes(files, tmp_path):

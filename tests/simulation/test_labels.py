@@ -9,7 +9,7 @@ import oysterbench
 from oysterbench.core.errors import MethodError, RecipeError, SequenceError
 from oysterbench.recipe import load_split, parse_split
 from oysterbench.simulation.generate import generate_split
-from oysterbench.simulation.simulated_sequence import build_stage
+from oysterbench.simulation.simulated_sequence import build_sequence
 from oysterbench.simulation.steering.labels import steering_csv
 
 MINI = load_split("steer-mini")
@@ -39,8 +39,8 @@ def test_labels_are_the_same_wherever_they_are_made(sequence):
     split, _ = sequence
     tables = []
     for _ in range(2):
-        build_stage.cache_clear()
-        tables.append(steering_csv(build_stage(split, "mini-01", b""), split.steering))
+        build_sequence.cache_clear()
+        tables.append(steering_csv(build_sequence(split, "mini-01", b""), split.steering))
     assert tables[0] == tables[1]
 
 
@@ -76,4 +76,4 @@ def test_a_task_that_cannot_be_is_refused(old, new, said):
 def test_a_fence_that_leaves_no_room_is_refused():
     split = parse_split(SHORT.replace("dive_s = 30.0", "dive_s = 30.0\nfence_m = 5.0"), "short.toml")
     with pytest.raises(RecipeError, match=r"'steering\.fence_m': expected a fence that leaves"):
-        steering_csv(build_stage(split, "mini-01", b""), split.steering)
+        steering_csv(build_sequence(split, "mini-01", b""), split.steering)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.measurements import Cloud, RangeSample, ScanPing, SonarImage
+from oysterbench.core.measurements import Cloud, RangeMeasurement, ScanPing, SonarImage
 from oysterbench.sequence.messages.points import points_bytes, read_points
 from oysterbench.sequence.names import ECHOES, HEAD, RANGE, link
 from oysterbench.sequence.wire import Message, decode, encode, header, make, stamp_of
@@ -25,7 +25,7 @@ RETURN = np.dtype(
 
 
 def range_message(
-    sample: RangeSample, min_range_m: float, max_range_m: float, beam_rad: float, variance: float = 0.0
+    sample: RangeMeasurement, min_range_m: float, max_range_m: float, beam_rad: float, variance: float = 0.0
 ) -> Message:
     """Range along the altimeter's axis, m, +inf where nothing answers (REP 117); variance in m^2, 0 where unknown."""
     message = make(
@@ -41,10 +41,10 @@ def range_message(
     return Message(f"/{sample.sensor}/range", sample.stamp_ns, encode(message))
 
 
-def read_range(data: bytes, sensor: str) -> RangeSample:
+def read_range(data: bytes, sensor: str) -> RangeMeasurement:
     """Range sample from its message, in which the range is a float32."""
     message = decode(data, RANGE)
-    return RangeSample(stamp_of(message.header), sensor, float(message.range))
+    return RangeMeasurement(stamp_of(message.header), sensor, float(message.range))
 
 
 def sonar_message(image: SonarImage) -> Message:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oysterbench.core.geometry import Array
-from oysterbench.core.measurements import DvlSample
+from oysterbench.core.measurements import DvlMeasurement
 from oysterbench.sequence.messages.acoustic import ULTRASOUND
 from oysterbench.sequence.messages.points import points_bytes, read_points
 from oysterbench.sequence.names import DVL_ALTITUDE, DVL_BEAMS, DVL_FRAME, DVL_TYPES, DVL_VELOCITY, RANGE
@@ -22,7 +22,7 @@ BEAM = np.dtype(
 """A beam as a point: where it meets the bottom in the DVL's frame (m), range (m) and velocity (m/s) along it, valid."""
 
 
-def dvl_messages(sample: DvlSample, min_range_m: float, max_range_m: float, janus_rad: float) -> list[Message]:
+def dvl_messages(sample: DvlMeasurement, min_range_m: float, max_range_m: float, janus_rad: float) -> list[Message]:
     """Velocity, beams and altitude of one sample; of the DVL, least and greatest range and beams off the vertical."""
     return [
         dvl_velocity_message(sample),
@@ -31,7 +31,7 @@ def dvl_messages(sample: DvlSample, min_range_m: float, max_range_m: float, janu
     ]
 
 
-def dvl_velocity_message(sample: DvlSample) -> Message:
+def dvl_velocity_message(sample: DvlMeasurement) -> Message:
     """Velocity over ground with its covariance; rates are marked as not measured, by a variance of -1."""
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = sample.covariance
@@ -45,7 +45,7 @@ def dvl_velocity_message(sample: DvlSample) -> Message:
     return Message(DVL_VELOCITY, sample.stamp_ns, encode(message))
 
 
-def dvl_beams_message(sample: DvlSample) -> Message:
+def dvl_beams_message(sample: DvlMeasurement) -> Message:
     """The beams, a point each; NaN where a beam has no lock."""
     rows = np.zeros(len(sample.beam_ranges), dtype=BEAM)
     hits = sample.beam_directions * np.asarray(sample.beam_ranges)[:, None]
@@ -55,7 +55,7 @@ def dvl_beams_message(sample: DvlSample) -> Message:
     return Message(DVL_BEAMS, sample.stamp_ns, points_bytes(sample.stamp_ns, DVL_FRAME, rows))
 
 
-def dvl_altitude_message(sample: DvlSample, min_range_m: float, max_range_m: float, janus_rad: float) -> Message:
+def dvl_altitude_message(sample: DvlMeasurement, min_range_m: float, max_range_m: float, janus_rad: float) -> Message:
     """Altitude along the DVL's -z, NaN without lock (REP 117); the field of view is what the beams span."""
     message = make(
         RANGE,
@@ -70,7 +70,7 @@ def dvl_altitude_message(sample: DvlSample, min_range_m: float, max_range_m: flo
     return Message(DVL_ALTITUDE, sample.stamp_ns, encode(message))
 
 
-def read_dvl(velocity: bytes, beams: bytes, altitude: bytes, directions: Array) -> DvlSample:
+def read_dvl(velocity: bytes, beams: bytes, altitude: bytes, directions: Array) -> DvlMeasurement:
     """Sample from its three messages and the beams' directions (4, 3), which the calibration keeps.
 
     Beams and altitude travel as float32; the figure of merit is the root of the covariance's trace. Raises ValueError
@@ -84,7 +84,7 @@ def read_dvl(velocity: bytes, beams: bytes, altitude: bytes, directions: Array) 
         raise ValueError(f"the DVL's velocity, beams and altitude at {stamp} are not of one stamp")
     linear = message.twist.twist.linear
     covariance = np.array(message.twist.covariance, dtype=float).reshape(6, 6)[:3, :3].copy()
-    return DvlSample(
+    return DvlMeasurement(
         stamp_ns=stamp,
         velocity=np.array([linear.x, linear.y, linear.z]),
         covariance=covariance,

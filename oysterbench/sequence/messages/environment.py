@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oysterbench.core.measurements import MagneticSample, PressureSample
+from oysterbench.core.measurements import MagneticMeasurement, PressureMeasurement
 from oysterbench.sequence.names import (
     MAGNETOMETER,
     MAGNETOMETER_FRAME,
@@ -16,7 +16,7 @@ from oysterbench.sequence.names import (
 from oysterbench.sequence.wire import Message, decode, encode, header, make, stamp_of, vector
 
 
-def pressure_message(sample: PressureSample) -> Message:
+def pressure_message(sample: PressureMeasurement) -> Message:
     """Absolute pressure, Pa."""
     message = make(
         PRESSURE_TYPES[PRESSURE],
@@ -27,13 +27,13 @@ def pressure_message(sample: PressureSample) -> Message:
     return Message(PRESSURE, sample.stamp_ns, encode(message))
 
 
-def read_pressure(data: bytes) -> PressureSample:
+def read_pressure(data: bytes) -> PressureMeasurement:
     """Pressure sample from its message."""
     message = decode(data, PRESSURE_TYPES[PRESSURE])
-    return PressureSample(stamp_of(message.header), float(message.fluid_pressure), float(message.variance))
+    return PressureMeasurement(stamp_of(message.header), float(message.fluid_pressure), float(message.variance))
 
 
-def magnetic_message(sample: MagneticSample) -> Message:
+def magnetic_message(sample: MagneticMeasurement) -> Message:
     """Magnetic field, T."""
     message = make(
         MAGNETOMETER_TYPES[MAGNETOMETER],
@@ -44,10 +44,10 @@ def magnetic_message(sample: MagneticSample) -> Message:
     return Message(MAGNETOMETER, sample.stamp_ns, encode(message))
 
 
-def read_magnetic(data: bytes) -> MagneticSample:
+def read_magnetic(data: bytes) -> MagneticMeasurement:
     """Magnetic sample from its message."""
     message = decode(data, MAGNETOMETER_TYPES[MAGNETOMETER])
     field = message.magnetic_field
-    return MagneticSample(
+    return MagneticMeasurement(
         stamp_of(message.header), np.array([field.x, field.y, field.z]), float(message.magnetic_field_covariance[0])
     )

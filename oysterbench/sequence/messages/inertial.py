@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from oysterbench.core.measurements import ImuSample
+from oysterbench.core.measurements import ImuMeasurement
 from oysterbench.sequence.names import IMU, IMU_FRAME, TYPES
 from oysterbench.sequence.wire import Message, decode, encode, header, make, quaternion, stamp_of, vector
 
 
-def imu_message(sample: ImuSample, gyro_variance: float, accel_variance: float) -> Message:
+def imu_message(sample: ImuMeasurement, gyro_variance: float, accel_variance: float) -> Message:
     """Inertial sample; variances per sample in (rad/s)^2 and (m/s^2)^2. Orientation is marked as absent (REP 145)."""
     absent = np.zeros(9)
     absent[0] = -1.0
@@ -26,10 +26,10 @@ def imu_message(sample: ImuSample, gyro_variance: float, accel_variance: float) 
     return Message(IMU, sample.stamp_ns, encode(message))
 
 
-def read_imu(data: bytes) -> ImuSample:
+def read_imu(data: bytes) -> ImuMeasurement:
     """Inertial sample from its message."""
     message = decode(data, TYPES[IMU])
     rate, force = message.angular_velocity, message.linear_acceleration
-    return ImuSample(
+    return ImuMeasurement(
         stamp_of(message.header), np.array([rate.x, rate.y, rate.z]), np.array([force.x, force.y, force.z])
     )

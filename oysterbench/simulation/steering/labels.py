@@ -9,23 +9,23 @@ from oysterbench.exploration.rollout import measured
 from oysterbench.recipe import SteeringRecipe, count
 from oysterbench.sensors import clock
 from oysterbench.sequence.topics import EPOCH_NS
-from oysterbench.simulation.simulated_sequence import Stage
+from oysterbench.simulation.simulated_sequence import SimulatedSequence
 from oysterbench.simulation.steering.expert import Expert, best
 from oysterbench.simulation.steering.observation import Sight
 from oysterbench.simulation.steering.site import build_site
 from oysterbench.simulation.steering.vehicle import state_of
 
 
-def steering_csv(stage: Stage, task: SteeringRecipe) -> bytes:
+def steering_csv(simulated: SimulatedSequence, task: SteeringRecipe) -> bytes:
     """Table of `Sequence.steering`, as CSV. The expert knows which oysters the pictures before have shown."""
-    site = build_site(stage, task)
+    site = build_site(simulated, task)
     expert, sight = Expert(site), Sight(site)
     camera = site.camera
-    n = count(stage.recipe.duration_s, camera.rate_hz)
+    n = count(simulated.recipe.duration_s, camera.rate_hz)
     stamps = clock.stamps(n, camera.rate_hz, EPOCH_NS, camera.clock_offset_ms)
-    renderer = stage.renderers[camera.name]
+    renderer = simulated.renderers[camera.name]
     rows = []
-    for stamp, body in zip(stamps.tolist(), stage.bodies(np.arange(n) / camera.rate_hz), strict=True):
+    for stamp, body in zip(stamps.tolist(), simulated.bodies(np.arange(n) / camera.rate_hz), strict=True):
         T_map_cam = body @ site.mount
         depth, _, instances = renderer.truth(T_map_cam)
         sight.look(T_map_cam, depth, instances)

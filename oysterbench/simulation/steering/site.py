@@ -18,7 +18,7 @@ from oysterbench.scene.path.clearance import lowest
 from oysterbench.scene.rig import camera_matrix, camera_pose
 from oysterbench.scene.terrain import sample_grid
 from oysterbench.scene.world import World
-from oysterbench.simulation.simulated_sequence import Stage
+from oysterbench.simulation.simulated_sequence import SimulatedSequence
 
 FLOOR_CELL_M = 0.05
 GREEN = 1  # the channel that sees farthest in most of the water here
@@ -27,11 +27,11 @@ DEEPEST_M = 10.0
 
 @dataclass(frozen=True)
 class Site:
-    """stage: the built reef; half_m: the area is within -half_m and half_m in x and y; range_m: how far an oyster may
-    be from the camera to be seen; ids (N,), oysters (N, 3): numbers in instance images, and places in `map`, of the
+    """simulated: the built reef; half_m: the area is within -half_m and half_m in x and y; range_m: how far an oyster
+    may be from the camera to be seen; ids (N,), oysters (N, 3): numbers in instance images, and places in `map`, of the
     live oysters in the area."""
 
-    stage: Stage
+    simulated: SimulatedSequence
     task: SteeringRecipe
     camera: CameraRecipe
     half_m: float
@@ -42,7 +42,7 @@ class Site:
     @property
     def world(self) -> World:
         """The reef."""
-        return self.stage.world
+        return self.simulated.world
 
     @cached_property
     def mount(self) -> Array:
@@ -75,26 +75,26 @@ class Site:
         return np.asarray(states[..., 2] - self.world.ground_height(states[..., 0], states[..., 1]))
 
 
-def build_site(stage: Stage, task: SteeringRecipe) -> Site:
-    """The site of a dive over the reef of a stage, seen by the rig's first camera.
+def build_site(simulated: SimulatedSequence, task: SteeringRecipe) -> Site:
+    """The site of a dive over the reef of a simulated sequence, seen by the rig's first camera.
 
     Raises RecipeError where the fence leaves no room.
     """
-    half = stage.recipe.reef.size_m / 2 - task.fence_m
+    half = simulated.recipe.reef.size_m / 2 - task.fence_m
     if half < task.altitude_m[1]:
         raise RecipeError(
-            f"sequence {stage.recipe.name}: key 'steering.fence_m': expected a fence that leaves at least "
+            f"sequence {simulated.recipe.name}: key 'steering.fence_m': expected a fence that leaves at least "
             f"{task.altitude_m[1]:g} m on each side of the middle, got {half:g} m (reef.size_m / 2 - fence_m)"
         )
-    light = build_light(stage.recipe.light)
-    water = build_water(stage.recipe.water, Daylight(float(light.sun_direction[2]), light.sky), DEEPEST_M)
+    light = build_light(simulated.recipe.light)
+    water = build_water(simulated.recipe.water, Daylight(float(light.sun_direction[2]), light.sky), DEEPEST_M)
     attenuation = float(water.absorption[GREEN] + water.scattering[GREEN])
-    table = stage.world.oyster_table()
+    table = simulated.world.oyster_table()
     inside = (table["state"] == "live") & (table[["x", "y"]].abs().max(axis=1) <= half)
     return Site(
-        stage,
+        simulated,
         task,
-        stage.rig.camera[0],
+        simulated.rig.camera[0],
         half,
         round(min(task.view_range_m, task.view_lengths / attenuation), 6),
         table.loc[inside, "id"].to_numpy(dtype=np.int64),
