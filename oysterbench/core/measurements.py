@@ -119,3 +119,14 @@ class Cloud:
     intensity: NDArray[np.float32]
     classes: NDArray[np.uint8]
     instances: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class VehicleState:
+    """What compass, tilt, pressure and altimeter tell: heading rad (from east, counter-clockwise), pitch rad (bow down
+    positive), depth m under the mean water surface, altitude m over the bottom."""
+
+    heading: float
+    pitch: float
+    depth: float
+    altitude: float

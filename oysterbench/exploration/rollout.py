@@ -15,13 +15,13 @@ from oysterbench.core.streams import Streams
 from oysterbench.evaluate.steering import DiveLog
 from oysterbench.exploration.references import reference
 from oysterbench.methods.piloting import commands
-from oysterbench.methods.steering import SteeringMethod, VehicleState, View
+from oysterbench.methods.steering import SteeringMethod, View
 from oysterbench.recipe import SplitRecipe
 from oysterbench.scene.path.disturbance import sway
 from oysterbench.simulation.simulated_sequence import build_sequence
 from oysterbench.simulation.steering.expert import Expert, best
 from oysterbench.simulation.steering.observation import Sight
-from oysterbench.simulation.steering.site import Site, build_site
+from oysterbench.simulation.steering.site import Site, build_site, measure_state
 from oysterbench.simulation.steering.vehicle import advance, folded, rotations, turns
 
 START_SHARE = 0.7  # of the area's half side that dives begin within
@@ -148,7 +148,7 @@ class Dive:
     def view(self) -> View:
         """What the pilot is given now."""
         time_s = self.done * self.site.task.step_s
-        return View(f"{self.done:06d}", self._picture, measured(self.site, self.state), time_s)
+        return View(f"{self.done:06d}", self._picture, measure_state(self.site, self.state), time_s)
 
     def views(self) -> Iterator[View]:
         """A view before each command; the next one when this is carried out."""
@@ -204,9 +204,3 @@ class Dive:
             wall_s=wall,
             cpu_s=cpu,
         )
-
-
-def measured(site: Site, state: Array) -> VehicleState:
-    """What the vehicle's own sensors tell at a state (5,), to their resolution."""
-    altitude = float(site.altitude(state[None])[0])
-    return VehicleState(*(round(float(value), 3) for value in (state[3], state[4], -state[2], altitude)))

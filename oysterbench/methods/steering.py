@@ -20,18 +20,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.measurements import VehicleState as VehicleState
 from oysterbench.recipe.steering import SteeringRecipe
-
-
-@dataclass(frozen=True)
-class VehicleState:
-    """What compass, tilt, pressure and altimeter tell: heading rad (from east, counter-clockwise), pitch rad (bow down
-    positive), depth m under the mean water surface, altitude m over the bottom."""
-
-    heading: float
-    pitch: float
-    depth: float
-    altitude: float
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from oysterbench.exploration.rollout import measured
 from oysterbench.recipe import SteeringRecipe, count
 from oysterbench.sensors import clock
 from oysterbench.sequence.topics import EPOCH_NS
 from oysterbench.simulation.simulated_sequence import SimulatedSequence
 from oysterbench.simulation.steering.expert import Expert, best
 from oysterbench.simulation.steering.observation import Sight
-from oysterbench.simulation.steering.site import build_site
+from oysterbench.simulation.steering.site import build_site, measure_state
 from oysterbench.simulation.steering.vehicle import state_of
 
 
@@ -32,7 +31,7 @@ def steering_csv(simulated: SimulatedSequence, task: SteeringRecipe) -> bytes:
         state = state_of(body[:3, 3], body[:3, :3])
         values = expert.values(state, sight.found)
         yaw, pitch = best(values)
-        own = measured(site, state)
+        own = measure_state(site, state)
         row: dict[str, float] = {"stamp_ns": stamp, "yaw": yaw, "pitch": pitch}
         row |= {"heading_rad": own.heading, "pitch_rad": own.pitch, "depth_m": own.depth, "altitude_m": own.altitude}
         row |= {f"value_{y}_{p}": value for (y, p), value in np.ndenumerate(values)}

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import VehicleState
 from oysterbench.recipe import CameraRecipe, SteeringRecipe
 from oysterbench.render.light import build_light
 from oysterbench.render.radiance import Daylight
@@ -100,3 +101,9 @@ def build_site(simulated: SimulatedSequence, task: SteeringRecipe) -> Site:
         table.loc[inside, "id"].to_numpy(dtype=np.int64),
         table.loc[inside, ["x", "y", "z"]].to_numpy(dtype=float),
     )
+
+
+def measure_state(site: Site, state: Array) -> VehicleState:
+    """What the vehicle's own sensors tell at a state (5,), to their resolution."""
+    altitude = float(site.altitude(state[None])[0])
+    return VehicleState(*(round(float(value), 3) for value in (state[3], state[4], -state[2], altitude)))
