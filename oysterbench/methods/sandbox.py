@@ -1,0 +1,156 @@
+"""Takes reach from a process before it runs what is not trusted: folders it cannot open, no network, bounded memory,
+time, files. A program of its own, for Linux, that imports the standard library only and then becomes the command:
+
+    python -I -S sandbox.py '{"hidden": ["/srv/truth"], "network": false, "cpu_s": 60}' COMMAND...
+
+Folders are hidden by Landlock (Linux 5.13 and later; `can_hide` tells), which needs no privilege, holds root as well,
+is inherited by every child and cannot be undone. Landlock grants and never denies, so everything beside a hidden path
+is granted: the folders above it can be walked through, but not listed, and what is made in them later is out of reach.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import resource
+import signal
+import stat
+import struct
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+
+PR_SET_PDEATHSIG, PR_SET_NO_NEW_PRIVS = 1, 38  # linux/prctl.h
+CLONE_NEWNET, CLONE_NEWUSER = 0x40000000, 0x10000000  # linux/sched.h
+
+CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446  # system calls, of every architecture
+VERSION, PATH_BENEATH = 1, 1  # linux/landlock.h, like all that follows
+EXECUTE, WRITE_FILE, READ_FILE, READ_DIR, TRUNCATE, IOCTL_DEV = (1 << bit for bit in (0, 1, 2, 3, 14, 15))
+OF_FILES = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEV
+READ = READ_FILE | READ_DIR | EXECUTE
+RIGHTS = {1: (1 << 13) - 1, 2: (1 << 14) - 1, 3: (1 << 15) - 1, 4: (1 << 15) - 1, 5: (1 << 16) - 1}
+"""Version of Landlock -> all rights over files that it knows; later ones know the last."""
+
+TCP, SINCE_TCP = 0b11, 4  # bind and connect
+OUTSIDE, SINCE_OUTSIDE = 0b11, 6  # abstract sockets of other processes, and signals to them
+
+
+@dataclass(frozen=True)
+class Sandbox:
+    """What a process may not do. None: no limit but that of whoever starts it.
+
+    hidden:       files and folders that cannot be opened
+    visible:      files and folders inside of these that can be read nevertheless
+    network:      whether it has one; without it the process can neither signal nor trace any process outside
+    memory_bytes: address space; file_bytes: of a file that it writes; open_files: at once
+    cpu_s:        processor time, at whose end it gets SIGXCPU and two seconds later SIGKILL
+    """
+
+    hidden: tuple[str, ...] = ()
+    visible: tuple[str, ...] = ()
+    network: bool = True
+    memory_bytes: int | None = None
+    file_bytes: int | None = None
+    open_files: int | None = None
+    cpu_s: int | None = None
+
+    def command(self, command: Sequence[str]) -> list[str]:
+        """The command that runs `command` in this sandbox."""
+        return [sys.executable, "-I", "-S", os.path.abspath(__file__), json.dumps(asdict(self)), *command]
+
+    def enter(self) -> None:
+        """Hold the process that asks, for good: it is killed when its parent dies, too. Raises OSError."""
+        libc = ctypes.CDLL(None, use_errno=True)
+        libc.prctl(PR_SET_PDEATHSIG, ctypes.c_ulong(signal.SIGKILL), 0, 0, 0)
+        libc.prctl(PR_SET_NO_NEW_PRIVS, ctypes.c_ulong(1), 0, 0, 0)
+        # A network of its own needs a right, which a user namespace of its own gives.
+        if not self.network and libc.unshare(CLONE_NEWNET) != 0:
+            libc.unshare(CLONE_NEWUSER | CLONE_NEWNET)
+        for kind, most in (
+            (resource.RLIMIT_CORE, 0),
+            (resource.RLIMIT_AS, self.memory_bytes),
+            (resource.RLIMIT_FSIZE, self.file_bytes),
+            (resource.RLIMIT_NOFILE, self.open_files),
+        ):
+            if most is not None:
+                resource.setrlimit(kind, (most, most))
+        if self.cpu_s is not None:
+            resource.setrlimit(resource.RLIMIT_CPU, (self.cpu_s, self.cpu_s + 2))
+        if self.hidden or not self.network:
+            _restrict(libc, self.hidden, self.visible, self.network)
+
+
+def can_hide() -> bool:
+    """Whether the kernel here can hide folders."""
+    return _version(ctypes.CDLL(None, use_errno=True)) > 0
+
+
+def _version(libc: ctypes.CDLL) -> int:
+    """Of Landlock; not positive where there is none."""
+    return int(libc.syscall(CREATE_RULESET, None, ctypes.c_size_t(0), ctypes.c_uint32(VERSION)))
+
+
+def _restrict(libc: ctypes.CDLL, hidden: Iterable[str], visible: Iterable[str], network: bool) -> None:
+    """Landlock: all rights over all that is beside the hidden paths, those of reading over `visible`, no others."""
+    version = _version(libc)
+    if version <= 0:
+        return
+    paths = {os.path.realpath(path) for path in hidden}
+    rights = RIGHTS[min(version, max(RIGHTS))] if paths else 0
+    tcp = TCP if not network and version >= SINCE_TCP else 0
+    outside = OUTSIDE if not network and version >= SINCE_OUTSIDE else 0
+    if not rights | tcp | outside:
+        return
+    attributes = struct.pack("=QQQ", rights, tcp, outside)
+    rules = _done(libc.syscall(CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), ctypes.c_uint32(0)))
+    for path in _beside(paths) if paths else ():
+        _grant(libc, rules, path, rights)
+    for path in visible if paths else ():
+        _grant(libc, rules, os.path.realpath(path), rights & READ)
+    _done(libc.syscall(RESTRICT_SELF, rules, ctypes.c_uint32(0)))
+    os.close(rules)
+
+
+def _beside(hidden: set[str], folder: str = "/") -> Iterator[str]:
+    """The fewest paths that hold all files but the hidden ones."""
+    try:
+        names = os.listdir(folder)
+    except OSError:
+        return
+    for path in (os.path.join(folder, name) for name in names):
+        if path in hidden:
+            continue
+        if any(other.startswith(path + "/") for other in hidden):
+            yield from _beside(hidden, path)
+        elif not os.path.islink(path):  # where it leads is granted, or hidden, by its own path
+            yield path
+
+
+def _grant(libc: ctypes.CDLL, rules: int, path: str, rights: int) -> None:
+    try:
+        place = os.open(path, os.O_PATH | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:  # gone meanwhile, or not for us anyway
+        return
+    try:
+        if not stat.S_ISDIR(os.fstat(place).st_mode):
+            rights &= OF_FILES
+        _done(libc.syscall(ADD_RULE, rules, PATH_BENEATH, struct.pack("=Qi", rights, place), ctypes.c_uint32(0)))
+    finally:
+        os.close(place)
+
+
+def _done(result: int) -> int:
+    if result < 0:
+        raise OSError(ctypes.get_errno(), f"Landlock: {os.strerror(ctypes.get_errno())}")
+    return result
+
+
+def main(settings: str, *command: str) -> None:
+    """Enter the sandbox, and become the command."""
+    Sandbox(**json.loads(settings)).enter()
+    os.execvp(command[0], command)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
