@@ -190,9 +190,9 @@ def _task(split: Any) -> dict[str, Any]:
 
 
 def _masked(path: Path) -> tuple[str, ...]:
-    from oysterbench.annotations import sequence_clip
+    from oysterbench.annotations import labelled_sequence
 
-    return tuple(sequence_clip(path).names)
+    return tuple(labelled_sequence(path).names)
 
 
 def _steered(path: Path) -> tuple[str, ...]:

@@ -149,7 +149,7 @@ def _read_for(truth: Any, read: Any) -> tuple[Any, list[str]]:
 
 
 def _score_answers(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], common: dict[str, Any]) -> Scored:
-    from oysterbench.annotations import sequence_clip
+    from oysterbench.annotations import labelled_sequence
     from oysterbench.report.images import ImageRun
 
     version, settings = evaluator(wanted.track)
@@ -157,7 +157,7 @@ def _score_answers(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], co
     answered = bundle.answered(wanted)
     runs = []
     for sequence in wanted.sequences:
-        clip = sequence_clip(truth[sequence], wanted.conditions[sequence])
+        clip = labelled_sequence(truth[sequence], wanted.conditions[sequence])
         record = {
             **common,
             "sequence": sequence,

@@ -106,7 +106,7 @@ def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
     return values > 0
 
 
-def open_answers(place: Path, form: Form = "auto") -> MaskFiles:
+def open_predictions(place: Path, form: Form = "auto") -> MaskFiles:
     """The answers in a folder or an .npz file. Raises LabelError where there are none."""
     if place.is_file() and place.suffix == ".npz":
         return MaskFiles(place, _arrays(place), form)

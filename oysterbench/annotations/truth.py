@@ -37,7 +37,7 @@ Seen = tuple[TruthImage, NDArray[np.uint8] | None]
 
 
 @dataclass(frozen=True)
-class Clip:
+class LabelledSequence:
     """Images taken in one go. names: of all of them, without reading any; images: reads one after the other.
 
     digest: of the files; coco: where the truth is COCO annotations, whose instances may overlap
@@ -71,7 +71,7 @@ class Clip:
             yield self.instances(truth), (truth, pixels)
 
 
-def sequence_clip(path: Path, conditions: Mapping[str, float | str] | None = None) -> Clip:
+def labelled_sequence(path: Path, conditions: Mapping[str, float | str] | None = None) -> LabelledSequence:
     """The frames of all cameras that have the layers class and instance. Oysters that are hardly seen are ignored
     (`labelled.sequences.countable`); their depth, shell heights and the seabed in view come along where known."""
     sequence = open_sequence(path)
@@ -82,7 +82,7 @@ def sequence_clip(path: Path, conditions: Mapping[str, float | str] | None = Non
             f"{path}: no camera has the layers class and instance; `oysterbench info {path}` lists what there is"
         )
     names = [f"{sequence.name}/{c}/{frame.stamp_ns}" for c in cameras for frame in sequence.layer(c, "class")]
-    return Clip(
+    return LabelledSequence(
         sequence.name,
         tuple(names),
         lambda: _frames(sequence, cameras, topics),
@@ -140,7 +140,7 @@ def footprint_m2(depth_m: NDArray[np.float32], camera: CameraCalibration, T_map_
     return area if area > 0 else None
 
 
-def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = None) -> list[Clip]:
+def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = None) -> list[LabelledSequence]:
     """The clips at a path: sequences, labelled folders (`labelled.opening.KINDS`), COCO annotations without their
     images, or a plain folder of PNG files, masks or (labels="classes") numbers of classes.
 
@@ -155,11 +155,11 @@ def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = Non
             return _coco_clips(annotations[0])
         return _plain_clips(place, labels, ignore_value)
     if place.suffix == ".mcap" or any(place.glob("*.mcap")):
-        return [sequence_clip(path) for path in ([place] if place.is_file() else sorted(place.glob("*.mcap")))]
+        return [labelled_sequence(path) for path in ([place] if place.is_file() else sorted(place.glob("*.mcap")))]
     return _labelled_clips(place)
 
 
-def _labelled_clips(place: Path) -> list[Clip]:
+def _labelled_clips(place: Path) -> list[LabelledSequence]:
     found = open_labelled(place)
     if all(entry.clip == entry.name for entry in found.entries):  # nothing is known of clips
         groups = {found.name: list(found.entries)}
@@ -173,7 +173,7 @@ def _labelled_clips(place: Path) -> list[Clip]:
             yield TruthImage(image.name, image.classes, False, ignore, instances=image.instances), image.pixels
 
     return [
-        Clip(
+        LabelledSequence(
             clip,
             tuple(entry.name for entry in entries),
             partial(images, entries),
@@ -183,7 +183,7 @@ def _labelled_clips(place: Path) -> list[Clip]:
     ]
 
 
-def _coco_clips(path: Path) -> list[Clip]:
+def _coco_clips(path: Path) -> list[LabelledSequence]:
     file = read_coco(path)
     groups: dict[str, list[str]] = {}
     for name in file.names:
@@ -196,10 +196,13 @@ def _coco_clips(path: Path) -> list[Clip]:
             yield TruthImage(name, classes, False, ignore if ignore.any() else None), None
 
     digest = _digest([path])
-    return [Clip(clip, tuple(names), partial(images, names), digest, coco=file) for clip, names in groups.items()]
+    return [
+        LabelledSequence(clip, tuple(names), partial(images, names), digest, coco=file)
+        for clip, names in groups.items()
+    ]
 
 
-def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Clip]:
+def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[LabelledSequence]:
     files = {path.relative_to(place).with_suffix("").as_posix(): path for path in sorted(place.rglob("*.png"))}
     if not files:
         got = "none of them" if place.exists() else "nothing of that name"
@@ -217,7 +220,7 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Cli
             yield _plain_truth(name, files[name], labels, ignore_value), None
 
     return [
-        Clip(clip, tuple(names), partial(images, names), _digest([files[name] for name in names]))
+        LabelledSequence(clip, tuple(names), partial(images, names), _digest([files[name] for name in names]))
         for clip, names in groups.items()
     ]
 
@@ -241,7 +244,7 @@ def _plain_truth(name: str, path: Path, labels: str, ignore_value: int | None) -
 
 
 def _manifest(path: Path, files: Mapping[str, Path]) -> dict[str, str]:
-    """Clip by name; empty where there is no manifest."""
+    """LabelledSequence by name; empty where there is no manifest."""
     if not path.is_file():
         return {}
     try:

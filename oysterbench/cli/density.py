@@ -167,14 +167,14 @@ def _masks(
 
 def _answered(path: Path, camera: str, name: str, threshold: float) -> Iterator[Any]:
     """The oysters that a method finds in the labelled pictures of a camera."""
-    from oysterbench.annotations import sequence_clip
+    from oysterbench.annotations import labelled_sequence
     from oysterbench.mapping import Seen
     from oysterbench.mapping.predicted import stacked
     from oysterbench.methods import find_method
     from oysterbench.tracks.image_predictions import Cost, answers_of, instances_of
 
     method: Any = find_method(name)
-    clip = sequence_clip(path)
+    clip = labelled_sequence(path)
     for truth, _, answer in answers_of(method, clip, Cost()):
         _, of, stamp = truth.name.rsplit("/", 2)
         if of == camera:

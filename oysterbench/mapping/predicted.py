@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations import open_answers, read_coco
+from oysterbench.annotations import open_predictions, read_coco
 from oysterbench.annotations.masks import Form, read_png
 from oysterbench.annotations.predicted_coco import CocoFile
 from oysterbench.core.errors import LabelError
@@ -59,7 +59,7 @@ def read_seen(place: Path, sequence: Sequence, camera: str, kind: str, threshold
         raise LabelError(f"kind of masks: expected one of {', '.join(KINDS)}, got {kind!r}")
     if place.suffix.lower() == ".json":
         return _coco(place, sequence, camera, threshold)
-    names = open_answers(place, "auto").names
+    names = open_predictions(place, "auto").names
     stamps = _stamps(place, names, sequence, camera)
     if kind == "instances":
         return _numbered(place, stamps, camera)
@@ -120,7 +120,7 @@ def _plane(place: Path, name: str) -> NDArray[Any]:
 
 
 def _components(place: Path, stamps: Mapping[int, str], camera: str, form: Form, threshold: float) -> Iterator[Seen]:
-    files = open_answers(place, form)
+    files = open_predictions(place, form)
     for stamp_ns, name in stamps.items():
         answer = files.get(name)
         yield components(stamp_ns, camera, answer.mask(threshold), answer.probability)

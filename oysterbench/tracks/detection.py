@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from oysterbench.annotations import Clip, open_answers, open_truth, read_coco
+from oysterbench.annotations import LabelledSequence, open_predictions, open_truth, read_coco
 from oysterbench.annotations.masks import Form, check_names
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.evaluate.detection import EVALUATOR, DetectionClip, DetectionScorer, DetectionSettings, ImageInstances
@@ -24,7 +24,7 @@ from oysterbench.tracks.segmentation import SAMPLES, Announce, about
 
 def evaluate_detection(
     split: SplitRecipe | None,
-    clips: Sequence[Clip],
+    clips: Sequence[LabelledSequence],
     methods: Sequence[Any],
     settings: DetectionSettings,
     announce: Announce = lambda text: None,
@@ -39,7 +39,7 @@ def evaluate_detection(
     return runs, dataset_rows(runs)
 
 
-def _run(split: SplitRecipe | None, clip: Clip, method: Any, settings: DetectionSettings) -> ImageRun:
+def _run(split: SplitRecipe | None, clip: LabelledSequence, method: Any, settings: DetectionSettings) -> ImageRun:
     record = {
         **about("detection", split, clip, settings, EVALUATOR),
         "method": method.name,
@@ -114,14 +114,14 @@ def score_detection_files(
 
 
 def _reader(
-    place: Path, clips: Sequence[Clip], settings: DetectionSettings, form: Form
+    place: Path, clips: Sequence[LabelledSequence], settings: DetectionSettings, form: Form
 ) -> tuple[Callable[[ImageInstances], ImageInstances], tuple[str, ...]]:
     """What reads the oysters of an image, and the images that are answered."""
     if place.suffix.lower() == ".json":
         coco = next((clip.coco for clip in clips if clip.coco is not None), None)
         file = read_coco(place, None if coco is None else coco.ids)
         return lambda truth: file.instances(truth.name, scored=True), file.names
-    files = open_answers(place, form)
+    files = open_predictions(place, form)
 
     def cut(truth: ImageInstances) -> ImageInstances:
         found = files.get(truth.name)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations import Clip
+from oysterbench.annotations import LabelledSequence
 from oysterbench.core.errors import LabelError, MethodError, OysterbenchError
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import Instance, from_mask, from_planes
@@ -49,7 +49,7 @@ Answered = tuple[TruthImage, NDArray[np.uint8], Any]
 """A truth, its picture, and the answer to it."""
 
 
-def answers_of(method: Any, clip: Clip, cost: Cost) -> Iterator[Answered]:
+def answers_of(method: Any, clip: LabelledSequence, cost: Cost) -> Iterator[Answered]:
     """The answers of a method to the pictures of a clip, in their order, each with its truth, which it never sees.
 
     Raises MethodError where it fails, or does not answer picture by picture.

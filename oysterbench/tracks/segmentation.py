@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from oysterbench.annotations import Clip, open_answers, open_truth, read_coco, sequence_clip
+from oysterbench.annotations import LabelledSequence, labelled_sequence, open_predictions, open_truth, read_coco
 from oysterbench.annotations.masks import Form, check_names
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.evaluate.segmentation import EVALUATOR, ClipResult, ClipScorer, EstimateImage, SegmentationSettings
@@ -25,12 +25,14 @@ SAMPLES = 3  # pictures of a clip in the report
 Announce = Callable[[str], None]
 
 
-def split_clips(split: SplitRecipe, files: Mapping[str, Path]) -> list[Clip]:
+def split_clips(split: SplitRecipe, files: Mapping[str, Path]) -> list[LabelledSequence]:
     """The rendered sequences of a split, a clip each."""
-    return [sequence_clip(path, conditions(split, name)) for name, path in files.items()]
+    return [labelled_sequence(path, conditions(split, name)) for name, path in files.items()]
 
 
-def about(track: str, split: SplitRecipe | None, clip: Clip, settings: Any, evaluator: str) -> dict[str, Any]:
+def about(
+    track: str, split: SplitRecipe | None, clip: LabelledSequence, settings: Any, evaluator: str
+) -> dict[str, Any]:
     """What every record of a clip says."""
     return {
         "track": track,
@@ -46,7 +48,7 @@ def about(track: str, split: SplitRecipe | None, clip: Clip, settings: Any, eval
 
 def evaluate_segmentation(
     split: SplitRecipe | None,
-    clips: Sequence[Clip],
+    clips: Sequence[LabelledSequence],
     methods: Sequence[Any],
     settings: SegmentationSettings,
     announce: Announce = lambda text: None,
@@ -63,7 +65,7 @@ def evaluate_segmentation(
     return runs, dataset_rows(runs)
 
 
-def _run(split: SplitRecipe | None, clip: Clip, method: Any, settings: SegmentationSettings) -> ImageRun:
+def _run(split: SplitRecipe | None, clip: LabelledSequence, method: Any, settings: SegmentationSettings) -> ImageRun:
     record = {
         **about("segmentation", split, clip, settings, EVALUATOR),
         "method": method.name,
@@ -84,7 +86,7 @@ def _run(split: SplitRecipe | None, clip: Clip, method: Any, settings: Segmentat
     return _recorded(record, scorer.result(), samples, cost.metrics)
 
 
-def all_missed(clip: Clip, settings: SegmentationSettings) -> dict[str, float]:
+def all_missed(clip: LabelledSequence, settings: SegmentationSettings) -> dict[str, float]:
     """By what a failed run counts in a mean over clips: the pixels of the truth, none of which it found."""
     scorer = ClipScorer(settings)
     for truth, _ in clip.images():
@@ -144,12 +146,12 @@ def score_segmentation_files(
 
 
 def _reader(
-    place: Path, clips: Sequence[Clip], settings: SegmentationSettings, form: Form
+    place: Path, clips: Sequence[LabelledSequence], settings: SegmentationSettings, form: Form
 ) -> tuple[Callable[[str], EstimateImage], tuple[str, ...]]:
     """What reads the answer to an image, and the images that are answered."""
     if place.suffix.lower() == ".json":
         coco = next((clip.coco for clip in clips if clip.coco is not None), None)
         file = read_coco(place, None if coco is None else coco.ids)
         return lambda name: file.mask(name, settings.threshold), file.names
-    files = open_answers(place, form)
+    files = open_predictions(place, form)
     return files.get, files.names

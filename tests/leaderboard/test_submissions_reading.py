@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from oysterbench.annotations import sequence_clip
+from oysterbench.annotations import labelled_sequence
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, SegmentationSettings
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.results.records import ResultRecord, document, read_results, write_results
@@ -199,7 +199,7 @@ def test_an_iou_is_the_evaluators(served, tmp_path):
     bundle, _ = opened(tmp_path, npz(**masks(0, 2)), wanted)
     first, second = score_bundle(bundle, wanted, served["pool-masks"].truth, "net", "x", hidden=True).results
     scorer = ClipScorer(SegmentationSettings())
-    for truth, _ in sequence_clip(served["pool-masks"].truth["pool-01"]).images():
+    for truth, _ in labelled_sequence(served["pool-masks"].truth["pool-01"]).images():
         scorer.add(truth, EstimateImage(truth.name, oyster=masks(0, 2)[truth.name]))
     assert first.metrics["iou"] == significant(scorer.result().metrics["iou"])
     assert second.failure == UNANSWERED

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from oysterbench.annotations import Clip
+from oysterbench.annotations import LabelledSequence
 from oysterbench.cli.main import main
 from oysterbench.core.streams import stream
 from oysterbench.evaluate.detection import DetectionSettings
@@ -35,7 +35,9 @@ def make_clip(name, images=3):
         grey = np.where(classes == OYSTER, 180, 60) + rng.integers(0, 20, classes.shape)
         pixels = np.repeat(grey[..., None], 3, axis=2).astype(np.uint8)
         made.append((TruthImage(f"{name}/{k}", classes, False, instances=instances, footprint_m2=2.0), pixels))
-    return Clip(name, tuple(truth.name for truth, _ in made), lambda: iter(made), "0" * 64, {"water": name[-1]})
+    return LabelledSequence(
+        name, tuple(truth.name for truth, _ in made), lambda: iter(made), "0" * 64, {"water": name[-1]}
+    )
 
 
 @pytest.fixture

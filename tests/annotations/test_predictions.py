@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from oysterbench.annotations import open_answers, open_truth, read_coco
+from oysterbench.annotations import open_predictions, open_truth, read_coco
 from oysterbench.annotations.masks import check_names
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection.instances import from_mask
@@ -25,7 +25,7 @@ def write_png(path, values):
 
 
 def said(folder, name="a", form="auto"):
-    return open_answers(folder, form).get(name)
+    return open_predictions(folder, form).get(name)
 
 
 @pytest.mark.parametrize("write", ["png8", "png01", "png16", "npy", "npz", "float"])
@@ -49,7 +49,7 @@ def test_masks_and_probabilities_are_read_from_every_form(tmp_path, write):
 
 def test_one_npz_holds_an_array_for_each_image(tmp_path):
     np.savez(tmp_path / "all.npz", **{"clip/a": MASK, "clip/b": ~MASK})
-    answers = open_answers(tmp_path / "all.npz")
+    answers = open_predictions(tmp_path / "all.npz")
     assert answers.names == ("clip/a", "clip/b")
     assert np.array_equal(answers.get("clip/b").mask(0.5), ~MASK)
 
@@ -84,7 +84,7 @@ def test_files_that_are_not_what_they_should_be_are_refused_by_name(tmp_path, sp
 def test_masks_of_0_and_1_among_probability_maps_are_not_guessed_at(tmp_path):
     write_png(tmp_path / "a.png", MASK.astype(np.uint8))
     write_png(tmp_path / "b.png", MASK.astype(np.uint8) * 200)
-    answers = open_answers(tmp_path)
+    answers = open_predictions(tmp_path)
     answers.get("a")
     with pytest.raises(LabelError, match=r"a has 0 and 1 alone.*--estimate-kind says which"):
         answers.get("b")
@@ -97,7 +97,7 @@ def test_missing_and_further_answers_are_refused_by_name(tmp_path):
         check_names(["a"], ["a", "c", "d", "e", "f"], tmp_path)
     for place in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(LabelError, match="expected a"):
-            open_answers(place)
+            open_predictions(place)
 
 
 def document(**changes):
