@@ -24,20 +24,10 @@ def track_name(track: str) -> str:
     return "SLAM" if track == "slam" else track.capitalize()
 
 
-def column_of(key: str) -> columns.Column:
-    """How a metric is written; one that the reports do not show by its definition, with three decimals."""
-    try:
-        return columns.find_column(key)
-    except StopIteration:
-        metric = find_metric(key)
-        known = (metric.short or key, metric.unit) if metric else (key, "")
-        return columns.Column(key, *known, decimals=3)
-
-
 def heading(key: str, sort: bool = False) -> Column:
     """The column of a metric."""
-    metric, shown = find_metric(key), column_of(key)
-    text = metric.short if metric is not None and metric.short else shown.heading
+    metric, shown = find_metric(key), columns.find_column(key)
+    text = metric.heading if metric is not None and metric.heading else shown.heading
     unit = metric.unit if metric is not None and metric.unit else shown.unit
     if shown.unit.lower() in text.lower() and unit == shown.unit:
         unit = ""
@@ -55,7 +45,7 @@ def heading(key: str, sort: bool = False) -> Column:
 def texts(key: str, values: Sequence[float | None]) -> list[str]:
     """The values of a column as shown."""
     known = [None if value is None or not math.isfinite(value) else value for value in values]
-    return [text.replace("-", MINUS) for text in column_of(key).texts(known)]
+    return [text.replace("-", MINUS) for text in columns.find_column(key).texts(known)]
 
 
 def cells(key: str, values: Sequence[float | None]) -> list[Cell]:
@@ -74,7 +64,7 @@ def signed(key: str, difference: float | None, beside: Sequence[Cell] = ()) -> s
     """A difference, with its sign, and with as many decimals as the cells that it is the difference of."""
     if difference is None or not math.isfinite(difference):
         return ABSENT
-    column = column_of(key)
+    column = columns.find_column(key)
     decimals = max((len(cell.text.partition(".")[2]) for cell in beside), default=column.decimals)
     return f"{difference * column.factor:+.{decimals}f}".replace("-", MINUS)
 

@@ -123,7 +123,7 @@ class WebForm:
             for result in record.results
         ]
         return {
-            "key": metric.short if metric else key,
+            "key": metric.heading if metric else key,
             "rows": rows,
             "score": aggregate(record.results)[0]["metrics"].get(key),
             "before": 0,

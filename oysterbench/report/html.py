@@ -183,7 +183,7 @@ def _table(table: Table) -> str:
 
 def _heading(heading: Heading, i: int) -> str:
     metric = find_metric(heading.key) if heading.key else None
-    text = metric.short if metric is not None and metric.short and heading.unit != "difference" else heading.text
+    text = metric.heading if metric is not None and metric.heading and heading.unit != "difference" else heading.text
     text = text if heading.name else text[0].upper() + text[1:]
     own = "" if heading.unit.lower() in text.lower() else heading.unit
     unit = " ".join(part for part in (own, ARROWS[metric.better] if metric is not None else "") if part)
@@ -248,7 +248,7 @@ def _over_conditions(board: Board, styles: Mapping[str, int]) -> str:
 
 def _short(board: Board) -> str:
     metric = find_metric(board.metric)
-    return metric.short if metric is not None else board.metric
+    return metric.heading if metric is not None else board.metric
 
 
 def _over(board: Board, condition: str, values: Mapping[str, float], styles: Mapping[str, int]) -> str:
@@ -270,8 +270,8 @@ def _over(board: Board, condition: str, values: Mapping[str, float], styles: Map
         if curves and metric is not None:
             about = CONDITIONS[condition]
             x_label = about.name + (f" [{about.unit}]" if about.unit else "")
-            y_label = metric.short + (f" [{metric.unit}]" if metric.unit else "")
-            title = f"{metric.short} over {about.name}"
+            y_label = metric.heading + (f" [{metric.unit}]" if metric.unit else "")
+            title = f"{metric.heading} over {about.name}"
             cards.append(card(title, scatter_plot(curves, title, x_label, y_label, top)))
     return "".join(cards)
 
@@ -340,7 +340,7 @@ def _definition(key: str, records: Sequence[ResultRecord] = ()) -> str:
     ]
     shown = f'<br><span class="values">{escape("; ".join(values))}</span>' if values else ""
     return (
-        f"<dt>{escape(metric.short or key)} <small>{escape(unit)}</small><br><code>{escape(key)}</code></dt>"
+        f"<dt>{escape(metric.heading or key)} <small>{escape(unit)}</small><br><code>{escape(key)}</code></dt>"
         f"<dd>{escape(metric.definition)}{shown}</dd>"
     )
 

@@ -129,7 +129,7 @@ def _strata_table(rows: Sequence[DatasetRow]) -> Table:
             if all(math.isnan(row.metrics.get(key, math.nan)) for row in rows):
                 continue
             metric = find_metric(key)
-            short = metric.short if metric is not None else key
+            short = metric.heading if metric is not None else key
             measure, _, name = short.partition(", ")
             lines.append(Line((noun, name, measure, *(_stratum(row, key) for row in rows))))
     headings = (

@@ -266,7 +266,7 @@ def _reading(board: Board) -> list[str]:
         "that have one: read them beside coverage and failures."
     ]
     if metric is not None and metric.weight:
-        said = [f"{metric.short} is that of all pixels of {count} together; a failed run finds nothing."]
+        said = [f"{metric.heading} is that of all pixels of {count} together; a failed run finds nothing."]
     if any(row.standing.rank is not None for row in board.standings):
         said.append(
             f"A rank is a range where methods cannot be told apart at {LEVEL:.0%}, by resampling the differences on "

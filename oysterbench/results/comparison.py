@@ -13,18 +13,11 @@ import numpy as np
 
 from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
-from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import Comparison, Sample, Standing, Summary, compare, rank, summarise
 from oysterbench.results.records import ResultRecord, comparable_key, method_key, plain, samples, weights_of
 
-PRIMARY = {
-    "slam": "score",
-    "segmentation": "iou",
-    "detection": "ap_mask",
-    "density": "map_score",
-    "steering": "skill",
-    "exploration": "oysters_per_min",
-}
+PRIMARY = {name: track.ranking for name, track in TRACKS.items()}
 """Track -> the metric that ranks."""
 
 

@@ -24,7 +24,7 @@ import orjson
 
 from oysterbench.core.streams import stream
 from oysterbench.evaluate.conditions import CONDITIONS
-from oysterbench.evaluate.metrics import SLAM
+from oysterbench.evaluate.slam.metrics import SLAM
 from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.hub.canonical import sha256
 from oysterbench.results.records import ResultRecord

@@ -263,7 +263,7 @@ def test_every_metric_is_defined_and_every_definition_measured():
     assert set(score_dive(made_log("reef", "mine", 3, [1]), TASK).metrics) - COST == set(DIVES)
     for key, metric in {**PICTURES, **DIVES}.items():
         assert find_metric(key) is metric
-        assert metric.short
+        assert metric.heading
         assert metric.definition.endswith(".")
     assert find_metric("skill").better == find_metric("oysters_per_min").better == "higher"
     assert FAILED["steering"] == {"skill": 0.0}

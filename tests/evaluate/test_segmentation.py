@@ -163,7 +163,7 @@ def test_range_and_size_divide_the_pixels_of_the_truth():
     assert metrics["recall_height_below_80mm"] == 0.5
     assert metrics["weight_recall_height_below_80mm_px"] == 4
     assert metrics["weight_recall_area_from_5px_px"] == 8
-    assert find_metric("recall_height_below_80mm").short == "Recall, below 80 mm"
+    assert find_metric("recall_height_below_80mm").heading == "Recall, below 80 mm"
     assert class_names((1.0, 2.0), "m") == ["below_1m", "1to2m", "from_2m"]
 
 

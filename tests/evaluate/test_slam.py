@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.metrics import SLAM, find_metric
+from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.slam.association import covered_stamps, nearest_pairs
+from oysterbench.evaluate.slam.metrics import SLAM
 from oysterbench.evaluate.slam.pairs import distances, pairs_along, pairs_over_time
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from tests.helpers.dives import EPOCH_NS, dive, moved, noisy, survey
@@ -122,8 +123,8 @@ def test_a_metric_over_another_size_is_defined_with_that_size():
     assert find_metric("rpe_0.5s_rotation_rmse_deg").definition.count("0.5 s") == 1
     assert find_metric("rpe_1frames_pairs").definition.endswith("over 1 pose are taken over.")
     assert "10 deg apart" in find_metric("rpe_10deg_translation_rmse_m").definition
-    assert find_metric("recall_3percent").short == "Recall 3 %"
-    assert find_metric("subpath_100m_translation_percent").short == "100 m"
+    assert find_metric("recall_3percent").heading == "Recall 3 %"
+    assert find_metric("subpath_100m_translation_percent").heading == "100 m"
     for key in ("nonsense", "rpe_1s_nonsense", "rpe_1furlong_pairs", "subpath_10m_nonsense"):
         assert find_metric(key) is None
 
@@ -132,7 +133,7 @@ def test_every_definition_is_a_sentence():
     for key, metric in SLAM.items():
         assert metric.definition[0].isupper(), key
         assert metric.definition.endswith("."), key
-        assert metric.short, key
+        assert metric.heading, key
 
 
 def test_scoring_takes_milliseconds():

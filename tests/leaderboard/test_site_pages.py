@@ -189,7 +189,7 @@ def test_the_value_over_the_whole_data_set_stands_beside_the_mean_that_ranks(sit
     assert (shown["data_set"].text, shown["data_set"].value) == ("0.210", 0.21)
     assert shown["ap_mask"].value == row.score != 0.21
     said = Reading(html(page)).text
-    assert f"{find_metric('ap_mask').short} ranks by its mean over sequences; 'data set' is of all" in said
+    assert f"{find_metric('ap_mask').heading} ranks by its mean over sequences; 'data set' is of all" in said
     record = record_page(site, digests["boxes"])
     means = {line.cells[8].text: line for line in record.tables[1].lines}
     assert [cell.text for cell in means["ap_mask"].cells[6:8]] == ["0.210", "0.180 to 0.250"]

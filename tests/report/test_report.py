@@ -17,7 +17,8 @@ from rich.console import Console
 from oysterbench.core import page
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.metrics import SLAM, find_metric
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.slam.metrics import SLAM
 from oysterbench.evaluate.slam.scoring import EVALUATOR, SlamSettings, score
 from oysterbench.report import COLUMNS, SlamRun, html_report, rows, slam_table, write_html_report
 from oysterbench.report.plots import Curve, map_plot, nice_ticks, recall_plot, scatter_plot, thin, time_plot

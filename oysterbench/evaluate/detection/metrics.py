@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from oysterbench.evaluate.detection.counting import LEVELS
-from oysterbench.evaluate.metric import Metric
+from oysterbench.evaluate.metric import Metric, TrackMetrics
 
 _AP = "average precision of {}: the mean over 101 recalls and the overlaps (IoU) 0.50, 0.55, ... 0.95 (COCO)"
 
 
 def _of(kind: str, what: str) -> dict[str, Metric]:
     ap = _AP.format(what)
-    found = {f"ap_{kind}": Metric("", "higher", f"{ap[0].upper()}{ap[1:]}.", f"AP {kind}")}
+    found = {
+        f"ap_{kind}": Metric("", "higher", f"{ap[0].upper()}{ap[1:]}.", f"AP {kind}", column=("AP", kind), small=0.0)
+    }
     for percent in (50, 75):
         found[f"ap{percent}_{kind}"] = Metric(
-            "", "higher", f"As ap_{kind}, at the overlap 0.{percent} alone.", f"AP{percent} {kind}"
+            "",
+            "higher",
+            f"As ap_{kind}, at the overlap 0.{percent} alone.",
+            f"AP{percent} {kind}",
+            column=(f"AP{percent}", kind),
+            small=0.0,
         )
     for size, area in (("small", "below 32^2"), ("medium", "of 32^2 to 96^2"), ("large", "above 96^2")):
         found[f"ap_{size}_{kind}"] = Metric("", "higher", f"As ap_{kind}, of oysters {area} px.", f"AP {size} {kind}")
@@ -23,6 +30,8 @@ def _of(kind: str, what: str) -> dict[str, Metric]:
         f"Average recall of {what}: the share of oysters found by the surest max_detections of each image, mean over "
         "the overlaps.",
         f"AR {kind}",
+        column=("AR", kind),
+        small=0.0,
     )
     return found
 
@@ -35,12 +44,30 @@ DETECTION: dict[str, Metric] = {
         "higher",
         "Panoptic quality (Kirillov et al. 2019) of the class oyster: segmentation times recognition quality.",
         "PQ",
+        column=("PQ", ""),
+        small=0.0,
     ),
     "sq": Metric("", "higher", "Segmentation quality: mean overlap of the matches, those above 0.5.", "SQ"),
     "rq": Metric("", "higher", "Recognition quality: matches by the mean number of truths and estimates (F1).", "RQ"),
-    "count_mae": Metric("", "lower", "Mean over images of the absolute error of the number of oysters.", "Count MAE"),
+    "count_mae": Metric(
+        "",
+        "lower",
+        "Mean over images of the absolute error of the number of oysters.",
+        "Count MAE",
+        column=("count", "MAE"),
+        digits=1,
+        small=0.0,
+    ),
     "count_rmse": Metric("", "lower", "Root mean square over images of that error.", "Count RMSE"),
-    "count_bias": Metric("", "", "Mean over images of that error: above 0 where too many are counted.", "Count bias"),
+    "count_bias": Metric(
+        "",
+        "",
+        "Mean over images of that error: above 0 where too many are counted.",
+        "Count bias",
+        column=("count", "bias"),
+        digits=1,
+        small=0.0,
+    ),
     **{
         f"game_{level}": Metric(
             "",
@@ -59,6 +86,9 @@ DETECTION: dict[str, Metric] = {
         "",
         "Error of the number of oysters over all images by the seabed, seen from above, that they show.",
         "Density error",
+        column=("density", "err/m²"),
+        digits=1,
+        small=0.0,
     ),
     "density_mae_per_m2": Metric(
         "per m\N{SUPERSCRIPT TWO}",
@@ -71,3 +101,15 @@ DETECTION: dict[str, Metric] = {
     ),
 }
 """Metrics of the detection track by their key."""
+
+TABLE = (
+    "ap_mask",
+    "ap50_mask",
+    "ap_box",
+    "ar_mask",
+    "pq",
+    "count_mae",
+    "count_bias",
+    "density_error_per_m2",
+)
+TRACK = TrackMetrics(DETECTION, TABLE, TABLE[1:], beside="count_mae", failed={"ap_mask": 0.0})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from oysterbench.evaluate.metric import Metric
+from oysterbench.evaluate.metric import Metric, TrackMetrics
 from oysterbench.recipe import CLASSES
 
 SEGMENTATION: dict[str, Metric] = {
@@ -15,6 +15,8 @@ SEGMENTATION: dict[str, Metric] = {
         "truth and estimate, by all that are in either; the background has no part in it. 1 where neither has any.",
         "IoU",
         "union_px",
+        column=("IoU", ""),
+        small=0.0,
     ),
     "image_iou": Metric(
         "",
@@ -23,6 +25,8 @@ SEGMENTATION: dict[str, Metric] = {
         "has an oyster, 0 where the truth has none and the estimate has.",
         "IoU by image",
         "scored_images",
+        column=("IoU", "by image"),
+        small=0.0,
     ),
     "boundary_iou": Metric(
         "",
@@ -31,17 +35,35 @@ SEGMENTATION: dict[str, Metric] = {
         "by 2 % of the image's diagonal.",
         "Boundary IoU",
         "boundary_union_px",
+        column=("IoU", "boundary"),
+        small=0.0,
     ),
     "precision": Metric(
-        "", "higher", "Share (0 to 1) of the pixels called oyster that are.", "Precision", "estimate_px"
+        "",
+        "higher",
+        "Share (0 to 1) of the pixels called oyster that are.",
+        "Precision",
+        "estimate_px",
+        column=("prec", ""),
+        small=0.0,
     ),
-    "recall": Metric("", "higher", "Share (0 to 1) of the oysters' pixels that are called so.", "Recall", "truth_px"),
+    "recall": Metric(
+        "",
+        "higher",
+        "Share (0 to 1) of the oysters' pixels that are called so.",
+        "Recall",
+        "truth_px",
+        column=("recall", ""),
+        small=0.0,
+    ),
     "dice": Metric(
         "",
         "higher",
         "Twice the intersection by the sum of both areas, over the data set (F1 of the pixels).",
         "Dice",
         "dice_px",
+        column=("Dice", ""),
+        small=0.0,
     ),
     "image_dice": Metric("", "higher", "Mean over images of their Dice.", "Dice by image", "scored_images"),
     "miou": Metric(
@@ -56,6 +78,9 @@ SEGMENTATION: dict[str, Metric] = {
         "Share (0 to 1) of the pixels of images without any oyster that are called oyster.",
         "False on empty",
         "empty_px",
+        column=("empty", "% false"),
+        factor=100.0,
+        digits=2,
     ),
     "empty_images_called": Metric(
         "",
@@ -94,6 +119,9 @@ SEGMENTATION: dict[str, Metric] = {
 }
 """Metrics of the segmentation track by their key."""
 
+TABLE = ("iou", "image_iou", "boundary_iou", "precision", "recall", "dice", "empty_false_positive_rate")
+TRACK = TrackMetrics(SEGMENTATION, TABLE, TABLE[1:], beside="boundary_iou", failed={"iou": 0.0})
+
 _STRATA = {
     r"iou_range_([\w.]+)": ("IoU of the class oyster where what is seen is {} away along the optical axis.", "m"),
     r"recall_height_([\w.]+)": ("Recall of the pixels of oysters whose shell is {} high.", "mm"),
@@ -106,8 +134,8 @@ def find_segmentation(key: str) -> Metric | None:
     for pattern, (definition, unit) in _STRATA.items():
         if match := re.fullmatch(pattern, key):
             name = class_text(match[1], unit)
-            short = ("IoU, " if key.startswith("iou") else "Recall, ") + name
-            return Metric("", "higher", definition.format(name), short, f"weight_{key}_px")
+            heading = ("IoU, " if key.startswith("iou") else "Recall, ") + name
+            return Metric("", "higher", definition.format(name), heading, f"weight_{key}_px")
     if (match := re.fullmatch(r"iou_(\w+)", key)) and match[1] in CLASSES.values():
         return Metric("", "higher", f"IoU of the class {match[1]} over the data set.", f"IoU, {match[1]}")
     if match := re.fullmatch(r"weight_(.+)_px", key):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oysterbench.evaluate.metric import Metric
+from oysterbench.evaluate.metric import Metric, TrackMetrics
 
 PER_MIN = "per min"
 
@@ -12,7 +12,14 @@ def _axis(axis: str, sides: str) -> dict[str, Metric]:
     name = axis.capitalize()
     return {
         f"{axis}_accuracy": Metric(
-            "", "higher", f"Share (0 to 1) of the pictures whose class of {axis} is the expert's.", f"{name} right"
+            "",
+            "higher",
+            f"Share (0 to 1) of the pictures whose class of {axis} is the expert's.",
+            f"{name} right",
+            column=(axis, "% right"),
+            factor=100.0,
+            digits=1,
+            small=0.0,
         ),
         f"{axis}_balanced_accuracy": Metric(
             "",
@@ -27,6 +34,8 @@ def _axis(axis: str, sides: str) -> dict[str, Metric]:
             f"Mean of F1 over the classes of {axis}; one that neither the expert nor the policy commands in any "
             "picture is left out, one that only one of them commands counts 0.",
             f"{name} F1",
+            column=(axis, "F1"),
+            small=0.0,
         ),
         f"{axis}_within_one": Metric(
             "",
@@ -42,7 +51,13 @@ def _axis(axis: str, sides: str) -> dict[str, Metric]:
             f"{name} cost",
         ),
         f"{axis}_cost_deg": Metric(
-            "deg", "lower", f"The same cost of {axis} in degrees of the task's turns.", f"{name} cost"
+            "deg",
+            "lower",
+            f"The same cost of {axis} in degrees of the task's turns.",
+            f"{name} cost",
+            column=(axis, "deg off"),
+            digits=1,
+            small=0.0,
         ),
     }
 
@@ -55,6 +70,8 @@ PICTURES: dict[str, Metric] = {
         "own commands, 0 of chance, below 0 of what is worse than chance. Where several commands are as good, any of "
         "them is right. A failed run counts 0.",
         "Skill",
+        column=("skill", ""),
+        small=0.0,
     ),
     "regret_oysters": Metric(
         "oysters",
@@ -62,6 +79,9 @@ PICTURES: dict[str, Metric] = {
         "Mean over pictures of the value of the expert's best pair of classes less that of the commanded pair: oysters "
         "lost per decision, by the expert's own plans, in which leaving the altitude band and touching cost oysters.",
         "Regret",
+        column=("regret", "oysters"),
+        digits=2,
+        small=0.0,
     ),
     **_axis("yaw", "which lie from left to right"),
     **_axis("pitch", "which lie from up to down"),
@@ -81,13 +101,30 @@ DIVES: dict[str, Metric] = {
         "included. An oyster is seen when it is near enough for the water, and large enough in the picture, for the "
         "task's limits. A failed dive counts 0.",
         "Oysters",
+        column=("oysters", "per min"),
+        digits=1,
+        small=0.0,
     ),
     "oysters_seen": Metric("", "higher", "Those oysters.", "Seen"),
     "found_share": Metric(
-        "", "higher", "Those oysters by all live ones of the area (0 to 1): what can be found in a dive.", "Found"
+        "",
+        "higher",
+        "Those oysters by all live ones of the area (0 to 1): what can be found in a dive.",
+        "Found",
+        column=("found", "%"),
+        factor=100.0,
+        digits=1,
+        small=0.0,
     ),
     "covered_share": Metric(
-        "", "higher", "Share (0 to 1) of the bottom within the fence that was seen from near enough.", "Covered"
+        "",
+        "higher",
+        "Share (0 to 1) of the bottom within the fence that was seen from near enough.",
+        "Covered",
+        column=("covered", "%"),
+        factor=100.0,
+        digits=1,
+        small=0.0,
     ),
     "contacts": Metric(
         "",
@@ -95,16 +132,38 @@ DIVES: dict[str, Metric] = {
         "Times that the hull would have touched something and was held above it: steps in a row count once.",
         "Contacts",
     ),
-    "contacts_per_min": Metric(PER_MIN, "lower", "The same by the length of the dive.", "Contacts"),
+    "contacts_per_min": Metric(
+        PER_MIN,
+        "lower",
+        "The same by the length of the dive.",
+        "Contacts",
+        column=("contacts", "per min"),
+        digits=2,
+        small=0.0,
+    ),
     "contact_share": Metric("", "lower", "Share (0 to 1) of the steps with a contact.", "In contact"),
     "in_band_share": Metric(
         "",
         "higher",
         "Share (0 to 1) of the commands after which the altitude is in the task's band.",
         "Band",
+        column=("in band", "%"),
+        factor=100.0,
+        digits=1,
+        small=0.0,
     ),
-    "turned_back": Metric("", "lower", "Times that the fence turned the vehicle: steps in a row count once.", "Turned"),
-    "distance_m": Metric("m", "", "Length of the way, in chords from step to step.", "Way"),
+    "turned_back": Metric(
+        "",
+        "lower",
+        "Times that the fence turned the vehicle: steps in a row count once.",
+        "Turned",
+        column=("turned", "times"),
+        digits=1,
+        small=0.0,
+    ),
+    "distance_m": Metric(
+        "m", "", "Length of the path, in chords from step to step.", "Path", column=("path", "m"), digits=1, small=0.0
+    ),
     "oysters_per_m": Metric("per m", "higher", "Oysters seen by that length.", "Oysters"),
     "steps_per_s": Metric(
         "per s",
@@ -112,7 +171,31 @@ DIVES: dict[str, Metric] = {
         "Commands by the wall time of the dive: steering, moving, and, for a policy, rendering what it sees; the "
         "references are shown no picture.",
         "Steps",
+        column=("speed", "steps/s"),
+        digits=1,
+        small=0.0,
     ),
     "dive_s": Metric("s", "", "Length of the dive.", "Dive"),
 }
 """Metrics of a dive in a closed loop by their key."""
+
+TABLE = (
+    "skill",
+    "regret_oysters",
+    *(f"{axis}_{what}" for axis in ("yaw", "pitch") for what in ("accuracy", "macro_f1", "cost_deg")),
+)
+STEERING = TrackMetrics(PICTURES, TABLE, TABLE[1:], beside="regret_oysters", failed={"skill": 0.0})
+
+EXPLORATION_TABLE = (
+    "oysters_per_min",
+    "found_share",
+    "covered_share",
+    "contacts_per_min",
+    "in_band_share",
+    "turned_back",
+    "distance_m",
+    "steps_per_s",
+)
+EXPLORATION = TrackMetrics(
+    DIVES, EXPLORATION_TABLE, EXPLORATION_TABLE[1:], beside="contacts_per_min", failed={"oysters_per_min": 0.0}
+)
