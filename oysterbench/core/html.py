@@ -1,0 +1,43 @@
+"""Pages by Jinja2 templates: always escaped, and a name that is not given is an error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+
+@lru_cache(maxsize=16)
+def environment(*packages: str) -> Environment:
+    """The templates of packages, each from its folder `templates`, then those of core: `page.html`, the frame that
+    pages extend."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    made = Environment(
+        loader=ChoiceLoader([PackageLoader(name) for name in (*packages, "oysterbench.core")]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        auto_reload=False,
+    )
+    made.globals["ARROWS"] = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", "": ""}
+    made.filters["capital"] = capital
+    return made
+
+
+def render(template: str, context: Mapping[str, Any], *packages: str) -> str:
+    """A template, filled in."""
+    return environment(*packages).get_template(template).render(**context)
+
+
+def capital(text: str) -> str:
+    """A sentence with a capital at its begin; the rest as it is.
+
+    >>> capital("one GPU")
+    'One GPU'
+    """
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,132 @@
+"""Tables for a paper: booktabs; nothing in a text is a command, and what an engine must have for it is said."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from oysterbench.report.table import Cell, Column, Table
+
+NEEDS = "% needs \\usepackage{booktabs,graphicx}"
+"""Stands at the head of a file of tables."""
+
+SYMBOLS = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    "\N{EN DASH}": "--",
+    "\N{MINUS SIGN}": "$-$",
+    "\N{SUPERSCRIPT TWO}": r"\textsuperscript{2}",
+    "\N{DOWNWARDS ARROW}": r"$\downarrow$",
+    "\N{UPWARDS ARROW}": r"$\uparrow$",
+    "\N{RIGHTWARDS ARROW}": r"$\rightarrow$",
+    "\N{MULTIPLICATION SIGN}": r"$\times$",
+    "\N{PLUS-MINUS SIGN}": r"$\pm$",
+    "\N{LESS-THAN OR EQUAL TO}": r"$\leq$",
+    "\N{GREATER-THAN OR EQUAL TO}": r"$\geq$",
+    "\N{DEGREE SIGN}": r"$^{\circ}$",
+    "\N{MICRO SIGN}": r"$\mu$",
+    "\N{GREEK SMALL LETTER MU}": r"$\mu$",
+    "\N{MIDDLE DOT}": r"$\cdot$",
+    "\N{SUPERSCRIPT THREE}": r"\textsuperscript{3}",
+    "\N{HORIZONTAL ELLIPSIS}": r"\ldots{}",
+    "\N{EM DASH}": "---",
+    "\N{LEFT SINGLE QUOTATION MARK}": "`",
+    "\N{RIGHT SINGLE QUOTATION MARK}": "'",
+    "\N{LEFT DOUBLE QUOTATION MARK}": "``",
+    "\N{RIGHT DOUBLE QUOTATION MARK}": "''",
+    "\N{NO-BREAK SPACE}": " ",
+    "\N{NARROW NO-BREAK SPACE}": r"\,",
+}
+"""Characters that are commands, and those that pdfLaTeX does not know by themselves, or only in some fonts."""
+
+LIGATURES = ("--", ",,", "''", "``", "!`", "?`")
+"""What TeX would set as one character."""
+
+AFTER_LINES = ("[", "*")
+"""What would be taken for a part of the line break before it."""
+
+LATIN = re.compile("[\u00a1-\u017f]")
+"""Letters and signs that the encoding T1 has."""
+
+OTHER = re.compile("[^\x00-\x7f\u00a1-\u017f]")
+
+
+def latex_text(tables: Sequence[Table], about: str = "") -> str:
+    """A file of tables, which needs what stands at its head and nothing else; about: a comment before them."""
+    written = [_table(table) for table in tables]
+    return "\n".join([*needs("\n".join(written)), *([f"% {_comment(about)}"] if about else []), *written])
+
+
+def _table(table: Table) -> str:
+    """Made smaller where it would not fit into the line."""
+    shown = table.shown
+    units = [latex_escape(f"[{column.unit}]") if column.unit else "" for _, column in shown]
+    label = [rf"\label{{tab:{re.sub('[^a-z0-9-]+', '-', table.name)}}}"] if table.name else []
+    lines = [
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{latex_escape(table.title)}}}",
+        *label,
+        r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+        rf"\begin{{tabular}}{{{''.join('r' if column.number else 'l' for _, column in shown)}}}",
+        r"\toprule",
+        _row([latex_escape(column.heading) for _, column in shown]),
+        *([_row(units)] if any(units) else []),
+        r"\midrule",
+    ]
+    kinds = [row.kind for row in table.rows]
+    for k, (row, texts) in enumerate(zip(table.rows, table.texts, strict=True)):
+        if k and kinds[k] == "mean" != kinds[k - 1]:
+            lines.append(r"\midrule")
+        lines.append(_row([_cell(texts[i], row.cells[i], column) for i, column in shown]))
+    notes = [f"% {_comment(note)}" for note in table.notes]
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}}", r"\end{table}", *notes, ""])
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"{' & '.join(cells)} \\\\"
+
+
+def _cell(text: str, cell: Cell, column: Column) -> str:
+    small = f" ({cell.small})" if cell.small and not column.number else ""
+    written = latex_escape(f"{text}{small}{f' ({cell.mark})' if cell.mark else ''}")
+    return rf"\textbf{{{written}}}" if cell.kind == "best" else written
+
+
+def _comment(text: str) -> str:
+    """In one line, as what follows a line break is no comment."""
+    return " ".join(text.split())
+
+
+def latex_escape(text: str) -> str:
+    """Text in which nothing is a command."""
+    text = " ".join(re.split(r"[ \t\r\n]+", text.strip()))
+    found = []
+    for i, character in enumerate(text):
+        found.append(SYMBOLS.get(character, character))
+        if text[i : i + 2] in LIGATURES:
+            found.append("{}")
+    written = "".join(found)
+    return f"{{{written}}}" if text.startswith(AFTER_LINES) else written
+
+
+def needs(written: str) -> list[str]:
+    """Comments for the head of a file: the packages, and the engine, that what follows needs."""
+    said = [NEEDS]
+    code = re.sub(r"(?m)(?<!\\)%.*$", "", written)
+    if LATIN.search(code):
+        said.append("% needs \\usepackage[T1]{fontenc}")
+    if others := "".join(dict.fromkeys(OTHER.findall(code))):
+        said.append(f"% needs lualatex or xelatex, and a font that has {' '.join(others)}")
+    return said

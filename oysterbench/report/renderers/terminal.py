@@ -1,0 +1,53 @@
+"""A table for the terminal."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from oysterbench.report.table import Column, Table
+
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
+
+STYLES = {"best": "bold green", "warn": "red"}
+"""Kind of a cell -> how it looks in colour."""
+
+
+def terminal_table(table: Table, colour: bool = True, titled: bool = True) -> RichTable:
+    """A table of rich; what stands below the table stands below it in words."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    def styled(text: str, style: str) -> Text:
+        return Text(text, style=style if colour else "")
+
+    made = RichTable(
+        title=styled(table.title, "bold") if titled else None,
+        title_style="",
+        title_justify="left",
+        header_style="bold" if colour else "",
+        caption=styled("\n".join(table.notes), "yellow") if table.notes else None,
+        caption_style="",
+        caption_justify="left",
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        pad_edge=False,
+    )
+    for _, column in table.shown:
+        if column.number:
+            made.add_column(_heading(column), justify="right", no_wrap=True)
+        else:
+            made.add_column(_heading(column), overflow="fold")
+    means = [row.kind == "mean" for row in table.rows]
+    ends = [not before and after for before, after in pairwise([*means, False])]
+    for row, texts, end in zip(table.rows, table.texts, ends, strict=True):
+        cells = [styled(texts[i], STYLES.get(row.cells[i].kind, "")) for i, _ in table.shown]
+        made.add_row(*cells, style="bold" if colour and row.kind == "mean" else "", end_section=end)
+    return made
+
+
+def _heading(column: Column) -> str:
+    heading = column.short or column.heading
+    return heading if "\n" in heading or not column.unit else f"{heading}\n{column.unit}"
