@@ -1,11 +1,11 @@
 """Labelled images, whatever they come from, and what methods say of images: masks, polygons, COCO annotations."""
 
+from oysterbench.annotations.coco import CocoFile, read_coco
 from oysterbench.annotations.duplicates import Duplicate, check_leakage, near_duplicates
 from oysterbench.annotations.folders import write_folder
 from oysterbench.annotations.image import OYSTER, Entry, LabelledImage, LabelledSet, joined
 from oysterbench.annotations.masks import FORMS, MaskFiles, open_predictions
 from oysterbench.annotations.opening import open_labelled
-from oysterbench.annotations.predicted_coco import CocoFile, read_coco
 from oysterbench.annotations.truth import LabelledSequence, labelled_sequence, open_truth
 
 __all__ = [

@@ -1,22 +1,101 @@
-"""Data sets in COCO form: one JSON file with images, annotations and categories; polygons or run lengths."""
+"""COCO annotations: documents with images, and bare lists of results. Every item is checked before it is used."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, read_picture
-from oysterbench.annotations.polygons import planes_of, rasterise
+from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
 from oysterbench.core.errors import LabelError
+from oysterbench.evaluate.detection import ImageInstances, Instance
+from oysterbench.evaluate.detection.instances import Runs, mask_tools, numpy_2
+from oysterbench.evaluate.segmentation import EstimateImage
 
-CHARACTER_BITS, FIRST_CHARACTER = 5, 48
-"""Of a compressed run length: what each character carries, and the one that stands for 0 (the COCO mask format)."""
+MORE = 0x20
+"""Bit of a character of compressed run lengths: the number goes on in the next one."""
+
+
+class CocoImage(NamedTuple):
+    """An image of a document. name: its file's, without suffix; clip, split: empty where the document does not say."""
+
+    name: str
+    height: int
+    width: int
+    file_name: str
+    clip: str
+    split: str
+
+
+class CocoItem(NamedTuple):
+    """An annotation or result, and where in the file it stands."""
+
+    where: str
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class CocoFile:
+    """What a file says of each image. images: by id; items: by name of the image."""
+
+    path: Path
+    images: Mapping[Any, CocoImage]
+    items: Mapping[str, tuple[CocoItem, ...]]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its images, in its order."""
+        return tuple(self.items)
+
+    @property
+    def sizes(self) -> dict[str, tuple[int, int]]:
+        """Height and width of each image."""
+        return {image.name: (image.height, image.width) for image in self.images.values()}
+
+    @property
+    def boxes_alone(self) -> bool:
+        """Whether some item has no mask."""
+        return any(not item.values.get("segmentation") for items in self.items.values() for item in items)
+
+    def instances(self, name: str, scored: bool) -> ImageInstances:
+        """Its instances in an image; scored: as an estimate, in which every item has a score and is asked about."""
+        height, width = self.sizes[name]
+        found = tuple(_instance(item, height, width, scored) for item in self.items[name])
+        return ImageInstances(name, height, width, found)
+
+    def mask_of(self, name: str, item: CocoItem) -> NDArray[np.bool_]:
+        """(H, W) of an item of an image. Raises LabelError for a box alone."""
+        if not item.values.get("segmentation"):
+            raise LabelError(
+                f"{item.where}: has no segmentation: expected a mask; of boxes alone `--track detection` can be scored"
+            )
+        with numpy_2():
+            mask = mask_tools().decode(run_lengths(item, *self.sizes[name]))
+        return np.asarray(mask, dtype=bool)
+
+    def mask(self, name: str, threshold: float) -> EstimateImage:
+        """All of an image's items from a score on (all, where they have none), as one mask."""
+        mask = np.zeros(self.sizes[name], dtype=bool)
+        for item in self.items[name]:
+            if "score" not in item.values or _score(item) >= threshold:
+                mask |= self.mask_of(name, item)
+        return EstimateImage(name, oyster=mask)
+
+    def truth(self, name: str) -> tuple[Iterator[NDArray[np.bool_]], NDArray[np.bool_]]:
+        """(H, W) of each oyster of an image, one by one, and of its crowd regions, which are to be ignored."""
+        crowd = np.zeros(self.sizes[name], dtype=bool)
+        for item in self.items[name]:
+            if item.values.get("iscrowd"):
+                crowd |= self.mask_of(name, item)
+        single = (item for item in self.items[name] if not item.values.get("iscrowd"))
+        return (self.mask_of(name, item) for item in single), crowd
 
 
 def coco_set(path: Path) -> LabelledSet:
@@ -26,121 +105,182 @@ def coco_set(path: Path) -> LabelledSet:
     categories: left alone. The keys clip and split of an image are taken where they are there; without, each image is a
     clip of its own. Raises LabelError naming the item that is wrong.
     """
-    document = _load(path)
-    oyster = _oyster_id(document, path)
-    images: dict[Any, Mapping[str, Any]] = {}
-    for k, image in enumerate(document["images"]):
-        for key in ("id", "file_name", "width", "height"):
-            if key not in image:
-                raise LabelError(f"{path}: images[{k}]: key {key!r} is missing")
-        if image["id"] in images:
-            raise LabelError(f"{path}: images[{k}]: id {image['id']} is used a second time")
-        images[image["id"]] = image
-    known = {category["id"] for category in document["categories"]}
-    found: dict[Any, list[Mapping[str, Any]]] = {key: [] for key in images}
-    for k, annotation in enumerate(document["annotations"]):
-        where = f"{path}: annotations[{k}]"
-        if annotation.get("image_id") not in images:
-            raise LabelError(f"{where}: image_id {annotation.get('image_id')!r} is of no image of the file")
-        if annotation.get("category_id") not in known:
-            raise LabelError(f"{where}: category_id {annotation.get('category_id')!r} is of no category of the file")
-        if "segmentation" not in annotation:
-            raise LabelError(f"{where}: key 'segmentation' is missing: a box alone is no mask")
-        if annotation["category_id"] == oyster:
-            found[annotation["image_id"]].append({"where": where, **annotation})
+    coco = read_coco(path)
     entries = []
-    for key, image in images.items():
-        file = next(
-            (f for f in (path.parent / image["file_name"], path.parent / "images" / image["file_name"]) if f.is_file()),
-            None,
-        )
+    for key, image in coco.images.items():
+        places = (path.parent / image.file_name, path.parent / "images" / image.file_name)
+        file = next((place for place in places if place.is_file()), None)
         if file is None:
-            raise LabelError(f"{path}: image {key}: no file {image['file_name']} beside it, nor in images/")
-        name = str(Path(image["file_name"]).with_suffix(""))
-        clip = str(image.get("clip", name))
-        read = partial(_read, file, image, found[key], name, clip)
-        entries.append(Entry(name, clip, read, (file, path), str(image.get("split", ""))))
-    if not entries:
-        raise LabelError(f"{path}: has no image")
+            raise LabelError(f"{path}: image {key}: no file {image.file_name} beside it, nor in images/")
+        clip = image.clip or image.name
+        entries.append(Entry(image.name, clip, partial(_read, coco, image, file, clip), (file, path), image.split))
     return LabelledSet(path.resolve().parent.name, entries)
 
 
-def _load(path: Path) -> Mapping[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise LabelError(f"{path}: cannot be read as JSON: {error}") from None
-    for key in ("images", "annotations", "categories"):
-        if not isinstance(document, dict) or not isinstance(document.get(key), list):
-            raise LabelError(f"{path}: expected a COCO file, an object with the list {key!r}")
-    return document
-
-
-def _oyster_id(document: Mapping[str, Any], path: Path) -> Any:
-    names = {category.get("name"): category.get("id") for category in document["categories"]}
-    if "oyster" not in names:
-        raise LabelError(
-            f"{path}: no category is named 'oyster'; its categories: {', '.join(map(str, names)) or 'none'}"
-        )
-    return names["oyster"]
-
-
-def _read(
-    file: Path, image: Mapping[str, Any], annotations: list[Mapping[str, Any]], name: str, clip: str
-) -> LabelledImage:
+def _read(coco: CocoFile, image: CocoImage, file: Path, clip: str) -> LabelledImage:
     pixels = read_picture(file)
     height, width = pixels.shape[:2]
-    if (image["width"], image["height"]) != (width, height):
+    if (image.width, image.height) != (width, height):
         raise LabelError(
-            f"{file}: expected {image['width']} x {image['height']} px, as the COCO file says, got {width} x {height}"
+            f"{file}: expected {image.width} x {image.height} px, as the COCO file says, got {width} x {height}"
         )
-    masks = []
-    ignore = np.zeros((height, width), dtype=bool)
-    for annotation in annotations:
-        mask = segmentation_mask(annotation["segmentation"], height, width, annotation["where"])
-        if annotation.get("iscrowd"):
-            ignore |= mask
-        else:
-            masks.append(mask)
-    classes, instances = planes_of(masks, height, width)
-    return LabelledImage(name, clip, pixels, classes, instances, ignore & (instances == 0))
+    oysters, crowd = coco.truth(image.name)
+    classes, instances = planes_of(list(oysters), height, width)
+    return LabelledImage(image.name, clip, pixels, classes, instances, crowd & (instances == 0))
 
 
-def segmentation_mask(segmentation: Any, height: int, width: int, where: str) -> NDArray[np.bool_]:
-    """(H, W) of a list of polygons, of which it is the union, or of run lengths, compressed or not."""
+def read_coco(path: Path, images: Mapping[Any, CocoImage] | None = None, category: str = "oyster") -> CocoFile:
+    """A document, or a list of results on `images`. Raises LabelError naming the item that is wrong.
+
+    Checked: ids of images and annotations (unique, known), categories, boxes, polygons, run lengths and their size,
+    scores where they are given.
+    """
+    content = read_json(path)
+    if isinstance(content, list):
+        if images is None:
+            raise LabelError(
+                f"{path}: a bare list of results names images by number alone: expected a truth in COCO form, which "
+                "says which numbers are which images, or an object with 'images' here"
+            )
+        return _sorted(path, images, _checked(path, "", content, images, None))
+    for key in ("images", "annotations", "categories"):
+        if not isinstance(content, dict) or not isinstance(content.get(key), list):
+            raise LabelError(f"{path}: expected a list of results, or an object with the list {key!r}")
+    names = {one.get("name"): one.get("id") for one in content["categories"] if isinstance(one, dict)}
+    if category not in names:
+        raise LabelError(
+            f"{path}: no category is named {category!r}; its categories: {', '.join(map(str, names)) or 'none'}"
+        )
+    own = _images(path, content["images"])
+    items = _checked(path, "annotations", content["annotations"], own, {one: name for name, one in names.items()})
+    return _sorted(path, own, (item for item in items if item.values["category_id"] == names[category]))
+
+
+def read_json(path: Path) -> Any:
+    """The content of a file. Raises LabelError where it is not JSON."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise LabelError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise LabelError(f"{path}: cannot be read as JSON: {error}") from None
+
+
+def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
+    found: dict[Any, CocoImage] = {}
+    names: set[str] = set()
+    for k, image in enumerate(images):
+        where = f"{path}: images[{k}]"
+        for key in ("id", "file_name", "width", "height"):
+            if not isinstance(image, dict) or key not in image:
+                raise LabelError(f"{where}: key {key!r} is missing")
+        file = str(image["file_name"])
+        name = PurePosixPath(file).with_suffix("").as_posix()
+        if image["id"] in found or name in names:
+            raise LabelError(f"{where}: id {image['id']!r} or file_name {file!r} is used a second time")
+        if not all(isinstance(image[key], int) and image[key] > 0 for key in ("width", "height")):
+            raise LabelError(f"{where}: expected width and height in px, got {image['width']} x {image['height']}")
+        about = (str(image.get(key, "")) for key in ("clip", "split"))
+        found[image["id"]] = CocoImage(name, image["height"], image["width"], file, *about)
+        names.add(name)
+    if not found:
+        raise LabelError(f"{path}: has no image")
+    return found
+
+
+def _checked(
+    path: Path, key: str, items: list[Any], images: Mapping[Any, CocoImage], categories: Mapping[Any, Any] | None
+) -> Iterator[CocoItem]:
+    """Each item. categories: those known; None where the list does not say."""
+    seen: set[Any] = set()
+    for k, item in enumerate(items):
+        where = f"{path}: {key}[{k}]"
+        if not isinstance(item, dict):
+            raise LabelError(f"{where}: expected an object, got {type(item).__name__}")
+        if item.get("image_id") not in images:
+            raise LabelError(
+                f"{where}: image_id {item.get('image_id')!r} is of no image; {len(images)} images are known"
+            )
+        if categories is not None and item.get("category_id") not in categories:
+            known = ", ".join(f"{one} {name}" for one, name in categories.items())
+            raise LabelError(f"{where}: category_id {item.get('category_id')!r} is of no category; known: {known}")
+        if categories is not None and "id" in item:
+            if item["id"] in seen:
+                raise LabelError(f"{where}: id {item['id']!r} is used a second time")
+            seen.add(item["id"])
+        if "segmentation" not in item and "bbox" not in item:
+            raise LabelError(f"{where}: expected a 'segmentation', a 'bbox' or both, got neither")
+        yield CocoItem(where, item)
+
+
+def _sorted(path: Path, images: Mapping[Any, CocoImage], items: Iterator[CocoItem]) -> CocoFile:
+    found: dict[str, list[CocoItem]] = {image.name: [] for image in images.values()}
+    for item in items:
+        found[images[item.values["image_id"]].name].append(item)
+    return CocoFile(path, images, {name: tuple(own) for name, own in found.items()})
+
+
+def _score(item: CocoItem) -> float:
+    score = item.values.get("score")
+    if isinstance(score, bool) or not isinstance(score, int | float) or not math.isfinite(score):
+        raise LabelError(f"{item.where}: expected a 'score', a number, got {score!r}")
+    return float(score)
+
+
+def _instance(item: CocoItem, height: int, width: int, scored: bool) -> Instance:
+    values, tools = item.values, mask_tools()
+    runs = run_lengths(item, height, width) if values.get("segmentation") else None
+    with numpy_2():
+        box = _box(item.where, values["bbox"] if "bbox" in values else tools.toBbox(runs).tolist())
+        area = float(tools.area(runs)) if runs is not None else box[2] * box[3]
+    if scored:
+        return Instance(box, runs, area, _score(item))
+    return Instance(box, runs, float(values.get("area", area)), crowd=bool(values.get("iscrowd")))
+
+
+def _box(where: str, box: Any) -> tuple[float, float, float, float]:
+    numbers = isinstance(box, list) and len(box) == 4 and all(isinstance(v, int | float) for v in box)
+    if not numbers or not all(map(math.isfinite, box)) or box[2] < 0 or box[3] < 0:
+        raise LabelError(f"{where}: expected 'bbox' as [x, y, width, height] in px, got {box!s:.60}")
+    x, y, w, h = map(float, box)
+    return x, y, w, h
+
+
+def run_lengths(item: CocoItem, height: int, width: int) -> Runs:
+    """The mask of an item, of polygons, of which it is the union, or of run lengths, compressed or not, as pycocotools
+    has it. Raises LabelError where it is no mask (H, W): pycocotools trusts what it is given."""
+    where, segmentation, tools = item.where, item.values["segmentation"], mask_tools()
     if isinstance(segmentation, list):
-        mask = np.zeros((height, width), dtype=bool)
         for polygon in segmentation:
-            if len(polygon) < 6 or len(polygon) % 2:
-                raise LabelError(f"{where}: expected polygons of three corners x y or more, got {len(polygon)} numbers")
-            mask |= rasterise(np.array(polygon, dtype=float).reshape(-1, 2), height, width)
-        return mask
-    if not isinstance(segmentation, dict) or list(segmentation.get("size", ())) != [height, width]:
-        size = segmentation.get("size") if isinstance(segmentation, dict) else None
+            if not isinstance(polygon, list) or len(polygon) < 6 or len(polygon) % 2:
+                count = len(polygon) if isinstance(polygon, list) else 0
+                raise LabelError(f"{where}: expected polygons of three corners x y or more, got {count} numbers")
+            if not all(isinstance(v, int | float) and math.isfinite(v) for v in polygon):
+                raise LabelError(f"{where}: expected the corners of polygons as numbers, got {polygon!s:.60}")
+        with numpy_2():
+            return dict(tools.merge(tools.frPyObjects(segmentation, height, width)))
+    size = segmentation.get("size") if isinstance(segmentation, dict) else None
+    if size != [height, width]:
         raise LabelError(f"{where}: expected run lengths of the size [{height}, {width}], got {size}")
-    counts = segmentation["counts"]
-    runs = counts if isinstance(counts, list) else decode_runs(counts)
-    if sum(runs) != height * width or min(runs, default=0) < 0:
-        raise LabelError(f"{where}: expected run lengths that add up to {height * width} pixels, got {sum(runs)}")
-    values = np.repeat(np.arange(len(runs)) % 2, runs)  # column by column, 0 first
-    return values.reshape(width, height).T.astype(bool)
+    counts = segmentation.get("counts")
+    wanted = f"{where}: expected run lengths that add up to {height * width} pixels, got"
+    if isinstance(counts, list):
+        if not all(isinstance(n, int) and n >= 0 for n in counts) or sum(counts) != height * width:
+            raise LabelError(f"{wanted} {sum(counts) if all(isinstance(n, int) for n in counts) else counts!s:.60}")
+        with numpy_2():
+            return dict(tools.frPyObjects(segmentation, height, width))
+    data = counts.encode() if isinstance(counts, str) else b""
+    # pycocotools refuses what is longer than the image, and reads what is shorter from beyond its end.
+    if not data or (data[-1] - ord("0")) & MORE or not _fits(data, height * width) or _fits(data, height * width - 1):
+        raise LabelError(f"{wanted} {counts!s:.40}")
+    return {"size": size, "counts": data}
 
 
-def decode_runs(text: str | bytes) -> list[int]:
-    """Run lengths from their compressed form: numbers in groups of 5 bits, low ones first, a sixth bit where more
-    follow; from the third number on, differences to the one two before."""
-    data = text.encode() if isinstance(text, str) else text
-    runs: list[int] = []
-    at = 0
-    while at < len(data):
-        value, shift, more = 0, 0, True
-        while more and at < len(data):
-            group = data[at] - FIRST_CHARACTER
-            value |= (group & 0x1F) << shift
-            more = bool(group & 0x20)
-            at += 1
-            shift += CHARACTER_BITS
-            if not more and group & 0x10:
-                value -= 1 << shift
-        runs.append(value + (runs[-2] if len(runs) > 2 else 0))
-    return runs
+def _fits(data: bytes, pixels: int) -> bool:
+    """Whether compressed run lengths add up to so many pixels or fewer."""
+    try:
+        with numpy_2():
+            mask_tools().decode({"size": [pixels, 1], "counts": data})
+    except ValueError:
+        return False
+    return True

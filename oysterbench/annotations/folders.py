@@ -20,37 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.image import OYSTER, Entry, LabelledImage, LabelledSet, read_picture, read_plane
-from oysterbench.annotations.manifest import FILE, read_manifest, unlisted
-from oysterbench.annotations.polygons import PICTURES
+from oysterbench.annotations.manifest import FILE, files_of, images_with
 from oysterbench.core.errors import LabelError
 from oysterbench.core.files import write_atomically
 
 
 def mask_set(folder: Path) -> LabelledSet:
     """The images of such a folder. An image without its mask, and a mask without its image, are refused."""
-    listed = read_manifest(folder)
-    images = _files(folder / "images", PICTURES)
-    masks = _files(folder / "masks", (".png",))
-    unlisted(folder, listed, images)
-    for kind, here, there in (("mask", images, masks), ("image", masks, images)):
-        for name in here:
-            if name not in there:
-                raise LabelError(f"{folder}: {name} has no {kind}: expected {kind}s/{name}.png")
-    extra = {kind: _files(folder / kind, (".png",)) for kind in ("instances", "ignore")}
+    extra = {kind: files_of(folder / kind, ".png") for kind in ("instances", "ignore")}
     entries = []
-    for name in listed or images:
-        row = listed.get(name)
-        clip, split = (row.clip, row.split) if row else (name, "")
+    for name, row, image, mask in images_with(folder, "masks", ".png"):
         further = {kind: files[name] for kind, files in extra.items() if name in files}
-        read = partial(_read, images[name], masks[name], further, name, clip)
-        entries.append(Entry(name, clip, read, (images[name], masks[name], *further.values()), split))
+        read = partial(_read, image, mask, further, name, row.clip)
+        entries.append(Entry(name, row.clip, read, (image, mask, *further.values()), row.split))
     return LabelledSet(folder.resolve().name, entries)
-
-
-def _files(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
-    if not folder.is_dir():
-        return {}
-    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes}
 
 
 def _read(image: Path, mask: Path, further: dict[str, Path], name: str, clip: str) -> LabelledImage:

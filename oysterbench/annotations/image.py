@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,7 @@ class LabelledImage:
     @property
     def oysters(self) -> NDArray[np.bool_]:
         """(H, W) bool: where an oyster is seen."""
-        return self.classes == OYSTER
+        return np.asarray(self.classes == OYSTER)
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,17 @@ class LabelledSet:
             parts = (entry.name, entry.clip, entry.split, *(sums[path] for path in entry.files))
             text.update("\0".join(parts).encode() + b"\n")
         return text.hexdigest()
+
+
+def planes_of(
+    masks: Sequence[NDArray[np.bool_]], height: int, width: int
+) -> tuple[NDArray[np.uint8], NDArray[np.uint16]]:
+    """Classes and instances (H, W) of masks of oysters, number k + 1 for masks[k]. Where several overlap, a pixel is of
+    the smallest: what lies on top of another is usually seen whole and in front of it."""
+    instances = np.zeros((height, width), dtype=np.uint16)
+    for k in sorted(range(len(masks)), key=lambda k: -int(masks[k].sum())):
+        instances[masks[k]] = k + 1
+    return np.where(instances > 0, OYSTER, 0).astype(np.uint8), instances
 
 
 def joined(sets: Iterable[LabelledSet], name: str) -> LabelledSet:

@@ -1,32 +1,34 @@
-"""manifest.csv of a folder of labelled images: which clip each is of, and on which side of the split."""
+"""Folders of labelled images: images/, a file of labels beside each, and manifest.csv, which says the clip and the side
+of the split of each."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Collection, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from oysterbench.core.errors import LabelError
 
 FILE = "manifest.csv"
+PICTURES = (".jpg", ".jpeg", ".png")
 
 
 @dataclass(frozen=True)
-class Row:
-    """What is said of an image."""
+class ManifestRow:
+    """What is said of an image; split is empty where nothing is."""
 
     clip: str
     split: str
 
 
-def read_manifest(folder: Path) -> dict[str, Row]:
+def read_manifest(folder: Path) -> dict[str, ManifestRow]:
     """By id of an image, in the order of the file; empty where there is none. The columns id and clip are needed, split
     where there is one; others are left alone. Raises LabelError naming the line."""
     path = folder / FILE
     if not path.is_file():
         return {}
-    rows: dict[str, Row] = {}
+    rows: dict[str, ManifestRow] = {}
     try:
         with open(path, newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
@@ -39,14 +41,14 @@ def read_manifest(folder: Path) -> dict[str, Row]:
                     raise LabelError(f"{path}:{reader.line_num}: expected an id and a clip, got {name!r} and {clip!r}")
                 if name in rows:
                     raise LabelError(f"{path}:{reader.line_num}: {name!r} is listed a second time")
-                rows[name] = Row(clip, values.get("split") or "")
+                rows[name] = ManifestRow(clip, values.get("split") or "")
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise LabelError(f"{path}: cannot be read as CSV: {error}") from None
     _check_sides(path, rows)
     return rows
 
 
-def _check_sides(path: Path, rows: Mapping[str, Row]) -> None:
+def _check_sides(path: Path, rows: Mapping[str, ManifestRow]) -> None:
     if not rows:
         raise LabelError(f"{path}: lists no image")
     if any(row.split for row in rows.values()) and not all(row.split for row in rows.values()):
@@ -54,14 +56,35 @@ def _check_sides(path: Path, rows: Mapping[str, Row]) -> None:
         raise LabelError(f"{path}: {name!r} has no split, but others have; expected one for each image or for none")
 
 
-def unlisted(folder: Path, rows: Mapping[str, Row], images: Collection[str]) -> None:
-    """Refuse a manifest that does not list just the images that are there."""
+def images_with(
+    folder: Path, labels: str, suffix: str, hint: str = ""
+) -> Iterator[tuple[str, ManifestRow, Path, Path]]:
+    """Name, what the manifest says, image and label file (LABELS/NAME.suffix) of each image of a folder, in the order
+    of the manifest where there is one; without, each image is a clip of its own.
+
+    Raises LabelError where images, label files and manifest are not of the same names.
+    """
+    listed = read_manifest(folder)
+    images, beside = files_of(folder / "images", *PICTURES), files_of(folder / labels, suffix)
     if not images:
         raise LabelError(f"{folder / 'images'}: no image (.jpg, .jpeg or .png)")
-    if rows:
-        for name in rows:
-            if name not in images:
-                raise LabelError(f"{folder / FILE}: lists {name!r}, but images/ has no such image")
-        for name in images:
-            if name not in rows:
-                raise LabelError(f"{folder / FILE}: does not list images/{name}; every image needs its clip")
+    for name in listed:
+        if name not in images:
+            raise LabelError(f"{folder / FILE}: lists {name!r}, but images/ has no such image")
+    for name in images:
+        if listed and name not in listed:
+            raise LabelError(f"{folder / FILE}: does not list images/{name}; every image needs its clip")
+        if name not in beside:
+            raise LabelError(f"{folder}: image {name} has no {labels}/{name}{suffix}{hint}")
+    for name in beside:
+        if name not in images:
+            raise LabelError(f"{folder}: {labels}/{name}{suffix} has no image of that name in images/")
+    for name in listed or images:
+        yield name, listed.get(name) or ManifestRow(name, ""), images[name], beside[name]
+
+
+def files_of(folder: Path, *suffixes: str) -> dict[str, Path]:
+    """Files by their names without suffix, in order of the names; none where there is no folder."""
+    if not folder.is_dir():
+        return {}
+    return {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in suffixes}

@@ -1,4 +1,4 @@
-"""Answers as files of one image each, in a folder, or as the arrays of one .npz.
+"""Predictions as files of one image each, in a folder, or as the arrays of one .npz.
 
 NAME.png   8 or 16 bits: a mask (0, and 1 or the greatest number), a probability by the greatest number, or classes
 NAME.npy   (H, W) bool, integer or float: a mask, classes or probabilities from 0 to 1
@@ -29,7 +29,7 @@ PNG_END = b"IEND\xaeB`\x82"
 
 
 class MaskFiles:
-    """Answers by the name of their image, each read when it is asked for.
+    """Predictions by the name of their image, each read when it is asked for.
 
     form: what numbers mean. "auto": floating point numbers are probabilities; integers of 0 and 1 alone are masks;
     other integers probabilities, as shares of the type's greatest number. Files of which some could be masks of 0 and 1
@@ -45,11 +45,11 @@ class MaskFiles:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all images that are answered."""
+        """Of all images that there is a prediction of."""
         return tuple(self._readers)
 
     def get(self, name: str) -> EstimateImage:
-        """The answer to an image. Raises LabelError naming its file."""
+        """The prediction of an image. Raises LabelError naming its file."""
         values = np.asarray(self._readers[name]())
         where = f"{self.place}: {name}"
         if values.ndim == 3 and 1 in (values.shape[0], values.shape[-1]):
@@ -107,7 +107,7 @@ def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
 
 
 def open_predictions(place: Path, form: Form = "auto") -> MaskFiles:
-    """The answers in a folder or an .npz file. Raises LabelError where there are none."""
+    """The predictions in a folder or an .npz file. Raises LabelError where there are none."""
     if place.is_file() and place.suffix == ".npz":
         return MaskFiles(place, _arrays(place), form)
     if not place.is_dir():
@@ -119,7 +119,7 @@ def open_predictions(place: Path, form: Form = "auto") -> MaskFiles:
     for path in sorted(path for path in place.rglob("*") if path.suffix.lower() in SUFFIXES):
         name = path.relative_to(place).with_suffix("").as_posix()
         if name in readers:
-            raise LabelError(f"{place}: two files answer {name}; expected one of {', '.join(SUFFIXES)}")
+            raise LabelError(f"{place}: two files predict {name}; expected one of {', '.join(SUFFIXES)}")
         readers[name] = _reader(path)
     if not readers:
         raise LabelError(f"{place}: expected a .png, .npy or .npz per image, got none")
@@ -165,7 +165,7 @@ def _arrays(path: Path) -> dict[str, Callable[[], NDArray[Any]]]:
 def _member(archive: Any, key: str, path: Path) -> Callable[[], NDArray[Any]]:
     def read() -> NDArray[Any]:
         try:
-            return archive[key]
+            return np.asarray(archive[key])
         except (OSError, ValueError, zipfile.BadZipFile) as error:
             raise LabelError(f"{path}: array {key} cannot be read: {' '.join(str(error).split())}") from None
 
@@ -179,14 +179,14 @@ def _single(path: Path) -> NDArray[Any]:
     return _member(archive, archive.files[0], path)()
 
 
-def check_names(truth: Iterable[str], answered: Iterable[str], place: Path) -> None:
-    """Refuse answers that are not of just the images of the truth: what is missing would else be silently left out."""
-    wanted, given = set(truth), set(answered)
-    for missing, text in ((wanted - given, "no answer for"), (given - wanted, "no image of the truth is named")):
+def check_names(truth: Iterable[str], predicted: Iterable[str], place: Path) -> None:
+    """Refuse predictions that are not of just the truth's images: what is missing would else be silently left out."""
+    wanted, given = set(truth), set(predicted)
+    for missing, text in ((wanted - given, "no prediction for"), (given - wanted, "no image of the truth is named")):
         if missing:
             names = sorted(missing)
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
             raise LabelError(
-                f"{place}: {text} {', '.join(names[:3])}{more}; expected one answer for each of {len(wanted)} images, "
-                f"named as the truth names them, e.g. {min(wanted, default='NAME')}"
+                f"{place}: {text} {', '.join(names[:3])}{more}; expected one prediction for each of {len(wanted)} "
+                f"images, named as the truth names them, e.g. {min(wanted, default='NAME')}"
             )

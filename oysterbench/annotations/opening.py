@@ -30,7 +30,7 @@ def open_labelled(path: str | Path) -> LabelledSet:
 
         return sequence_set(path.stem, [path] if path.is_file() else sorted(path.glob("*.mcap")))
     if found[0] == "yolo":
-        from oysterbench.annotations.polygons import yolo_set
+        from oysterbench.annotations.yolo import yolo_set
 
         return yolo_set(path)
     if found[0] == "masks":

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations.image import OYSTER, Entry, LabelledImage, LabelledSet
 from oysterbench.core.errors import LabelError
 from oysterbench.sequence import Sequence, open_sequence
+from oysterbench.sequence.export.parts import labelled_cameras
 
 LEAST_VISIBILITY = 0.1
 """Share of an oyster that must be seen for it to count; of less, not even a person could say what it is."""
@@ -33,11 +34,7 @@ def sequence_set(
     for path in paths:
         sequence = open_sequence(path)
         names.append(sequence.name)
-        topics = {topic for topic, _, _ in sequence.contents()}
-        for camera in sequence.cameras:
-            if not {f"/{camera}/class", f"/{camera}/instance"} <= topics:
-                continue
-            layers = [layer for layer in ("class", "instance", "visibility") if f"/{camera}/{layer}" in topics]
+        for camera, layers in labelled_cameras(sequence, "visibility").items():
             known = {"camera": camera, **(conditions or {}).get(sequence.name, {})}
             for layer in sequence.layer(camera, "class"):
                 key = f"{sequence.name}/{camera}/{layer.stamp_ns}"

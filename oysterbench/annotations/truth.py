@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -13,9 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations import open_labelled
+from oysterbench.annotations.coco import CocoFile, read_coco
+from oysterbench.annotations.image import Entry
+from oysterbench.annotations.manifest import FILE, read_manifest
 from oysterbench.annotations.masks import as_mask, read_png
-from oysterbench.annotations.predicted_coco import CocoFile, read_coco
+from oysterbench.annotations.opening import open_labelled
 from oysterbench.annotations.sequences import countable
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
@@ -25,7 +26,7 @@ from oysterbench.evaluate.segmentation import TruthImage
 from oysterbench.evaluate.segmentation.images import OYSTER
 from oysterbench.recipe import CLASSES
 from oysterbench.sequence import CameraCalibration, Sequence, open_sequence
-from oysterbench.sequence.export.parts import frames_with_layers, sensor_poses
+from oysterbench.sequence.export.parts import frames_with_layers, labelled_cameras, sensor_poses
 
 IGNORED = 255
 """Number of class images at which nothing is asked."""
@@ -73,10 +74,9 @@ class LabelledSequence:
 
 def labelled_sequence(path: Path, conditions: Mapping[str, float | str] | None = None) -> LabelledSequence:
     """The frames of all cameras that have the layers class and instance. Oysters that are hardly seen are ignored
-    (`labelled.sequences.countable`); their depth, shell heights and the seabed in view come along where known."""
+    (`sequences.countable`); their depth, shell heights and the seabed in view come along where known."""
     sequence = open_sequence(path)
-    topics = {topic for topic, _, _ in sequence.contents()}
-    cameras = [name for name in sequence.cameras if {f"/{name}/class", f"/{name}/instance"} <= topics]
+    cameras = labelled_cameras(sequence, "visibility", "depth")
     if not cameras:
         raise LabelError(
             f"{path}: no camera has the layers class and instance; `oysterbench info {path}` lists what there is"
@@ -85,22 +85,21 @@ def labelled_sequence(path: Path, conditions: Mapping[str, float | str] | None =
     return LabelledSequence(
         sequence.name,
         tuple(names),
-        lambda: _frames(sequence, cameras, topics),
+        lambda: _frames(sequence, cameras),
         _digest([path]),
         conditions or {},
     )
 
 
-def _frames(sequence: Sequence, cameras: list[str], topics: set[str]) -> Iterator[Seen]:
+def _frames(sequence: Sequence, cameras: Mapping[str, list[str]]) -> Iterator[Seen]:
     oysters = sequence.oysters()
     heights = np.full(int(oysters["id"].max()) + 1 if len(oysters) else 1, np.nan)
     if len(oysters):
         heights[oysters["id"].to_numpy()] = 1000 * oysters["height_m"].to_numpy()
     trajectory = sequence.truth()
-    for camera in cameras:
+    for camera, layers in cameras.items():
         calibration = sequence.cameras[camera]
         poses = sensor_poses(trajectory, calibration.T_base_cam)
-        layers = [n for n in ("class", "instance", "visibility", "depth") if f"/{camera}/{n}" in topics]
         for image, found in frames_with_layers(sequence, camera, layers):
             instances, ignore = countable(found["class"], found["instance"], found.get("visibility"))
             depth = found.get("depth")
@@ -141,7 +140,7 @@ def footprint_m2(depth_m: NDArray[np.float32], camera: CameraCalibration, T_map_
 
 
 def open_truth(place: Path, labels: str = "mask", ignore_value: int | None = None) -> list[LabelledSequence]:
-    """The clips at a path: sequences, labelled folders (`labelled.opening.KINDS`), COCO annotations without their
+    """The clips at a path: sequences, labelled folders (`opening.KINDS`), COCO annotations without their
     images, or a plain folder of PNG files, masks or (labels="classes") numbers of classes.
 
     Clips of a plain folder are its folders, or what its manifest.csv (id, clip) says. ignore_value: number at which
@@ -166,7 +165,7 @@ def _labelled_clips(place: Path) -> list[LabelledSequence]:
     else:
         groups = {clip: [entry for entry in found.entries if entry.clip == clip] for clip in found.clips}
 
-    def images(entries: list) -> Iterator[Seen]:
+    def images(entries: list[Entry]) -> Iterator[Seen]:
         for entry in entries:
             image = entry.read()
             ignore = image.ignore if image.ignore.any() else None
@@ -186,13 +185,16 @@ def _labelled_clips(place: Path) -> list[LabelledSequence]:
 def _coco_clips(path: Path) -> list[LabelledSequence]:
     file = read_coco(path)
     groups: dict[str, list[str]] = {}
-    for name in file.names:
-        groups.setdefault(file.clips.get(name, path.stem), []).append(name)
+    for image in file.images.values():
+        groups.setdefault(image.clip or path.stem, []).append(image.name)
 
     def images(names: list[str]) -> Iterator[Seen]:
         for name in names:
-            oyster, ignore = file.as_truth(name)
-            classes = np.where(oyster, np.uint8(OYSTER), np.uint8(0))
+            oysters, crowd = file.truth(name)
+            classes = np.zeros(crowd.shape, dtype=np.uint8)
+            for mask in oysters:
+                classes[mask] = OYSTER
+            ignore = crowd & (classes != OYSTER)
             yield TruthImage(name, classes, False, ignore if ignore.any() else None), None
 
     digest = _digest([path])
@@ -210,10 +212,14 @@ def _plain_clips(place: Path, labels: str, ignore_value: int | None) -> list[Lab
             f"{place}: expected the truth: masks as .png, a folder with images/ and labels/ or masks/, COCO "
             f"annotations (.json) or sequences (.mcap), got {got}"
         )
-    listed = _manifest(place / "manifest.csv", files)
+    listed = read_manifest(place)
+    for name in files:
+        if listed and name not in listed:
+            raise LabelError(f"{place / FILE}: does not say which clip {name} is of")
     groups: dict[str, list[str]] = {}
     for name in files:
-        groups.setdefault(listed.get(name) or name.rpartition("/")[0] or place.resolve().name, []).append(name)
+        clip = listed[name].clip if listed else name.rpartition("/")[0] or place.resolve().name
+        groups.setdefault(clip, []).append(name)
 
     def images(names: list[str]) -> Iterator[Seen]:
         for name in names:
@@ -241,24 +247,6 @@ def _plain_truth(name: str, path: Path, labels: str, ignore_value: int | None) -
         known = ", ".join(f"{number} {one}" for number, one in CLASSES.items())
         raise LabelError(f"{path}: unknown class {unknown[0]}; known classes: {known}; ignored: {ignore_value}")
     return TruthImage(name, values.astype(np.uint8), True, ignore)
-
-
-def _manifest(path: Path, files: Mapping[str, Path]) -> dict[str, str]:
-    """LabelledSequence by name; empty where there is no manifest."""
-    if not path.is_file():
-        return {}
-    try:
-        with open(path, newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise LabelError(f"{path}: cannot be read as CSV: {error}") from None
-    if not rows or not {"id", "clip"} <= set(rows[0]):
-        raise LabelError(f"{path}:1: expected the columns id and clip, got {', '.join(rows[0]) if rows else 'nothing'}")
-    found = {row["id"]: row["clip"] for row in rows}
-    for name in files:
-        if not found.get(name):
-            raise LabelError(f"{path}: does not say which clip {name} is of")
-    return found
 
 
 def _digest(paths: list[Path]) -> str:

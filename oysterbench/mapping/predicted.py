@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations import open_predictions, read_coco
+from oysterbench.annotations.coco import CocoFile, read_json
 from oysterbench.annotations.masks import Form, read_png
-from oysterbench.annotations.predicted_coco import CocoFile
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection import ImageInstances
 from oysterbench.evaluate.detection.instances import mask_tools
@@ -23,7 +22,7 @@ from oysterbench.recipe import CLASSES
 from oysterbench.sequence.types import Sequence
 
 KINDS = ("auto", "instances", "mask", "probability", "classes")
-"""What the numbers of masks are: those of single oysters, or one of `answers.FORMS`."""
+"""What the numbers of masks are: those of single oysters, or one of `annotations.FORMS`."""
 
 OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
 COCO_STATES = {"oyster": "unknown", "live": "live", "live oyster": "live", "dead": "dead", "dead oyster": "dead"}
@@ -51,8 +50,8 @@ def true_states(sequence: Sequence) -> dict[int, str]:
 def read_seen(place: Path, sequence: Sequence, camera: str, kind: str, threshold: float) -> Iterator[Seen]:
     """What files say of pictures of a camera of a sequence, in time order.
 
-    A folder or .npz of masks, as `answers.masks` reads them (of a mask, what hangs together is one oyster) or, by kind
-    "instances", of numbers of oysters; or COCO annotations (.json). Raises LabelError where they are of another
+    A folder or .npz of masks, as `annotations.masks` reads them (of a mask, what hangs together is one oyster) or, by
+    kind "instances", of numbers of oysters; or COCO annotations (.json). Raises LabelError where they are of another
     sequence, or not what they should be.
     """
     if kind not in KINDS:
@@ -159,12 +158,7 @@ def _coco(place: Path, sequence: Sequence, camera: str, threshold: float) -> Ite
 
 def _categories(place: Path) -> list[tuple[str, CocoFile]]:
     """State and annotations of each category that is of oysters."""
-    try:
-        content = json.loads(place.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise LabelError(f"{place}: no such file") from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise LabelError(f"{place}: cannot be read as JSON: {error}") from None
+    content = read_json(place)
     if not isinstance(content, dict) or not isinstance(content.get("categories"), list):
         raise LabelError(
             f"{place}: expected COCO annotations with 'images', 'annotations' and 'categories': a bare list of results "
@@ -180,22 +174,18 @@ def _categories(place: Path) -> list[tuple[str, CocoFile]]:
 def _annotated(
     stamps: Mapping[int, str], files: list[tuple[str, CocoFile]], camera: str, threshold: float
 ) -> Iterator[Seen]:
-    from oysterbench.annotations.coco import segmentation_mask
-
     for stamp_ns, name in stamps.items():
-        height, width = files[0][1].sizes[name]
-        numbers = np.zeros((height, width), dtype=np.int32)
-        rows = [(state, where, item) for state, file in files for where, item in file.items[name]]
+        numbers = np.zeros(files[0][1].sizes[name], dtype=np.int32)
+        items = [(state, item) for state, file in files for item in file.items[name]]
         # The surest are laid on last, and so on top.
-        rows = sorted(rows, key=lambda row: float(row[2].get("score", 1.0)))
+        items = sorted(items, key=lambda one: float(one[1].values.get("score", 1.0)))
         states, scores = {}, {}
-        for k, (state, where, item) in enumerate(rows, start=1):
-            if not item.get("segmentation"):
-                raise LabelError(f"{where}: has no segmentation: expected a mask, as a box alone has no footprint")
-            if float(item.get("score", 1.0)) < threshold or item.get("iscrowd"):
+        for k, (state, item) in enumerate(items, start=1):
+            score = float(item.values.get("score", 1.0))
+            if score < threshold or item.values.get("iscrowd"):
                 continue
-            numbers[segmentation_mask(item["segmentation"], height, width, where)] = k
-            own = str(item.get("state", state))
+            numbers[files[0][1].mask_of(name, item)] = k
+            own = str(item.values.get("state", state))
             states[k] = own if own in ("live", "dead") else "unknown"
-            scores[k] = float(item.get("score", 1.0))
+            scores[k] = score
         yield Seen(stamp_ns, camera, numbers, states, scores)

@@ -119,7 +119,7 @@ def _reader(
     """What reads the oysters of an image, and the images that are answered."""
     if place.suffix.lower() == ".json":
         coco = next((clip.coco for clip in clips if clip.coco is not None), None)
-        file = read_coco(place, None if coco is None else coco.ids)
+        file = read_coco(place, None if coco is None else coco.images)
         return lambda truth: file.instances(truth.name, scored=True), file.names
     files = open_predictions(place, form)
 

@@ -151,7 +151,7 @@ def _reader(
     """What reads the answer to an image, and the images that are answered."""
     if place.suffix.lower() == ".json":
         coco = next((clip.coco for clip in clips if clip.coco is not None), None)
-        file = read_coco(place, None if coco is None else coco.ids)
+        file = read_coco(place, None if coco is None else coco.images)
         return lambda name: file.mask(name, settings.threshold), file.names
     files = open_predictions(place, form)
     return files.get, files.names

@@ -1,4 +1,4 @@
-"""Answers and truths are read from whatever holds them, and what is wrong is refused by name, in one line."""
+"""Predictions and truths are read from whatever holds them, and what is wrong is refused by name, in one line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write_png(path, values):
     assert cv2.imwrite(str(path), values)
 
 
-def said(folder, name="a", form="auto"):
+def predicted(folder, name="a", form="auto"):
     return open_predictions(folder, form).get(name)
 
 
@@ -43,20 +43,20 @@ def test_masks_and_probabilities_are_read_from_every_form(tmp_path, write):
     else:
         (tmp_path / "clip").mkdir()
         np.savez(tmp_path / "clip" / "a.npz", MASK.astype(np.float32) if write == "float" else MASK)
-    answer = said(tmp_path, "clip/a")
-    assert np.array_equal(answer.mask(0.5), MASK)
+    prediction = predicted(tmp_path, "clip/a")
+    assert np.array_equal(prediction.mask(0.5), MASK)
 
 
 def test_one_npz_holds_an_array_for_each_image(tmp_path):
     np.savez(tmp_path / "all.npz", **{"clip/a": MASK, "clip/b": ~MASK})
-    answers = open_predictions(tmp_path / "all.npz")
-    assert answers.names == ("clip/a", "clip/b")
-    assert np.array_equal(answers.get("clip/b").mask(0.5), ~MASK)
+    predictions = open_predictions(tmp_path / "all.npz")
+    assert predictions.names == ("clip/a", "clip/b")
+    assert np.array_equal(predictions.get("clip/b").mask(0.5), ~MASK)
 
 
 def test_numbers_of_classes_are_read_as_such(tmp_path):
     write_png(tmp_path / "a.png", MASK.astype(np.uint8) * 2)
-    assert np.array_equal(said(tmp_path, form="classes").mask(0.5), MASK)
+    assert np.array_equal(predicted(tmp_path, form="classes").mask(0.5), MASK)
 
 
 def cut(path):
@@ -77,21 +77,21 @@ def test_files_that_are_not_what_they_should_be_are_refused_by_name(tmp_path, sp
     write_png(tmp_path / "a.png", MASK.astype(np.uint8))
     spoil(tmp_path / "a.png")
     with pytest.raises(LabelError, match=message) as caught:
-        said(tmp_path, form=form)
+        predicted(tmp_path, form=form)
     assert "\n" not in str(caught.value)
 
 
 def test_masks_of_0_and_1_among_probability_maps_are_not_guessed_at(tmp_path):
     write_png(tmp_path / "a.png", MASK.astype(np.uint8))
     write_png(tmp_path / "b.png", MASK.astype(np.uint8) * 200)
-    answers = open_predictions(tmp_path)
-    answers.get("a")
+    predictions = open_predictions(tmp_path)
+    predictions.get("a")
     with pytest.raises(LabelError, match=r"a has 0 and 1 alone.*--estimate-kind says which"):
-        answers.get("b")
+        predictions.get("b")
 
 
-def test_missing_and_further_answers_are_refused_by_name(tmp_path):
-    with pytest.raises(LabelError, match="no answer for b; expected one answer for each of 2 images"):
+def test_missing_and_further_predictions_are_refused_by_name(tmp_path):
+    with pytest.raises(LabelError, match="no prediction for b; expected one prediction for each of 2 images"):
         check_names(["a", "b"], ["a"], tmp_path)
     with pytest.raises(LabelError, match="no image of the truth is named c, d, e and 1 more"):
         check_names(["a"], ["a", "c", "d", "e", "f"], tmp_path)
@@ -139,6 +139,10 @@ def test_coco_is_read_from_polygons_and_run_lengths(tmp_path, segmentation):
         ({"segmentation": [POLYGON[:-1]]}, "three corners x y or more, got 7 numbers"),
         ({"segmentation": {"size": [8, 6], "counts": COUNTS}}, r"run lengths of the size \[6, 8\], got \[8, 6\]"),
         ({"segmentation": {"size": [6, 8], "counts": [40]}}, "add up to 48 pixels, got 40"),
+        ({"segmentation": {"size": [6, 8], "counts": [60, -12]}}, "add up to 48 pixels, got 48"),
+        ({"segmentation": {"size": [6, 8], "counts": "X1"}}, "add up to 48 pixels, got X1"),
+        ({"segmentation": {"size": [6, 8], "counts": "=3l"}}, "add up to 48 pixels, got =3l"),
+        ({"segmentation": {"size": [6, 8]}}, "add up to 48 pixels, got None"),
         ({"bbox": [1, 2, -3, 4]}, r"expected 'bbox' as \[x, y, width, height\] in px, got \[1, 2, -3, 4\]"),
     ],
 )
@@ -151,7 +155,7 @@ def test_bad_annotations_are_refused_by_item(tmp_path, changes, message):
 def test_results_without_a_score_are_refused_by_item(tmp_path, score):
     truth = read_coco(wrote(tmp_path / "x.json", document()))
     result = {"image_id": 1, "category_id": 3, "segmentation": [POLYGON]} | ({} if score is None else {"score": score})
-    file = read_coco(wrote(tmp_path / "r.json", [result]), truth.ids)
+    file = read_coco(wrote(tmp_path / "r.json", [result]), truth.images)
     with pytest.raises(LabelError, match=r"r\.json: \[0\]: expected a 'score', a number, got"):
         file.instances("clip/a", scored=True)
 

@@ -211,4 +211,4 @@ def test_a_missing_pair_is_named(folders):
     (folders / "estimate" / "two" / "a.png").unlink()
     done = command("--track", "segmentation", "--truth", folders / "truth", "--estimate", folders / "estimate")
     assert done.exit_code == 1
-    assert "no answer for two/a" in done.output
+    assert "no prediction for two/a" in done.output

@@ -24,7 +24,8 @@ def mask_tools() -> Any:
         from pycocotools import mask
     except ImportError:
         raise LabelError(
-            "single oysters are matched by pycocotools, which is not installed: pip install 'oysterbench[score]'"
+            "COCO masks are read, and single oysters matched, by pycocotools, which is not installed: pip install "
+            "'oysterbench[score]'"
         ) from None
     return mask
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.core.polygons import mask_polygons
 from oysterbench.recipe import CLASSES
-from oysterbench.sequence.export.parts import frames_with_layers, write_png
-from oysterbench.sequence.export.polygons import mask_polygons
+from oysterbench.sequence.export.parts import frames_with_layers, labelled_cameras, write_png
 from oysterbench.sequence.types import Sequence
 
 LICENCE = {"id": 1, "name": "CC BY 4.0", "url": "https://creativecommons.org/licenses/by/4.0/"}
@@ -21,8 +21,7 @@ LICENCE = {"id": 1, "name": "CC BY 4.0", "url": "https://creativecommons.org/lic
 
 def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     """Of every camera with the layers class and instance, the frames that have them. Ids are from 1."""
-    topics = {topic for topic, _, _ in sequence.contents()}
-    cameras = [name for name in sequence.cameras if {f"/{name}/class", f"/{name}/instance"} <= topics]
+    cameras = labelled_cameras(sequence, "visibility")
     if not truth or not cameras:
         raise SequenceError(
             f"{sequence.name}: COCO is made of the layers class and instance, which are truth: expected a camera that "
@@ -31,8 +30,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     (folder / "images").mkdir()
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
-    for camera in cameras:
-        layers = [name for name in ("class", "instance", "visibility") if f"/{camera}/{name}" in topics]
+    for camera, layers in cameras.items():
         for image, found in frames_with_layers(sequence, camera, layers):
             file = f"{camera}_{image.stamp_ns}.png"
             write_png(folder / "images" / file, image.pixels)

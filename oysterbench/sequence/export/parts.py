@@ -47,6 +47,17 @@ def write_lines(path: Path, lines: Iterable[str]) -> None:
         file.writelines(f"{line}\n" for line in lines)
 
 
+def labelled_cameras(sequence: Sequence, *further: str) -> dict[str, list[str]]:
+    """Cameras with the layers class and instance: which of these and of `further` each has, in this order."""
+    topics = {topic for topic, _, _ in sequence.contents()}
+    found = {}
+    for camera in sequence.cameras:
+        layers = [name for name in ("class", "instance", *further) if f"/{camera}/{name}" in topics]
+        if layers[:2] == ["class", "instance"]:
+            found[camera] = layers
+    return found
+
+
 def frames_with_layers(
     sequence: Sequence, camera: str, layers: Iterable[str]
 ) -> Iterator[tuple[Image, dict[str, NDArray[Any]]]]:

@@ -1,11 +1,21 @@
-"""Masks as polygons along the borders of their pixels, so that rasterising gives the mask back."""
+"""Masks as polygons along the borders of their pixels, and polygons as masks, so that each gives the other back."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Corner = tuple[int, int]
+
+BORDERS = (
+    ((-1, 0), (0, 0), (1, 0)),
+    ((0, 1), (1, 0), (1, 1)),
+    ((1, 0), (1, 1), (0, 1)),
+    ((0, -1), (0, 1), (0, 0)),
+)
+"""Of a pixel: where its neighbour lies (rows, columns), and the corners (x, y) between which their border runs."""
 
 
 def mask_polygons(mask: NDArray[np.bool_]) -> list[list[float]]:
@@ -26,15 +36,11 @@ def mask_polygons(mask: NDArray[np.bool_]) -> list[list[float]]:
 def _loops(mask: NDArray[np.bool_]) -> list[list[Corner]]:
     """Closed paths (x, y) along the borders, with the mask on their right as seen with y down: outlines clockwise."""
     padded = np.pad(mask.astype(bool), 1)
-    here = padded[1:-1, 1:-1]
-    rows, columns = (index.tolist() for index in np.nonzero(here & ~padded[:-2, 1:-1]))  # top borders, to the right
-    edges = [((x, y), (x + 1, y)) for y, x in zip(rows, columns, strict=True)]
-    rows, columns = (index.tolist() for index in np.nonzero(here & ~padded[1:-1, 2:]))  # right borders, down
-    edges += [((x + 1, y), (x + 1, y + 1)) for y, x in zip(rows, columns, strict=True)]
-    rows, columns = (index.tolist() for index in np.nonzero(here & ~padded[2:, 1:-1]))  # bottom borders, to the left
-    edges += [((x + 1, y + 1), (x, y + 1)) for y, x in zip(rows, columns, strict=True)]
-    rows, columns = (index.tolist() for index in np.nonzero(here & ~padded[1:-1, :-2]))  # left borders, up
-    edges += [((x, y + 1), (x, y)) for y, x in zip(rows, columns, strict=True)]
+    height, width = mask.shape
+    edges: list[tuple[Corner, Corner]] = []
+    for (down, right), (x0, y0), (x1, y1) in BORDERS:
+        bare = mask & ~padded[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+        edges += [((x + x0, y + y0), (x + x1, y + y1)) for y, x in np.argwhere(bare).tolist()]
     onward: dict[Corner, list[Corner]] = {}
     for start, end in edges:
         onward.setdefault(start, []).append(end)
@@ -92,3 +98,28 @@ def _straight(loop: list[Corner]) -> list[Corner]:
         if (x - ax) * (by - y) != (bx - x) * (y - ay) or (x - ax) * (bx - x) + (y - ay) * (by - y) < 0:
             kept.append((x, y))
     return kept
+
+
+def rasterise(polygon: ArrayLike, height: int, width: int) -> NDArray[np.bool_]:
+    """(H, W) mask of a polygon (N, 2), x and y in px, pixel (row, column) covering [column, column + 1) and so on.
+
+    A pixel is inside where its centre is (even-odd rule), so that polygons along the borders of pixels
+    (`mask_polygons`) give back their mask, and polygons that touch share no pixel.
+    """
+    corners = np.asarray(polygon, dtype=float).reshape(-1, 2)
+    mask = np.zeros((height, width), dtype=bool)
+    # Only the box of the polygon is looked at: most are small.
+    (left, top), (right, bottom) = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
+    left, top = int(np.clip(left, 0, width)), int(np.clip(top, 0, height))
+    right, bottom = int(np.clip(right, 0, width)), int(np.clip(bottom, 0, height))
+    if left >= right or top >= bottom:
+        return mask
+    flips = np.zeros((bottom - top, right - left + 1), dtype=np.uint8)
+    for (x0, y0), (x1, y1) in zip(corners.tolist(), np.roll(corners, -1, axis=0).tolist(), strict=True):
+        low, high = min(y0, y1), max(y0, y1)
+        rows = np.arange(max(top, math.ceil(low - 0.5)), min(bottom, math.ceil(high - 0.5)))
+        if len(rows):  # those whose centre line the edge crosses
+            x = x0 + (rows + 0.5 - y0) * (x1 - x0) / (y1 - y0)
+            flips[rows - top, np.clip(np.ceil(x - 0.5), left, right).astype(int) - left] ^= 1
+    mask[top:bottom, left:right] = np.bitwise_xor.accumulate(flips[:, :-1], axis=1)
+    return mask
