@@ -255,7 +255,7 @@ class Table:
     def _told_one_by_one(self, a: int, b: int, better: Literal["lower", "higher"]) -> bool:
         (of_a, weights_a), (of_b, weights_b) = self._samples(a), self._samples(b)
         weights = None if weights_a is None or weights_b is None else (weights_a, weights_b)
-        return compare(of_a, of_b, better, weights).verdict != "not told apart"
+        return compare(of_a, of_b, better, weights).verdict != "not significantly different"
 
 
 @lru_cache(maxsize=4)

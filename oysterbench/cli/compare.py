@@ -35,8 +35,9 @@ def compare_command(results: tuple[str, ...], split: str | None, outputs: Output
     RESULT is a file that `oysterbench eval` or `run` wrote, a folder that holds results.json, a method on the
     leaderboard, or a record's digest (8 digits or more).
 
-    Methods are ranked by their score over the sequences that all of them were run on; those that cannot be told apart
-    at 95 % share a rank. Results of different splits, evaluators or settings are kept apart, in tables of their own.
+    Methods are ranked by their score over the sequences that all of them were run on: 1 + the number of methods that
+    are significantly better (95 %), or better than one placed above. Results of different splits, evaluators or
+    settings are kept apart, in tables of their own.
     """
     from oysterbench.core.errors import ResultError
     from oysterbench.report import SlamRun, comparison_tables, results_tables, terminal_table

@@ -1,4 +1,4 @@
-"""Statistics over runs and sequences: means with intervals, paired comparisons of methods, and ranks with ties.
+"""Statistics over runs and sequences: means with intervals, and paired comparisons of methods.
 
 A sample is one metric of one method: for each sequence the values of its runs, NaN where a run has none. Every
 sequence has one vote, the mean of its runs. What is asked is how the method does on sequences like these, so sequences
@@ -13,7 +13,7 @@ weights are given, "mean" is that mean, and resamples carry the weights along wi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -27,7 +27,7 @@ from oysterbench.core.streams import stream
 Sample = Mapping[str, Sequence[float]]
 """Sequence -> value of each run, NaN where the run has none."""
 
-Verdict = Literal["better", "worse", "not told apart"]
+Verdict = Literal["better", "worse", "not significantly different"]
 
 LEVEL = 0.95
 """Of every interval, and of every statement that one method is better than another."""
@@ -88,7 +88,7 @@ class Comparison:
 
     difference: mean of a minus b, in the metric's unit; NaN where they share no sequence
     wins, ties, losses: on how many sequences a is better than, equal to, worse than b
-    verdict:    about a; "not told apart" too where the interval cannot be had, with the reason in `interval`
+    verdict:    about a; "not significantly different" too where there is no interval, with the reason in `interval`
     """
 
     sequences: int
@@ -98,20 +98,6 @@ class Comparison:
     ties: int
     losses: int
     verdict: Verdict
-
-
-@dataclass(frozen=True)
-class Standing:
-    """The place of a method among others.
-
-    place:   by the mean alone; equal means share one. None without a value
-    rank:    1 + the methods that are told to be better; the best that it may be. None where none can be told apart
-    worst:   the worst that it may be: the number of methods less those that are told to be worse
-    """
-
-    place: int | None
-    rank: int | None
-    worst: int | None
 
 
 def sequence_means(sample: Sample) -> dict[str, float]:
@@ -131,7 +117,7 @@ def sequence_weights(sample: Sample, weights: Sample | None) -> dict[str, float]
     return {name: math.fsum(weights[name]) / len(weights[name]) for name in sequence_means(sample)}
 
 
-def _weighed_means(sample: Sample, weights: Sample | None) -> dict[str, float]:
+def weighed_means(sample: Sample, weights: Sample | None) -> dict[str, float]:
     """As `sequence_means`, the runs of a sequence weighed by their own weights; alike where these are all 0."""
     if weights is None:
         return sequence_means(sample)
@@ -149,7 +135,7 @@ def summarise(sample: Sample, weights: Sample | None = None) -> Summary:
 
     weights: of the values, shaped like the sample; the mean, and its interval, are then weighed by them.
     """
-    means = np.array(list(_weighed_means(sample, weights).values()))
+    means = np.array(list(weighed_means(sample, weights).values()))
     shares = None if weights is None else np.array(list(sequence_weights(sample, weights).values()))
     runs = [[value for value in values if not math.isnan(value)] for _, values in sorted(sample.items())]
     counts: dict[str, int] = {
@@ -173,7 +159,7 @@ def summarise(sample: Sample, weights: Sample | None = None) -> Summary:
         )
     return Summary(
         **counts,
-        mean=_mean(means, shares),
+        mean=mean_of(means, shares),
         median=float(np.median(means)),
         low=float(means.min()),
         high=float(means.max()),
@@ -202,12 +188,7 @@ def bootstrap_interval(values: Array, weights: Array | None = None) -> Interval:
 
 def _resampled_means(values: Array, weights: Array | None) -> Array:
     """(RESAMPLES,) means; the plain one where the weights of a resample are all 0."""
-    drawn = _weights(len(values))
-    plain = drawn @ values
-    if weights is None:
-        return plain
-    total = drawn @ weights
-    return np.where(total > 0, (drawn @ (weights * values)) / np.where(total > 0, total, 1.0), plain)
+    return _resampled_rows(values[None], None if weights is None else weights[None], _weights(len(values)))[0]
 
 
 def resample_counts(n: int) -> Array | None:
@@ -223,9 +204,15 @@ def resampled_interval(values: Array, n: int) -> Interval:
     known = values[~np.isnan(values)]
     if len(known) < len(values) / 2:
         return Interval(math.nan, math.nan, "it does not exist in most resamples")
-    tail = float(norm.cdf(-math.sqrt(n / (n - 1)) * t.ppf(0.5 + LEVEL / 2, n - 1)))
-    low, high = np.quantile(known, [tail, 1 - tail])
+    low, high = np.quantile(known, _tails(n))
     return Interval(_settled(low), _settled(high))
+
+
+@lru_cache(maxsize=64)
+def _tails(n: int) -> tuple[float, float]:
+    """Between which quantiles of the resamples of n sequences the mean lies: expanded percentiles (Hesterberg 2015)."""
+    tail = float(norm.cdf(-math.sqrt(n / (n - 1)) * t.ppf(0.5 + LEVEL / 2, n - 1)))
+    return tail, 1 - tail
 
 
 def _settled(value: float) -> float:
@@ -258,19 +245,21 @@ def compare(
     none, since a failed run scores 0. Two ratios over a data set have weights each of its own.
     """
     of_a, of_b = weights or (None, None)
-    means_a, means_b = _weighed_means(a, of_a), _weighed_means(b, of_b)
+    means_a, means_b = weighed_means(a, of_a), weighed_means(b, of_b)
     shared = [name for name in means_a if name in means_b]
     differences = np.array([_difference(means_a[name], means_b[name]) for name in shared])
     gains = differences if better == "higher" else -differences
     if not len(shared):
-        return Comparison(0, math.nan, Interval(math.nan, math.nan, "no sequence in common"), 0, 0, 0, "not told apart")
-    difference, interval = _mean(differences), bootstrap_interval(differences)
+        return Comparison(
+            0, math.nan, Interval(math.nan, math.nan, "no sequence in common"), 0, 0, 0, "not significantly different"
+        )
+    difference, interval = mean_of(differences), bootstrap_interval(differences)
     if weights is not None:
         difference, interval = _weighed_difference(
             *(np.array([m[name] for name in shared]) for m in (means_a, means_b)),
             *(np.array([w[name] for name in shared]) for w in (sequence_weights(a, of_a), sequence_weights(b, of_b))),
         )
-    verdict: Verdict = "not told apart"
+    verdict: Verdict = "not significantly different"
     if interval.known and (interval.low > 0 or interval.high < 0):
         verdict = "better" if (interval.low > 0) == (better == "higher") else "worse"
     wins, losses = int((gains > 0).sum()), int((gains < 0).sum())
@@ -279,42 +268,76 @@ def compare(
 
 def _weighed_difference(a: Array, b: Array, weights_a: Array, weights_b: Array) -> tuple[float, Interval]:
     """Difference of two weighed means over the same sequences (n,), and its interval, from the same resamples."""
-    difference = _difference(_mean(a, weights_a), _mean(b, weights_b))
+    difference = _difference(mean_of(a, weights_a), mean_of(b, weights_b))
     if len(a) < LEAST_SEQUENCES:
         return difference, Interval(math.nan, math.nan, too_few(len(a)))
     return difference, resampled_interval(_resampled_means(a, weights_a) - _resampled_means(b, weights_b), len(a))
 
 
-def rank(
-    samples: Mapping[str, Sample], better: Literal["lower", "higher"], weights: Mapping[str, Sample] | None = None
-) -> dict[str, Standing]:
-    """The standing of each method: places by the mean, ranks by what can be told apart, each pair at `LEVEL`.
+def bootstrap_intervals(values: Array, weights: Array | None = None) -> Array:
+    """(R, 2) low and high of the means of R rows of values (R, n), NaN where a row has none: `bootstrap_interval` of
+    each row's values that are not NaN, with their weights (R, n) if given."""
+    found = np.full((len(values), 2), math.nan)
+    for rows, known, drawn in _by_known(values):
+        means = _resampled_rows(values[rows][:, known], None if weights is None else weights[rows][:, known], drawn)
+        found[rows] = np.quantile(means, _tails(int(known.sum())), axis=1).T
+    return np.array([[_settled(value) for value in row] for row in found.tolist()]).reshape(found.shape)
 
-    Ranks are shared by methods that cannot be told apart; methods that lack a value have no standing.
+
+def significant_signs(
+    one: Array, others: Array, weights: Array | None = None, weights_of_others: Array | None = None
+) -> Array:
+    """(R,) sign of the mean of values `one` (n,) less that of each row of `others` (R, n): 0 where `compare` finds no
+    significant difference. NaN where there is no value; weights shaped like the values, for all or none."""
+    signs = np.zeros(len(others))
+    for rows, known, drawn in _by_known(np.where(np.isnan(one), math.nan, others)):
+        a, b = one[known], others[rows][:, known]
+        if weights is None or weights_of_others is None:
+            equal = np.abs(a - b) <= TIE * np.maximum(np.abs(a), np.abs(b))
+            differences = np.where(equal, 0.0, a - b)
+            # Differences of one sign have resamples of that sign, all but those that drew zeros alone.
+            unclear = (differences <= 0).any(axis=1) & (differences >= 0).any(axis=1)
+            signs[rows] = np.sign(differences.sum(axis=1))
+            rows, resampled = rows[unclear], differences[unclear] @ drawn.T
+        else:
+            resampled = _resampled_rows(a[None], weights[known][None], drawn)
+            resampled = resampled - _resampled_rows(b, weights_of_others[rows][:, known], drawn)
+        signs[rows] = _signs_off_zero(resampled, int(known.sum()))
+    return signs
+
+
+def _by_known(values: Array) -> Iterator[tuple[Array, Array, Array]]:
+    """Rows of values (R, n) that have a value in the same columns, these columns (n,), and shares (RESAMPLES, k) of
+    each of them in each resample; rows with too few for an interval are left out."""
+    patterns, which = np.unique(~np.isnan(values), axis=0, return_inverse=True)
+    for k, known in enumerate(patterns):
+        if known.sum() >= LEAST_SEQUENCES:
+            yield np.flatnonzero(which.ravel() == k), known, _weights(int(known.sum()))
+
+
+def _resampled_rows(values: Array, weights: Array | None, drawn: Array) -> Array:
+    """(R, RESAMPLES) means of values (R, n); the plain one where the weights of a resample are all 0."""
+    plain: Array = values @ drawn.T
+    if weights is None:
+        return plain
+    total = weights @ drawn.T
+    return np.where(total > 0, ((weights * values) @ drawn.T) / np.where(total > 0, total, 1.0), plain)
+
+
+def _signs_off_zero(resampled: Array, n: int) -> Array:
+    """(R,) sign of what each row (R, RESAMPLES), resampled over n sequences, has an interval of; 0 where it holds 0.
+
+    A quantile lies between two neighbours of the sorted values: where both have one sign, so has it, and counting is
+    enough. Only where zero falls between just these two is it computed.
     """
-    of = weights or {}
-    means = {name: summarise(sample, of.get(name)).mean for name, sample in samples.items()}
-    ranked = [name for name, mean in means.items() if not math.isnan(mean)]
-    sign = -1 if better == "higher" else 1
-    told = {
-        (x, y): compare(samples[x], samples[y], better, (of[x], of[y]) if weights is not None else None)
-        for x in ranked
-        for y in ranked
-        if x != y
-    }
-    standings = {}
-    for name in samples:
-        if name not in ranked:
-            standings[name] = Standing(None, None, None)
-            continue
-        place = 1 + sum(sign * means[other] < sign * means[name] for other in ranked)
-        others = [told[name, other] for other in ranked if other != name]
-        if not any(comparison.interval.known for comparison in others):
-            standings[name] = Standing(place, None, None)
-            continue
-        worse, above = ([c.verdict for c in others].count(verdict) for verdict in ("better", "worse"))
-        standings[name] = Standing(place, 1 + above, len(ranked) - worse)
-    return standings
+    tails = _tails(n)
+    neighbour = math.floor(tails[0] * (resampled.shape[1] - 1))
+    below, above = np.count_nonzero(resampled <= 0, axis=1), np.count_nonzero(resampled >= 0, axis=1)
+    signs = np.where(below <= neighbour, 1.0, np.where(above <= neighbour, -1.0, 0.0))
+    for k in np.flatnonzero((np.minimum(below, above) == neighbour + 1) & (signs == 0)):
+        low, high = np.quantile(resampled[k], tails)
+        signs[k] = float(low > 0) - float(high < 0)
+    return signs
 
 
 def _difference(a: float, b: float) -> float:
@@ -322,7 +345,7 @@ def _difference(a: float, b: float) -> float:
     return 0.0 if math.isclose(a, b, rel_tol=TIE) else a - b
 
 
-def _mean(values: Array, weights: Array | None = None) -> float:
+def mean_of(values: Array, weights: Array | None = None) -> float:
     """The plain mean, too, where all weights are 0: there is nothing to choose by."""
     if weights is None or not weights.any():
         return math.fsum(values) / len(values)

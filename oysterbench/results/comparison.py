@@ -13,12 +13,18 @@ import numpy as np
 
 from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
-from oysterbench.evaluate.metrics import TRACKS, find_metric
-from oysterbench.evaluate.statistics import Comparison, Sample, Standing, Summary, compare, rank, summarise
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.statistics import (
+    Comparison,
+    Sample,
+    Summary,
+    compare,
+    sequence_weights,
+    summarise,
+    weighed_means,
+)
 from oysterbench.results.records import ResultRecord, comparable_key, method_key, plain, samples, weights_of
-
-PRIMARY = {name: track.ranking for name, track in TRACKS.items()}
-"""Track -> the metric that ranks."""
+from oysterbench.results.standings import PRIMARY, Direction, ScoreTable, SequenceScores, Standing
 
 
 @dataclass(frozen=True)
@@ -48,9 +54,16 @@ class Entry:
         names = list(sequences)
         return summarise(self.sample(key, names), self.weights(key, names))
 
+    def scores(self, key: str, sequences: Iterable[str]) -> SequenceScores:
+        """What ranks it by a metric on some sequences."""
+        names = list(sequences)
+        sample, weights = self.sample(key, names), self.weights(key, names)
+        values = {**dict.fromkeys(names, math.nan), **weighed_means(sample, weights)}
+        return SequenceScores(values, None if weights is None else sequence_weights(sample, weights))
+
 
 @dataclass(frozen=True)
-class Row:
+class RankedMethod:
     """A line of the standings; coverage stands beside every error."""
 
     label: str
@@ -117,10 +130,10 @@ class Board:
         return PRIMARY[self.track]
 
     @property
-    def better(self) -> Any:
+    def better(self) -> Direction:
         """Its direction."""
         found = find_metric(self.metric)
-        return found.better if found else "higher"
+        return "lower" if found is not None and found.better == "lower" else "higher"
 
     @property
     def keys(self) -> list[str]:
@@ -128,18 +141,17 @@ class Board:
         return list(dict.fromkeys(key for entry in self.entries for record in entry.records for key in record.metrics))
 
     @cached_property
-    def standings(self) -> list[Row]:
+    def standings(self) -> list[RankedMethod]:
         """Methods in the order of their places, those without a value last."""
-        weights = {e.label: w for e in self.entries if (w := e.weights(self.metric, self.sequences)) is not None}
-        ranking = rank(
-            {e.label: e.sample(self.metric, self.sequences) for e in self.entries}, self.better, weights or None
-        )
+        scores = [entry.scores(self.metric, self.sequences) for entry in self.entries]
         found = []
-        for entry in self.entries:
+        for entry, standing in zip(
+            self.entries, ScoreTable.of(scores, self.sequences, self.track).standings(self.better), strict=True
+        ):
             chosen = [record for record in entry.records if record.sequence in self.sequences]
             summaries = {key: entry.summary(key, self.sequences) for key in self.keys}
             failures = sum(record.failure is not None for record in chosen)
-            found.append(Row(entry.label, ranking[entry.label], summaries, len(chosen), failures))
+            found.append(RankedMethod(entry.label, standing, summaries, len(chosen), failures))
         return sorted(found, key=lambda row: row.standing.place or math.inf)
 
     @cached_property

@@ -192,7 +192,7 @@ def test_compare_ranks_any_results_and_equal_ones_tie(two_results):
         ("theirs.tum", 1, None),
     ]
     (pair,) = board["pairs"]
-    assert (pair["verdict"], pair["ties"], pair["difference"]) == ("not told apart", 1, 0.0)
+    assert (pair["verdict"], pair["ties"], pair["difference"]) == ("not significantly different", 1, 0.0)
     assert document["remarks"] == ["1 sequence: no 95% interval can be had from fewer than 6"]
     table = run("compare", *two_results).stdout
     assert "Standings on truth.tum" in table

@@ -9,7 +9,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.core.streams import stream
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage
 from oysterbench.evaluate.segmentation.dataset import over_dataset
-from oysterbench.evaluate.statistics import compare, rank, summarise
+from oysterbench.evaluate.statistics import compare, summarise
 from oysterbench.results.records import ResultRecord, aggregate, weights_of
 from tests.helpers.masks import truth_of
 
@@ -22,7 +22,6 @@ def test_a_mean_is_weighed_and_so_is_the_difference_of_two():
     found = compare(A, B, "higher", (OF_A, OF_B))
     assert found.difference == pytest.approx(7 / 8 - 3 / 8)
     assert (found.wins, found.ties, found.losses) == (1, 1, 0)
-    assert [s.place for s in rank({"a": A, "b": B}, "higher", {"a": OF_A, "b": OF_B}).values()] == [1, 2]
 
 
 def test_equal_weights_are_no_weights():

@@ -52,7 +52,7 @@ def walk(answers: list[Answers], better: Literal["higher", "lower"] = "higher") 
         if k:
             weights = (sample(leader.weights), sample(one.weights)) if one.weights and leader.weights else None
             verdict = compare(sample(leader.values), sample(one.values), better, weights).verdict
-            if verdict != "not told apart":
+            if verdict != "not significantly different":
                 leader, rank = one, place
         found.append((one.digest, place, rank))
     return found

@@ -118,7 +118,7 @@ def test_classes_of_conditions_are_compared_on_their_own():
         ("water", "turbid"): 8,
     }
     verdicts = {(pair.a, pair.value): pair.comparison.verdict for pair in board.pairs}
-    assert verdicts["a", ""] == "not told apart"
+    assert verdicts["a", ""] == "not significantly different"
     assert (verdicts["a", "clear"], verdicts["a", "turbid"]) == ("worse", "better")
     assert [(value, label, round(s.mean, 3)) for value, label, s in board.strata("water")][:2] == [
         ("clear", "a", 0.1),

@@ -170,7 +170,7 @@ def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:
     a, b = (side.label for side in sides)
     if not whole.interval.known:
         return f"Which of the two is better cannot be told: {whole.interval.reason}."
-    if whole.verdict == "not told apart":
+    if whole.verdict == "not significantly different":
         return f"{a} and {b} are not told apart."
     name = numbers.heading(metric).text
     return f"{a if whole.verdict == 'better' else b} is better by {name}."
