@@ -73,10 +73,13 @@ def method_identity(reference: str) -> dict[str, Any]:
 
 @cache
 def steering_source() -> str:
-    """SHA-256 of the text of `oysterbench.exploration`: the vehicle, what it sees, and the references."""
-    folder = resources.files("oysterbench") / "steering"
-    files = sorted((file for file in folder.iterdir() if file.name.endswith(".py")), key=lambda file: file.name)
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+    """SHA-256 of the text of what decides a rollout: the vehicle, what it sees, the expert, and the references."""
+    whole = hashlib.sha256()
+    for room in ("simulation/steering", "exploration"):
+        folder = resources.files("oysterbench").joinpath(room)
+        for file in sorted((f for f in folder.iterdir() if f.name.endswith(".py")), key=lambda file: file.name):
+            whole.update(file.read_bytes())
+    return whole.hexdigest()
 
 
 def read_dive(path: Path) -> DiveLog | None:

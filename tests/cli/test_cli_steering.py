@@ -51,7 +51,9 @@ def picture_of(path: Path) -> np.ndarray:
 
 def test_pictures_are_scored_printed_and_drawn(recipe, tmp_path):
     out = tmp_path / "out"
-    result = run("--split", recipe, "--method", "exploring_pilots:Reader", "--method", "straight", "--out", out)
+    result = run(
+        "--split", recipe, "--method", "tests.helpers.exploring_pilots:Reader", "--method", "straight", "--out", out
+    )
     assert result.exit_code == 0, result.output
     assert re.search(r"one +reader +1\.000 +0\.00 +100\.0 +1\.000 +0\.0", result.stdout)
     assert "Over all pictures" in result.stdout
@@ -81,7 +83,17 @@ def test_json_is_all_that_is_printed(recipe, tmp_path):
 
 def test_dives_are_made_once_printed_and_drawn(recipe, tmp_path):
     out = tmp_path / "out"
-    options = ("--split", recipe, "--closed-loop", "--method", "exploring_pilots:Reader", "--workers", 1, "--out", out)
+    options = (
+        "--split",
+        recipe,
+        "--closed-loop",
+        "--method",
+        "tests.helpers.exploring_pilots:Reader",
+        "--workers",
+        1,
+        "--out",
+        out,
+    )
     first = run(*options)
     assert first.exit_code == 0, first.output
     assert re.search(r"one +expert +195\.0", first.stdout)
