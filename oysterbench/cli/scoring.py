@@ -63,7 +63,7 @@ OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {
         {
             "type": float,
             "multiple": True,
-            "help": "Length of sub-paths in m; repeatable.  [default: shares of the path]",
+            "help": "Length of segments in m; repeatable.  [default: shares of the path]",
         },
     ),
 }

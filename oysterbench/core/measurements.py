@@ -18,7 +18,7 @@ class Image:
     pixels: (H, W, 3) uint8 RGB; or a layer: depth (H, W) float32 m along the optical axis, 0 = none; class (H, W)
     uint8 (`recipe.CLASSES`); instance (H, W) uint16, 0 = none; normals (H, W, 3) float32, outward, in the optical
     frame; visibility (H, W) float32, share of the instance at a pixel that nothing hides, NaN = none; light (H, W, 3)
-    float32, 1 = a white matte surface in full daylight: clean (without water), and direct + glow (scattered forward) +
+    float32, 1 = a white matte surface in full daylight: clean (without water), and direct + forward_scatter +
     backscatter + snow, which add up to what reaches the lens.
     """
 

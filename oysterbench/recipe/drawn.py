@@ -1,7 +1,7 @@
 """Values of a recipe that are drawn: a key, and the range that its value comes from.
 
 In a hidden split the draw needs the salt, as everything random does, so that the recipe gives away a range and not the
-way that the vehicle took.
+path that the vehicle took.
 """
 
 from __future__ import annotations

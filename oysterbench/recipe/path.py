@@ -35,13 +35,13 @@ Place = tuple[float, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class PathRecipe:
-    """How the vehicle moves: from rest along a way over the reef, with the small motions of a hovering ROV.
+    """How the vehicle moves: from rest along a path over the reef, with the small motions of a hovering ROV.
 
     Directions from east, counter-clockwise. Keys that a kind does not read (KEYS_OF_KIND) are refused.
     """
 
     kind: str = choice(PATH_KINDS)
-    speed_m_s: float = number(0.01, 5)  # along the way, once the ramp is over: less in tight turns and at close range
+    speed_m_s: float = number(0.01, 5)  # along the path, once the ramp is over: less in tight turns and at close range
     ramp_s: float = number(0.5, 60, 3.0)  # time from rest to full speed
     altitude_m: float = number(0.2, 20)  # above the smoothed bottom
     sway_m: float = number(0, 0.5, 0.06)  # amplitude of surge, sway and heave about the nominal path
@@ -62,7 +62,7 @@ class PathRecipe:
     spacing_m: float | None = number(0.05, 100, None)  # between lanes, or between the rings of an orbit
     cross: bool = False  # lawnmower: then lanes across, which visit every lane again
     repeat: bool = False  # transect, lawnmower: back and forth; waypoints: round and round; else hover at the end
-    look: str = choice(LOOKS, "along")  # orbit: along the way or inward, at the centre
+    look: str = choice(LOOKS, "along")  # orbit: along the path or inward, at the centre
     rings: int = number(1, 100, 1)  # orbit: circles, each wider by spacing_m, a lap on each, outwards and back
     spots: int = number(1, 100, 3)  # inspection: how many, chosen by seed from where most stands on the bottom
     spots_m: tuple[Place, ...] = number(-100, 100, ())  # or these [x, y], in this order
@@ -78,7 +78,7 @@ class PathRecipe:
 def check_path(path: PathRecipe, size_m: float, where: str) -> None:
     """What no single key of a path can say, over a square reef of side size_m.
 
-    Raises RecipeError, which begins with `where`, for a key that the kind misses or does not read, and for a way that
+    Raises RecipeError, which begins with `where`, for a key that the kind misses or does not read, and for a path that
     leaves the reef.
     """
     needed, read = KEYS_OF_KIND[path.kind]

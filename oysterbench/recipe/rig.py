@@ -19,8 +19,19 @@ from oysterbench.recipe.sensors import (
 LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
 """How many coefficients of distortion each lens has."""
 
-LAYERS = ("depth", "class", "instance", "normals", "clean", "direct", "glow", "backscatter", "snow", "visibility")
-"""Ground truth behind a picture: what each pixel shows, its light without water and by its way through the water, and
+LAYERS = (
+    "depth",
+    "class",
+    "instance",
+    "normals",
+    "clean",
+    "direct",
+    "forward_scatter",
+    "backscatter",
+    "snow",
+    "visibility",
+)
+"""Ground truth behind a picture: what each pixel shows, its light without water and on its path through the water, and
 how much of each instance can be seen."""
 
 IMAGE_FORMATS = ("jpeg", "png")

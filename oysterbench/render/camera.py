@@ -21,7 +21,7 @@ from oysterbench.render.optics import Optics
 from oysterbench.render.radiance import Daylight
 from oysterbench.render.target import start_warp
 from oysterbench.render.upload import upload_geometry, upload_looks, upload_optics, upload_vehicle, without_water
-from oysterbench.render.view import View
+from oysterbench.render.view import CameraView
 from oysterbench.render.water import build_water
 from oysterbench.scene.rig import camera_matrix, camera_pose
 from oysterbench.scene.vehicle import build_vehicle
@@ -35,7 +35,7 @@ LAYERS = (
     "radiance",
     "clean",
     "direct",
-    "glow",
+    "forward_scatter",
     "backscatter",
     "snow",
     "depth",
@@ -115,14 +115,14 @@ class CameraRenderer:
         self._radiance.zero_()
         self._prepare(T_map_cam, time_s, T_map_base)
         for pose in (*shutter, T_map_cam):
-            self._see(pose, time_s, weight)
-        with self._stage("noise"):
+            self._accumulate(pose, time_s, weight)
+        with self._timed("noise"):
             shape = (self.camera.height, self.camera.width, 3)
             noise = wp.array(generator.standard_normal(shape, dtype=np.float32), device=self.device)
-        with self._stage("develop"):
+        with self._timed("apply_sensor_model"):
             gain = self.camera.gain
             wp.launch(
-                sensor.develop,
+                sensor.apply_sensor_model,
                 shape[:2],
                 inputs=[
                     self._radiance,
@@ -151,8 +151,8 @@ class CameraRenderer:
         """What the picture at a pose is made of, each by its name in LAYERS, before lens shading, exposure and noise.
 
         Radiances (H, W, 3) float32, of which 1 is a white matte surface's in full daylight at the surface: `direct`,
-        `glow` (scattered forward), `backscatter` (of daylight and lamps) and `snow` (what flakes change) add up to
-        `radiance`; `clean` is the same light in the same place without any water. depth, classes, instances: as in
+        `forward_scatter`, `backscatter` (of daylight and lamps) and `snow` (what flakes change) add up to `radiance`;
+        `clean` is the same light in the same place without any water. depth, classes, instances: as in
         Frame. normals (H, W, 3) float32: outward unit normals in the optical frame, 0 where nothing is. visibility
         (N + 2,) float32 by instance number: pixels in which it is seen over those in which it would be if it were
         alone; NaN for what has none.
@@ -162,19 +162,21 @@ class CameraRenderer:
             raise ValueError(f"unknown layers {unknown}; expected some of {', '.join(LAYERS)}")
         self._radiance.zero_()
         self._prepare(T_map_cam, time_s, T_map_base)
-        self._see(T_map_cam, time_s, 1.0)
+        self._accumulate(T_map_cam, time_s, 1.0)
         radiance = self._radiance.numpy().copy()
         share = self._blur_share
-        direct, glow, haze = (array.numpy().copy() for array in (self._sharp, self._glow, self._haze))
+        direct, forward_scatter, backscatter = (
+            array.numpy().copy() for array in (self._sharp, self._forward_scatter, self._backscatter)
+        )
         if share > 0:
-            glow = glow * np.float32(1 - share) + self._blurred.numpy() * np.float32(share)
+            forward_scatter = forward_scatter * np.float32(1 - share) + self._blurred.numpy() * np.float32(share)
         depth, classes, instances = (array.numpy().copy() for array in self._truth)
         found: dict[str, NDArray[np.generic]] = {
             "radiance": radiance,
             "direct": direct,
-            "glow": glow,
-            "backscatter": haze,
-            "snow": radiance - (direct + glow + haze),
+            "forward_scatter": forward_scatter,
+            "backscatter": backscatter,
+            "snow": radiance - (direct + forward_scatter + backscatter),
             "depth": depth,
             "classes": classes,
             "instances": instances,
@@ -194,7 +196,7 @@ class CameraRenderer:
         if T_map_base is None:
             T_map_base = np.asarray(T_map_cam, dtype=float) @ np.linalg.inv(camera_pose(self.camera))
         T_map_base = np.round(T_map_base, 9)
-        with self._stage("caustics"):
+        with self._timed("caustics"):
             self._waves.move(time_s)
             self._optics.caustics = self._waves.light
             self._clear.caustics = self._waves.light
@@ -211,8 +213,8 @@ class CameraRenderer:
             self._geometry.vehicle.rotation = wp.mat33(*T_map_base[:3, :3].astype(np.float32).ravel().tolist())
             self._geometry.vehicle.position = wp.vec3(*T_map_base[:3, 3].tolist())
 
-    def _view(self, T_map_cam: Pose) -> View:
-        view = View()
+    def _view(self, T_map_cam: Pose) -> CameraView:
+        view = CameraView()
         pose = np.asarray(T_map_cam, dtype=np.float32)
         view.position = wp.vec3(*pose[:3, 3].tolist())
         view.rotation = wp.mat33(*pose[:3, :3].ravel().tolist())
@@ -222,21 +224,21 @@ class CameraRenderer:
         view.port = int(self.camera.port_mm is not None)
         return view
 
-    def _see(self, T_map_cam: Pose, time_s: float, weight: float) -> None:
+    def _accumulate(self, T_map_cam: Pose, time_s: float, weight: float) -> None:
         """Add what arrives at the sensor from a pose to `_radiance`, and leave the truth of it."""
         view = self._view(T_map_cam)
         self._trace(view, self._optics)
         shape = self._radiance.shape
         if self._blur_share > 0:
-            with self._stage("blur"):
-                self._blur.spread(self._glow, self._blurred)
+            with self._timed("blur"):
+                self._blur.spread(self._forward_scatter, self._blurred)
         flakes = self._snow.light
         if flakes is not None:
-            with self._stage("snow"):
+            with self._timed("snow"):
                 pose = np.round(np.asarray(T_map_cam, dtype=float), 9)
                 self._snow.fall(view, self._optics, self._truth[0], pose, self._rays, time_s)
-        with self._stage("compose"):
-            light = [self._sharp, self._glow, self._blurred, self._haze, self._blur_share]
+        with self._timed("compose"):
+            light = [self._sharp, self._forward_scatter, self._blurred, self._backscatter, self._blur_share]
             flakes_or_none = [flakes, snow.UNIT] if flakes is not None else [self._no_flakes, 0.0]
             wp.launch(
                 sensor.compose,
@@ -246,35 +248,35 @@ class CameraRenderer:
                 device=self.device,
             )
 
-    def _trace(self, view: View, optics: Optics) -> None:
-        """Cast, shade and refine the picture of a view into sharp, glow and haze."""
+    def _trace(self, view: CameraView, optics: Optics) -> None:
+        """Cast, shade and refine the picture of a view into sharp, forward_scatter and backscatter."""
         shape, device = self._radiance.shape, self.device
         scene = [self._geometry, self._looks, optics, view]
         surfaces = [self._hits, self._normals]
         self._cast(view)
-        with self._stage("shadow rays"):
+        with self._timed("shadow rays"):
             wp.launch(kernels.shadow, shape, inputs=[*scene, *surfaces], outputs=[self._lit], device=device)
         if optics.occlusion > 0:
-            with self._stage("sky occlusion"):
+            with self._timed("sky occlusion"):
                 inputs = [*scene, self._fan, *surfaces]
                 wp.launch(occlusion.occlude, shape, inputs=inputs, outputs=[self._open], device=device)
         if optics.lamps.count:
-            with self._stage("lamp beams"):
+            with self._timed("lamp beams"):
                 beams = optics.lamps.beams
                 inputs = [view, optics.lamps, self._scattering(optics), self._asymmetry]
                 wp.launch(lamps.sum_beams, beams.shape[:2], inputs=inputs, outputs=[beams], device=device)
-        with self._stage("shading"):
+        with self._timed("shading"):
             inputs = [*scene, *surfaces, self._lit, self._open]
             outputs = [*self._jagged, self._level, self._openings]
             wp.launch(kernels.shade, shape, inputs=inputs, outputs=outputs, device=device)
-        with self._stage("edges"):
+        with self._timed("edges"):
             inputs = [self._geometry, view, self._hits, self._level, *self._jagged]
-            outputs = [self._sharp, self._glow, self._haze]
+            outputs = [self._sharp, self._forward_scatter, self._backscatter]
             wp.launch(edges.refine, shape, inputs=inputs, outputs=outputs, device=device)
 
-    def _cast(self, view: View) -> None:
+    def _cast(self, view: CameraView) -> None:
         """The nearest surface in each pixel of a view."""
-        with self._stage("primary rays"):
+        with self._timed("primary rays"):
             outputs = [self._hits, self._normals, *self._truth]
             inputs = [self._geometry, view]
             wp.launch(kernels.trace, self._radiance.shape, inputs=inputs, outputs=outputs, device=self.device)
@@ -329,7 +331,7 @@ class CameraRenderer:
         self._ray_table = wp.array(self._rays, dtype=wp.vec3, device=self.device)
         self._hits, self._normals = picture(Hit), picture(wp.vec3)
         self._lit, self._open = picture(wp.uint8), picture(wp.float32)
-        self._sharp, self._glow, self._haze = (picture(wp.vec3) for _ in range(3))
+        self._sharp, self._forward_scatter, self._backscatter = (picture(wp.vec3) for _ in range(3))
         self._blurred, self._radiance = picture(wp.vec3), picture(wp.vec3)
         self._jagged = [picture(wp.vec3) for _ in range(3)]
         self._level, self._openings = picture(wp.float32), picture(wp.float32)
@@ -338,7 +340,7 @@ class CameraRenderer:
         self._colour = wp.zeros((*shape, 3), dtype=wp.uint8, device=self.device)
 
     @contextmanager
-    def _stage(self, name: str) -> Iterator[None]:
+    def _timed(self, name: str) -> Iterator[None]:
         start = time.process_time()
         yield
         self.seconds[name] += time.process_time() - start

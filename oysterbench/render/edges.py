@@ -9,7 +9,7 @@ import warp as wp
 
 from oysterbench.render.casting import FAR_M, RELIEF, SKIRT, Geometry, Hit, cast
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.view import View, ray_start, ray_through
+from oysterbench.render.view import CameraView, ray_start, ray_through
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -26,7 +26,7 @@ def surface_of(hits: wp.array2d(dtype=Hit), i: int, j: int):
 
 
 @wp.func
-def surface_at(world: Geometry, view: View, u: float, v: float):
+def surface_at(world: Geometry, view: CameraView, u: float, v: float):
     """Which surface lies behind a place in the picture, px."""
     hit = cast(world, ray_start(view, u, v), ray_through(view, u, v), FAR_M)
     return wp.where(hit.instance == SKIRT, RELIEF, hit.instance)
@@ -50,12 +50,12 @@ def edge_between(level: wp.array2d(dtype=wp.float32), hits: wp.array2d(dtype=Hit
 @wp.kernel
 def refine(
     world: Geometry,
-    view: View,
+    view: CameraView,
     hits: wp.array2d(dtype=Hit),
     level: wp.array2d(dtype=wp.float32),
     sharp: wp.array2d(dtype=wp.vec3),
-    glow: wp.array2d(dtype=wp.vec3),
-    haze: wp.array2d(dtype=wp.vec3),
+    forward_scatter: wp.array2d(dtype=wp.vec3),
+    backscatter: wp.array2d(dtype=wp.vec3),
     smooth_sharp: wp.array2d(dtype=wp.vec3),
     smooth_glow: wp.array2d(dtype=wp.vec3),
     smooth_haze: wp.array2d(dtype=wp.vec3),
@@ -73,8 +73,8 @@ def refine(
     edge = wp.max(edge, edge_between(level, hits, i, j, i, wp.max(j - 1, 0)))
     edge = wp.max(edge, edge_between(level, hits, i, j, i, wp.min(j + 1, last_column)))
     total_sharp = sharp[i, j]
-    total_glow = glow[i, j]
-    total_haze = haze[i, j]
+    total_forward = forward_scatter[i, j]
+    total_back = backscatter[i, j]
     if edge > 0:
         total = wp.float32(1.0)
         for k in range(2):
@@ -91,12 +91,12 @@ def refine(
                     weight = wp.where(corner % 2 == 1, SAMPLE_U, 1.0 - SAMPLE_U)
                     weight = weight * wp.where(corner // 2 == 1, SAMPLE_V, 1.0 - SAMPLE_V)
                     total_sharp += sharp[row, column] * weight
-                    total_glow += glow[row, column] * weight
-                    total_haze += haze[row, column] * weight
+                    total_forward += forward_scatter[row, column] * weight
+                    total_back += backscatter[row, column] * weight
                     total += weight
         total_sharp = total_sharp / total
-        total_glow = total_glow / total
-        total_haze = total_haze / total
+        total_forward = total_forward / total
+        total_back = total_back / total
     smooth_sharp[i, j] = total_sharp
-    smooth_glow[i, j] = total_glow
-    smooth_haze[i, j] = total_haze
+    smooth_glow[i, j] = total_forward
+    smooth_haze[i, j] = total_back

@@ -25,15 +25,15 @@ from oysterbench.render.optics import (
     beam_at,
     beam_light,
     caustic,
-    hazy,
     lamp_irradiance,
     look_up,
     look_up_pair,
+    shadows_lost,
     veiling,
 )
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.texture import Material, clothe, scramble, seabed
-from oysterbench.render.view import View, pixel_ray, pixel_start
+from oysterbench.render.texture import Material, instance_material, scramble, seabed
+from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -74,7 +74,7 @@ def sunlit(
     if wanted:
         wanted = optics.sun * beam_at(optics, p)[1] > LEAST_SHADOW * (optics.sun + optics.sky)
     if wanted:
-        wanted = not hazy(optics, p, distance)
+        wanted = not shadows_lost(optics, p, distance)
     if wanted:
         seen = wp.uint8(SHADED)
         if wp.dot(normal, towards) > 0.0:
@@ -117,12 +117,14 @@ class Signal:
     """Radiance at the camera: sharp and blurred light of a surface, and light that the water adds."""
 
     sharp: wp.vec3
-    glow: wp.vec3
-    haze: wp.vec3
+    forward_scatter: wp.vec3
+    backscatter: wp.vec3
 
 
 @wp.func
-def dress(world: Geometry, looks: Looks, view: View, p: wp.vec3, smooth: wp.vec3, direction: wp.vec3, hit: Any):
+def shade_material(
+    world: Geometry, looks: Looks, view: CameraView, p: wp.vec3, smooth: wp.vec3, direction: wp.vec3, hit: Any
+):
     """The material at a hit."""
     facing = wp.max(-wp.dot(smooth, direction) / wp.length(direction), 0.08)
     footprint = hit.t / (view.focal * wp.sqrt(facing))
@@ -139,7 +141,7 @@ def dress(world: Geometry, looks: Looks, view: View, p: wp.vec3, smooth: wp.vec3
         q = wp.transpose(it.rotation) * (p - it.position)
         seed = scramble(looks.seed + wp.uint32(i))
         mark = blend(world.marks, world.corners, it.first_corner + 3 * hit.face, hit.u, hit.v)
-        material = clothe(
+        material = instance_material(
             it.kind, q, mark, it.scale[0], smooth, it.rotation, it.colour, it.silt, looks.ground, footprint, seed
         )
     return material
@@ -189,11 +191,11 @@ def lamp_light(world: Geometry, lamps: Any, p: wp.vec3, n: wp.vec3, smooth: wp.v
 
 
 @wp.func
-def shine(
+def received_radiance(
     world: Geometry,
     looks: Looks,
     optics: Optics,
-    view: View,
+    view: CameraView,
     origin: wp.vec3,
     direction: wp.vec3,
     hit: Any,
@@ -207,10 +209,10 @@ def shine(
     signal = Signal()
     if hit.instance == NOTHING:
         distance = ENDLESS_M
-    signal.haze = veiling(optics, -origin[2], distance, direction[2] / length)
+    signal.backscatter = veiling(optics, -origin[2], distance, direction[2] / length)
     if hit.instance != NOTHING:
         p = origin + direction * hit.t
-        material = dress(world, looks, view, p, smooth, direction, hit)
+        material = shade_material(world, looks, view, p, smooth, direction, hit)
         n = material.normal
         surface = day_light(optics, p, n, lit, opening)
         if optics.lamps.count > 0:
@@ -220,12 +222,12 @@ def shine(
         row = -p[2] / optics.depth_step
         column = distance / optics.range_step
         signal.sharp = wp.cw_mul(surface, look_up_pair(optics.direct, row, column))
-        signal.glow = wp.cw_mul(surface, look_up_pair(optics.glow, row, column))
+        signal.forward_scatter = wp.cw_mul(surface, look_up_pair(optics.forward_scatter, row, column))
     return signal
 
 
 @wp.func
-def scattered(optics: Optics, view: View, u: float, v: float, distance: float):
+def scattered(optics: Optics, view: CameraView, u: float, v: float, distance: float):
     """Light of the lamps that the water scatters into a ray."""
     light = wp.vec3(0.0, 0.0, 0.0)
     if optics.lamps.count > 0:
@@ -238,7 +240,7 @@ def scattered(optics: Optics, view: View, u: float, v: float, distance: float):
 @wp.kernel
 def trace(
     world: Geometry,
-    view: View,
+    view: CameraView,
     hits: wp.array2d(dtype=Hit),
     normals: wp.array2d(dtype=wp.vec3),
     depth: wp.array2d(dtype=wp.float32),
@@ -278,7 +280,7 @@ def shadow(
     world: Geometry,
     looks: Looks,
     optics: Optics,
-    view: View,
+    view: CameraView,
     hits: wp.array2d(dtype=Hit),
     normals: wp.array2d(dtype=wp.vec3),
     lit: wp.array2d(dtype=wp.uint8),
@@ -301,14 +303,14 @@ def shade(
     world: Geometry,
     looks: Looks,
     optics: Optics,
-    view: View,
+    view: CameraView,
     hits: wp.array2d(dtype=Hit),
     normals: wp.array2d(dtype=wp.vec3),
     lit: wp.array2d(dtype=wp.uint8),
     open: wp.array2d(dtype=wp.float32),
     sharp: wp.array2d(dtype=wp.vec3),
-    glow: wp.array2d(dtype=wp.vec3),
-    haze: wp.array2d(dtype=wp.vec3),
+    forward_scatter: wp.array2d(dtype=wp.vec3),
+    backscatter: wp.array2d(dtype=wp.vec3),
     level: wp.array2d(dtype=wp.float32),
     openings: wp.array2d(dtype=wp.float32),
 ):
@@ -324,7 +326,7 @@ def shade(
         opening = openness(looks, origin + direction * hit.t)
         if optics.occlusion > 0.0:
             opening = gathered(open, hits, normals, row, column, opening)
-    signal = shine(
+    signal = received_radiance(
         world,
         looks,
         optics,
@@ -336,9 +338,9 @@ def shade(
         sun_share(lit, hits, normals, optics.spread, row, column),
         opening,
     )
-    added = signal.haze + scattered(optics, view, u, v, hit.t * wp.length(direction))
+    added = signal.backscatter + scattered(optics, view, u, v, hit.t * wp.length(direction))
     sharp[row, column] = signal.sharp
-    glow[row, column] = signal.glow
-    haze[row, column] = added
-    level[row, column] = signal.sharp[1] + signal.glow[1] + added[1]
+    forward_scatter[row, column] = signal.forward_scatter
+    backscatter[row, column] = added
+    level[row, column] = signal.sharp[1] + signal.forward_scatter[1] + added[1]
     openings[row, column] = opening

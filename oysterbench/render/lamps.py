@@ -17,7 +17,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.recipe import LampRecipe
 from oysterbench.render.optics import Lamps, look_up
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.view import View, ray_start, ray_through
+from oysterbench.render.view import CameraView, ray_start, ray_through
 from oysterbench.render.water import IMAGE_CONE_RAD, Water, forward_share
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -122,7 +122,7 @@ def phase(cosine: float, g: float):
 
 
 @wp.kernel
-def sum_beams(view: View, lamps: Lamps, scattering: wp.vec3, g: float, beams: wp.array3d(dtype=wp.vec3)):
+def sum_beams(view: CameraView, lamps: Lamps, scattering: wp.vec3, g: float, beams: wp.array3d(dtype=wp.vec3)):
     """Light scattered into each ray of the grid up to each node of range."""
     row, column = wp.tid()
     height = float(view.rays.shape[0] - 3)

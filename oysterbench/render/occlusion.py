@@ -6,9 +6,9 @@ import warp as wp
 
 from oysterbench.render.casting import NOTHING, Geometry, Hit, blocked
 from oysterbench.render.looks import Looks, crowded
-from oysterbench.render.optics import Optics, hazy
+from oysterbench.render.optics import Optics, shadows_lost
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.view import View, pixel_ray, pixel_start
+from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -21,7 +21,7 @@ def occlude(
     world: Geometry,
     looks: Looks,
     optics: Optics,
-    view: View,
+    view: CameraView,
     fan: wp.array(dtype=wp.vec3),
     hits: wp.array2d(dtype=Hit),
     normals: wp.array2d(dtype=wp.vec3),
@@ -39,7 +39,7 @@ def occlude(
         if not wanted:
             wanted = crowded(looks, p)
         if wanted:
-            wanted = not hazy(optics, p, hit.t * wp.length(direction))
+            wanted = not shadows_lost(optics, p, hit.t * wp.length(direction))
         if wanted:
             # A frame around the normal (Duff et al. 2017).
             side = wp.float32(1.0)

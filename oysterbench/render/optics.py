@@ -8,7 +8,7 @@ from oysterbench.render.noise import noise2, step_smoothly
 
 LAYER_COSINE, LAYER_SINE = wp.constant(0.8253356), wp.constant(0.5646425)  # 0.6 rad: neither rows nor diagonals meet
 LAYER_PATCH_M = wp.constant(1.7)
-HAZE = wp.constant(0.02)  # transmission in green below which a shadow would not be seen
+LEAST_TRANSMISSION = wp.constant(0.02)  # transmission in green below which a shadow would not be seen
 
 
 @wp.struct
@@ -64,7 +64,7 @@ class Optics:
     occlusion: wp.float32
     seabed_shadows: wp.int32
     direct: wp.array2d(dtype=wp.vec3)
-    glow: wp.array2d(dtype=wp.vec3)
+    forward_scatter: wp.array2d(dtype=wp.vec3)
     saturation: wp.array2d(dtype=wp.vec3)
     veil: wp.array2d(dtype=wp.vec3)
     stretch: wp.array2d(dtype=wp.vec3)
@@ -218,8 +218,11 @@ def beam_light(lamps: Lamps, row: float, column: float, distance: float):
 
 
 @wp.func
-def hazy(optics: Optics, p: wp.vec3, distance: float):
+def shadows_lost(optics: Optics, p: wp.vec3, distance: float):
     """Whether a point is so far that its shadows are not seen."""
     row = -p[2] / optics.depth_step
     column = distance / optics.range_step
-    return look_up_pair(optics.direct, row, column)[1] + look_up_pair(optics.glow, row, column)[1] < HAZE
+    return (
+        look_up_pair(optics.direct, row, column)[1] + look_up_pair(optics.forward_scatter, row, column)[1]
+        < LEAST_TRANSMISSION
+    )

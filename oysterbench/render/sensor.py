@@ -37,9 +37,9 @@ def gamma_table() -> NDArray[np.uint8]:
 @wp.kernel
 def compose(
     sharp: wp.array2d(dtype=wp.vec3),
-    glow: wp.array2d(dtype=wp.vec3),
+    forward_scatter: wp.array2d(dtype=wp.vec3),
     blurred: wp.array2d(dtype=wp.vec3),
-    haze: wp.array2d(dtype=wp.vec3),
+    backscatter: wp.array2d(dtype=wp.vec3),
     share: float,
     snow: wp.array3d(dtype=wp.int32),
     unit: float,
@@ -48,8 +48,8 @@ def compose(
 ):
     """Add what arrives in a pixel, `weight` times: surfaces, water and, where `unit` is not 0, flakes before them."""
     i, j = wp.tid()
-    total = sharp[i, j] + haze[i, j]
-    total += glow[i, j] * (1.0 - share)
+    total = sharp[i, j] + backscatter[i, j]
+    total += forward_scatter[i, j] * (1.0 - share)
     if share > 0.0:
         total += blurred[i, j] * share
     if unit > 0.0:
@@ -60,7 +60,7 @@ def compose(
 
 
 @wp.kernel
-def develop(
+def apply_sensor_model(
     radiance: wp.array2d(dtype=wp.vec3),
     vignetting: wp.array2d(dtype=wp.float32),
     noise: wp.array3d(dtype=wp.float32),

@@ -16,7 +16,7 @@ from oysterbench.render.lamps import phase
 from oysterbench.render.lens import project
 from oysterbench.render.optics import Optics, beam_light, lamp_irradiance, look_up, look_up_pair, veiling
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.view import View
+from oysterbench.render.view import CameraView
 from oysterbench.render.water import Water
 from oysterbench.scene.rig import camera_matrix
 
@@ -98,7 +98,9 @@ class Snow:
         seen = (places[:, 2] > NEAREST_M) & (distance2 < self._reach**2)
         return places[seen], sizes[seen]
 
-    def fall(self, view: View, optics: Optics, depth: wp.array, T_map_cam: Array, rays: NDArray, time_s: float) -> None:
+    def fall(
+        self, view: CameraView, optics: Optics, depth: wp.array, T_map_cam: Array, rays: NDArray, time_s: float
+    ) -> None:
         """Draw the flakes before the surfaces of `depth` (H, W) into `light`."""
         assert self.light is not None
         self.light.zero_()
@@ -151,7 +153,7 @@ def _unit(x: NDArray[np.uint32]) -> Array:
 
 @wp.kernel
 def draw(
-    view: View,
+    view: CameraView,
     optics: Optics,
     discs: wp.array(dtype=wp.vec4),
     places: wp.array(dtype=wp.vec3),
@@ -175,7 +177,7 @@ def draw(
         lit += lamp_irradiance(optics.lamps, lamp, p) * share
     row = -p[2] / optics.depth_step
     column = distance / optics.range_step
-    arrives = look_up_pair(optics.direct, row, column) + look_up_pair(optics.glow, row, column)
+    arrives = look_up_pair(optics.direct, row, column) + look_up_pair(optics.forward_scatter, row, column)
     seen = wp.cw_mul(lit * ALBEDO, arrives) + veiling(optics, -view.position[2], distance, direction[2])
     if optics.lamps.count > 0:
         rows = float(optics.lamps.beams.shape[0] - 1) / float(depth.shape[0] - 1)

@@ -12,7 +12,7 @@ from oysterbench.recipe import ReefRecipe
 from oysterbench.render.noise import fleck, kept, lattice, noise2, noise3, pebble, scramble, step_smoothly, unit
 from oysterbench.scene.instances import CLASS_NUMBERS
 
-__all__ = ["Ground", "Material", "build_ground", "clothe", "scramble", "seabed"]
+__all__ = ["Ground", "Material", "build_ground", "instance_material", "scramble", "seabed"]
 
 OYSTER = wp.constant(wp.uint8(CLASS_NUMBERS["oyster"]))
 HASH = wp.constant(wp.uint8(CLASS_NUMBERS["hash"]))
@@ -320,7 +320,7 @@ def sponge(
 
 
 @wp.func
-def clothe(
+def instance_material(
     kind: wp.uint8,
     q: wp.vec3,
     mark: wp.vec3,

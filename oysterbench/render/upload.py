@@ -131,7 +131,7 @@ def upload_optics(
     optics.sun, optics.sky, optics.bounce = light.sun * daylight, light.sky * daylight, CLEAR_BOUNCE * daylight
     optics.occlusion = recipe.light.occlusion_m
     optics.seabed_shadows = int(steepest > light.steepest_lit_slope())
-    optics.direct, optics.glow = table(water.direct), table(water.glow)
+    optics.direct, optics.forward_scatter = table(water.direct), table(water.forward_scatter)
     optics.saturation = table(water.saturation)
     optics.veil = table(water.veil * daylight)
     optics.stretch = table(water.stretch)
@@ -162,7 +162,7 @@ def without_water(optics: Optics, device: str) -> Optics:
     clear.fan, clear.spread = wp.full(16, towards, dtype=wp.vec3, device=device), 0.0
     ones, zeros = (wp.full((2, 2), wp.vec3(v, v, v), dtype=wp.vec3, device=device) for v in (1.0, 0.0))
     clear.direct, clear.stretch = ones, ones
-    clear.glow, clear.saturation, clear.veil = zeros, zeros, zeros
+    clear.forward_scatter, clear.saturation, clear.veil = zeros, zeros, zeros
     clear.daylight, clear.beam = (wp.full(2, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device=device) for _ in range(2))
     clear.range_step = clear.depth_step = clear.cosine_step = 1.0
     return clear

@@ -6,7 +6,7 @@ import warp as wp
 
 
 @wp.struct
-class View:
+class CameraView:
     """A camera: rotation takes its optical axes into `map`.
 
     rays (H + 2, W + 2): x and y at z = 1 of the ray through a pixel, and z where it starts, with a border of a pixel
@@ -22,7 +22,7 @@ class View:
 
 
 @wp.func
-def ray_at(view: View, u: float, v: float):
+def ray_at(view: CameraView, u: float, v: float):
     """The ray of a place in the picture, px, between those of its neighbours."""
     x = wp.clamp(u + 1.0, 0.0, float(view.rays.shape[1] - 1) - 0.001)
     y = wp.clamp(v + 1.0, 0.0, float(view.rays.shape[0] - 1) - 0.001)
@@ -35,14 +35,14 @@ def ray_at(view: View, u: float, v: float):
 
 
 @wp.func
-def ray_through(view: View, u: float, v: float):
+def ray_through(view: CameraView, u: float, v: float):
     """Direction in `map` through a place in the picture, of unit length along the optical axis: t is depth."""
     ray = ray_at(view, u, v)
     return view.rotation * wp.vec3(ray[0], ray[1], 1.0)
 
 
 @wp.func
-def ray_start(view: View, u: float, v: float):
+def ray_start(view: CameraView, u: float, v: float):
     """Where on the optical axis the ray of a place in the picture starts, in `map`, m."""
     start = view.position
     if view.port != 0:
@@ -51,14 +51,14 @@ def ray_start(view: View, u: float, v: float):
 
 
 @wp.func
-def pixel_ray(view: View, row: int, column: int):
+def pixel_ray(view: CameraView, row: int, column: int):
     """Direction in `map` through the centre of a pixel, of unit length along the optical axis: t is depth."""
     ray = view.rays[row + 1, column + 1]
     return view.rotation * wp.vec3(ray[0], ray[1], 1.0)
 
 
 @wp.func
-def pixel_start(view: View, row: int, column: int):
+def pixel_start(view: CameraView, row: int, column: int):
     """Where on the optical axis the ray of a pixel starts, in `map`, m."""
     start = view.position
     if view.port != 0:

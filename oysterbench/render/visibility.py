@@ -6,13 +6,13 @@ import warp as wp
 
 from oysterbench.render.casting import Geometry, near_vehicle
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.view import View, pixel_ray, pixel_start
+from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 
 wp.set_module_options(KERNEL_OPTIONS)
 
 
 @wp.kernel
-def count_unhidden(world: Geometry, view: View, counts: wp.array(dtype=wp.int32)):
+def count_unhidden(world: Geometry, view: CameraView, counts: wp.array(dtype=wp.int32)):
     """Pixels in which each instance would be seen if it were alone."""
     row, column = wp.tid()
     origin = pixel_start(view, row, column)

@@ -1,10 +1,11 @@
 """What a camera sees through water: tables over range, depth and direction, from spectra of absorption and scattering.
 
-A surface at range r sends what arrives sharp (`direct`) and what arrives blurred, turned a little on its way (`glow`);
-the water between adds veiling light. At each wavelength, with c = a + b and F the share of scattering that stays within
-IMAGE_CONE_RAD of its direction and so in the image,
+A surface at range r sends what arrives sharp (`direct`) and what arrives blurred, turned a little on its way
+(`forward_scatter`); the water between adds veiling light. At each wavelength, with c = a + b and F the share of
+scattering that stays within IMAGE_CONE_RAD of its direction and so in the image,
 
-    direct = exp(-c r),   direct + glow = exp(-c' r),   c' = a + (1 - F) b   (quasi-single scattering, Gordon 1973)
+    direct = exp(-c r)
+    direct + forward_scatter = exp(-c' r),   c' = a + (1 - F) b              (quasi-single scattering, Gordon 1973)
     veil   = L(z, mu) - exp(-c' r) L(z - mu r, mu)                           (Duntley, J. Opt. Soc. Am. 53, 1963)
 
 where L is the radiance of all orders of scattering in deep water (render/radiance.py), and mu the cosine of the view
@@ -49,9 +50,10 @@ class Water:
     """Tables for red, green and blue. A radiance of 1 is that of a white matte surface under surface daylight.
 
     ranges (R,), depths (D,), in m, and cosines (K,) of the view ray with the zenith: evenly spaced axes.
-    direct, glow (D, R, 3): shares of a surface's daylight signal that arrive sharp and blurred by spread_rad, for a
-    surface at that depth. daylight (D, 3): downwelling irradiance over that just below the surface; beam (D, 3): the
-    share of it that still comes from around the sun, scattered by less than IMAGE_CONE_RAD, and throws shadows.
+    direct, forward_scatter (D, R, 3): shares of a surface's daylight signal that arrive sharp and blurred by
+    spread_rad, for a surface at that depth. daylight (D, 3): downwelling irradiance over that just below the surface;
+    beam (D, 3): the share of it that still comes from around the sun, scattered by less than IMAGE_CONE_RAD, and throws
+    shadows.
     veil (D, K, 3): radiance of an endless path from a camera at that depth; saturation (D, R, 3): the share of it that
     a path of that range gives, for a horizontal ray; for any other, look it up at range * stretch.
     stretch (D, K, 3): how much faster than a level ray one of that cosine fills, where it begins. absorption,
@@ -62,7 +64,7 @@ class Water:
     depths: Array
     cosines: Array
     direct: Array
-    glow: Array
+    forward_scatter: Array
     saturation: Array
     veil: Array
     daylight: Array
@@ -80,7 +82,7 @@ class Water:
     def arriving(self, depth_m: float, range_m: float) -> Array:
         """Share (3,) of the signal of a surface at depth_m that arrives over range_m, sharp or blurred."""
         place = (depth_m / self.depths[1], range_m / self.ranges[1])
-        return _look_up(self.direct + self.glow, place)
+        return _look_up(self.direct + self.forward_scatter, place)
 
     def veiling(self, depth_m: float, range_m: float, cosine: float) -> Array:
         """Veiling light (3,) that a camera at depth_m sees along a view ray of range_m."""
@@ -141,7 +143,7 @@ def tabulate(
         depths=depths,
         cosines=cosines,
         direct=_steady(direct),
-        glow=_steady(arriving - direct),
+        forward_scatter=_steady(arriving - direct),
         saturation=_steady(1.0 - _attenuate(ambient, image, ranges)),
         veil=_steady(np.pi * radiance @ weights.T),
         daylight=_steady(irradiance @ weights.T),

@@ -53,7 +53,7 @@ LAYERS = {
     "normals": "32FC3",
     "clean": "32FC3",
     "direct": "32FC3",
-    "glow": "32FC3",
+    "forward_scatter": "32FC3",
     "backscatter": "32FC3",
     "snow": "32FC3",
     "visibility": "32FC1",

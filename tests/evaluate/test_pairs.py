@@ -11,19 +11,19 @@ from oysterbench.evaluate.slam.pairs import (
     pairs_over_frames,
     pairs_over_time,
     run_of,
-    subpaths,
+    segments,
 )
 
 
 def test_a_sub_path_ends_at_the_first_stamp_beyond_its_length_and_not_on_it():
     """KITTI's `dist[i] > dist[first] + length`: on poses a metre apart, 2 m end at the third pose on."""
-    np.testing.assert_array_equal(subpaths(np.arange(6.0), 2.0), [[0, 3], [1, 4], [2, 5]])
-    np.testing.assert_array_equal(subpaths(np.arange(6.0), 2.0, step=2), [[0, 3], [2, 5]])
-    assert len(subpaths(np.arange(6.0), 5.0)) == 0
+    np.testing.assert_array_equal(segments(np.arange(6.0), 2.0), [[0, 3], [1, 4], [2, 5]])
+    np.testing.assert_array_equal(segments(np.arange(6.0), 2.0, step=2), [[0, 3], [2, 5]])
+    assert len(segments(np.arange(6.0), 5.0)) == 0
 
 
 def test_a_sub_path_of_rpgs_ends_at_the_stamp_nearest_to_its_length():
-    np.testing.assert_array_equal(subpaths(np.array([0, 1, 1.9, 3, 4.5]), 2.0, nearest=0.4), [[0, 2], [1, 3]])
+    np.testing.assert_array_equal(segments(np.array([0, 1, 1.9, 3, 4.5]), 2.0, nearest=0.4), [[0, 2], [1, 3]])
 
 
 def test_a_single_unanswered_stamp_is_a_gap():

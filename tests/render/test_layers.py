@@ -33,7 +33,7 @@ def full():
 
 def test_layers_add_up_to_the_picture_before_noise(full):
     layers = full.layers(PLACE, LAYERS, time_s=1.0)
-    total = layers["direct"] + layers["glow"] + layers["backscatter"] + layers["snow"]
+    total = layers["direct"] + layers["forward_scatter"] + layers["backscatter"] + layers["snow"]
     assert total == pytest.approx(layers["radiance"], abs=1e-5)
     frame = full.render(PLACE, noise(), time_s=1.0)
     gain = np.array(list(full._gain))
@@ -58,13 +58,13 @@ def test_a_clean_picture_has_no_water_in_it():
     ones = turbid._clear
     for table in (ones.direct, ones.daylight):
         assert np.all(table.numpy() == 1.0)
-    for table in (ones.glow, ones.veil, ones.saturation):
+    for table in (ones.forward_scatter, ones.veil, ones.saturation):
         assert np.all(table.numpy() == 0.0)
 
 
 def test_an_unknown_layer_is_named(full):
-    with pytest.raises(ValueError, match=r"unknown layers \['haze'\]; expected some of radiance"):
-        full.layers(PLACE, ["haze"])
+    with pytest.raises(ValueError, match=r"unknown layers \['fog'\]; expected some of radiance"):
+        full.layers(PLACE, ["fog"])
 
 
 def test_normals_are_unit_vectors_that_face_the_camera(full):

@@ -46,8 +46,8 @@ def test_a_lamps_light_is_weakened_both_ways():
     water = build_water(recipe.water, Daylight(float(renderer._optics.sun_direction[2]), renderer._optics.sky), 6.0)
     base = np.eye(4)
     base[2, 3] = -1.8
-    layers = renderer.layers(down(0.6), ["clean", "direct", "glow"], T_map_base=base)
-    arrived = middle(layers["direct"] + layers["glow"]) / middle(layers["clean"])
+    layers = renderer.layers(down(0.6), ["clean", "direct", "forward_scatter"], T_map_base=base)
+    arrived = middle(layers["direct"] + layers["forward_scatter"]) / middle(layers["clean"])
     expected = np.exp(-lamps.lamp_spread(water) * 1.2) * water.arriving(3.0, 0.6)
     assert arrived == pytest.approx(expected, rel=0.02)
 

@@ -62,14 +62,14 @@ def test_backscattered_share_is_petzolds() -> None:
 def test_image_formation_limits_are_the_surface_and_the_veil(waters: dict[str, Water], kind: str) -> None:
     water = waters[kind]
     assert water.direct[:, 0] == pytest.approx(1.0)
-    assert water.glow[:, 0] == pytest.approx(0.0)
+    assert water.forward_scatter[:, 0] == pytest.approx(0.0)
     assert water.saturation[:, 0] == pytest.approx(0.0)
     assert water.daylight[0] == pytest.approx(1.0, rel=1e-4)
-    for table in (water.direct, water.direct + water.glow, 1.0 - water.saturation):
+    for table in (water.direct, water.direct + water.forward_scatter, 1.0 - water.saturation):
         assert np.all(np.diff(table, axis=1) <= 1e-6)
         assert np.all(table >= 0)
     assert np.all(np.diff(water.daylight, axis=0) < 0)
-    assert np.all(water.glow >= 0)
+    assert np.all(water.forward_scatter >= 0)
     assert np.all(water.veil >= 0)
     if water.ranges[-1] < 100:
         assert np.all(water.saturation[:, -1] > 0.999)
@@ -188,7 +188,7 @@ def test_turbidity_scales_particles_and_leaves_dissolved_matter() -> None:
 def test_water_without_particles_has_no_veil() -> None:
     water = build_water(WaterRecipe(type="3C", turbidity=0))
     assert np.max(water.veiling(3.0, 10.0, -0.5)) < 1e-8
-    assert np.max(water.glow) == pytest.approx(0, abs=1e-6)
+    assert np.max(water.forward_scatter) == pytest.approx(0, abs=1e-6)
 
 
 def test_daylight_can_be_sun_alone_or_sky_alone() -> None:

@@ -135,7 +135,7 @@ def test_every_layer_can_be_asked_for(tmp_path):
     near = bottom & (found["clean"][0].min(axis=-1) > 0.01)
     assert np.median((found["direct"][0] / found["clean"][0])[near]) < 0.8
     assert found["backscatter"][0][bottom].min() > 0
-    assert found["glow"][0].dtype == np.float32
+    assert found["forward_scatter"][0].dtype == np.float32
 
 
 def test_a_method_cannot_reach_the_truth(sequence):

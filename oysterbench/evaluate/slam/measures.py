@@ -21,7 +21,7 @@ from oysterbench.evaluate.slam.pairs import (
     pairs_over_frames,
     pairs_over_time,
     run_of,
-    subpaths,
+    segments,
     turned,
 )
 from oysterbench.evaluate.slam.pose_errors import PoseErrors, relative_errors
@@ -31,9 +31,9 @@ from oysterbench.evaluate.slam.settings import SlamSettings
 MIN_PATH_M = 1e-3
 """A shorter path has no percentages."""
 SUBPATH_PERCENTS = (10, 20, 30, 40, 50)
-"""Of the true path: lengths of the sub-paths where none are given (Zhang & Scaramuzza 2018, sec. VI)."""
+"""Of the true path: lengths of the segments where none are given (Zhang & Scaramuzza 2018, sec. VI)."""
 MIN_CHORD = 0.1
-"""Of a sub-path's length: its ends must be this far apart for the estimate's scale to be told from them."""
+"""Of a segment's length: its ends must be this far apart for the estimate's scale to be told from them."""
 STILL = "the truth does not move: there is no path to take a percentage of"
 
 
@@ -84,7 +84,7 @@ def measure(matched: Matched, settings: SlamSettings, measures: Measures) -> Rec
     curve = _score(matched, settings, float(path_m[-1]), measures)
     _absolute(matched.absolute, float(path_m[-1]), measures)
     _relative(matched, settings, path_m, measures)
-    _subpaths(matched, settings, path_m, measures)
+    _segments(matched, settings, path_m, measures)
     _drift(matched, path_m, measures)
     _velocity(matched, settings, measures)
     _answers(matched, float(path_m[-1]), measures)
@@ -157,8 +157,8 @@ def _pairs_over_angle(matched: Matched, settings: SlamSettings) -> Index:
     return pairs_along(angle, delta_rad, settings.rpe_pairs == "consecutive")
 
 
-def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
-    """Errors over sub-paths by the length that the sub-path has, each segment counting alike (Geiger et al. 2012)."""
+def _segments(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
+    """Errors over segments by the length that the segment has, each segment counting alike (Geiger et al. 2012)."""
     met, total_m = matched.met, float(path_m[-1])
     rank = np.full(len(path_m), -1)
     rank[met.answered] = np.arange(len(met.answered))
@@ -177,13 +177,13 @@ def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures:
     for name, length_m in lengths.items():
         key = f"subpath_{name}_translation_percent"
         all_pairs = (
-            subpaths(path_m, length_m, settings.subpath_step) if total_m >= MIN_PATH_M else np.empty((0, 2), int)
+            segments(path_m, length_m, settings.subpath_step) if total_m >= MIN_PATH_M else np.empty((0, 2), int)
         )
         starts, ends = np.take(rank, all_pairs.T)
         pairs = np.stack([starts, ends])[:, (starts >= 0) & (ends >= 0)].T
         possible += len(all_pairs)
         if not len(pairs):
-            measures.missing(_no_subpath(length_m, total_m), key)
+            measures.missing(_no_segment(length_m, total_m), key)
             continue
         errors = relative_errors(met.truth, matched.aligned, pairs, matched.absolute)
         percent = 100.0 / length_m * errors.translation_m
@@ -199,7 +199,7 @@ def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures:
     keys = [f"subpath_{name}" for name in sums]
     measures["subpath_segments"] = sum(len(part) for part in sums["translation_percent"])
     if not sums["translation_percent"]:
-        measures.missing(_no_subpath(min(lengths.values()), total_m), *keys, "subpath_coverage")
+        measures.missing(_no_segment(min(lengths.values()), total_m), *keys, "subpath_coverage")
     else:
         measures["subpath_coverage"] = measures["subpath_segments"] / possible
         for key, parts in zip(keys, sums.values(), strict=True):
@@ -207,7 +207,7 @@ def _subpaths(matched: Matched, settings: SlamSettings, path_m: Array, measures:
     ratio = np.concatenate(ratios) if ratios else np.empty(0)
     if not len(ratio):
         measures.missing(
-            f"no sub-path is answered at ends that are {MIN_CHORD:.0%} of its length apart",
+            f"no segment is answered at ends that are {MIN_CHORD:.0%} of its length apart",
             "subpath_scale",
             "subpath_scale_error_percent",
         )
@@ -224,25 +224,25 @@ def _scale_ratios(truth: Trajectory, estimate: Trajectory, pairs: Index, least_m
     return np.asarray(estimated_m[told] / true_m[told])
 
 
-def _no_subpath(length_m: float, total_m: float) -> str:
+def _no_segment(length_m: float, total_m: float) -> str:
     if total_m < MIN_PATH_M:
         return STILL
     if length_m >= total_m:
-        return f"the true path of {total_m:.4g} m has no sub-path of {length_m:.4g} m"
-    return f"no sub-path of {length_m:.4g} m is answered at both ends"
+        return f"the true path of {total_m:.4g} m has no segment of {length_m:.4g} m"
+    return f"no segment of {length_m:.4g} m is answered at both ends"
 
 
 def _drift(matched: Matched, path_m: Array, measures: Measures) -> None:
     """What the estimate is off at its last pose if its first one is laid on the truth."""
     met = matched.met
-    way_m = float(path_m[met.answered[-1]] - path_m[met.answered[0]])
-    if way_m < MIN_PATH_M:
+    path_length_m = float(path_m[met.answered[-1]] - path_m[met.answered[0]])
+    if path_length_m < MIN_PATH_M:
         measures.missing(STILL, "drift_percent", "drift_deg_per_m")
         return
     ends = np.array([[0, len(met.answered) - 1]])
     errors = relative_errors(met.truth, matched.aligned, ends, matched.absolute)
-    measures["drift_percent"] = 100.0 * float(errors.translation_m[0]) / way_m
-    measures["drift_deg_per_m"] = float(np.rad2deg(errors.rotation_rad[0])) / way_m
+    measures["drift_percent"] = 100.0 * float(errors.translation_m[0]) / path_length_m
+    measures["drift_deg_per_m"] = float(np.rad2deg(errors.rotation_rad[0])) / path_length_m
 
 
 def _velocity(matched: Matched, settings: SlamSettings, measures: Measures) -> None:

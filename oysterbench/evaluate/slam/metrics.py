@@ -138,48 +138,48 @@ SLAM: dict[str, Metric] = {
     "subpath_translation_percent": Metric(
         "%",
         "lower",
-        "Mean over all answered sub-paths, of all lengths, of the translation of (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) as a "
-        "percentage of the length; a sub-path ends at the first truth stamp that is more than its length along the "
+        "Mean over all answered segments, of all lengths, of the translation of (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) as a "
+        "percentage of the length; a segment ends at the first truth stamp that is more than its length along the "
         "whole true path (KITTI).",
         "Drift",
     ),
     "subpath_rotation_deg_per_m": Metric(
-        "deg/m", "lower", "Mean over the same sub-paths of the rotation angle by the length.", "Drift rotation"
+        "deg/m", "lower", "Mean over the same segments of the rotation angle by the length.", "Drift rotation"
     ),
     "subpath_yaw_deg_per_m": Metric(
-        "deg/m", "lower", "Mean over the same sub-paths of the yaw part of the rotation by the length.", "Drift yaw"
+        "deg/m", "lower", "Mean over the same segments of the yaw part of the rotation by the length.", "Drift yaw"
     ),
     "subpath_tilt_deg_per_m": Metric(
         "deg/m",
         "lower",
-        "Mean over the same sub-paths of the gravity part of the rotation by the length.",
+        "Mean over the same segments of the gravity part of the rotation by the length.",
         "Drift gravity",
     ),
     "subpath_10m_translation_percent": Metric(
         "%",
         "lower",
-        "Mean over the answered sub-paths of 10 m of the relative translation error by that length.",
+        "Mean over the answered segments of 10 m of the relative translation error by that length.",
         "10 m",
     ),
     "subpath_10percent_translation_percent": Metric(
         "%",
         "lower",
-        "Mean over the answered sub-paths of 10 % of the true path of the relative translation error by that length.",
+        "Mean over the answered segments of 10 % of the true path of the relative translation error by that length.",
         "10 % of path",
     ),
-    "subpath_segments": Metric("", "", "Number of sub-paths that are answered at both ends.", "Sub-paths"),
+    "subpath_segments": Metric("", "", "Number of segments that are answered at both ends.", "Segments"),
     "subpath_coverage": Metric(
         "",
         "higher",
-        "Share (0 to 1) of the sub-paths of the truth that are answered at both ends.",
-        "Sub-paths answered",
+        "Share (0 to 1) of the segments of the truth that are answered at both ends.",
+        "Segments answered",
     ),
     "subpath_scale": Metric(
         "",
         "",
-        "Median over the same sub-paths of the estimated over the true distance between their ends, where these are "
+        "Median over the same segments of the estimated over the true distance between their ends, where these are "
         "10 % of the length apart; 1 is right.",
-        "Scale of sub-paths",
+        "Scale of segments",
     ),
     "subpath_scale_error_percent": Metric("%", "lower", "Median distance of those ratios from 1.", "Scale error"),
     "drift_percent": Metric(

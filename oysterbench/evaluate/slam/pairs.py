@@ -92,8 +92,8 @@ def pairs_apart(quaternions: Array, delta_rad: float) -> Index:
     return np.concatenate(found) if found else NO_PAIRS
 
 
-def subpaths(distances_m: Array, length_m: float, step: int = 1, nearest: float | None = None) -> Index:
-    """Index pairs (M, 2): from every step-th truth stamp to the end of the sub-path of that length.
+def segments(distances_m: Array, length_m: float, step: int = 1, nearest: float | None = None) -> Index:
+    """Index pairs (M, 2): from every step-th truth stamp to the end of the segment of that length.
 
     distances_m (T,) are along the whole true path. The end is the first stamp that is more than length_m on (KITTI
     devkit, `lastFrameFromSegmentLength`). With `nearest`, it is the stamp nearest to length_m on, if within that

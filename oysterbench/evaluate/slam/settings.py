@@ -51,8 +51,8 @@ class SlamSettings:
     rpe_pairs:            from every start (all), or each pair beginning where the last one ended (consecutive)
     rpe_angle:            over which rpe_delta_deg is counted: what the truth turned on the way (turned), or the angle
                           between the two attitudes (direct: evo's all pairs, of at most 20 000 poses)
-    subpath_m:            lengths in m of the sub-paths; none given: 10, 20, 30, 40 and 50 % of the true path
-    subpath_step:         a sub-path starts at every so many truth stamps
+    subpath_m:            lengths in m of the segments; none given: 10, 20, 30, 40 and 50 % of the true path
+    subpath_step:         a segment starts at every so many truth stamps
     velocity_step_s:      over which time velocities are differenced
     """
 

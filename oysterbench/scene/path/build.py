@@ -1,4 +1,4 @@
-"""The path of a sequence, from its recipe: the way, the bottom below it, what pushes the vehicle off, how it leans."""
+"""The path of a sequence, from its recipe: where it leads, the bottom, what pushes the vehicle off, how it leans."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import PathRecipe, SequenceRecipe
 from oysterbench.scene.path import disturbance, routes
 from oysterbench.scene.path.clearance import Height, check_clearance, lift
-from oysterbench.scene.path.itinerary import KNOT_S, Itinerary, Pace, Way, clock, ramp
+from oysterbench.scene.path.itinerary import KNOT_S, Itinerary, NominalPath, Pace, clock, ramp
 from oysterbench.scene.path.motion import Path
 from oysterbench.scene.waves import build_waves
 
@@ -35,12 +35,12 @@ def build_path(recipe: SequenceRecipe, ground_height: Height, obstacle_height: H
     """
     times = np.arange(0.0, recipe.duration_s + 1.0, KNOT_S)  # past the end, so that the end is like the rest
     plan, site = recipe.path, recipe.site
-    way = nominal_way(recipe, clock(times, plan.ramp_s), ground_height, obstacle_height, streams)
-    bottom = gaussian_filter1d(ground_height(way.x, way.y), TERRAIN_SMOOTHING_S / KNOT_S, mode="nearest")
-    nominal = np.column_stack([way.x, way.y, bottom + way.altitude])
+    route = nominal_path(recipe, clock(times, plan.ramp_s), ground_height, obstacle_height, streams)
+    bottom = gaussian_filter1d(ground_height(route.x, route.y), TERRAIN_SMOOTHING_S / KNOT_S, mode="nearest")
+    nominal = np.column_stack([route.x, route.y, bottom + route.altitude])
     wobble = disturbance.sway(times, plan, streams) + disturbance.excitation(times, plan, streams)
     position, attitude = nominal + wobble[:, :3], wobble[:, 3:]
-    attitude[:, 0] += way.heading
+    attitude[:, 0] += route.heading
     begun = ramp(times, plan.ramp_s)[:, None]  # held until then
     if site.wave_height_m:
         waves = build_waves(site, recipe.reef.depth_m, streams)
@@ -50,7 +50,7 @@ def build_path(recipe: SequenceRecipe, ground_height: Height, obstacle_height: H
         mean, gusts = disturbance.current(times, site, streams)
         water = mean + gusts
         position[:, :2] += plan.hold_s * begun * gusts
-        attitude[:, 0] += way.along * disturbance.crab(way.heading, water, plan.speed_m_s)
+        attitude[:, 0] += route.along * disturbance.crab(route.heading, water, plan.speed_m_s)
     if plan.lean:
         pitch, roll = disturbance.lean(times, nominal[:, :2], attitude[:, 0], water, plan.lean)
         attitude[:, 1] += pitch
@@ -69,19 +69,19 @@ def _path(times: Array, position: Array, attitude: Array, recipe: SequenceRecipe
     )
 
 
-def nominal_way(
+def nominal_path(
     recipe: SequenceRecipe, clock_s: Array, ground_height: Height, obstacle_height: Height, streams: Streams
-) -> Way:
-    """The way that the recipe asks for, at clock (N,) s of full pace."""
+) -> NominalPath:
+    """The nominal path that the recipe asks for, at clock (N,) s of full pace."""
     plan = recipe.path
     if plan.kind == "loop":
         rng = streams.generator("path", "loop")
         x, y, heading = routes.loop(_given(plan.radius_m), plan.speed_m_s * clock_s, rng)
-        return Way(x, y, np.full(len(x), plan.altitude_m), heading, np.ones(len(x)))
+        return NominalPath(x, y, np.full(len(x), plan.altitude_m), heading, np.ones(len(x)))
     if plan.kind == "inspection" and not plan.spots_m:
         spots = find_spots(recipe, ground_height, obstacle_height, streams.generator("path", "spots"))
         plan = dataclasses.replace(plan, spots_m=tuple(spots))
-    return itinerary(plan, float(clock_s[-1]), streams).way(clock_s)
+    return itinerary(plan, float(clock_s[-1]), streams).nominal_path(clock_s)
 
 
 def itinerary(plan: PathRecipe, seconds: float, streams: Streams) -> Itinerary:

@@ -1,4 +1,4 @@
-"""Itineraries: places to be at, one after the other, and the smooth way through them within the vehicle's limits."""
+"""Itineraries: places to be at, one after the other, and the smooth path through them within the vehicle's limits."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ REACH = 4.0  # standard deviations that the Gaussian goes to
 
 
 @dataclass(frozen=True)
-class Way:
-    """A nominal way at N times: x, y m in `map`, altitude m over the bottom, heading rad (from east,
-    counter-clockwise, unwrapped) and the share to which the bow points along the way, each (N,)."""
+class NominalPath:
+    """A nominal path at N times: x, y m in `map`, altitude m over the bottom, heading rad (from east,
+    counter-clockwise, unwrapped) and the share to which the bow points along the path, each (N,)."""
 
     x: Array
     y: Array
@@ -44,7 +44,7 @@ class Pace:
 class Itinerary:
     """States in the order of their visit, each at the earliest time that speed and rate of turn allow.
 
-    A state (5,) is x m, y m, altitude m, heading rad, and 1 where the bow points along the way, 0 where it looks at
+    A state (5,) is x m, y m, altitude m, heading rad, and 1 where the bow points along the path, 0 where it looks at
     something.
     """
 
@@ -90,17 +90,17 @@ class Itinerary:
             self._durations.append(durations[moves])
             self.elapsed += float(durations.sum())
 
-    def way(self, clock: Array) -> Way:
-        """The smoothed way at clock (N,) s of full pace, not falling, from 0; it hovers where it ends."""
+    def nominal_path(self, clock: Array) -> NominalPath:
+        """The smoothed path at clock (N,) s of full pace, not falling, from 0; it hovers where it ends."""
         states = np.concatenate(self._states)
         times = np.concatenate([[0.0], np.cumsum(np.concatenate([[], *self._durations]))])
-        return Way(*smooth(times, states, float(clock[-1]))(clock).T)
+        return NominalPath(*smooth(times, states, float(clock[-1]))(clock).T)
 
 
 def smooth(times: Array, states: Array, end: float) -> BSpline:
     """Spline over 0 to `end` s of the states (M, K) at times (M,) s, linear between them, after a Gaussian in time.
 
-    Before its first state the way is carried back along its first leg, so that it begins where that does.
+    Before its first state the path is carried back along its first leg, so that it begins where that does.
     """
     lead = int(np.ceil(REACH * SMOOTHING_S / KNOT_S))
     steps = np.arange(-lead, int(np.ceil(end / KNOT_S)) + lead + 2)
@@ -121,6 +121,6 @@ def ramp(times: Array, ramp_s: float) -> Array:
 
 
 def clock(times: Array, ramp_s: float) -> Array:
-    """Integral (N,) s of the ramp over time: seconds of full pace. The way begins at rest, without acceleration."""
+    """Integral (N,) s of the ramp over time: seconds of full pace. The path begins at rest, without acceleration."""
     grown = np.clip(times / ramp_s, 0.0, 1.0)
     return ramp_s * (grown**6 - 3 * grown**5 + 2.5 * grown**4) + np.maximum(times - ramp_s, 0.0)

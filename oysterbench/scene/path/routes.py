@@ -22,18 +22,18 @@ Curve = tuple[Array, Array]
 """Places (K, 2) m along a curve, and its tangents (K, 2) there."""
 
 
-def loop(radius_m: float, way: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """x, y (m) and heading (rad, unwrapped) at way (N,) m along a closed loop around the origin."""
+def loop(radius_m: float, travelled_m: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """x, y (m) and heading (rad, unwrapped) at travelled_m (N,) along a closed loop around the origin."""
     start, bend = rng.uniform(0.0, 2 * np.pi, 2)
     turn = rng.choice([-1.0, 1.0])
     angle = np.linspace(0.0, 2 * np.pi, 4001)
-    # An ellipse-like and a three-lobed term: curvature changes along the way, so that no part is a plain circle.
+    # An ellipse-like and a three-lobed term: curvature changes along the path, so that no part is a plain circle.
     radius = radius_m * (1 + LOOP_RIPPLE * (0.6 * np.sin(2 * angle + bend) + 0.4 * np.sin(3 * angle)))
     curve = np.column_stack([radius * np.cos(start + turn * angle), radius * np.sin(start + turn * angle)])
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
     closed = make_interp_spline(length, curve, k=5, bc_type="periodic")
-    position = closed(way)
-    tangent = closed.derivative(1)(way)
+    position = closed(travelled_m)
+    tangent = closed.derivative(1)(travelled_m)
     return position[:, 0], position[:, 1], np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
 
 
@@ -256,9 +256,9 @@ def wander(
     on = curve(at)
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(on, axis=0).T))])
     even = np.interp(np.arange(0.0, length[-1], CURVE_STEP_M), length, at)
-    way = curve(even), curve.derivative(1)(even)
-    itinerary = _begin(way, pace)
-    _follow(itinerary, way)
+    line = curve(even), curve.derivative(1)(even)
+    itinerary = _begin(line, pace)
+    _follow(itinerary, line)
     return itinerary
 
 

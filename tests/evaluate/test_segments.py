@@ -1,4 +1,4 @@
-"""Sub-paths: KITTI's and rpg's definitions, on cases made by hand and on random ones, and where rpg's tool errs."""
+"""Segments: KITTI's and rpg's definitions, on cases made by hand and on random ones, and where rpg's tool errs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.geometry import invert
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.slam.pairs import distances, subpaths
+from oysterbench.evaluate.slam.pairs import distances, segments
 from oysterbench.evaluate.slam.pose_errors import absolute_errors, relative_errors
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from tests.helpers.dives import moved, noisy, survey, transect
@@ -125,7 +125,7 @@ def test_sub_trajectories_equal_rpgs_where_every_pose_is_matched(seed, share):
     truth = survey(rate_hz=10)
     estimate = moved(noisy(truth, 0.05, case=seed), Rotation.from_euler("z", rng.uniform(0, 6)), (1, 2, 3))
     length = share * truth.path_length
-    pairs = subpaths(distances(truth.positions), length, nearest=0.2 * length)
+    pairs = segments(distances(truth.positions), length, nearest=0.2 * length)
     errors = relative_errors(truth, estimate, pairs, absolute_errors(truth, estimate))
     theirs = rpg_errors(truth.matrices, estimate.matrices, length)
     np.testing.assert_allclose(100 * errors.translation_m / length, theirs[:, 0], rtol=1e-9)
@@ -137,7 +137,7 @@ def test_yaw_and_gravity_errors_equal_rpgs_parts():
     rng = stream(2, b"", "parts")
     turns = Rotation.from_rotvec(np.cumsum(rng.normal(0, 0.02, (len(truth), 3)), axis=0))
     estimate = replace(truth, quaternions=(turns * Rotation.from_quat(truth.quaternions)).as_quat())
-    pairs = subpaths(distances(truth.positions), 5.0, nearest=1.0)
+    pairs = segments(distances(truth.positions), 5.0, nearest=1.0)
     errors = relative_errors(truth, estimate, pairs, absolute_errors(truth, estimate))
     theirs = rpg_errors(truth.matrices, estimate.matrices, 5.0)
     np.testing.assert_allclose(errors.yaw_rad, theirs[:, 1], atol=1e-9)
@@ -165,8 +165,8 @@ def test_no_sub_path_is_nan_with_the_reason_and_no_zero():
     result = score(truth, truth, SlamSettings(align="none", subpath_m=(100.0,)))
     for key in ("subpath_100m_translation_percent", "subpath_translation_percent", "subpath_rotation_deg_per_m"):
         assert np.isnan(result.metrics[key])
-        assert result.reasons[key] == "the true path of 30 m has no sub-path of 100 m"
+        assert result.reasons[key] == "the true path of 30 m has no segment of 100 m"
     assert result.metrics["subpath_segments"] == 0
     few = truth.select(slice(0, 20))
     result = score(truth, few, SlamSettings(align="none", subpath_m=(10.0,)))
-    assert result.reasons["subpath_10m_translation_percent"] == "no sub-path of 10 m is answered at both ends"
+    assert result.reasons["subpath_10m_translation_percent"] == "no segment of 10 m is answered at both ends"
