@@ -131,11 +131,13 @@ class Similarity:
     def apply(self, points: Array) -> Array:
         """Transform (N, 3) points."""
         # einsum, as the matrix product of BLAS takes ten times as long for so narrow a matrix.
-        return np.einsum("ij,kj->ik", points, self.scale * self.rotation) + self.translation
+        return np.asarray(np.einsum("ij,kj->ik", points, self.scale * self.rotation) + self.translation)
 
     def rotate(self, quaternions: Array) -> Array:
         """Attitudes (N, 4) turned from the left: body to the estimate's world becomes body to the reference's."""
-        return np.einsum("ij,kj->ik", quaternions, left_product(Rotation.from_matrix(self.rotation).as_quat()))
+        return np.asarray(
+            np.einsum("ij,kj->ik", quaternions, left_product(Rotation.from_matrix(self.rotation).as_quat()))
+        )
 
 
 IDENTITY = Similarity(np.eye(3), np.zeros(3))
@@ -174,7 +176,7 @@ def covariance(points_a: Array, points_b: Array) -> Array:
     einsum's sums, unlike those of BLAS, are the same on any number of threads.
     """
     a, b = points_a - centroid(points_a), points_b - centroid(points_b)
-    return np.einsum("ni,nj->ij", a, b) / len(a)
+    return np.asarray(np.einsum("ni,nj->ij", a, b) / len(a))
 
 
 def align_origin(reference: Array, estimate: Array) -> Similarity:

@@ -19,6 +19,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from oysterbench.core.geometry import Array
@@ -188,7 +189,9 @@ def bootstrap_interval(values: Array, weights: Array | None = None) -> Interval:
 
 def _resampled_means(values: Array, weights: Array | None) -> Array:
     """(RESAMPLES,) means; the plain one where the weights of a resample are all 0."""
-    return _resampled_rows(values[None], None if weights is None else weights[None], _weights(len(values)))[0]
+    return np.asarray(
+        _resampled_rows(values[None], None if weights is None else weights[None], _weights(len(values)))[0]
+    )
 
 
 def resample_counts(n: int) -> Array | None:
@@ -306,7 +309,7 @@ def significant_signs(
     return signs
 
 
-def _by_known(values: Array) -> Iterator[tuple[Array, Array, Array]]:
+def _by_known(values: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.bool_], Array]]:
     """Rows of values (R, n) that have a value in the same columns, these columns (n,), and shares (RESAMPLES, k) of
     each of them in each resample; rows with too few for an interval are left out."""
     patterns, which = np.unique(~np.isnan(values), axis=0, return_inverse=True)

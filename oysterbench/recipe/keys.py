@@ -8,9 +8,14 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import field
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from oysterbench.core.errors import RecipeError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Kind = TypeVar("Kind", bound="DataclassInstance")
 
 
 def number(low: float, high: float, default: Any = dataclasses.MISSING) -> Any:
@@ -23,7 +28,7 @@ def choice(options: tuple[str, ...], default: Any = dataclasses.MISSING) -> Any:
     return field(default=default, metadata={"options": options})
 
 
-def build(kind: type, table: Any, where: str, prefix: str) -> Any:
+def build(kind: type[Kind], table: Any, where: str, prefix: str) -> Kind:
     """Dataclass `kind` from a TOML table, key by key."""
     if not isinstance(table, Mapping):
         raise RecipeError(f"{where}: key {prefix[:-1]!r}: expected a table, got {table!r}")

@@ -103,7 +103,7 @@ def project(points: Array, camera: CameraRecipe) -> Array:
     if camera.port_mm is not None:
         flat = _through_port(points, camera.port_mm * 1e-3)
     matrix = camera_matrix(camera)
-    return distort(flat, camera) * matrix[0, 0] + matrix[:2, 2]
+    return np.asarray(distort(flat, camera) * matrix[0, 0] + matrix[:2, 2])
 
 
 def _through_port(points: Array, port: float) -> Array:
@@ -116,4 +116,4 @@ def _through_port(points: Array, port: float) -> Array:
         water = np.sqrt(sine2 / (1 - sine2))
         slope = port + depth / (PORT_INDEX * ((1 + tangent**2) * (1 - sine2)) ** 1.5)
         tangent = np.maximum(tangent - (port * tangent + depth * water - radius) / slope, 0.0)
-    return points[:, :2] * (tangent / np.maximum(radius, 1e-12))[:, None]
+    return np.asarray(points[:, :2] * (tangent / np.maximum(radius, 1e-12))[:, None])

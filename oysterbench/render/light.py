@@ -110,7 +110,7 @@ def sun_fan(light: Light, water: Water, depth_m: float) -> NDArray[np.float32]:
     fan = np.cos(turned)[:, None] * light.sun_direction + np.sin(turned)[:, None] * across
     fan[:, 2] = np.maximum(fan[:, 2], LOWEST_LIGHT)
     fan /= np.linalg.norm(fan, axis=1, keepdims=True)
-    return np.round(fan[MIXED], 6).astype(np.float32)
+    return np.asarray(np.round(fan[MIXED], 6).astype(np.float32))
 
 
 def exposure(

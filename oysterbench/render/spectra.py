@@ -191,13 +191,13 @@ def camera_response() -> Array:
     green = band(WAVELENGTHS, 538, 38) + 0.06 * band(WAVELENGTHS, 610, 25)
     blue = band(WAVELENGTHS, 462, 28) + 0.08 * band(WAVELENGTHS, 530, 25)
     curves = np.stack([red, green, blue])
-    return curves / curves.sum(axis=1, keepdims=True)
+    return np.asarray(curves / curves.sum(axis=1, keepdims=True))
 
 
 def camera_weights() -> Array:
     """Share (3, 31) of each wavelength in a channel's signal from a white surface just below the water's surface."""
     weights = camera_response() * DAYLIGHT
-    return weights / weights.sum(axis=1, keepdims=True)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 def luminosity() -> Array:

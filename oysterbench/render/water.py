@@ -90,7 +90,7 @@ class Water:
         column = (cosine + 1.0) / (self.cosines[1] - self.cosines[0])
         stretched = range_m * _look_up(self.stretch, (row, column)) / self.ranges[1]
         shares = [_look_up(self.saturation, (row, place))[i] for i, place in enumerate(stretched)]
-        return _look_up(self.veil, (row, column)) * np.array(shares)
+        return np.asarray(_look_up(self.veil, (row, column)) * np.array(shares))
 
     def seen(self, albedo: ArrayLike, camera_depth_m: float, range_m: float, cosine: float) -> Array:
         """Mean radiance (3,) of a level matte surface of that albedo, seen from camera_depth_m over range_m."""

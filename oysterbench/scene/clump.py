@@ -202,4 +202,4 @@ class _Grove:
 
 def _length(vectors: Array) -> Array:
     """Lengths (..., 1) of vectors (..., 3)."""
-    return np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
+    return np.asarray(np.sqrt((vectors**2).sum(axis=-1, keepdims=True)))

@@ -174,7 +174,7 @@ def _covered(places: Array, things: Instances, meshes: Sequence[Mesh]) -> NDArra
         cell = cell[np.all((cell >= 0) & (cell < shape), axis=1)]
         taken[cell[:, 0], cell[:, 1]] = True
     cell = np.floor(places / FOOTPRINT_CELL_M).astype(np.int64) - corner
-    return taken[cell[:, 0], cell[:, 1]]
+    return np.asarray(taken[cell[:, 0], cell[:, 1]])
 
 
 def _upper_sides(

@@ -49,17 +49,17 @@ class Crowd:
 
 def probe_points(positions: Array, rotations: Array, scales: Array) -> Array:
     """Points (N, P, 3) of shells that should lie in nothing else, m."""
-    return np.einsum("nij,npj->npi", rotations, PROBES * scales[:, None]) + positions[:, None]
+    return np.asarray(np.einsum("nij,npj->npi", rotations, PROBES * scales[:, None]) + positions[:, None])
 
 
 def total_overlap(crowds: Sequence[Crowd], positions: Array, rotations: Array, scales: Array) -> Array:
     """Crowd.overlap (C,) over several crowds."""
-    return np.sum([crowd.overlap(positions, rotations, scales) for crowd in crowds], axis=0)
+    return np.asarray(np.sum([crowd.overlap(positions, rotations, scales) for crowd in crowds], axis=0))
 
 
 def _centres(positions: Array, rotations: Array, scales: Array) -> Array:
     """Centres (N, 3) of the ellipsoids, m."""
-    return positions + np.einsum("nij,nj->ni", rotations, ELLIPSOID[0] * scales)
+    return np.asarray(positions + np.einsum("nij,nj->ni", rotations, ELLIPSOID[0] * scales))
 
 
 def _probes() -> Array:

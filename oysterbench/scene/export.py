@@ -82,7 +82,7 @@ def _albedo(mesh: Mesh, generator: np.random.Generator) -> NDArray[np.float64]:
     outer = (mix * BROWN + (1 - mix) * GREY) * (0.75 + 0.35 * bands)
     outer = outer + (PALE - outer) * np.clip(6 * (growth - 0.85), 0, 0.7)
     inner = INSIDE + (SCAR - INSIDE) * 0.8 * scar
-    return outer + (inner - outer) * inside
+    return np.asarray(outer + (inner - outer) * inside)
 
 
 def _srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:

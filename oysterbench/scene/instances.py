@@ -49,7 +49,7 @@ class Instances:
     def vertices(self, meshes: Sequence[Mesh], index: int) -> Array:
         """Vertices (V, 3) of one instance in `map`, m."""
         local = meshes[self.shapes[index]].vertices * self.scales[index].astype(float)
-        return np.einsum("ij,vj->vi", self.rotations[index].astype(float), local) + self.positions[index]
+        return np.asarray(np.einsum("ij,vj->vi", self.rotations[index].astype(float), local) + self.positions[index])
 
 
 def make_instances(
@@ -126,4 +126,4 @@ def lean_with(terrain: Terrain, places: Array, rotations: Array, reach: float) -
     slope_x = (terrain.height(x + reach, y) - terrain.height(x - reach, y)) / (2 * reach)
     slope_y = (terrain.height(x, y + reach) - terrain.height(x, y - reach)) / (2 * reach)
     lean = Rotation.from_rotvec(np.column_stack([np.arctan(slope_y), -np.arctan(slope_x), np.zeros(len(x))]))
-    return np.einsum("nij,njk->nik", lean.as_matrix().reshape(-1, 3, 3), rotations)
+    return np.asarray(np.einsum("nij,njk->nik", lean.as_matrix().reshape(-1, 3, 3), rotations))

@@ -176,7 +176,9 @@ class _Surface:
         season = np.clip(np.searchsorted(self._ages, age, side="right") - 1, 0, len(self._rises) - 1)
         start, end = self._ages[season], self._ages[season + 1]
         tile = np.clip((age - start) / np.maximum(end - start, 1e-6), 0.0, 1.0) ** 1.6
-        return tile * self._rises[season] * np.minimum(1.0, 5 * self.growth) * np.minimum(1.0, 12 * (1 - self.growth))
+        return np.asarray(
+            tile * self._rises[season] * np.minimum(1.0, 5 * self.growth) * np.minimum(1.0, 12 * (1 - self.growth))
+        )
 
     @property
     def margin(self) -> Array:

@@ -78,11 +78,11 @@ def _bumps(directions: Array, count: int, low: float, high: float, generator: np
     waves = generator.standard_normal((count, 3))
     waves *= (generator.uniform(low, high, count) / np.linalg.norm(waves, axis=1))[:, None]
     phases = generator.uniform(0, 2 * np.pi, count)
-    return np.sin(directions @ waves.T + phases).sum(axis=1) / np.sqrt(0.5 * count)
+    return np.asarray(np.sin(directions @ waves.T + phases).sum(axis=1) / np.sqrt(0.5 * count))
 
 
 def _facets(directions: Array, normals: Array, distances: Array) -> Array:
     """Radius (V,) of a unit ball cut by planes: a smooth minimum (p-norm) over the planes and the ball."""
     cosines = np.maximum(np.einsum("vi,li->vl", directions, normals), 0.0) / distances
     sharpness = 14.0
-    return (np.sum(cosines**sharpness, axis=1) + 1.0) ** (-1.0 / sharpness)
+    return np.asarray((np.sum(cosines**sharpness, axis=1) + 1.0) ** (-1.0 / sharpness))

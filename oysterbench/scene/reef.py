@@ -183,4 +183,4 @@ def _shell_colours(n: int, white: Array, generator: np.random.Generator) -> Arra
     mix = generator.dirichlet([1.6, 1.6, 0.7], n)
     colours = mix[:, :1] * brown + mix[:, 1:2] * grey + mix[:, 2:] * pale
     colours = colours * np.exp(0.18 * generator.standard_normal((n, 1)))
-    return colours + (pale - colours) * (white * generator.random(n))[:, None]
+    return np.asarray(colours + (pale - colours) * (white * generator.random(n))[:, None])

@@ -86,7 +86,7 @@ def sample_grid(coordinates: Array, values: NDArray[np.floating], x: ArrayLike, 
     u, v = column - j, row - i
     low = values[i, j] * (1 - u) + values[i, j + 1] * u
     high = values[i + 1, j] * (1 - u) + values[i + 1, j + 1] * u
-    return low * (1 - v) + high * v
+    return np.asarray(low * (1 - v) + high * v)
 
 
 def build_terrain(reef: ReefRecipe, generator: np.random.Generator) -> Terrain:
@@ -144,7 +144,7 @@ def _ripples(k_x: Array, k_y: Array, generator: np.random.Generator) -> Array:
     return ripples / max(float(np.sqrt(np.mean(ripples**2))), 1e-12)
 
 
-def _filtered(amplitude: NDArray[np.generic], generator: np.random.Generator) -> Array:
+def _filtered(amplitude: Array, generator: np.random.Generator) -> Array:
     """White noise through a filter given on the rfft2 grid, scaled to zero mean and unit rms."""
     cells = amplitude.shape[0]
     spectrum = fft.rfft2(generator.standard_normal((cells, cells))) * amplitude

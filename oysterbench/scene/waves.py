@@ -69,7 +69,7 @@ class Waves:
         return total
 
     def _heading(self, index: int) -> Array:
-        return self.wavenumber[index] / np.linalg.norm(self.wavenumber[index])
+        return np.asarray(self.wavenumber[index] / np.linalg.norm(self.wavenumber[index]))
 
     def _components(self, position: Array, times_s: Array) -> Iterator[tuple[float, Array, tuple[Array, Array, Array]]]:
         """Amplitude, theta (N,) and the three factors of depth (N,), one component at a time: hours fit in memory."""

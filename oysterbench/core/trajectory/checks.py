@@ -95,7 +95,7 @@ def _once(trajectory: Trajectory, name: str, where: Callable[[int], str], notes:
             f"{where(i - 1).rsplit('/', 1)[-1]}{others(differ)}; keep one of them"
         )
     notes.append(f"{name}: {np.count_nonzero(again)} poses were written twice and are taken once")
-    return np.r_[True, ~again]
+    return np.asarray(np.r_[True, ~again])
 
 
 def _check_covariances(covariances: Array, where: Callable[[int], str]) -> None:

@@ -6,7 +6,6 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -47,7 +46,7 @@ class Table:
 
     def stamp(self, row: int) -> str:
         """The text of a row's stamp, shortened for a message."""
-        return self.stamps[row].decode()[:40]
+        return str(self.stamps[row].decode()[:40])
 
     def __len__(self) -> int:
         return len(self.values)
@@ -105,24 +104,20 @@ def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Table 
         if b" " in data or b"\t" in data:
             return None
     # Before version 3 only this setting rounds decimals to the nearest float64; since then every one does.
+    read: Callable[..., pd.DataFrame] = pd.read_csv
     exact = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
-    read = partial(
-        pd.read_csv,
-        sep="," if commas else " " if _single_spaces(data) else r"\s+",
-        header=None,
-        na_filter=False,
-        low_memory=False,
-    )
+    separator = "," if commas else " " if _single_spaces(data) else r"\s+"
+    how: dict[str, object] = {"sep": separator, "header": None, "na_filter": False, "low_memory": False}
     try:
         # Every column is read as numbers, so that a line that breaks off leaves an empty cell, which is none.
-        frame = read(io.BytesIO(data), dtype=float, **exact)
+        frame = read(io.BytesIO(data), dtype=float, **how, **exact)
         values = frame[columns.numbers].to_numpy()
         stamps, sizes = np.empty(0, dtype="S1"), np.empty(0)
         if columns.stamp is not None:
             sizes = frame[columns.stamp].to_numpy()
             first = _first_fields(data) if columns.stamp == 0 else None
             if first is None or len(first) != len(frame):
-                texts = read(io.BytesIO(data), usecols=[columns.stamp], dtype=object)
+                texts = read(io.BytesIO(data), usecols=[columns.stamp], dtype=object, **how)
                 first = np.array(texts[columns.stamp].tolist(), dtype=np.bytes_)
             stamps = first
     except (ValueError, LookupError, OverflowError):
@@ -160,7 +155,7 @@ def _first_fields(data: bytes) -> NDArray[np.bytes_] | None:
     if not ends.any(axis=1).all() or not lengths.all():
         return None
     fields[np.arange(STAMP_WIDTH) >= lengths[:, None]] = 0
-    return fields.view(f"S{STAMP_WIDTH}").ravel()
+    return np.asarray(fields.view(f"S{STAMP_WIDTH}").ravel())
 
 
 def _read_lines(text: str, begin: int, columns: Columns, path: str) -> Table:

@@ -25,4 +25,4 @@ def inner_boundary(mask: NDArray[np.bool_], depth: int) -> NDArray[np.bool_]:
         borderType=cv2.BORDER_CONSTANT,
         borderValue=0.0,
     )
-    return mask & (eroded == 0)
+    return np.asarray(mask & (eroded == 0))

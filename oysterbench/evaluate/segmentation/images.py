@@ -41,7 +41,7 @@ class TruthImage:
     @property
     def oyster(self) -> NDArray[np.bool_]:
         """(H, W) where there is an oyster."""
-        return self.classes == OYSTER
+        return np.asarray(self.classes == OYSTER)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class EstimateImage:
         if self.probability is not None:
             return self.probability >= threshold
         assert self.classes is not None
-        return self.classes == OYSTER
+        return np.asarray(self.classes == OYSTER)
 
 
 def check_pair(truth: TruthImage, estimate: EstimateImage) -> None:

@@ -43,7 +43,7 @@ def tally_image(
 
 
 def _histogram(values: NDArray[Any], asked: NDArray[np.bool_] | None, n: int) -> list[int]:
-    return np.bincount(values.ravel() if asked is None else values[asked], minlength=n).tolist()
+    return list(np.bincount(values.ravel() if asked is None else values[asked], minlength=n).tolist())
 
 
 def _by_image(tally: Mapping[str, float]) -> Tally:

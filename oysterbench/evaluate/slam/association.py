@@ -79,7 +79,7 @@ def covered_stamps(stamps_ns: Stamps, estimate_ns: Stamps, max_gap_s: float) -> 
     high = np.minimum(after, len(estimate_ns) - 1)
     low = np.maximum(after - 1, 0)
     gap = estimate_ns[high] - estimate_ns[low]
-    return (inside & (gap <= round(max_gap_s * 1e9))) | (estimate_ns[high] == stamps_ns)
+    return np.asarray((inside & (gap <= round(max_gap_s * 1e9))) | (estimate_ns[high] == stamps_ns))
 
 
 def nearest_pairs(stamps_ns: Stamps, estimate_ns: Stamps, max_difference_s: float) -> tuple[Index, Index]:

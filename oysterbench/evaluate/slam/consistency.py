@@ -47,7 +47,7 @@ class Nees:
     def band(self) -> tuple[float, float]:
         """Where the mean lies with CONFIDENCE, if errors at different stamps are independent."""
         n = len(self.values) * self.freedom
-        low, high = chi2.ppf([0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], n) / len(self.values)
+        low, high = np.asarray(chi2.ppf([0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2], n)) / len(self.values)
         return float(low), float(high)
 
     @property

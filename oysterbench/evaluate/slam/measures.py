@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -131,7 +132,7 @@ def _relative(matched: Matched, settings: SlamSettings, path_m: Array, measures:
     met, consecutive = matched.met, settings.rpe_pairs == "consecutive"
     frames, seconds = settings.rpe_frames, settings.rpe_delta_s
     metres, degrees = settings.rpe_delta_m, settings.rpe_delta_deg
-    choices = {
+    choices: dict[str, Callable[[], Index]] = {
         f"{frames}frames": lambda: pairs_over_frames(len(met.answered), frames, consecutive),
         f"{seconds:g}s": lambda: pairs_over_time(met.truth.stamps_ns, seconds, consecutive),
         f"{metres:g}m": lambda: pairs_along(path_m[met.answered], metres, consecutive),

@@ -127,7 +127,7 @@ def attitude_notes(truth: Array, estimate: Array, alignment: Similarity) -> list
         ]
     turns = Rotation.from_quat(truth).inv() * Rotation.from_quat(aligned)
     turn = turns.mean()
-    rest = _rms((turns * turn.inv()).magnitude())
+    rest = _rms(np.asarray((turns * turn.inv()).magnitude()))
     # A turn about the vertical alone is what a wrong alignment of a level vehicle looks like.
     tilt = np.arccos(np.clip(turn.as_matrix()[2, 2], -1.0, 1.0))
     if rest * SUSPICIOUS_GAIN < error and tilt > SUSPICIOUS_RAD:
