@@ -3,39 +3,65 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a metric stands in a narrow column: its heading, and the line below it (a unit, most often).
+
+    digits: decimals; one more is shown where a value lies below `small`
+    factor: from the value to the number shown: 100 for a share in %
+    """
+
+    heading: str
+    unit: str
+    digits: int = 3
+    small: float = 0.1
+    factor: float = 1.0
 
 
 @dataclass(frozen=True)
 class Metric:
     """One number of a result: everything that a table, a report and the board say of it.
 
-    unit:       as written behind the number; empty where it has none
-    better:     the direction of improvement; empty for what describes the sequence or the run
     definition: one sentence
     heading:    of a table's column where there is room
+    unit:       as written behind the number; empty where it has none
+    better:     the direction of improvement; empty for what describes the sequence or the run
     weight:     key of the metric that weighs sequences in a mean over them: that of the denominator of a ratio, so
                 that the mean is the ratio over the whole data set; empty where every sequence has one vote
-    column:     heading of a narrow column, and the line below it (a unit, most often); heading and unit where not given
-    factor:     from the value to the number shown in a table: 100 for a share in %
-    digits:     decimals in a table; one more is shown where a value lies below `small`
+    column:     where there is little room; heading and unit where not given
     """
 
-    unit: str
-    better: Literal["lower", "higher", ""]
     definition: str
-    heading: str = ""
+    heading: str
+    _: KW_ONLY
+    unit: str = ""
+    better: Literal["lower", "higher", ""] = ""
     weight: str = ""
-    column: tuple[str, str] | None = None
-    factor: float = 1.0
-    digits: int = 3
-    small: float = 0.1
+    column: Column | None = None
 
     @property
     def narrow(self) -> tuple[str, str]:
-        """The two lines over a narrow column."""
-        return self.column or (self.heading, self.unit)
+        """Heading of a narrow column, and the line below it."""
+        return (self.column.heading, self.column.unit) if self.column else (self.heading, self.unit)
+
+    @property
+    def digits(self) -> int:
+        """Decimals in a table."""
+        return self.column.digits if self.column else Column.digits
+
+    @property
+    def small(self) -> float:
+        """Below it, a table shows one decimal more."""
+        return self.column.small if self.column else Column.small
+
+    @property
+    def factor(self) -> float:
+        """From the value to the number that a table shows."""
+        return self.column.factor if self.column else Column.factor
 
 
 @dataclass(frozen=True)

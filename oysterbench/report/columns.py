@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from oysterbench.evaluate.metrics import TRACKS, Metric, find_metric
+from oysterbench.evaluate.metric import Metric
+from oysterbench.evaluate.metrics import TRACKS, find_metric
 
 ABSENT = "\N{EN DASH}"
 """Stands where there is no value."""
@@ -43,7 +44,7 @@ class Column:
 
 def find_column(key: str) -> Column:
     """The column of a metric."""
-    metric = find_metric(key) or Metric("", "", "", key)
+    metric = find_metric(key) or Metric("", key)
     return Column(key, *metric.narrow, metric.factor, metric.digits, metric.small)
 
 

@@ -16,7 +16,8 @@ import numpy as np
 from oysterbench.core.files import write_atomically
 from oysterbench.core.page import STYLES, page
 from oysterbench.evaluate.conditions import CONDITIONS
-from oysterbench.evaluate.metrics import Metric, find_metric
+from oysterbench.evaluate.metric import Metric
+from oysterbench.evaluate.metrics import find_metric
 from oysterbench.report.columns import ERROR_OF_TRACK, OF_TRACK, STANDING_OF_TRACK
 from oysterbench.report.density import DensityRun, maps_section
 from oysterbench.report.images import DatasetRow, ImageRun, curves_section, dataset_tables, samples_section
@@ -330,7 +331,7 @@ def _definitions(records: Sequence[ResultRecord]) -> str:
 
 def _definition(key: str, records: Sequence[ResultRecord] = ()) -> str:
     """Name, unit, direction and definition of a metric, and its value in each record."""
-    metric = find_metric(key) or Metric("", "", "No definition is known to this version.", key)
+    metric = find_metric(key) or Metric("No definition is known to this version.", key)
     unit = " ".join(part for part in (f"[{metric.unit}]" if metric.unit else "", ARROWS[metric.better]) if part)
     values = [
         f"{record.method} on {record.sequence}: "

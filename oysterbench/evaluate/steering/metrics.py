@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oysterbench.evaluate.metric import Metric, TrackMetrics
+from oysterbench.evaluate.metric import Column, Metric, TrackMetrics
 
 PER_MIN = "per min"
 
@@ -12,170 +12,139 @@ def _axis(axis: str, sides: str) -> dict[str, Metric]:
     name = axis.capitalize()
     return {
         f"{axis}_accuracy": Metric(
-            "",
-            "higher",
             f"Share (0 to 1) of the pictures whose class of {axis} is the expert's.",
             f"{name} right",
-            column=(axis, "% right"),
-            factor=100.0,
-            digits=1,
-            small=0.0,
+            better="higher",
+            column=Column(axis, "% right", digits=1, small=0.0, factor=100.0),
         ),
         f"{axis}_balanced_accuracy": Metric(
-            "",
-            "higher",
             f"Mean over the classes of {axis} that the expert commands somewhere of the share of their pictures in "
             "which they are commanded: classes count alike however often they occur.",
             f"{name} balanced",
+            better="higher",
         ),
         f"{axis}_macro_f1": Metric(
-            "",
-            "higher",
             f"Mean of F1 over the classes of {axis}; one that neither the expert nor the policy commands in any "
             "picture is left out, one that only one of them commands counts 0.",
             f"{name} F1",
-            column=(axis, "F1"),
-            small=0.0,
+            better="higher",
+            column=Column(axis, "F1", small=0.0),
         ),
         f"{axis}_within_one": Metric(
-            "",
-            "higher",
             f"Share (0 to 1) of the pictures whose class of {axis} is the expert's or one next to it.",
             f"{name} within one",
+            better="higher",
         ),
         f"{axis}_cost_classes": Metric(
-            "classes",
-            "lower",
             f"Expected cost: mean over pictures of the distance to the expert's class of {axis}, {sides}, each class "
             "weighed by its probability; a policy that only says which class gives it all of it.",
             f"{name} cost",
+            unit="classes",
+            better="lower",
         ),
         f"{axis}_cost_deg": Metric(
-            "deg",
-            "lower",
             f"The same cost of {axis} in degrees of the task's turns.",
             f"{name} cost",
-            column=(axis, "deg off"),
-            digits=1,
-            small=0.0,
+            unit="deg",
+            better="lower",
+            column=Column(axis, "deg off", digits=1, small=0.0),
         ),
     }
 
 
 PICTURES: dict[str, Metric] = {
     "skill": Metric(
-        "",
-        "higher",
         "1 - regret / regret of commands drawn evenly from all pairs of classes, over all pictures: 1 of the expert's "
         "own commands, 0 of chance, below 0 of what is worse than chance. Where several commands are as good, any of "
         "them is right. A failed run counts 0.",
         "Skill",
-        column=("skill", ""),
-        small=0.0,
+        better="higher",
+        column=Column("skill", "", small=0.0),
     ),
     "regret_oysters": Metric(
-        "oysters",
-        "lower",
         "Mean over pictures of the value of the expert's best pair of classes less that of the commanded pair: oysters "
         "lost per decision, by the expert's own plans, in which leaving the altitude band and touching cost oysters.",
         "Regret",
-        column=("regret", "oysters"),
-        digits=2,
-        small=0.0,
+        unit="oysters",
+        better="lower",
+        column=Column("regret", "oysters", digits=2, small=0.0),
     ),
     **_axis("yaw", "which lie from left to right"),
     **_axis("pitch", "which lie from up to down"),
     "joint_accuracy": Metric(
-        "", "higher", "Share (0 to 1) of the pictures in which both classes are the expert's.", "Both right"
+        "Share (0 to 1) of the pictures in which both classes are the expert's.", "Both right", better="higher"
     ),
-    "pictures": Metric("", "", "Number of pictures that were answered.", "Pictures"),
-    "pictures_per_s": Metric("per s", "higher", "Pictures answered by the wall time of the policy.", "Speed"),
+    "pictures": Metric("Number of pictures that were answered.", "Pictures"),
+    "pictures_per_s": Metric(
+        "Pictures answered by the wall time of the policy.", "Speed", unit="per s", better="higher"
+    ),
 }
 """Metrics of the track steering, over labelled pictures, by their key."""
 
 DIVES: dict[str, Metric] = {
     "oysters_per_min": Metric(
-        PER_MIN,
-        "higher",
         "Live oysters of the dive's area that were seen, each once, by the length of the dive; those in the first view "
         "included. An oyster is seen when it is near enough for the water, and large enough in the picture, for the "
         "task's limits. A failed dive counts 0.",
         "Oysters",
-        column=("oysters", "per min"),
-        digits=1,
-        small=0.0,
+        unit=PER_MIN,
+        better="higher",
+        column=Column("oysters", "per min", digits=1, small=0.0),
     ),
-    "oysters_seen": Metric("", "higher", "Those oysters.", "Seen"),
+    "oysters_seen": Metric("Those oysters.", "Seen", better="higher"),
     "found_share": Metric(
-        "",
-        "higher",
         "Those oysters by all live ones of the area (0 to 1): what can be found in a dive.",
         "Found",
-        column=("found", "%"),
-        factor=100.0,
-        digits=1,
-        small=0.0,
+        better="higher",
+        column=Column("found", "%", digits=1, small=0.0, factor=100.0),
     ),
     "covered_share": Metric(
-        "",
-        "higher",
         "Share (0 to 1) of the bottom within the fence that was seen from near enough.",
         "Covered",
-        column=("covered", "%"),
-        factor=100.0,
-        digits=1,
-        small=0.0,
+        better="higher",
+        column=Column("covered", "%", digits=1, small=0.0, factor=100.0),
     ),
     "contacts": Metric(
-        "",
-        "lower",
         "Times that the hull would have touched something and was held above it: steps in a row count once.",
         "Contacts",
+        better="lower",
     ),
     "contacts_per_min": Metric(
-        PER_MIN,
-        "lower",
         "The same by the length of the dive.",
         "Contacts",
-        column=("contacts", "per min"),
-        digits=2,
-        small=0.0,
+        unit=PER_MIN,
+        better="lower",
+        column=Column("contacts", "per min", digits=2, small=0.0),
     ),
-    "contact_share": Metric("", "lower", "Share (0 to 1) of the steps with a contact.", "In contact"),
+    "contact_share": Metric("Share (0 to 1) of the steps with a contact.", "In contact", better="lower"),
     "in_band_share": Metric(
-        "",
-        "higher",
         "Share (0 to 1) of the commands after which the altitude is in the task's band.",
         "Band",
-        column=("in band", "%"),
-        factor=100.0,
-        digits=1,
-        small=0.0,
+        better="higher",
+        column=Column("in band", "%", digits=1, small=0.0, factor=100.0),
     ),
     "turned_back": Metric(
-        "",
-        "lower",
         "Times that the fence turned the vehicle: steps in a row count once.",
         "Turned",
-        column=("turned", "times"),
-        digits=1,
-        small=0.0,
+        better="lower",
+        column=Column("turned", "times", digits=1, small=0.0),
     ),
     "distance_m": Metric(
-        "m", "", "Length of the path, in chords from step to step.", "Path", column=("path", "m"), digits=1, small=0.0
+        "Length of the path, in chords from step to step.",
+        "Path",
+        unit="m",
+        column=Column("path", "m", digits=1, small=0.0),
     ),
-    "oysters_per_m": Metric("per m", "higher", "Oysters seen by that length.", "Oysters"),
+    "oysters_per_m": Metric("Oysters seen by that length.", "Oysters", unit="per m", better="higher"),
     "steps_per_s": Metric(
-        "per s",
-        "higher",
         "Commands by the wall time of the dive: steering, moving, and, for a policy, rendering what it sees; the "
         "references are shown no picture.",
         "Steps",
-        column=("speed", "steps/s"),
-        digits=1,
-        small=0.0,
+        unit="per s",
+        better="higher",
+        column=Column("speed", "steps/s", digits=1, small=0.0),
     ),
-    "dive_s": Metric("s", "", "Length of the dive.", "Dive"),
+    "dive_s": Metric("Length of the dive.", "Dive", unit="s"),
 }
 """Metrics of a dive in a closed loop by their key."""
 
