@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,9 +23,8 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-def say(text: str) -> None:
-    """A message to the user, on stderr."""
-    click.echo(text, err=True)
+echo = partial(click.echo, err=True)
+"""A message to the user, on stderr."""
 
 
 @click.command("hub-key", short_help="Make the key that a hub's index is signed with.")
@@ -41,7 +41,7 @@ def hub_key(path: Path) -> None:
     from oysterbench.hub.sign import make_key
 
     public = make_key(path)
-    say(f"private key: {path}; the public one, for OYSTERBENCH_HUB_KEY or --key of those who download:")
+    echo(f"private key: {path}; the public one, for OYSTERBENCH_HUB_KEY or --key of those who download:")
     click.echo(public)
 
 
@@ -81,7 +81,7 @@ def publish(
     if hidden != (truth_out is not None):
         raise click.UsageError("--hidden and --truth-out belong together: expected both or none")
 
-    from oysterbench.hub.publish import check_made_by, publish, publish_hidden
+    from oysterbench.hub.publish import check_made_by, publish
     from oysterbench.hub.sign import load_key, public_hex
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import digest, sequence_files, split_folder
@@ -97,24 +97,16 @@ def publish(
     folder = data or split_folder(split, salt_for(split.name, split.hidden, salt_file))
     files = sequence_files(split, folder)
     check_made_by(files, split.name, split.version, digest(split), hidden)
-    facts = {
-        "split": split.name,
-        "version": split.version,
-        "track": split.track,
-        "rig": split.rig.name,
-        "summary": split.summary,
-    }
-    if truth_out is not None:
-        manifest = publish_hidden(tree, truth_out, facts, files, key, url, say, old_keys)
-    else:
-        manifest = publish(tree, facts, files, key, digest(split), url, say, old_keys)
+    shared = {"version": split.version, "track": split.track, "summary": split.summary}
+    facts = {"split": split.name, "rig": split.rig.name, **shared}
+    manifest = publish(tree, facts, files, key, digest(split), url, echo, old_keys, truth_out)
     if as_json:
         click.echo(json.dumps({**_facts(manifest), "key": public_hex(key), "folder": str(tree)}, indent=2))
         return
-    say(f"{manifest.split} {manifest.version}: {_count(manifest)}, {manifest.size / 1e6:.1f} MB in {tree}")
+    echo(f"{manifest.split} {manifest.version}: {len(manifest.files)} files, {manifest.size / 1e6:.1f} MB in {tree}")
     if manifest.commitment:
-        say(f"commitment: {manifest.commitment}")
-    say(f"public key: {public_hex(key)}")
+        echo(f"commitment: {manifest.commitment}")
+    echo(f"public key: {public_hex(key)}")
     click.echo(manifest.sha256)
 
 
@@ -187,7 +179,7 @@ def download(
     if here is None and not hub_at:
         _render_instead(context, split, name, patterns, topics, out, dry_run, as_json)
         return
-    hub = Hub([], None) if here else Hub.at(hub_at, hub_key(key), say, connections=connections)
+    hub = Hub([], None) if here else Hub.at(hub_at, hub_key(key), echo, connections=connections)
     folder, manifest = here or (None, hub.manifest(split_name, version or None))
     folder = folder or out or _folder(split, manifest)
     entries = choose(manifest, patterns)
@@ -222,7 +214,7 @@ def _folder(split: SplitRecipe | None, manifest: Manifest) -> Path:
     if split is not None and manifest.recipe_digest == digest(split):
         return split_folder(split)
     if split is not None and not manifest.hidden:
-        say(f"{manifest.split} {manifest.version} of the hub was made by another recipe or version: it is kept apart")
+        echo(f"{manifest.split} {manifest.version} of the hub was made by another recipe or version: it is kept apart")
     return home() / "splits" / manifest.split / f"{manifest.version}-{manifest.sha256[:12]}"
 
 
@@ -255,9 +247,9 @@ def _render_instead(
             f"{', '.join(sequence.name for sequence in split.sequence)}"
         )
     if dry_run:
-        say(f"{no_hub}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
+        echo(f"{no_hub}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
         return
-    say(f"{no_hub}: {split.name} {split.version} is rendered instead, which gives the same bytes")
+    echo(f"{no_hub}: {split.name} {split.version} is rendered instead, which gives the same bytes")
     group = context.find_root().command
     assert isinstance(group, click.Group)
     context.invoke(group.commands["render"], split_name=name, names=names, out=out, as_json=as_json)
@@ -289,17 +281,13 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
         for check in found:
             click.echo(f"{check.path}: {check.state}" + (f" ({check.detail})" if check.detail else ""))
     if not found:
-        say("nothing is here; `oysterbench splits` lists what there is")
+        echo("nothing is here; `oysterbench splits` lists what there is")
     bad = sum(not check.good for check in found)
     if bad:
         raise IntegrityError(
             f"{bad} of {len(found)} files are damaged or absent; `oysterbench download SPLIT --verify` "
             "fetches what is wrong again"
         )
-
-
-def _count(manifest: Manifest) -> str:
-    return "1 file" if len(manifest.files) == 1 else f"{len(manifest.files)} files"
 
 
 def _facts(manifest: Manifest) -> dict[str, Any]:
@@ -331,7 +319,7 @@ def _print_plan(manifest: Manifest, steps: list[Any], as_json: bool) -> None:
     for row in rows:
         click.echo(f"{row['file']}: {row['state']}, {row['size_bytes'] / 1e6:.1f} MB")
     wanted = sum(row["size_bytes"] - row["there_bytes"] for row in rows)
-    say(
+    echo(
         f"{manifest.split} {manifest.version}: {wanted / 1e6:.1f} of {sum(r['size_bytes'] for r in rows) / 1e6:.1f} MB "
         "to fetch"
     )
@@ -345,13 +333,13 @@ def bytes_bar(title: str) -> Iterator[Progress]:
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        said = -1
+        told = -1
 
         def tell(done: int, total: int) -> None:
-            nonlocal said
-            if (tenth := 10 * done // max(total, 1)) > said:
-                said = tenth
-                say(f"{title}: {done / 1e6:.1f} of {total / 1e6:.1f} MB")
+            nonlocal told
+            if (tenth := 10 * done // max(total, 1)) > told:
+                told = tenth
+                echo(f"{title}: {done / 1e6:.1f} of {total / 1e6:.1f} MB")
 
         yield tell
         return

@@ -1,15 +1,21 @@
-"""JSON with one spelling, so that the hash of a document is its name."""
+"""JSON with one spelling, so that the hash of a document is its name; and documents as they are read, checked."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import re
-from typing import Any
+from typing import Annotated, Any, TypeVar
+
+import msgspec
 
 from oysterbench.core.errors import IntegrityError
 
+T = TypeVar("T")
+
 SHA256 = re.compile("[0-9a-f]{64}")
+Sha256 = Annotated[str, msgspec.Meta(pattern=rf"^{SHA256.pattern}\Z")]
+"""A hash, 64 hex digits."""
 
 
 def canonical(document: Any) -> bytes:
@@ -23,12 +29,17 @@ def sha256(data: bytes | memoryview) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def parse(data: bytes, what: str) -> dict[str, Any]:
-    """A JSON object. Raises IntegrityError naming `what` where it is none."""
+def decode(data: bytes, kind: type[T], what: str) -> T:
+    """A document of a kind. Raises IntegrityError naming `what`, what was expected, what was got and at which key."""
     try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
+        return msgspec.json.decode(data, type=kind)
+    except msgspec.ValidationError as error:
+        newer = "; another version of oysterbench is needed to read it" if "`$.format`" in str(error) else ""
+        raise IntegrityError(f"{what}: {error}; it was not used{newer}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise IntegrityError(f"{what}: expected JSON, got {data[:40]!r} ({error}); it was not used") from None
-    if not isinstance(document, dict):
-        raise IntegrityError(f"{what}: expected a JSON object, got {type(document).__name__}; it was not used")
-    return document
+
+
+def parse(data: bytes, what: str) -> dict[str, Any]:
+    """A JSON object of any kind. Raises IntegrityError naming `what` where it is none."""
+    return decode(data, dict[str, Any], what)

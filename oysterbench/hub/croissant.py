@@ -2,53 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import re
-from typing import Any
+from importlib import resources
 
 from oysterbench.hub.canonical import canonical
 from oysterbench.hub.manifest import LICENCE, Manifest
 
-CONTEXT: dict[str, Any] = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "citeAs": "cr:citeAs",
-    "column": "cr:column",
-    "conformsTo": "dct:conformsTo",
-    "cr": "http://mlcommons.org/croissant/",
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "dct": "http://purl.org/dc/terms/",
-    "equivalentProperty": "cr:equivalentProperty",
-    "examples": {"@id": "cr:examples", "@type": "@json"},
-    "extract": "cr:extract",
-    "field": "cr:field",
-    "fileObject": "cr:fileObject",
-    "fileProperty": "cr:fileProperty",
-    "fileSet": "cr:fileSet",
-    "format": "cr:format",
-    "includes": "cr:includes",
-    "isLiveDataset": "cr:isLiveDataset",
-    "jsonPath": "cr:jsonPath",
-    "key": "cr:key",
-    "md5": "cr:md5",
-    "parentField": "cr:parentField",
-    "path": "cr:path",
-    "rai": "http://mlcommons.org/croissant/RAI/",
-    "recordSet": "cr:recordSet",
-    "references": "cr:references",
-    "regex": "cr:regex",
-    "repeated": "cr:repeated",
-    "replace": "cr:replace",
-    "samplingRate": "cr:samplingRate",
-    "sc": "https://schema.org/",
-    "separator": "cr:separator",
-    "source": "cr:source",
-    "subField": "cr:subField",
-    "transform": "cr:transform",
-}
-"""The context that the specification gives."""
+CONTEXT = "croissant.json"
+"""File beside this one: the context that the specification gives."""
 
 SEQUENCES = "sequences"
+
+FIELDS = {
+    "name": ("sc:Text", "Name of the sequence."),
+    "file": ("sc:Text", "The file that holds it."),
+    "duration_s": ("sc:Float", "Seconds from the first message to the last."),
+    "size": ("sc:Integer", "Bytes of the file."),
+}
+"""Of a row of the table of sequences: type and description."""
 
 
 def croissant(manifest: Manifest, published: str, url: str = "") -> bytes:
@@ -77,26 +49,19 @@ def croissant(manifest: Manifest, published: str, url: str = "") -> bytes:
         }
         for entry in manifest.files
     ]
-    types = {"name": "sc:Text", "file": "sc:Text", "duration_s": "sc:Float", "size": "sc:Integer"}
-    texts = {
-        "name": "Name of the sequence.",
-        "file": "The file that holds it.",
-        "duration_s": "Seconds from the first message to the last.",
-        "size": "Bytes of the file.",
-    }
     fields = [
         {
             "@type": "cr:Field",
             "@id": f"{SEQUENCES}/{name}",
             "name": name,
-            "description": texts[name],
+            "description": text,
             "dataType": kind,
         }
-        for name, kind in types.items()
+        for name, (kind, text) in FIELDS.items()
     ]
     return canonical(
         {
-            "@context": CONTEXT,
+            "@context": json.loads((resources.files("oysterbench.hub") / CONTEXT).read_bytes()),
             "@type": "sc:Dataset",
             "conformsTo": "http://mlcommons.org/croissant/1.0",
             "name": re.sub("[^A-Za-z0-9_-]", "-", manifest.split),

@@ -5,41 +5,45 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+import msgspec
 
 from oysterbench.core.errors import IntegrityError
-from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
+from oysterbench.hub.canonical import Sha256, canonical, decode, sha256
 from oysterbench.version import VERSION
 
-FORMAT = "oysterbench-manifest/1"
 LICENCE = "https://creativecommons.org/licenses/by/4.0/"
 PIECE = 4 * 1024 * 1024
 """Bytes of a piece, the unit of verification, resumption and parallel transfer (the last of a file is shorter)."""
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 VERSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
-FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*\.mcap")
+
+SplitName = Annotated[str, msgspec.Meta(pattern=rf"^{NAME.pattern}\Z")]
+SplitVersion = Annotated[str, msgspec.Meta(pattern=rf"^{VERSION_NAME.pattern}\Z")]
+FileName = Annotated[str, msgspec.Meta(pattern=rf"^{NAME.pattern}\.mcap\Z")]
+PieceSize = Annotated[int, msgspec.Meta(ge=1 << 10, le=1 << 26)]
+"""Names that lead out of no folder, and 1 KiB to 64 MiB."""
 
 
-@dataclass(frozen=True)
-class FileEntry:
+class FileEntry(msgspec.Struct, frozen=True):
     """One file: its name in the split's folder, size in bytes, SHA-256 of the whole and of each piece.
 
-    content, attachments: what the file says, however it is compressed; see `content_of`.
+    content, attachments: what the file says, however it is compressed; see `content_of`. piece_size: the manifest's.
     """
 
-    name: str
-    size: int
-    sha256: str
-    piece_size: int
-    pieces: tuple[str, ...]
-    content: Mapping[str, Mapping[str, Any]]
-    attachments: Mapping[str, str]
+    name: FileName
+    size: Annotated[int, msgspec.Meta(ge=1)]
+    sha256: Sha256
+    pieces: tuple[Sha256, ...]
+    content: dict[str, dict[str, Any]]
+    attachments: dict[str, str]
     duration_ns: int
+    piece_size: PieceSize = PIECE
 
     @property
     def sequence(self) -> str:
@@ -56,20 +60,22 @@ class FileEntry:
         return end - start
 
 
-@dataclass(frozen=True)
-class Manifest:
+class Manifest(msgspec.Struct, frozen=True, dict=True):
     """A split's version. `recipe_digest` is absent (None) from a hidden split, whose `commitment` stands for its
     truth: the SHA-256 of the truth package's manifest."""
 
-    split: str
-    version: str
+    split: SplitName
+    version: SplitVersion
     track: str
     rig: str
     summary: str
     oysterbench: str
     files: tuple[FileEntry, ...]
-    recipe_digest: str | None = None
-    commitment: str | None = None
+    recipe_digest: Sha256 | None = None
+    commitment: Sha256 | None = None
+    piece_size: PieceSize = PIECE
+    format: Literal["oysterbench-manifest/1"] = "oysterbench-manifest/1"
+    licence: str = LICENCE
 
     @property
     def hidden(self) -> bool:
@@ -83,25 +89,11 @@ class Manifest:
 
     @cached_property
     def data(self) -> bytes:
-        """The manifest as canonical JSON."""
-        shared = {key: getattr(self, key) for key in ("split", "version", "track", "rig", "summary", "oysterbench")}
-        optional = {key: getattr(self, key) for key in ("recipe_digest", "commitment")}
-        files = [
-            {
-                "name": entry.name,
-                "size": entry.size,
-                "sha256": entry.sha256,
-                "pieces": list(entry.pieces),
-                "content": {topic: dict(facts) for topic, facts in entry.content.items()},
-                "attachments": dict(entry.attachments),
-                "duration_ns": entry.duration_ns,
-            }
-            for entry in self.files
-        ]
-        sizes = {entry.piece_size for entry in self.files}
-        (piece_size,) = sizes or {PIECE}
-        document = {"format": FORMAT, "licence": LICENCE, "piece_size": piece_size, "files": files}
-        return canonical(document | shared | {key: value for key, value in optional.items() if value is not None})
+        """The manifest as canonical JSON; what is absent has no key."""
+        document = {key: value for key, value in msgspec.to_builtins(self).items() if value is not None}
+        for entry in document["files"]:
+            del entry["piece_size"]  # one for all of them
+        return canonical(document)
 
     @cached_property
     def sha256(self) -> str:
@@ -124,16 +116,16 @@ def describe_file(path: Path, name: str | None = None, piece_size: int = PIECE) 
             whole.update(piece)
             pieces.append(sha256(piece))
         size = file.tell()
-    content = content_of(path)
+    found = content_of(path)
     return FileEntry(
         name=name or path.name,
         size=size,
         sha256=whole.hexdigest(),
-        piece_size=piece_size,
         pieces=tuple(pieces),
-        content=content.topics,
-        attachments=content.attachments,
-        duration_ns=content.duration_ns,
+        content=found.topics,
+        attachments=found.attachments,
+        duration_ns=found.duration_ns,
+        piece_size=piece_size,
     )
 
 
@@ -146,7 +138,8 @@ def build_manifest(
 ) -> Manifest:
     """The manifest of sequence files, sequence name -> path; facts: split, version, track, rig and summary."""
     entries = tuple(describe_file(path, f"{name}.mcap", piece_size) for name, path in sorted(files.items()))
-    return Manifest(**facts, oysterbench=VERSION, files=entries, recipe_digest=recipe_digest, commitment=commitment)
+    made = {"oysterbench": VERSION, "files": entries, "piece_size": piece_size}
+    return Manifest(**facts, **made, recipe_digest=recipe_digest, commitment=commitment)  # type: ignore[arg-type]
 
 
 def read_manifest(data: bytes, what: str) -> Manifest:
@@ -154,65 +147,17 @@ def read_manifest(data: bytes, what: str) -> Manifest:
 
     Raises IntegrityError that names `what` and the first key that is wrong.
     """
-    document = parse(data, what)
-
-    def take(table: Mapping[str, Any], key: str, kind: type, where: str = "") -> Any:
-        value = table.get(key)
-        if type(value) is not kind:
-            wanted = {"str": "text", "int": "a whole number", "list": "a list", "dict": "a table"}[kind.__name__]
-            raise IntegrityError(f"{what}: key '{where}{key}': expected {wanted}, got {value!r}; it was not used")
-        return value
-
-    def match(pattern: re.Pattern[str], value: str, key: str) -> str:
-        if not pattern.fullmatch(value):
+    manifest = decode(data, Manifest, what)
+    size = manifest.piece_size
+    for entry in manifest.files:
+        if len(entry.pieces) != -(-entry.size // size):
             raise IntegrityError(
-                f"{what}: key '{key}': expected {pattern.pattern}, got {value[:80]!r}; it was not used"
+                f"{what}: {entry.name}: {len(entry.pieces)} pieces do not make {entry.size} bytes; it was not used"
             )
-        return value
-
-    if document.get("format") != FORMAT:
-        raise IntegrityError(
-            f"{what}: expected the format {FORMAT}, got {document.get('format')!r}; another version of oysterbench is "
-            "needed to read it"
-        )
-    piece_size = take(document, "piece_size", int)
-    if not 1 << 10 <= piece_size <= 1 << 26:
-        raise IntegrityError(f"{what}: key 'piece_size': expected 1 KiB to 64 MiB, got {piece_size}; it was not used")
-    entries = []
-    for table in take(document, "files", list):
-        if not isinstance(table, dict):
-            raise IntegrityError(f"{what}: key 'files': expected tables, got {table!r}; it was not used")
-        name = match(FILE_NAME, take(table, "name", str, "files."), "files.name")
-        size = take(table, "size", int, "files.")
-        pieces = take(table, "pieces", list, "files.")
-        if size < 1 or len(pieces) != -(-size // piece_size):
-            raise IntegrityError(f"{what}: {name}: {len(pieces)} pieces do not make {size} bytes; it was not used")
-        for piece in pieces:
-            match(SHA256, str(piece), "files.pieces")
-        entries.append(
-            FileEntry(
-                name,
-                size,
-                match(SHA256, take(table, "sha256", str, "files."), "files.sha256"),
-                piece_size,
-                tuple(pieces),
-                take(table, "content", dict, "files."),
-                take(table, "attachments", dict, "files."),
-                take(table, "duration_ns", int, "files."),
-            )
-        )
-    if len({entry.name for entry in entries}) != len(entries):
+    if len({entry.name for entry in manifest.files}) != len(manifest.files):
         raise IntegrityError(f"{what}: key 'files': a name occurs twice; it was not used")
-    return Manifest(
-        split=match(NAME, take(document, "split", str), "split"),
-        version=match(VERSION_NAME, take(document, "version", str), "version"),
-        **{key: take(document, key, str) for key in ("track", "rig", "summary", "oysterbench")},
-        files=tuple(entries),
-        **{key: match(SHA256, take(document, key, str), key) for key in OPTIONAL if key in document},
-    )
-
-
-OPTIONAL = ("recipe_digest", "commitment")
+    files = tuple(msgspec.structs.replace(entry, piece_size=size) for entry in manifest.files)
+    return msgspec.structs.replace(manifest, files=files)
 
 
 def released_manifest(split: str, version: str) -> Manifest | None:

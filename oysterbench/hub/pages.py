@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 
 import cv2
 
-from oysterbench.core.page import page
-from oysterbench.hub.index import Index, Release
+from oysterbench.core.html import render
+from oysterbench.hub.index import Index
 from oysterbench.sequence import open_sequence
 
 PICTURES = 3
 WIDTH = 640  # px
 QUALITY = 85
-
-STYLE = """
-<style>
-.splits { display: grid; gap: 1.2rem; margin: 1.4rem 0; }
-.splits .card { padding-bottom: .9rem; }
-.splits h2 { margin: 0 0 .2rem; }
-.splits .frames { margin: .8rem 0; }
-.splits pre { margin: .7rem 0; }
-.tag { font-size: .8rem; font-weight: 500; padding: .1rem .5rem; border: 1px solid var(--line); border-radius: 99px;
-  margin-left: .5rem; vertical-align: middle; color: var(--soft); }
-a { color: var(--c1); overflow-wrap: anywhere; }
-</style>
-"""
 
 
 def pictures_of(files: list[Path]) -> list[bytes]:
@@ -55,47 +41,11 @@ def middle_frame(path: Path) -> bytes | None:
 def index_page(index: Index, public: str) -> str:
     """The page of an index, signed with the key whose public half is given; links and pictures are relative, so that it
     works from any address and from a folder."""
-    cards = "\n".join(
-        _card(name, version, release)
-        for name, versions in sorted(index.splits.items())
-        for version, release in reversed(versions.items())
-    )
-    total = sum(release.size for versions in index.splits.values() for release in versions.values())
-    splits = "1 split" if len(index.splits) == 1 else f"{len(index.splits)} splits"
-    lead = f"{splits}, {human(total)}. Rendered data, licence CC BY 4.0."
-    return page(
-        "oysterbench hub",
-        f"""{STYLE}<h1>Oyster reefs for underwater robots</h1>
-<p class="lead">{lead} Every byte is checked on the way, and an interrupted download goes on where it was.</p>
-<div class="splits">
-{cards}
-</div>
-<section class="card">
-<h2>Downloading from here</h2>
-<pre>export OYSTERBENCH_HUB=(the address of this page)
-export OYSTERBENCH_HUB_KEY={public}</pre>
-<p class="small">The key signs <a href="index.json">index.json</a>, which names every file by its hash. Before you trust
-it, compare it with what the hub's owner published elsewhere: a false page would name a false key.</p>
-</section>""",
-    )
-
-
-def _card(name: str, version: str, release: Release) -> str:
-    pictures = "".join(
-        f'<figure><img src="pictures/{digest}.jpg" alt="A frame of {escape(name)}" loading="lazy"></figure>'
-        for digest in release.pictures
-    )
-    hidden = '<span class="tag">truth kept back</span>' if release.hidden else ""
-    plural = "" if release.sequences == 1 else "s"
-    return f"""<section class="card">
-<h2>{escape(name)} {escape(version)}<span class="tag">{escape(release.track)}</span>{hidden}</h2>
-<p>{escape(release.summary)}</p>
-<p class="small">{release.sequences} sequence{plural}, {human(release.size)}, released {escape(release.published)}</p>
-<div class="frames">{pictures}</div>
-<pre>oysterbench download {escape(name)}@{escape(version)}</pre>
-<p class="small"><a href="manifests/{release.manifest}.json">manifest</a> ·
-<a href="croissant/{release.croissant}.json">Croissant metadata</a></p>
-</section>"""
+    releases = [release for _, versions in sorted(index.splits.items()) for release in reversed(versions.values())]
+    sizes = {release.manifest: human(release.size) for release in releases}
+    total = human(sum(release.size for release in releases))
+    context = {"releases": releases, "splits": len(index.splits), "sizes": sizes, "total": total, "key": public}
+    return render("hub.html", context, "oysterbench.hub")
 
 
 def human(size: int) -> str:

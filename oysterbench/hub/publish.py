@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from oysterbench.core.errors import HubError
-from oysterbench.core.files import locked, write_atomically
+from oysterbench.core.files import appearing, locked, write_atomically
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.croissant import croissant
 from oysterbench.hub.index import Index, Release, read_own_index
@@ -40,54 +38,47 @@ def publish(
     url: str = "",
     announce: Announce = lambda text: None,
     old_keys: Sequence[Ed25519PrivateKey] = (),
+    truth: Path | None = None,
 ) -> Manifest:
     """Publish the sequence files (name -> path) of a split; facts: split, version, track, rig and summary.
 
     Blobs go first, the signed index last: whoever reads the tree in between sees the old one. Keys that came before
-    sign the index, too, so that those who pin them go on. Raises HubError where the version was released with other
-    bytes.
+    sign the index, too, so that those who pin them go on. truth: of a hidden split, the folder for its truth package;
+    what may be seen is published. Raises HubError where the version was released with other bytes.
     """
-    with _writing(tree, key, *old_keys) as index:
+    keys = (key, *old_keys)
+    with _writing(tree, *keys) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
+        commitment = None
+        if truth is not None:
+            files, commitment = _without_truth(tree, truth, facts, files, Path(scratch), announce)
         announce(f"hashing {len(files)} sequences")
-        manifest = build_manifest(facts, files, recipe_digest)
-        _release(tree, (key, *old_keys), index, manifest, files, url, announce)
+        manifest = build_manifest(facts, files, None if commitment else recipe_digest, commitment)
+        _release(tree, keys, index, manifest, files, url, announce)
     return manifest
 
 
-def publish_hidden(
-    tree: Path,
-    truth: Path,
-    facts: Mapping[str, str],
-    files: Mapping[str, Path],
-    key: Ed25519PrivateKey,
-    url: str = "",
-    announce: Announce = lambda text: None,
-    old_keys: Sequence[Ed25519PrivateKey] = (),
-) -> Manifest:
-    """Publish what may be seen of a hidden split, and write its truth package to a folder of its own.
+def _without_truth(
+    tree: Path, truth: Path, facts: Mapping[str, str], files: Mapping[str, Path], scratch: Path, announce: Announce
+) -> tuple[dict[str, Path], str]:
+    """What may be seen of a hidden split, as files in `scratch`, and the commitment to its truth.
 
-    The package is `<truth>/<split>-<version>/`: a sequence file each with what was kept back, and `manifest.json`,
-    whose SHA-256 is the commitment in the public manifest. So nobody can exchange the truth later on.
+    The truth goes into a package, `<truth>/<split>-<version>/`: a sequence file each with what was kept back, and
+    `manifest.json`, whose SHA-256 is the commitment in the public manifest. So nobody can exchange the truth later on.
     """
     package = truth / f"{facts['split']}-{facts['version']}"
     if tree.resolve() in (package.resolve(), *package.resolve().parents):
         raise HubError(f"{truth}: expected a folder outside the tree {tree}, which everybody can read")
-    package.mkdir(parents=True, exist_ok=True)
-    with _writing(tree, key, *old_keys) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
-        shown, kept = {}, {}
-        for name, path in files.items():
-            announce(f"taking the truth out of {name}")
-            shown[name] = Path(scratch) / f"{name}.mcap"
-            with open(shown[name], "wb") as file:
-                cut_public(path, file)
-            kept[name] = package / f"{name}.mcap"
-            with _appearing(kept[name]) as file:
-                cut_truth(path, file)
-        secret = build_manifest(facts, kept)
-        write_atomically(package / "manifest.json", secret.data)
-        manifest = build_manifest(facts, shown, commitment=secret.sha256)
-        _release(tree, (key, *old_keys), index, manifest, shown, url, announce)
-    return manifest
+    shown, kept = {}, {}
+    for name, path in files.items():
+        announce(f"taking the truth out of {name}")
+        shown[name], kept[name] = scratch / f"{name}.mcap", package / f"{name}.mcap"
+        with open(shown[name], "wb") as file:
+            cut_public(path, file)
+        with appearing(kept[name], TEMPORARY) as hidden:
+            cut_truth(path, hidden)
+    secret = build_manifest(facts, kept)
+    write_atomically(package / "manifest.json", secret.data)
+    return shown, secret.sha256
 
 
 def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: str, hidden: bool) -> None:
@@ -160,6 +151,8 @@ def _release(
         for picture in pictures:
             _put(tree / "pictures" / f"{sha256(picture)}.jpg", picture)
         release = Release(
+            split=manifest.split,
+            version=manifest.version,
             manifest=manifest.sha256,
             manifest_size=len(manifest.data),
             size=manifest.size,
@@ -171,7 +164,7 @@ def _release(
             croissant=sha256(described),
             pictures=tuple(sha256(picture) for picture in pictures),
         )
-        index = index.with_release(manifest.split, manifest.version, release)
+        index = index.with_release(release)
     _put(tree / "index.json", index.signed_with(*keys))
     _put(tree / "index.html", index_page(index, public_hex(keys[0])).encode())
 
@@ -185,7 +178,7 @@ def put_blob(tree: Path, source: Path, digest: str) -> bool:
     if path.is_file() and path.stat().st_size == source.stat().st_size:
         return False
     whole = hashlib.sha256()
-    with open(source, "rb") as original, _appearing(path) as copy:
+    with open(source, "rb") as original, appearing(path, TEMPORARY) as copy:
         while data := original.read(COPY):
             whole.update(data)
             copy.write(data)
@@ -198,20 +191,3 @@ def _put(path: Path, data: bytes) -> None:
     """Write a file unless it says the same already."""
     if not path.is_file() or path.read_bytes() != data:
         write_atomically(path, data)
-
-
-@contextmanager
-def _appearing(path: Path) -> Iterator[IO[bytes]]:
-    """A file to write, which appears under its name when the block ends well, and leaves nothing when it does not."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=TEMPORARY)
-    try:
-        with os.fdopen(handle, "w+b") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
-from collections.abc import AsyncIterator
+import stat
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,13 @@ from starlette.convertors import Convertor, register_url_convertor
 from starlette.middleware import Middleware
 from starlette.middleware.cors import CORSMiddleware
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from oysterbench.core.errors import HubError
+from oysterbench.hub.canonical import sha256
 from oysterbench.version import VERSION
-
-CHUNK = 1 << 20
-"""Bytes of a file in memory for each client."""
 
 FOREVER = "public, max-age=31536000, immutable"
 CHANGING = "no-cache"
@@ -42,11 +39,13 @@ MOST_HEADERS = 100
 CLIENTS = 512
 """Bytes and number of a request's headers, and clients at once, beyond which a request is refused."""
 
-HEADERS = {"X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
+HEADERS = {"Accept-Ranges": "bytes", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 PAGE_HEADERS = {"Content-Security-Policy": "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'"}
 
+ONE_RANGE = re.compile(rb"bytes=[ \t]*(?:(\d{1,19})-(\d{0,19})|-\d{1,19})[ \t]*", re.IGNORECASE)
 
-class Sha256(Convertor[str]):
+
+class Sha256Convertor(Convertor[str]):
     """A path parameter that is a hash and nothing else."""
 
     regex = "[0-9a-f]{64}"
@@ -58,7 +57,7 @@ class Sha256(Convertor[str]):
         return value
 
 
-register_url_convertor("sha256", Sha256())
+register_url_convertor("sha256", Sha256Convertor())
 
 
 def application(tree: Path) -> Starlette:
@@ -69,15 +68,25 @@ def application(tree: Path) -> Starlette:
 
         async def get(request: Request) -> Response:
             digest = request.path_params["digest"]
-            return await answer(request, tree / folder / f"{digest}{suffix}", media, FOREVER, digest)
+            path = tree / folder / f"{digest}{suffix}"
+            headers = tagged(digest, FOREVER)
+            try:
+                found = await anyio.to_thread.run_sync(os.lstat, path)
+            except FileNotFoundError:
+                return PlainTextResponse("not found\n", 404)
+            if not stat.S_ISREG(found.st_mode):  # links are not followed
+                return PlainTextResponse("not found\n", 404)
+            return unneeded(request, digest, headers) or BlobResponse(path, 200, headers, media, stat_result=found)
 
         return Route(f"/{folder}/{{digest:sha256}}{suffix}", get)
 
-    def changing(path: str, name: str, media: str, headers: dict[str, str]) -> Route:
+    def changing(path: str, name: str, media: str, **further: str) -> Route:
         async def get(request: Request) -> Response:
-            response = await answer(request, tree / name, media, CHANGING)
-            response.headers.update(headers)
-            return response
+            # Read at once, as the file may be replaced while a client takes its time.
+            data = await anyio.to_thread.run_sync((tree / name).read_bytes)
+            digest = sha256(data)
+            headers = tagged(digest, CHANGING) | further
+            return unneeded(request, digest, headers) or Response(data, 200, headers, media)
 
         return Route(path, get)
 
@@ -89,12 +98,14 @@ def application(tree: Path) -> Starlette:
     async def robots(request: Request) -> Response:
         return PlainTextResponse("User-agent: *\nDisallow: /blobs/\n")
 
-    page = {**PAGE_HEADERS}
+    async def absent(request: Request, error: Exception) -> Response:
+        return PlainTextResponse("not found\n", 404)
+
     return Starlette(
         routes=[
-            changing("/", "index.html", "text/html; charset=utf-8", page),
-            changing("/index.html", "index.html", "text/html; charset=utf-8", page),
-            changing("/index.json", "index.json", "application/json", {}),
+            changing("/", "index.html", "text/html", **PAGE_HEADERS),
+            changing("/index.html", "index.html", "text/html", **PAGE_HEADERS),
+            changing("/index.json", "index.json", "application/json"),
             *(addressed(folder) for folder in KINDS),
             Route("/health", health),
             Route("/robots.txt", robots),
@@ -110,6 +121,7 @@ def application(tree: Path) -> Starlette:
                 max_age=86400,
             ),
         ],
+        exception_handlers={FileNotFoundError: absent},
     )
 
 
@@ -129,99 +141,38 @@ class HeaderLimit:
         await self.app(scope, receive, send)
 
 
-async def answer(request: Request, path: Path, media: str, caching: str, digest: str = "") -> Response:
-    """A file, or the part of it that a Range header names (RFC 9110, sections 13 and 14).
-
-    The entity tag is the SHA-256 of the file, so that it is the same on every mirror and after every restart. A request
-    for several ranges is answered with the whole, as the standard allows.
-    """
-    try:
-        handle, size = await anyio.to_thread.run_sync(_open, path)
-    except (FileNotFoundError, IsADirectoryError):
-        return PlainTextResponse("not found\n", 404)
-    streaming = False
-    try:
-        tag = digest or await anyio.to_thread.run_sync(_hash, handle)
-        headers = {"ETag": f'"{tag}"', "Cache-Control": caching, "Accept-Ranges": "bytes", **HEADERS}
-        if (wanted := request.headers.get("if-match")) is not None and not _names(wanted, tag, weak=False):
-            return Response(status_code=412, headers=headers)
-        if (known := request.headers.get("if-none-match")) is not None and _names(known, tag, weak=True):
-            return Response(status_code=304, headers=headers)
-        start, end, status = 0, size, 200
-        if request.method == "GET" and (asked := request.headers.get("range")) is not None:
-            condition = request.headers.get("if-range")
-            if condition is None or condition.strip() == f'"{tag}"':
-                found = parse_range(asked, size)
-                if found == (size, size):
-                    headers |= {"Content-Range": f"bytes */{size}"}
-                    return PlainTextResponse("range not satisfiable\n", 416, headers)
-                if found is not None:
-                    (start, end), status = found, 206
-                    headers["Content-Range"] = f"bytes {start}-{end - 1}/{size}"
-        headers["Content-Length"] = str(end - start)
-        if request.method == "HEAD":
-            return Response(status_code=status, headers=headers, media_type=media)
-        streaming = True
-        return FileResponse(handle, start, end, status, headers, media)
-    finally:
-        if not streaming:
-            os.close(handle)
+def tagged(digest: str, caching: str) -> dict[str, str]:
+    """Headers of a file. The entity tag is its SHA-256, the same on every mirror and after every restart."""
+    return {"ETag": f'"{digest}"', "Cache-Control": caching, **HEADERS}
 
 
-class FileResponse(StreamingResponse):
-    """Bytes [start, end) of an open file, a chunk at a time: what a slow client has not taken yet is not read."""
+def unneeded(request: Request, digest: str, headers: dict[str, str]) -> Response | None:
+    """The answer to a condition on the entity tag that says that no body is wanted (RFC 9110, section 13), or None."""
+    wanted, known = request.headers.get("if-match"), request.headers.get("if-none-match")
+    if wanted is not None and not _names(wanted, digest):
+        return Response(status_code=412, headers=headers)
+    if known is not None and _names(known.replace("W/", ""), digest):
+        return Response(status_code=304, headers=headers)
+    return None
 
-    def __init__(self, handle: int, start: int, end: int, status: int, headers: dict[str, str], media: str) -> None:
-        self._handle = handle
-        super().__init__(self._chunks(start, end), status, headers, media)
 
-    async def _chunks(self, start: int, end: int) -> AsyncIterator[bytes]:
-        while start < end:
-            data = await anyio.to_thread.run_sync(os.pread, self._handle, min(CHUNK, end - start), start)
-            if not data:  # the file was cut while it was read: break off, so that the client notices
-                raise OSError("a file of the tree became shorter while it was served")
-            start += len(data)
-            yield data
+def _names(header: str, digest: str) -> bool:
+    """Whether a list of entity tags names this one, or any with `*`."""
+    return bool({"*", f'"{digest}"'} & {entry.strip() for entry in header.split(",")})
+
+
+class BlobResponse(FileResponse):
+    """A file, or the range of it that a GET asks for. Where the standard allows it the answer is the whole: to several
+    ranges, to another unit, to bad spelling (RFC 9110, section 14.2)."""
+
+    chunk_size = 1 << 20  # bytes in memory for each client
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        try:
-            await super().__call__(scope, receive, send)
-        finally:
-            os.close(self._handle)
-
-
-def _open(path: Path) -> tuple[int, int]:
-    """A file's descriptor and size; links are not followed."""
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    return handle, os.fstat(handle).st_size
-
-
-def _hash(handle: int) -> str:
-    """SHA-256 of a small open file."""
-    return hashlib.sha256(os.pread(handle, os.fstat(handle).st_size, 0)).hexdigest()
-
-
-def _names(header: str, tag: str, weak: bool) -> bool:
-    """Whether a list of entity tags names this one, or any with `*`."""
-    tags = [entry.strip() for entry in header.split(",")]
-    tags = [entry.removeprefix("W/") for entry in tags] if weak else tags
-    return "*" in tags or f'"{tag}"' in tags
-
-
-def parse_range(header: str, size: int) -> tuple[int, int] | None:
-    """The first byte of a Range header's only range, and the byte behind its last; both `size` where the file has none
-    of it. None where the header says nothing that has to be obeyed: several ranges, another unit, bad spelling."""
-    match = re.fullmatch(r"bytes=[ \t]*(\d{0,19})-(\d{0,19})[ \t]*", header, re.ASCII | re.IGNORECASE)
-    if match is None or not (match[1] or match[2]):
-        return None
-    if not match[1]:  # the last n bytes
-        start, end = max(0, size - int(match[2])), size
-    else:
-        start = int(match[1])
-        end = min(int(match[2]) + 1, size) if match[2] else size
-        if match[2] and int(match[2]) < start:
-            return None
-    return (start, end) if start < end else (size, size)
+        found = ONE_RANGE.fullmatch(dict(scope["headers"]).get(b"range", b""))
+        backwards = found is not None and found[2] and int(found[2]) < int(found[1])
+        if scope["method"] != "GET" or found is None or backwards:
+            scope = {**scope, "headers": [(name, value) for name, value in scope["headers"] if name != b"range"]}
+        await super().__call__(scope, receive, send)
 
 
 def serve(tree: Path, host: str, port: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import email.utils
 import os
 import re
 import time
@@ -198,13 +197,11 @@ def _check(response: BaseHTTPResponse, start: int, end: int | None) -> int:
 
 def _retry_after(value: str | None) -> float:
     """Seconds of a Retry-After header, which is a number of seconds or a date; 0 where there is none."""
-    if not value:
-        return 0.0
-    if value.strip().isdigit():
-        return float(value)
+    import urllib3
+
     try:
-        return max(0.0, email.utils.parsedate_to_datetime(value).timestamp() - time.time())
-    except ValueError:
+        return float(urllib3.Retry().parse_retry_after(value)) if value else 0.0
+    except (urllib3.exceptions.InvalidHeader, ValueError, OverflowError):
         return 0.0
 
 
@@ -212,17 +209,14 @@ def _pool(parts: urllib.parse.SplitResult, connections: int, patience: Patience)
     import urllib3
 
     # Only redirects are followed here: what to try again, and when, is decided where it is known what is missing.
-    settings = {
-        "maxsize": connections,
-        "retries": urllib3.Retry(
-            total=None, connect=0, read=0, status=0, other=0, redirect=REDIRECTS, respect_retry_after_header=False
-        ),
-        "timeout": urllib3.Timeout(connect=patience.connect_s, read=patience.idle_s),
-    }
+    retries = urllib3.Retry(
+        total=None, connect=0, read=0, status=0, other=0, redirect=REDIRECTS, respect_retry_after_header=False
+    )
+    timeout = urllib3.Timeout(connect=patience.connect_s, read=patience.idle_s)
     proxy = urllib.request.getproxies().get(parts.scheme)
     if proxy and not urllib.request.proxy_bypass(parts.hostname or ""):
-        return urllib3.ProxyManager(proxy, **settings)  # type: ignore[arg-type]
-    return urllib3.PoolManager(**settings)  # type: ignore[arg-type]
+        return urllib3.ProxyManager(proxy, maxsize=connections, retries=retries, timeout=timeout)
+    return urllib3.PoolManager(maxsize=connections, retries=retries, timeout=timeout)
 
 
 def _cause(error: BaseException) -> str:

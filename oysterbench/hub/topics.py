@@ -6,14 +6,13 @@ is made on this machine: it is a sequence file like any other, but no hub knows 
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from mcap.summary import Summary
 
 from oysterbench.core.errors import HubError
+from oysterbench.core.files import appearing
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.download import Hub, Progress, check_space, part_path
 from oysterbench.hub.draft import remove_drafts
@@ -108,15 +107,5 @@ def _spans(summary: Summary, names: Sequence[str]) -> list[tuple[int, int]]:
 
 def _cut_into(target: Path, source: Path, names: Sequence[str]) -> None:
     """Write the smaller file; it appears whole or not at all."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            cut(source, file, set(names).__contains__)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, target)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+    with appearing(target) as file:
+        cut(source, file, set(names).__contains__)

@@ -68,7 +68,7 @@ def pause_s(attempt: int, asked_s: float, patience: Patience) -> float:
 
     The jitter is the one random number of oysterbench that no seed decides: clients must not come back together.
     """
-    wait = min(patience.first_wait_s * 2 ** (attempt - 1), patience.longest_wait_s) * random.uniform(0.5, 1.0)
+    wait = min(patience.first_wait_s * 2.0 ** (attempt - 1), patience.longest_wait_s) * random.uniform(0.5, 1.0)
     return max(wait, asked_s + random.uniform(0.0, 0.1) * asked_s)
 
 

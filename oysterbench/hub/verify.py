@@ -7,9 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from oysterbench.core.errors import HubError, SequenceError
 from oysterbench.core.files import home
-from oysterbench.hub.canonical import parse, sha256
+from oysterbench.hub.canonical import decode, sha256
+from oysterbench.hub.index import IndexBody, SignedIndex
 from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest
 
 MANIFEST = "manifest.json"
@@ -111,12 +114,13 @@ def check_tree(tree: Path) -> Iterator[Check]:
 
     Whether the index is signed is for those who know the key: for clients.
     """
-    index = parse((tree / "index.json").read_bytes(), str(tree / "index.json"))
+    path = tree / "index.json"
+    index = msgspec.convert(decode(path.read_bytes(), SignedIndex, str(path)).signed, IndexBody)
     named = set()
-    for release in index["signed"]["splits"]:
-        path = tree / "manifests" / f"{release['manifest']}.json"
-        named |= {path, tree / "croissant" / f"{release['croissant']}.json"}
-        named |= {tree / "pictures" / f"{digest}.jpg" for digest in release["pictures"]}
+    for release in index.splits:
+        path = tree / "manifests" / f"{release.manifest}.json"
+        named |= {path, tree / "croissant" / f"{release.croissant}.json"}
+        named |= {tree / "pictures" / f"{digest}.jpg" for digest in release.pictures}
         if path.is_file():
             manifest = read_manifest(path.read_bytes(), str(path))
             named |= {tree / "blobs" / entry.sha256 for entry in manifest.files}

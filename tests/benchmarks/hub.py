@@ -57,7 +57,7 @@ def make_tree(folder: Path, megabytes: int) -> tuple[Path, FileEntry]:
     generator = random.Random(1)
     data = b"".join(generator.randbytes(1 << 20) for _ in range(megabytes))
     pieces = tuple(sha256(data[k : k + PIECE]) for k in range(0, len(data), PIECE))
-    entry = FileEntry("dive-01.mcap", len(data), sha256(data), PIECE, pieces, {}, {}, 0)
+    entry = FileEntry("dive-01.mcap", len(data), sha256(data), pieces, {}, {}, 0, PIECE)
     tree = folder / "tree"
     (tree / "blobs").mkdir(parents=True)
     (tree / "blobs" / entry.sha256).write_bytes(data)

@@ -24,7 +24,7 @@ def blob(size: int, seed: int = 0, piece_size: int = 1 << 14) -> tuple[bytes, Fi
     """Random bytes and their entry."""
     data = random.Random(seed).randbytes(size)
     pieces = tuple(sha256(data[k : k + piece_size]) for k in range(0, size, piece_size))
-    return data, FileEntry("dive-01.mcap", size, sha256(data), piece_size, pieces, {}, {}, 0)
+    return data, FileEntry("dive-01.mcap", size, sha256(data), pieces, {}, {}, 0, piece_size)
 
 
 def fetch(

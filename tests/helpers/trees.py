@@ -12,7 +12,7 @@ from pathlib import Path
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.index import Index, Release
 from oysterbench.hub.manifest import FileEntry, Manifest
-from oysterbench.hub.publish import publish, publish_hidden
+from oysterbench.hub.publish import publish
 from oysterbench.hub.sign import load_key, make_key
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
 from oysterbench.sequence.write import SequenceWriter
@@ -71,7 +71,7 @@ def publish_split(tree: Path, files: dict[str, Path], key, **facts: str):
 
 def publish_secret(tree: Path, truth: Path, files: dict[str, Path], key):
     """Publish as a hidden split."""
-    return publish_hidden(tree, truth, FACTS, files, key)
+    return publish(tree, FACTS, files, key, truth=truth)
 
 
 class Big:
@@ -81,12 +81,12 @@ class Big:
         self.key, self.public = a_key(folder)
         self.data = random.Random(7).randbytes(SIZE)
         pieces = tuple(sha256(self.data[k : k + PIECE]) for k in range(0, SIZE, PIECE))
-        self.entry = FileEntry("dive-01.mcap", SIZE, sha256(self.data), PIECE, pieces, {}, {}, 0)
-        manifest = Manifest("big", "1.0", "slam", "hand", "random bytes", "0", (self.entry,))
+        self.entry = FileEntry("dive-01.mcap", SIZE, sha256(self.data), pieces, {}, {}, 0, PIECE)
+        manifest = Manifest("big", "1.0", "slam", "hand", "random bytes", "0", (self.entry,), piece_size=PIECE)
         facts = {"track": "slam", "summary": "", "hidden": False, "published": "2026-01-01", "croissant": "0" * 64}
-        release = Release(manifest.sha256, len(manifest.data), SIZE, 1, **facts)
+        release = Release("big", "1.0", manifest.sha256, len(manifest.data), SIZE, 1, **facts)
         self.files = {
-            "index.json": Index().with_release("big", "1.0", release).signed_with(self.key),
+            "index.json": Index().with_release(release).signed_with(self.key),
             f"manifests/{manifest.sha256}.json": manifest.data,
             f"blobs/{self.entry.sha256}": self.data,
         }

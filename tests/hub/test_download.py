@@ -191,7 +191,7 @@ def test_a_bad_signature_is_none(published, wrong):
     document = json.loads((published.tree / "index.json").read_bytes())
     document["signatures"][0]["signature"] = wrong
     for data in (document, {**document, "signatures": []}, {**document, "signatures": 7}, {"signed": {}}):
-        with pytest.raises(IntegrityError, match="nothing of it was used"):
+        with pytest.raises(IntegrityError, match=r"nothing of it was used|it was not used"):
             read_index(json.dumps(data).encode(), published.public, "index")
 
 

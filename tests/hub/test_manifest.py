@@ -100,7 +100,7 @@ def test_content_of_an_image_is_its_pixels_and_not_its_bytes(tmp_path):
 
 
 def test_another_attachment_is_another_content(file, tmp_path, monkeypatch):
-    monkeypatch.setattr("trees.SEED", "seed = 1")
+    monkeypatch.setattr("tests.helpers.trees.SEED", "seed = 1")
     other = write_sequence(tmp_path / "other.mcap", "dive-01")
     assert content_of(other).topics == content_of(file).topics
     assert content_of(other).attachments != content_of(file).attachments
@@ -117,24 +117,25 @@ def changed(manifest, change):
     ("change", "said"),
     [
         (lambda d: d.update(format="oysterbench-manifest/9"), "another version of oysterbench"),
-        (lambda d: d.update(piece_size=0), "1 KiB to 64 MiB"),
-        (lambda d: d.update(piece_size=1.5), "expected a whole number"),
-        (lambda d: d.update(piece_size=True), "expected a whole number"),
-        (lambda d: d.update(split="../../etc"), "key 'split'"),
-        (lambda d: d.update(version="1/../.."), "key 'version'"),
-        (lambda d: d.update(recipe_digest="abc"), "key 'recipe_digest'"),
-        (lambda d: d.pop("summary"), "key 'summary': expected text, got None"),
-        (lambda d: d.update(files={}), "expected a list"),
-        (lambda d: d.update(files=[3]), "expected tables"),
-        (lambda d: d["files"][0].update(name="../dive.mcap"), "key 'files.name'"),
-        (lambda d: d["files"][0].update(name="/etc/passwd.mcap"), "key 'files.name'"),
-        (lambda d: d["files"][0].update(name=".hidden.mcap"), "key 'files.name'"),
-        (lambda d: d["files"][0].update(name="dive-01.mcap\n"), "key 'files.name'"),
-        (lambda d: d["files"][0].update(size=-1), "do not make -1 bytes"),
+        (lambda d: d.update(piece_size=0), "Expected `int` >= 1024 - at `$.piece_size`"),
+        (lambda d: d.update(piece_size=1 << 27), "Expected `int` <= 67108864 - at `$.piece_size`"),
+        (lambda d: d.update(piece_size=1.5), "Expected `int`, got `float` - at `$.piece_size`"),
+        (lambda d: d.update(piece_size=True), "Expected `int`, got `bool` - at `$.piece_size`"),
+        (lambda d: d.update(split="../../etc"), "at `$.split`"),
+        (lambda d: d.update(version="1/../.."), "at `$.version`"),
+        (lambda d: d.update(recipe_digest="abc"), "at `$.recipe_digest`"),
+        (lambda d: d.pop("summary"), "missing required field `summary`"),
+        (lambda d: d.update(files={}), "Expected `array`, got `object` - at `$.files`"),
+        (lambda d: d.update(files=[3]), "Expected `object`, got `int` - at `$.files[0]`"),
+        (lambda d: d["files"][0].update(name="../dive.mcap"), "at `$.files[0].name`"),
+        (lambda d: d["files"][0].update(name="/etc/passwd.mcap"), "at `$.files[0].name`"),
+        (lambda d: d["files"][0].update(name=".hidden.mcap"), "at `$.files[0].name`"),
+        (lambda d: d["files"][0].update(name="dive-01.mcap\n"), "at `$.files[0].name`"),
+        (lambda d: d["files"][0].update(size=-1), "Expected `int` >= 1 - at `$.files[0].size`"),
         (lambda d: d["files"][0].update(size=1 << 60), "do not make"),
         (lambda d: d["files"][0]["pieces"].append("0" * 64), "do not make"),
-        (lambda d: d["files"][0]["pieces"].__setitem__(0, "x" * 64), "key 'files.pieces'"),
-        (lambda d: d["files"][0].update(sha256="0" * 63), "key 'files.sha256'"),
+        (lambda d: d["files"][0]["pieces"].__setitem__(0, "x" * 64), "at `$.files[0].pieces[0]`"),
+        (lambda d: d["files"][0].update(sha256="0" * 63), "at `$.files[0].sha256`"),
         (lambda d: d.update(files=d["files"] * 2), "a name occurs twice"),
     ],
 )

@@ -13,10 +13,8 @@ import threading
 import urllib.parse
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from oysterbench.hub.serve import LARGEST_HEADERS, parse_range
+from oysterbench.hub.serve import LARGEST_HEADERS
 from tests.helpers.trees import a_key, oysterbench_serve, publish_split, write_split
 
 
@@ -304,29 +302,3 @@ def test_clients_that_do_not_read_cost_little_memory(site, tmp_path):
         for connection in connections:
             connection.close()
         large.unlink()
-
-
-def test_ranges_of_an_empty_file_cannot_be_met():
-    assert parse_range("bytes=0-0", 0) == (0, 0)
-    assert parse_range("bytes=-1", 0) == (0, 0)
-    assert parse_range("bytes=0-1,2-3", 0) is None
-
-
-@given(st.integers(1, 50), st.one_of(st.none(), st.integers(0, 60)), st.one_of(st.none(), st.integers(0, 60)))
-def test_a_range_means_what_the_standard_says(size, first, last):
-    """Against RFC 9110, section 14.1.2, by listing the bytes that are meant."""
-    header = f"bytes={'' if first is None else first}-{'' if last is None else last}"
-    if first is None:
-        meant = None if last is None else list(range(size))[max(0, size - last) :]
-    elif last is not None and last < first:
-        meant = None
-    else:
-        meant = [k for k in range(size) if k >= first and (last is None or k <= last)]
-    found = parse_range(header, size)
-    assert (None if found is None else list(range(*found))) == meant
-
-
-@given(st.text(max_size=40), st.integers(0, 1000))
-def test_no_range_header_makes_trouble(header, size):
-    found = parse_range(header, size)
-    assert found is None or 0 <= found[0] <= found[1] <= size

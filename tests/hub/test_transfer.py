@@ -175,7 +175,7 @@ def test_waits_grow_with_jitter_and_are_never_shorter_than_asked():
 )
 def test_retry_after_is_a_number_or_a_date(value, seconds):
     assert _retry_after(value) == seconds
-    assert _retry_after("Fri, 31 Dec 2100 23:59:59 GMT") > 1e9
+    assert _retry_after("Fri, 31 Dec 2100 23:59:59 GMT") > 3600
 
 
 def test_retry_after_is_honoured(tmp_path):
