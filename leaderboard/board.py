@@ -1,4 +1,4 @@
-"""What a board shows: its name, its rows, a page of them. `ranking.py` makes them, `index.py` keeps them."""
+"""What a board shows: its name, its rows, a page of them. `index_writer.py` makes them, `index.py` finds them."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class Row:
     """A record on its board.
 
     place:     by the ranking metric's mean alone; equal means share one. None without a value, or not current
-    rank:      place of the best of its group: walking down the board, a record whose paired difference from the first
-               of the group is not told from zero (95 %, bootstrap over sequences) belongs to the group
+    rank:      by significance (`oysterbench.results.standings`); None with too few sequences, or without a place
+    tied:      whether another record has the same rank; the same place where there are no ranks
     score:     mean of the ranking metric over all sequences of the board; low, high: its interval, None where there are
                too few sequences
     data_set:  the ranking metric over all sequences at once, where the record knows it, such as COCO's AP: it is shown,
-               and does not rank, as what tells two records apart is a value on each sequence
+               and does not rank, as a paired comparison needs a value on each sequence
     coverage:  mean over sequences, for tracks that have such a thing
     metrics:   means of the columns, coverage among them where it is one; None where there is none
     failures:  runs that failed, and sequences that were not answered
@@ -64,6 +64,7 @@ class Row:
     state: State
     place: int | None
     rank: int | None
+    tied: bool
     score: float | None
     low: float | None
     high: float | None

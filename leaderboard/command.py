@@ -22,7 +22,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "withdraw": (KEEPING, "withdraw_command", "Take a record off the board, with the reason."),
     "restore": (KEEPING, "restore_command", "Put a withdrawn record back, with the reason."),
     "rebuild": (KEEPING, "rebuild_command", "Make the index anew from the records."),
-    "verify": (KEEPING, "verify_command", "Check every record, notice and curve."),
+    "verify": (KEEPING, "verify_command", "Check every record, change of status and curve."),
     "rescore": (KEEPING, "rescore_command", "Score kept estimates with this version's evaluator."),
     "serve": (SERVER, "serve_command", "Serve the site, and take submissions."),
     "build": (SERVER, "build_command", "Write the whole site as files, for any web host."),
@@ -84,7 +84,7 @@ class Lazy(click.Group):
 @click.option("--index", "url", envvar="OYSTERBENCH_INDEX", help="File or postgresql+psycopg:// URL of the index.")
 @click.pass_context
 def command(context: click.Context, folder: Path | None, url: str | None, **asked: Any) -> None:
-    """Show published results: who is ahead, by how much, and whether that can be told.
+    """Show published results: who is ahead, by how much, and whether that is significant.
 
     \b
     Examples:
@@ -97,8 +97,8 @@ def command(context: click.Context, folder: Path | None, url: str | None, **aske
       oysterbench leaderboard --board /srv/board rebuild
       oysterbench compare gtsam_vi gtsam_full --split slam-val
 
-    A rank is shared ("=") by methods that a paired bootstrap over sequences does not tell from the first of them, at
-    95 %. Places in brackets: too few sequences to tell any apart.
+    A rank is 1 + the number of methods that are significantly better (95 %, paired bootstrap over sequences), or
+    better than one placed above; "=" where several share it. Places in brackets: too few sequences to say.
     """
     from oysterbench_leaderboard.options import Place
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 from oysterbench.core.errors import ResultError
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.board import Query, Row
-from oysterbench_leaderboard.index import LEAST_DIGITS, SqlIndex
+from oysterbench_leaderboard.index import LEAST_DIGITS, BoardIndex
 from oysterbench_leaderboard.options import Place
 from oysterbench_leaderboard.tables import SHORT
 
 MOST_NAMED = 20
-"""Methods of a board, the first ones, that are told to who asks for another."""
+"""Methods of a board, the first ones, that are named to who asks for another."""
 
 _DIGEST = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
 
@@ -41,14 +41,14 @@ def results_of(text: str, split: str | None, place: Place | None = None) -> list
     return [replace(result, method=f"{record.method} {record.digest[:SHORT]}") for result in record.results]
 
 
-def _methods(index: SqlIndex, split: str | None) -> str:
+def _methods(index: BoardIndex, split: str | None) -> str:
     """What could have been meant."""
     boards = [board for board in index.boards() if board.newest and split in (None, board.split)]
     there = sorted({row.method for board in boards for row in index.page(board.id, Query(size=MOST_NAMED)).rows})
     return f"the methods{f' on {split}' if split else ''} are: {', '.join(there) or 'none yet'}"
 
 
-def _one_of_each_board(text: str, rows: Sequence[Row], index: SqlIndex, split: str | None) -> list[Row]:
+def _one_of_each_board(text: str, rows: Sequence[Row], index: BoardIndex, split: str | None) -> list[Row]:
     boards = {board.id: board for board in index.boards() if board.newest}
     chosen = [row for row in rows if row.board in boards and split in (None, boards[row.board].split)]
     if not chosen:

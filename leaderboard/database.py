@@ -1,31 +1,78 @@
-"""Where an index lies: SQLite as one file that is replaced whole, or PostgreSQL, where a rebuild is one transaction."""
+"""The database of the index: its tables, alike in SQLite and PostgreSQL, and connections to it."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import re
-import tempfile
-import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from urllib.parse import quote
 
-from sqlalchemy import Connection, Engine, create_engine, delete, event, func, select, text
+from sqlalchemy import (
+    Boolean,
+    Column,
+    Connection,
+    Engine,
+    Float,
+    Index,
+    Integer,
+    MetaData,
+    NullPool,
+    Table,
+    Text,
+    create_engine,
+    text,
+)
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError, SQLAlchemyError
+from sqlalchemy.exc import ArgumentError, DatabaseError, SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import locked
-from oysterbench_leaderboard.filling import meta, schema
-from oysterbench_leaderboard.schema import METADATA
 
+METADATA = MetaData()
+TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # SQLite's order: by bytes, whatever the locale
+MOST_COLUMNS = 12
 _LOCK = 0x6F79_7374_6572  # the advisory lock of PostgreSQL under which the index is written
 
 
+META = Table("oysterbench_meta", METADATA, Column("key", TEXT, primary_key=True), Column("value", TEXT))
+"""`schema`, `revision`, and `inputs`, a hash of all that the index is made of."""
+
+BOARDS = Table(
+    "oysterbench_boards",
+    METADATA,
+    Column("id", TEXT, primary_key=True),
+    *(Column(key, TEXT) for key in ("track", "split", "split_digest", "evaluator_version", "settings", "metric")),
+    *(Column(key, TEXT) for key in ("sequences", "updated")),
+    *(Column(key, Integer) for key in ("position", "entries")),
+    Column("newest", Boolean),
+)
+"""`board.BoardInfo`; settings and sequences as JSON."""
+
+ROWS = Table(
+    "oysterbench_rows",
+    METADATA,
+    Column("digest", TEXT, primary_key=True),
+    *(Column(key, TEXT) for key in ("board", "method", "team", "words", "tier", "url", "summary", "created")),
+    *(Column(key, TEXT) for key in ("supersedes", "state")),
+    *(Column(key, Integer) for key in ("position", "place", "rank", "sequences", "runs", "failures")),
+    *(Column(key, Float(53)) for key in ("score", "data_set", "coverage", *(f"m{i}" for i in range(MOST_COLUMNS)))),
+    Column("tied", Boolean),
+    Index("oysterbench_rows_in_order", "board", "position"),
+    Index("oysterbench_rows_of_method", "method", "team"),
+)
+"""`board.Row`. words: method and team, for searching; m0, m1, ...: `COLUMNS` of the track, in their order."""
+
+SUMMARIES = Table("oysterbench_summaries", METADATA, Column("digest", TEXT, primary_key=True), Column("data", TEXT))
+"""`RecordSummary` as JSON: what a board is ranked by, and its intervals are made of."""
+
+PROBLEMS = Table("oysterbench_problems", METADATA, Column("file", TEXT, primary_key=True), Column("reason", TEXT))
+"""Files that were left out, and why."""
+
+
 class Database:
-    """Connections to it. name: where it lies, without a password."""
+    """Connections to an index. name: where it lies, without a password."""
 
     def __init__(self, url_or_path: str | os.PathLike[str]) -> None:
         place = os.fspath(url_or_path)
@@ -38,147 +85,76 @@ class Database:
                 f"index: expected a file or postgresql+psycopg://user@host/name, got {place!r:.80}"
             ) from None
         self.name = url.render_as_string(hide_password=True)
-        self._file: Path | None = None
-        self._switch = threading.Lock()
-        self._of_file: tuple[int, int] | None = None
-        self._engine: Engine | None = None
+        self.file: Path | None = None
         if url.get_backend_name() == "sqlite":
             if not url.database or url.database == ":memory:":
                 raise ResultError("index: expected a file for SQLite, got none")
-            self._file = Path(url.database)
-            self.name = str(self._file)
+            self.file = Path(url.database)
+            self.name = str(self.file)
+            self.engine = _sqlite(self.file)
         elif url.get_backend_name() == "postgresql":
-            self._engine = create_engine(url, pool_size=16, max_overflow=64)
+            self.engine = create_engine(url, pool_size=16, max_overflow=64)
         else:
             raise ResultError(f"index: expected SQLite or PostgreSQL, got {url.get_backend_name()}")
 
-    def engine(self) -> Engine:
-        """The engine; a new one where the file was replaced since. Connections in use keep the old file."""
-        if self._file is None:
-            assert self._engine is not None
-            return self._engine
-        try:
-            status = self._file.stat()
-        except FileNotFoundError:
-            raise ResultError(f"{self.name}: no index is there; make it: `oysterbench leaderboard rebuild`") from None
-        with self._switch:
-            # An inode is not used again while a connection of the pool holds it open.
-            if self._engine is None or self._of_file != (status.st_dev, status.st_ino):
-                if self._engine is not None:
-                    self._engine.dispose()
-                self._engine, self._of_file = _sqlite(self._file), (status.st_dev, status.st_ino)
-            return self._engine
-
     def close(self) -> None:
         """Let go of all connections; the next question opens new ones."""
-        with self._switch:
-            if self._engine is not None:
-                self._engine.dispose()
+        self.engine.dispose()
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[Connection]:
-        """A connection whose questions are all answered from one state of the index."""
-        with self.told():
-            engine = self.engine()
-            with engine.connect() as connection:
-                connection.execute(
-                    text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ" if self._file is None else "BEGIN")
-                )
-                yield connection
-
-    @contextlib.contextmanager
-    def told(self) -> Iterator[None]:
-        """What a database says, in one line that names the index and no password."""
+        """A connection whose questions are all answered from one state of the index. Raises ResultError in one line."""
         try:
-            yield
+            with self.engine.connect() as connection:
+                begin = "SET TRANSACTION ISOLATION LEVEL REPEATABLE READ" if self.file is None else "BEGIN"
+                connection.execute(text(begin))
+                yield connection
         except SQLAlchemyError as error:
-            said = " ".join(str(getattr(error, "orig", None) or error).split())
-            raise ResultError(
-                f"index {self.name}: {said:.200}; `oysterbench leaderboard rebuild` makes it anew"
-            ) from None
+            raise self._in_one_line(error) from None
 
     @contextlib.contextmanager
-    def only_writer(self) -> Iterator[None]:
-        """Nobody else, on any host, writes meanwhile; readers are not held up."""
-        if self._file is not None:
-            with locked(self._file.with_name(f".{self._file.name}.lock")):
-                yield
-            return
-        with self.engine().connect() as connection:
-            connection.execute(select(func.pg_advisory_lock(_LOCK)))
-            try:
-                yield
-            finally:
-                connection.execute(select(func.pg_advisory_unlock(_LOCK)))
-
-    def usable(self) -> bool:
-        """Whether there is an index, of this version and whole."""
+    def writing(self) -> Iterator[Connection]:
+        """The one transaction of the only writer, on any host; readers see the old state until it ends. The tables are
+        made where there are none; a file that is no database is replaced."""
         try:
-            with self.engine().connect() as connection:
-                return meta(connection).get("schema") == schema()
-        except (ResultError, SQLAlchemyError):
-            if self._file is None:
-                with self.engine().connect():  # a server that is not there is no reason to build
-                    pass
-            return False
-
-    @contextlib.contextmanager
-    def new_tables(self) -> Iterator[Connection]:
-        """Empty tables, which take the place of the old ones when the block is left without an error."""
-        if self._file is None:
-            with self.engine().begin() as connection:
-                METADATA.create_all(connection)
-                if meta(connection).get("schema") != schema():
-                    METADATA.drop_all(connection)
+            if self.file is None:
+                with self.engine.begin() as connection:
+                    connection.execute(text(f"SELECT pg_advisory_xact_lock({_LOCK})"))
                     METADATA.create_all(connection)
-                for table in METADATA.tables.values():
-                    connection.execute(delete(table))
-                yield connection
-            return
-        self._file.parent.mkdir(parents=True, exist_ok=True)
-        for left in self._file.parent.glob(f".{self._file.name}.*.new"):  # by a rebuild that was killed
-            left.unlink(missing_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=self._file.parent, prefix=f".{self._file.name}.", suffix=".new")
-        os.close(handle)
-        try:
-            engine = _sqlite(Path(temporary), durable=False)
-            with engine.begin() as connection:
-                METADATA.create_all(connection)
-                yield connection
-            engine.dispose()
-            with open(temporary, "rb") as file:
-                os.fsync(file.fileno())
-            self._settle_journal()
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, self._file)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+                    yield connection
+                return
+            with locked(self.file.with_name(f".{self.file.name}.lock")):
+                self._make_file(self.file)
+                with self.engine.begin() as connection:
+                    connection.execute(text("BEGIN IMMEDIATE"))
+                    METADATA.create_all(connection)
+                    yield connection
+        except SQLAlchemyError as error:
+            raise self._in_one_line(error) from None
 
-    def _settle_journal(self) -> None:
-        """A journal that a killed writer left must not be taken for the new file's: the old file takes it back now."""
-        assert self._file is not None
-        journal = self._file.with_name(f"{self._file.name}-journal")
-        if not journal.exists():
-            return
-        with contextlib.suppress(ResultError, SQLAlchemyError), self.engine().connect() as connection:
-            meta(connection)
-        journal.unlink(missing_ok=True)
+    def _make_file(self, file: Path) -> None:
+        """An SQLite file in the mode in which readers and the writer do not wait for each other."""
+        for attempt in range(2):
+            file.touch()
+            try:
+                with self.engine.connect() as connection:
+                    connection.execute(text("PRAGMA journal_mode = WAL"))
+                return
+            except DatabaseError:
+                if attempt:
+                    raise
+                for suffix in ("", "-wal", "-shm", "-journal"):
+                    file.with_name(file.name + suffix).unlink(missing_ok=True)
+
+    def _in_one_line(self, error: SQLAlchemyError) -> ResultError:
+        said = " ".join(str(getattr(error, "orig", None) or error).split())
+        return ResultError(f"index {self.name}: {said:.200}; `oysterbench leaderboard rebuild` makes it anew")
 
 
-def _sqlite(path: Path, durable: bool = True) -> Engine:
-    engine = create_engine(
+def _sqlite(path: Path) -> Engine:
+    """Connections that are opened for each question, as the file may be replaced by another at any time."""
+    return create_engine(
         f"sqlite:///file:{quote(str(path.resolve()))}?mode=rw&uri=true",
-        pool_size=16,
-        max_overflow=64,
+        poolclass=NullPool,
         connect_args={"timeout": 60, "check_same_thread": False},
     )
-
-    @event.listens_for(engine, "connect")
-    def settings(connection: Any, _: Any) -> None:
-        connection.execute("PRAGMA mmap_size = 268435456")
-        if not durable:
-            connection.execute("PRAGMA journal_mode = OFF")
-            connection.execute("PRAGMA synchronous = OFF")
-
-    return engine

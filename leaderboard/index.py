@@ -4,86 +4,48 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import re
 import threading
 from array import array
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
-from sqlalchemy import Connection, Select, func, select
+from sqlalchemy import Connection, RowMapping, Select, func, select
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import home
+from oysterbench.evaluate.statistics import sequence_means
+from oysterbench.results.records import samples
+from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row
-from oysterbench_leaderboard.building import Progress, processes, read
-from oysterbench_leaderboard.database import Database
-from oysterbench_leaderboard.filling import fill, inputs_of, meta, take_in
-from oysterbench_leaderboard.intake import COLUMNS, by_sequence, run_means
-from oysterbench_leaderboard.schema import BOARDS, PROBLEMS, ROWS
+from oysterbench_leaderboard.database import BOARDS, METADATA, PROBLEMS, ROWS, SUMMARIES, Database
+from oysterbench_leaderboard.index_writer import Progress, decode_summary, inputs_of, meta, schema, write
+from oysterbench_leaderboard.record_summary import COLUMNS
 from oysterbench_leaderboard.store import RecordStore
 
 MOST_REMEMBERED = 128
 """Orders of a board, at 8 bytes a row."""
 
 MOST_WANTED = 500
-"""Rows that one statement fetches by their positions."""
+"""Rows that one statement fetches by their positions or digests."""
 
 LEAST_DIGITS = 8
 """Of a digest that is given short."""
 
 _PREFIX = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
+_STORED = [key for key in Row.__dataclass_fields__ if key not in ("metrics", "low", "high")]
 
 
-class Index(Protocol):
-    """What every reader may ask. All answers are of one revision at a time; sequences are in the board's order."""
-
-    store: RecordStore
-
-    @property
-    def revision(self) -> str:
-        """Changes whenever any answer does: what a cache of pages is keyed by."""
-
-    def rebuild(self, progress: Callable[[int, int], None] | None = None) -> None:
-        """Make all anew from the store's records and notices; readers see the old index until the new one is whole."""
-
-    def refresh(self) -> None:
-        """Take in records and notices that have come into the store since; ranks only the boards they are on."""
-
-    def boards(self, track: str | None = None) -> list[BoardInfo]:
-        """All boards: tracks in order, the newest evaluator of a split first."""
-
-    def find_board(self, track: str, split: str, board: str | None = None) -> BoardInfo:
-        """The newest board of a split, or the one with that id. Raises ResultError naming what there is."""
-
-    def page(self, board: str, query: Query) -> BoardPage:
-        """Rows of a board."""
-
-    def row(self, digest: str) -> Row:
-        """A record's row. Raises ResultError where there is none. A digest may be shortened to 8 digits or more where
-        that is unique."""
-
-    def method(self, method: str, team: str | None = None) -> list[Row]:
-        """All rows of a method, the newest first, superseded and withdrawn ones too."""
-
-    def methods(self) -> list[tuple[str, str, int]]:
-        """Method, team, number of current records."""
-
-    def sequence_means(self, digest: str) -> dict[str, dict[str, float | None]]:
-        """Sequence -> metric -> mean over runs, for a record."""
-
-    def problems(self) -> dict[str, str]:
-        """Records and notices that were left out, by their digest: why. The others are not touched by it."""
-
-
-def open_index(store: RecordStore, url: str | None = None) -> SqlIndex:
+def open_index(store: RecordStore, url: str | None = None) -> BoardIndex:
     """The index of a store, up to date: made where there is none, and anew where it is of another version.
 
     url: a file (SQLite), or postgresql+psycopg://...; by default a file under the home, one for each store.
     """
-    index = SqlIndex(url or default_url(store), store)
+    index = BoardIndex(url or default_url(store), store)
     index.refresh()
     return index
 
@@ -94,8 +56,9 @@ def default_url(store: RecordStore) -> str:
     return str(home() / "leaderboard" / f"index-{name}.sqlite")
 
 
-class SqlIndex:
-    """`Index` in SQLite, as one file that is replaced whole, or in PostgreSQL, in one transaction."""
+class BoardIndex:
+    """What every reader may ask, in SQLite or PostgreSQL. All answers are of one revision at a time; sequences are in
+    the board's order."""
 
     def __init__(self, url_or_path: str | os.PathLike[str], store: RecordStore) -> None:
         self.store, self.database = store, Database(url_or_path)
@@ -109,75 +72,87 @@ class SqlIndex:
 
     @property
     def revision(self) -> str:
+        """Changes whenever any answer does: what a cache of pages is keyed by."""
         with self.database.reading() as connection:
             return meta(connection).get("revision", "")
 
     def rebuild(self, progress: Progress | None = None) -> None:
-        with self.database.told(), self.database.only_writer():
-            self._rebuild(progress)
+        """Make all anew from the store's files; readers see the old index until the new one is whole."""
+        self._write(True, progress)
 
     def refresh(self) -> None:
-        with self.database.told():
-            if self._up_to_date():
-                return
-            with self.database.only_writer():
-                if not self.database.usable():
-                    self._rebuild(None)
+        """Take in what has come into the store since; ranks only the boards that it is on."""
+        try:
+            with self.database.reading() as connection:
+                if meta(connection).get("inputs") == inputs_of(self.store):
                     return
-                with self.database.engine().begin() as connection:
-                    take_in(connection, self.store)
+        except ResultError:
+            if self.database.file is None:  # a server that is not there is no reason to build
+                raise
+        self._write(False)
+
+    def _write(self, anew: bool, progress: Progress | None = None) -> None:
+        with self.database.writing() as connection:
+            if meta(connection).get("schema") not in (schema(), None):
+                METADATA.drop_all(connection)
+                METADATA.create_all(connection)
+            write(connection, self.store, anew, progress)
 
     def boards(self, track: str | None = None) -> list[BoardInfo]:
+        """All boards: tracks in order, the newest evaluator of a split first."""
         with self.database.reading() as connection:
-            return [each for each in self._boards(connection) if track in (None, each.track)]
+            return [each for each in self._boards(connection).values() if track in (None, each.track)]
 
     def find_board(self, track: str, split: str, board: str | None = None) -> BoardInfo:
+        """The newest board of a split, or the one with that id. Raises ResultError naming what there is."""
         known = self.boards()
-        if board is not None:
-            found = [each for each in known if each.id == board and each.track == track and each.split == split]
-        else:
-            found = [each for each in known if each.track == track and each.split == split]
+        found = [b for b in known if (b.track, b.split) == (track, split) and board in (None, b.id)]
         if not found:
             there = ", ".join(dict.fromkeys(f"{each.track} {each.split}" for each in known)) or "none yet"
             raise ResultError(f"no board {board or ''} of {track} on {split}; there are: {there}".replace("  ", " "))
         return found[0]
 
     def page(self, board: str, query: Query) -> BoardPage:
+        """Rows of a board."""
         with self.database.reading() as connection:
-            info = next((each for each in self._boards(connection) if each.id == board), None)
+            info = self._boards(connection).get(board)
             if info is None:
                 raise ResultError(f"no board {board!r:.40}; `oysterbench leaderboard` lists what there is")
             size, page = max(1, query.size), max(1, query.page)
             order = self._order(connection, info, query)
             wanted = order[(page - 1) * size : page * size]
-            found: dict[int, Row] = {}
+            found = {}
             for i in range(0, len(wanted), MOST_WANTED):
                 asked = select(ROWS).where(ROWS.c.board == board, ROWS.c.position.in_(wanted[i : i + MOST_WANTED]))
-                found |= {row["position"]: _row(row, info.columns) for row in connection.execute(asked).mappings()}
-            rows = tuple(found[position] for position in wanted)
-            return BoardPage(info, replace(query, page=page, size=size), rows, len(order))
+                found |= {row["position"]: row for row in connection.execute(asked).mappings()}
+            rows = self._rows(connection, [found[position] for position in wanted])
+            return BoardPage(info, replace(query, page=page, size=size), tuple(rows), len(order))
 
     def row(self, digest: str) -> Row:
+        """A record's row. Raises ResultError where there is none. A digest may be shortened to 8 digits or more where
+        that is unique."""
         if not _PREFIX.fullmatch(digest):
             raise ResultError(f"expected a digest of {LEAST_DIGITS} to 64 hex digits, got {digest!r:.80}")
         with self.database.reading() as connection:
-            asked = _with_track().where(ROWS.c.digest >= digest, ROWS.c.digest < digest + "g").limit(2)
+            asked = select(ROWS).where(ROWS.c.digest >= digest, ROWS.c.digest < digest + "g").limit(2)
             found = connection.execute(asked).mappings().all()
             if not found:
                 why = connection.scalar(select(PROBLEMS.c.reason).where(PROBLEMS.c.file == digest))
                 raise ResultError(f"no such record: {digest[:12]}" + (f"; it was left out: {why}" if why else ""))
             if len(found) > 1:
                 raise ResultError(f"several records begin with {digest}: give more digits")
-            return _row(found[0], COLUMNS[found[0]["track"]])
+            return self._rows(connection, found)[0]
 
     def method(self, method: str, team: str | None = None) -> list[Row]:
-        asked = _with_track().where(ROWS.c.method == method).order_by(ROWS.c.created.desc(), ROWS.c.digest)
+        """All rows of a method, the newest first, superseded and withdrawn ones too."""
+        asked = select(ROWS).where(ROWS.c.method == method).order_by(ROWS.c.created.desc(), ROWS.c.digest)
         if team is not None:
             asked = asked.where(ROWS.c.team == team)
         with self.database.reading() as connection:
-            return [_row(found, COLUMNS[found["track"]]) for found in connection.execute(asked).mappings()]
+            return self._rows(connection, connection.execute(asked).mappings().all())
 
     def methods(self) -> list[tuple[str, str, int]]:
+        """Method, team, number of current records."""
         current = func.sum((ROWS.c.state == "current").cast(ROWS.c.runs.type))
         asked = select(ROWS.c.method, ROWS.c.team, current).group_by(ROWS.c.method, ROWS.c.team)
         with self.database.reading() as connection:
@@ -185,14 +160,15 @@ class SqlIndex:
         return [(method, team, int(count)) for method, team, count in found]
 
     def sequence_means(self, digest: str) -> dict[str, dict[str, float | None]]:
-        full = digest if len(digest) == 64 else self.row(digest).digest
-        results = json.loads(self.store.data(full))["results"]
-        runs = by_sequence(results)
-        keys = dict.fromkeys(key for result in results for key in result["metrics"])
-        means = {key: run_means(runs, key)[0] for key in keys}
-        return {name: {key: means[key].get(name) for key in keys} for name in runs}
+        """Sequence -> metric -> mean over runs, for a record."""
+        results = self.store.record(digest if len(digest) == 64 else self.row(digest).digest).results
+        keys = dict.fromkeys(key for result in results for key in result.metrics)
+        means = {key: sequence_means(samples(results, key)) for key in keys}
+        names = dict.fromkeys(result.sequence for result in results)
+        return {name: {key: means[key].get(name) for key in keys} for name in names}
 
     def problems(self) -> dict[str, str]:
+        """Files that were left out, by their digest: why. The others are not touched by it."""
         with self.database.reading() as connection:
             asked = select(PROBLEMS.c.file, PROBLEMS.c.reason).order_by(PROBLEMS.c.file)
             return {row[0]: row[1] for row in connection.execute(asked)}
@@ -201,9 +177,18 @@ class SqlIndex:
         """Let go of all connections; the next question opens new ones."""
         self.database.close()
 
-    def _boards(self, connection: Connection) -> list[BoardInfo]:
-        key = (meta(connection).get("revision"), "boards")
-        return self._remembered(key, lambda: _boards(connection))
+    def _boards(self, connection: Connection) -> dict[str, BoardInfo]:
+        """By their ids, in order."""
+
+        def make() -> dict[str, BoardInfo]:
+            found = {}
+            for row in connection.execute(select(BOARDS).order_by(BOARDS.c.position)).mappings():
+                values = {key: row[key] for key in row if key != "position"}
+                values |= {"settings": json.loads(row["settings"]), "sequences": tuple(json.loads(row["sequences"]))}
+                found[row["id"]] = BoardInfo(**values, columns=COLUMNS[row["track"]])
+            return found
+
+        return self._remembered((meta(connection).get("revision"), "boards"), make)
 
     def _order(self, connection: Connection, board: BoardInfo, query: Query) -> array[int]:
         """Positions of all rows that a query asks for, in its order: sorting a large board takes longer than all else
@@ -225,42 +210,54 @@ class SqlIndex:
                 self._memory.popitem(last=False)
         return made
 
-    def _up_to_date(self) -> bool:
-        if not self.database.usable():
-            return False
-        with self.database.engine().connect() as connection:
-            return meta(connection).get("inputs") == inputs_of(self.store)
-
-    def _rebuild(self, progress: Progress | None) -> None:
-        """Make all anew; the caller is the only writer."""
-        inputs, digests = inputs_of(self.store), self.store.digests()
-        with processes(len(digests)) as using:
-            kept, wrong = read(self.store.folder / "records", digests, using, progress)
-            with self.database.new_tables() as connection:
-                fill(connection, kept, self.store, wrong, inputs, using)
-
-
-def _boards(connection: Connection) -> list[BoardInfo]:
-    asked = select(BOARDS).order_by(BOARDS.c.position)
-    found = []
-    for row in connection.execute(asked).mappings():
-        values = {key: row[key] for key in row if key != "position"}
-        values["settings"], values["sequences"] = json.loads(row["settings"]), tuple(json.loads(row["sequences"]))
-        found.append(BoardInfo(**values, columns=COLUMNS[row["track"]]))
-    return found
+    def _rows(self, connection: Connection, found: Sequence[RowMapping]) -> list[Row]:
+        """Rows as they are asked for, with the intervals of their scores, which are computed now."""
+        boards, intervals = self._boards(connection), {}
+        for board in {row["board"] for row in found}:
+            digests = [row["digest"] for row in found if row["board"] == board]
+            intervals |= _intervals(connection, boards[board], digests)
+        rows = []
+        for row in found:
+            metrics = {key: row[f"m{i}"] for i, key in enumerate(boards[row["board"]].columns)}
+            low, high = intervals[row["digest"]]
+            rows.append(Row(**{key: row[key] for key in _STORED}, low=low, high=high, metrics=metrics))
+        return rows
 
 
-def _positions(board: BoardInfo, query: Query) -> Select[Any]:
+def _intervals(
+    connection: Connection, board: BoardInfo, digests: Sequence[str]
+) -> Mapping[str, tuple[float | None, float | None]]:
+    """Of the scores of some records of a board."""
+    asked = select(SUMMARIES)
+    found: dict[str, Any] = {}
+    for i in range(0, len(digests), MOST_WANTED):
+        wanted = asked.where(SUMMARIES.c.digest.in_(digests[i : i + MOST_WANTED]))
+        found |= {digest: decode_summary(data) for digest, data in connection.execute(wanted)}
+    lacks = any(set(board.sequences) - set(found[digest].scores.values) for digest in digests)
+    if lacks and found[digests[0]].scores.unpredicted is not None:  # others tell what a lacking sequence weighs
+        every = asked.join(ROWS, ROWS.c.digest == SUMMARIES.c.digest).where(ROWS.c.board == board.id)
+        found |= {digest: decode_summary(data) for digest, data in connection.execute(every)}
+    table = ScoreTable.of([found[digest].scores for digest in found], board.sequences, board.track)
+    places = {digest: k for k, digest in enumerate(found)}
+    ends = table.take([places[digest] for digest in digests]).intervals()
+    return {digest: (_number(low), _number(high)) for digest, (low, high) in zip(digests, ends.tolist(), strict=True)}
+
+
+def _number(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _positions(board: BoardInfo, query: Query) -> Select[tuple[int]]:
     """Positions of the rows that a query asks for, in its order."""
     chosen = [ROWS.c.board == board.id, ROWS.c.state.in_(query.states)]
     if query.tiers:
         chosen.append(ROWS.c.tier.in_(query.tiers))
     if query.text:
         chosen.append(ROWS.c.words.contains(query.text.casefold(), autoescape=True))
-    return select(ROWS.c.position).where(*chosen).order_by(*_order(board, query))
+    return select(ROWS.c.position).where(*chosen).order_by(*_sorting(board, query))
 
 
-def _order(board: BoardInfo, query: Query) -> list[Any]:
+def _sorting(board: BoardInfo, query: Query) -> Iterable[Any]:
     """What a page is ordered by: records without the value come last, whichever way round; equal ones by rank."""
     columns = {"rank": ROWS.c.position, "method": ROWS.c.words, "team": ROWS.c.team, "created": ROWS.c.created}
     columns |= {key: ROWS.c[key] for key in ("score", "coverage", "data_set")} | {board.metric: ROWS.c.score}
@@ -269,14 +266,4 @@ def _order(board: BoardInfo, query: Query) -> list[Any]:
     if column is None:
         raise ResultError(f"sort: expected one of {', '.join(columns)}, got {query.sort!r:.40}")
     absent = ROWS.c.place if query.sort == "rank" else column
-    return [absent.is_(None), column.desc() if query.descending else column, ROWS.c.position]
-
-
-def _with_track() -> Select[Any]:
-    return select(ROWS, BOARDS.c.track).join(BOARDS, BOARDS.c.id == ROWS.c.board)
-
-
-def _row(found: Any, columns: Sequence[str]) -> Row:
-    metrics = {key: found[f"m{i}"] for i, key in enumerate(columns)}
-    keys = (key for key in Row.__dataclass_fields__ if key != "metrics")
-    return Row(**{key: found[key] for key in keys}, metrics=metrics)
+    return absent.is_(None), column.desc() if query.descending else column, ROWS.c.position

@@ -14,7 +14,7 @@ from oysterbench_leaderboard.terminal import AS_JSON
 
 if TYPE_CHECKING:
     from oysterbench_leaderboard.board import Row
-    from oysterbench_leaderboard.index import SqlIndex
+    from oysterbench_leaderboard.index import BoardIndex
 
 TIERS = ("baseline", "scored", "reported")
 DAMAGED = 3
@@ -90,7 +90,7 @@ def _standing(row: Row) -> dict[str, Any]:
     return {"method": row.method, "team": row.team, "place": row.place, "rank": row.rank, "score": row.score}
 
 
-def _place_text(index: SqlIndex, row: Row) -> str:
+def _place_text(index: BoardIndex, row: Row) -> str:
     board = next(each for each in index.boards() if each.id == row.board)
     score = "no score" if row.score is None else f"{board.metric} {row.score:.3f}"
     if row.place is None:
@@ -100,7 +100,7 @@ def _place_text(index: SqlIndex, row: Row) -> str:
 
 
 def _announcing(action: Any, past: str) -> Any:
-    """A command that keeps a notice."""
+    """A command that withdraws a record or puts it back."""
 
     @click.argument("digest")
     @click.option("--reason", required=True, help="One sentence, which is shown with the record.")
@@ -116,7 +116,7 @@ def _announcing(action: Any, past: str) -> Any:
         row = index.row(digest)
         if (row.state == "withdrawn") == (action == "withdrawn"):
             raise ResultError(f"{row.digest[:8]} ({row.method} by {row.team}) is {row.state} already")
-        index.store.say(row.digest, action, reason)
+        index.store.change_status(row.digest, action, reason)
         index.refresh()
         click.echo(f"{row.digest[:8]}  {past}: {row.method} by {row.team}")
 
@@ -160,11 +160,11 @@ def rebuild_command(context: click.Context, as_json: bool) -> None:
       oysterbench leaderboard --board /srv/board --index postgresql+psycopg://board@db/board rebuild
     """
     from oysterbench.results.records import dump
-    from oysterbench_leaderboard.index import SqlIndex, default_url
+    from oysterbench_leaderboard.index import BoardIndex, default_url
 
     place = find_place(context)
     store = place.store()
-    index = SqlIndex(place.url or default_url(store), store)
+    index = BoardIndex(place.url or default_url(store), store)
     index.rebuild(_progress() if sys.stderr.isatty() else None)
     boards, problems = index.boards(), index.problems()
     entries = sum(board.entries for board in boards)
@@ -184,7 +184,7 @@ def _progress() -> Any:
     return show
 
 
-@click.command("verify", short_help="Check every record, notice and curve.")
+@click.command("verify", short_help="Check every record, change of status and curve.")
 @AS_JSON
 @click.pass_context
 def verify_command(context: click.Context, as_json: bool) -> None:
@@ -302,16 +302,16 @@ def rescore_command(
         click.echo("nothing was scored again: all current records are of this version's evaluator, or were not kept")
 
 
-def _current(index: SqlIndex, board: str) -> list[Row]:
+def _current(index: BoardIndex, board: str) -> list[Row]:
     from oysterbench_leaderboard.board import Query
 
     return list(index.page(board, Query(size=1_000_000)).rows)
 
 
-def _change(index: SqlIndex, before: Row, made: Any, dry_run: bool) -> dict[str, Any]:
+def _change(index: BoardIndex, before: Row, made: Any, dry_run: bool) -> dict[str, Any]:
     """Score and rank before and after; where nothing was kept there is no rank after."""
-    from oysterbench.results.comparison import PRIMARY
     from oysterbench.results.records import aggregate
+    from oysterbench.results.standings import PRIMARY
 
     if dry_run:
         score = aggregate(made.results)[0]["metrics"].get(PRIMARY[made.track])

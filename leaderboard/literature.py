@@ -6,7 +6,7 @@ import tomllib
 from importlib import resources
 
 from oysterbench.core.errors import ResultError
-from oysterbench.results.comparison import PRIMARY
+from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.board import Literature
 
 REPORTED = "Reported by others, on other data: not to be set against the boards, nor against each other across data."

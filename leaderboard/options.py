@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from oysterbench.core.errors import ResultError
 
 if TYPE_CHECKING:
-    from oysterbench_leaderboard.index import SqlIndex
+    from oysterbench_leaderboard.index import BoardIndex
     from oysterbench_leaderboard.store import RecordStore
 
 
@@ -39,7 +39,7 @@ class Place:
             raise ResultError(f"{self.path}: no such folder; `oysterbench leaderboard add` makes a board")
         return RecordStore(self.path)
 
-    def index(self) -> SqlIndex:
+    def index(self) -> BoardIndex:
         """The index, up to date."""
         from oysterbench_leaderboard.index import open_index
 
@@ -47,5 +47,5 @@ class Place:
 
 
 def find_place(context: Any) -> Place:
-    """As the group was told."""
+    """As the group was given."""
     return context.obj if isinstance(context.obj, Place) else Place()

@@ -15,8 +15,8 @@ from oysterbench.core.errors import OysterbenchError, RecipeError, ResultError, 
 from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.metrics import FAILED
 from oysterbench.hub.canonical import sha256
-from oysterbench.results.comparison import PRIMARY
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key, read_results
+from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.curves import curves_document, sequence_curve
 from oysterbench_leaderboard.record import Record, Tier
 from oysterbench_leaderboard.store import RecordStore

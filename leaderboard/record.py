@@ -6,12 +6,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 from oysterbench.core.errors import ResultError
 from oysterbench.hub.canonical import SHA256, canonical, sha256
-from oysterbench.results.records import ResultRecord, comparable_key, now, plain
+from oysterbench.results.records import ResultRecord, checked, comparable_key, now, plain
 
 FORMAT = "oysterbench-record/1"
 
@@ -51,7 +50,7 @@ class Record:
     summary: str = ""
     data_set: Mapping[str, Any] | None = None
     manifest: str = ""
-    estimates: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    estimates: Mapping[str, str] = field(default_factory=dict)
     curves: str = ""
     supersedes: str = ""
     reason: str = ""
@@ -125,26 +124,10 @@ class Record:
     @classmethod
     def from_dict(cls, values: Any, where: str = "record") -> Record:
         """A record from plain values. Raises ResultError naming `where` and the key."""
-        if not isinstance(values, Mapping) or values.get("format") != FORMAT:
-            got = values.get("format") if isinstance(values, Mapping) else type(values).__name__
-            raise ResultError(f"{where}: expected a record with the format {FORMAT!r}, got {got!r:.60}")
-        known = {f.name for f in fields(cls)}
-        given = {key: value for key, value in values.items() if key != "format"}
-        if odd := sorted(known ^ set(given)):
-            raise ResultError(
-                f"{where}: expected the keys {', '.join(sorted(known))}, differing: {', '.join(odd):.200}"
-            )
-        results = given["results"]
-        if not isinstance(results, list):
-            raise ResultError(f"{where}: key 'results': expected a list, got {type(results).__name__}")
-        for key in ("data_set", "estimates"):
-            if not isinstance(given[key], Mapping) and not (key == "data_set" and given[key] is None):
-                raise ResultError(f"{where}: key {key!r}: expected an object, got {given[key]!r:.60}")
-        given["results"] = tuple(ResultRecord.from_dict(r, f"{where}: results[{i}]") for i, r in enumerate(results))
-        try:
-            return cls(**given)
-        except ResultError as error:
-            raise ResultError(f"{where}: {error}") from None
+        if isinstance(values, Mapping) and isinstance(results := values.get("results"), list):
+            read = [ResultRecord.from_dict(r, f"{where}: results[{i}]") for i, r in enumerate(results)]
+            values = {**values, "results": read}
+        return checked(values, cls, FORMAT, where)
 
 
 def check_text(key: str, value: Any, most: int) -> None:

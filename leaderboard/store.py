@@ -1,10 +1,10 @@
-"""Records and notices as files named by their hash: what the board is made of. Nothing in it is ever changed."""
+"""Records and changes of their status as files named by their hash: what boards are made of. Nothing ever changes."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
@@ -12,27 +12,32 @@ from typing import Any, Literal
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.files import write_atomically
 from oysterbench.hub.canonical import SHA256, canonical, parse, sha256
-from oysterbench.results.records import now
+from oysterbench.results.records import checked, now
 from oysterbench_leaderboard.record import Record
 
-NOTICE = "oysterbench-notice/1"
-ACTIONS = ("withdrawn", "restored")
-KINDS = ("records", "notices", "curves")
+FORMAT = "oysterbench-status-change/1"
+KINDS = ("records", "changes", "curves")
+
+Action = Literal["withdrawn", "restored"]
 
 
 @dataclass(frozen=True)
-class Notice:
+class StatusChange:
     """That a record was withdrawn (it is no longer ranked, and its page says so) or put back, and why. The latest one
     of a record counts."""
 
     record: str
-    action: Literal["withdrawn", "restored"]
+    action: Action
     reason: str
     created: str
 
+    def order(self) -> tuple[str, str, str]:
+        """What they are sorted by."""
+        return self.created, self.record, self.action
+
 
 class RecordStore:
-    """A folder with `records/`, `notices/` and `curves/`, each file named by the SHA-256 of its bytes."""
+    """A folder with `records/`, `changes/` and `curves/`, each file named by the SHA-256 of its bytes."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
@@ -41,18 +46,18 @@ class RecordStore:
         """Keep a record; its digest. One that is there is left alone."""
         return self._keep("records", record.data)
 
-    def announce(self, notice: Notice) -> str:
-        """Keep a notice; its digest."""
-        return self._keep("notices", canonical({"format": NOTICE, **asdict(notice)}))
+    def add_status_change(self, change: StatusChange) -> str:
+        """Keep a change of a record's status; its digest."""
+        return self._keep("changes", canonical({"format": FORMAT, **asdict(change)}))
 
-    def say(self, record: str, action: Literal["withdrawn", "restored"], reason: str) -> str:
-        """Announce what happens to a record now, after all that was said of it: of two notices of one second the order
-        would be lost. The notice's digest."""
-        last = max((notice.created for notice in self.read_notices()[0] if notice.record == record), default="")
+    def change_status(self, record: str, action: Action, reason: str) -> str:
+        """Withdraw or restore a record now, after all earlier changes of it: of two changes of one second the order
+        would be lost. The change's digest."""
+        last = max((each.created for each in self.read_status_changes()[0] if each.record == record), default="")
         at = now()
         if at <= last:
             at = (datetime.fromisoformat(last) + timedelta(seconds=1)).strftime("%Y-%m-%dT%H:%M:%SZ")
-        return self.announce(Notice(record, action, reason, at))
+        return self.add_status_change(StatusChange(record, action, reason, at))
 
     def add_curves(self, document: dict[str, Any]) -> str:
         """Keep what is drawn on a record's page; its digest."""
@@ -75,37 +80,27 @@ class RecordStore:
         """What `add_curves` kept."""
         return parse(self._read("curves", digest), str(self._path("curves", digest)))
 
-    def notices(self) -> list[Notice]:
-        """All notices, the oldest first. Raises ResultError where one of them cannot be used."""
-        found, wrong = self.read_notices()
+    def status_changes(self) -> list[StatusChange]:
+        """All changes of status, the oldest first. Raises ResultError where one of them cannot be used."""
+        found, wrong = self.read_status_changes()
         for reason in wrong.values():
             raise ResultError(reason)
         return found
 
-    def notice_digests(self) -> list[str]:
-        """Of all notices, in order."""
-        return self.names("notices")
-
-    def read_notices(self) -> tuple[list[Notice], dict[str, str]]:
-        """The notices that can be used, the oldest first; and those that cannot, digest -> why."""
+    def read_status_changes(self) -> tuple[list[StatusChange], dict[str, str]]:
+        """The changes of status that can be used, the oldest first; and those that cannot, digest -> why."""
         found, wrong = [], {}
-        for name in self.names("notices"):
+        for name in self.names("changes"):
             try:
-                found.append(self.notice(name))
+                found.append(self.status_change(name))
             except OysterbenchError as error:
                 wrong[name] = str(error)
-        return sorted(found, key=lambda notice: (notice.created, notice.record, notice.action)), wrong
+        return sorted(found, key=StatusChange.order), wrong
 
-    def notice(self, name: str) -> Notice:
-        """The notice of that digest. Raises ResultError where it cannot be used."""
-        path = self._path("notices", name)
-        values = parse(self._read("notices", name), str(path))
-        keys = {"format", *(f.name for f in fields(Notice))}
-        if values.get("format") != NOTICE or values.keys() != keys or values["action"] not in ACTIONS:
-            raise ResultError(f"{path}: expected a notice, got other keys or values")
-        if not all(isinstance(value, str) for value in values.values()):
-            raise ResultError(f"{path}: expected a notice, got other keys or values")
-        return Notice(**{key: values[key] for key in keys - {"format"}})
+    def status_change(self, name: str) -> StatusChange:
+        """The change of that digest. Raises ResultError where it cannot be used."""
+        path = str(self._path("changes", name))
+        return checked(parse(self._read("changes", name), path), StatusChange, FORMAT, path)
 
     def _path(self, kind: str, digest: str) -> Path:
         if not SHA256.fullmatch(digest):

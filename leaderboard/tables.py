@@ -28,12 +28,9 @@ def board_name(board: BoardInfo) -> str:
     return f"{board.track} on {board.split} ({board.evaluator_version})"
 
 
-def board_table(page: BoardPage, most: int | None = None) -> Table:
-    """Rows by rank: score with interval, coverage beside the errors, who vouches for them, and when.
-
-    most: rows that are shown; those of the page after them tell whether the last one shares its rank
-    """
-    board, rows = page.board, page.rows[:most]
+def board_table(page: BoardPage) -> Table:
+    """Rows by rank: score with interval, coverage beside the errors, who vouches for them, and when."""
+    board, rows = page.board, page.rows
     metric = find_column(board.metric)
     beside = STANDING_OF_TRACK[board.track]
     texts = {column.key: column.texts([row.metrics.get(column.key) for row in rows]) for column in beside}
@@ -42,7 +39,7 @@ def board_table(page: BoardPage, most: int | None = None) -> Table:
     lines = [
         Line(
             (
-                rank_text(row, page.rows),
+                rank_text(row),
                 row.method,
                 row.team,
                 scores[i],
@@ -89,15 +86,13 @@ def learnt_on(split: str) -> str:
     return f"{split} is there to learn on, and methods may have: what they are worth is on the boards of {kind}-val."
 
 
-def rank_text(row: Row, rows: Sequence[Row]) -> str:
-    """The rank, with "=" where others have it; a place in brackets where nothing can be told apart; the state where
-    there is neither."""
+def rank_text(row: Row) -> str:
+    """The rank, with "=" where others have it; a place in brackets where no difference can be significant; the state
+    where there is neither."""
     if row.place is None:
         return row.state if row.state != "current" else ABSENT
-    if row.rank is None:
-        shared = sum(other.place == row.place for other in rows) > 1
-        return f"({row.place}{'=' if shared else ''})"
-    return f"{row.rank}{'=' if sum(other.rank == row.rank for other in rows) > 1 else ''}"
+    shown = f"{row.rank or row.place}{'=' if row.tied else ''}"
+    return f"({shown})" if row.rank is None else shown
 
 
 def interval_text(row: Row, metric: Any) -> str:
@@ -114,13 +109,13 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
     if page.total > len(rows):
         notes.append(f"{len(rows)} of {page.total} rows.")
     if any(row.place is not None and row.rank is None for row in rows):
-        notes.append(f"{count}: too few to tell methods apart; places in brackets are the order of these means.")
+        notes.append(f"{count}: too few for a significant difference; places in brackets are the order of these means.")
     elif rows:
         notes.append(f"Over {count}; one that is lacking or failed counts as nothing, and is among 'failed'.")
     if has_data_set(board, rows):
         notes.append(DATA_SET.format(find_column(board.metric).heading))
-    if told := learnt_on(board.split):
-        notes.append(told)
+    if warning := learnt_on(board.split):
+        notes.append(warning)
     if not board.newest:
         notes.append("A later evaluator has taken over: this board is history.")
     return notes

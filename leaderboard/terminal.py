@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ from oysterbench_leaderboard.options import Place, find_place
 
 if TYPE_CHECKING:
     from oysterbench_leaderboard.board import BoardInfo
-    from oysterbench_leaderboard.index import SqlIndex
+    from oysterbench_leaderboard.index import BoardIndex
 
 TOP = 5
 """Rows of each board, where there are several."""
@@ -49,9 +49,8 @@ def show_boards(
     index = place.index()
     chosen = _chosen(index, track, split, board, every)
     size = rows or (MOST if len(chosen) == 1 else TOP)
-    longer = [index.page(each.id, Query(text=words, size=size + 1)) for each in chosen]
-    tables = [board_table(page, size) for page in longer]
-    pages = [replace(page, rows=page.rows[:size]) for page in longer]
+    pages = [index.page(each.id, Query(text=words, size=size)) for each in chosen]
+    tables = [board_table(page) for page in pages]
     makers = {
         "csv": lambda: boards_csv(pages),
         "tex": lambda: "\n".join([*needs(written := "\n".join(map(latex_table, tables))), written]),
@@ -71,7 +70,7 @@ def show_boards(
         click.echo(f"left out: {file[:12]}: {why}", err=True)
 
 
-def _chosen(index: SqlIndex, track: str | None, split: str | None, board: str | None, every: bool) -> list[BoardInfo]:
+def _chosen(index: BoardIndex, track: str | None, split: str | None, board: str | None, every: bool) -> list[BoardInfo]:
     known = index.boards()
     found = [
         each
@@ -131,9 +130,9 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
     for name, value in _facts(row, record, board):
         if value:
             click.echo(f"{name:<12}{value}")
-    reasons = [n for n in index.store.read_notices()[0] if n.record == row.digest]
-    for notice in reasons:
-        click.echo(f"{notice.action:<12}{notice.created[:10]}: {notice.reason}")
+    reasons = [n for n in index.store.read_status_changes()[0] if n.record == row.digest]
+    for change in reasons:
+        click.echo(f"{change.action:<12}{change.created[:10]}: {change.reason}")
     keys = [column.key for column in OF_TRACK[board.track]]
     print_rich(terminal_table(record_table(row, index.sequence_means(row.digest), keys)))
     for result in record.results:

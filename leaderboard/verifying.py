@@ -40,8 +40,8 @@ def verify(store: RecordStore) -> Verified:
 
 
 def _check(store: RecordStore, kind: str, name: str, known: dict[str, set[str]]) -> None:
-    if kind == "notices":
-        store.notice(name)
+    if kind == "changes":
+        store.status_change(name)
         return
     if kind == "curves":
         _check_curves(store.curves(name))

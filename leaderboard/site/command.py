@@ -13,7 +13,7 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
 def _place(context: click.Context, folder: Path | None, url: str | None) -> Place:
-    """As this command was told, or else its group."""
+    """As this command was given, or else its group."""
     given = find_place(context)
     return Place(folder or given.folder, url or given.url)
 

@@ -39,17 +39,17 @@ def successor(site: Site, row: Row) -> Row | None:
 
 def events(site: Site) -> list[Event]:
     """All that happened, the latest first."""
-    found = [*_notices(site), *_successions(site)]
+    found = [*_status_changes(site), *_successions(site)]
     return sorted(found, key=lambda event: (event.created, event.record.digest, event.action), reverse=True)
 
 
-def _notices(site: Site) -> Iterator[Event]:
-    for notice in site.all_notices():
+def _status_changes(site: Site) -> Iterator[Event]:
+    for change in site.all_status_changes():
         try:
-            row = site.index.row(notice.record)
+            row = site.index.row(change.record)
         except ResultError:  # announced of what is not here
             continue
-        yield Event(notice.created, notice.action, row, notice.reason)
+        yield Event(change.created, change.action, row, change.reason)
 
 
 def _successions(site: Site) -> Iterator[Event]:

@@ -21,7 +21,7 @@ from oysterbench_leaderboard.site.pages.prose import about_page, submit_page
 from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.paths import SLUG
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.store import Notice
+from oysterbench_leaderboard.store import StatusChange
 
 Given = Mapping[str, str]
 Asked = Mapping[str, Sequence[str]]
@@ -131,7 +131,7 @@ ROUTES = (
             "withdrawn": list[str] | None,
             "superseded_by": str | None,
             "per_sequence": list[dict],
-            "notices": list[Notice],
+            "status_changes": list[StatusChange],
         },
     ),
     Route(

@@ -14,7 +14,7 @@ from starlette.applications import Starlette
 
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.hub.serve import CLIENTS, LARGEST_HEADERS, LOGGING
-from oysterbench_leaderboard.index import Index
+from oysterbench_leaderboard.index import BoardIndex
 from oysterbench_leaderboard.literature import literature
 from oysterbench_leaderboard.site import datasets, render
 from oysterbench_leaderboard.site.server import application
@@ -26,21 +26,21 @@ LOOK_S = 2.0
 LOG = logging.getLogger("uvicorn.error")
 
 
-def site_of(index: Index, form: str = "") -> Site:
+def site_of(index: BoardIndex, form: str = "") -> Site:
     """All that pages are made of."""
     return Site(index, literature(), form)
 
 
 class Watch:
-    """Whether something came into the folders of records and notices since they were last looked at."""
+    """Whether something came into the folders of the board since they were last looked at."""
 
-    def __init__(self, index: Index) -> None:
+    def __init__(self, index: BoardIndex) -> None:
         self.index = index
         self._seen = self._times()
 
     def _times(self) -> tuple[int, ...]:
         found = []
-        for kind in ("records", "notices"):
+        for kind in ("records", "changes"):
             try:
                 found.append((self.index.store.folder / kind).stat().st_mtime_ns)
             except FileNotFoundError:
@@ -57,7 +57,7 @@ class Watch:
         return True
 
 
-async def _keep_up(index: Index) -> None:
+async def _keep_up(index: BoardIndex) -> None:
     watch = Watch(index)
     while True:
         await asyncio.sleep(LOOK_S)
@@ -68,7 +68,7 @@ async def _keep_up(index: Index) -> None:
 
 
 def whole(
-    index: Index,
+    index: BoardIndex,
     submissions: Path | None = None,
     truths: Iterable[str] = (),
     workers: int | None = None,

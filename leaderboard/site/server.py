@@ -196,7 +196,7 @@ def application(
     async def robots(request: Request) -> Response:
         return PlainTextResponse("User-agent: *\nDisallow: /compare\nDisallow: /*?\n")
 
-    async def told(request: Request, error: Exception) -> Response:
+    async def answer_error(request: Request, error: Exception) -> Response:
         """What was expected, and what is there."""
         if isinstance(error, PageError):
             return pages.error(request, error.status, str(error), error.hints)
@@ -227,10 +227,10 @@ def application(
         ],
         middleware=[Middleware(HeaderLimit), Middleware(Secured)],
         exception_handlers={
-            PageError: told,
-            OysterbenchError: told,
-            HTTPException: told,
-            Exception: told,
+            PageError: answer_error,
+            OysterbenchError: answer_error,
+            HTTPException: answer_error,
+            Exception: answer_error,
         },
     )
 

@@ -9,11 +9,11 @@ from typing import Any, TypeVar
 
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench_leaderboard.board import Literature, Row
-from oysterbench_leaderboard.index import Index
+from oysterbench_leaderboard.index import BoardIndex
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.site.page import PageError
 from oysterbench_leaderboard.site.paths import slug
-from oysterbench_leaderboard.store import Notice, RecordStore
+from oysterbench_leaderboard.store import RecordStore, StatusChange
 
 Known = TypeVar("Known")
 
@@ -23,7 +23,7 @@ class Site:
     """index: of the records; literature: numbers that others reported; form: path of the submission form, empty where
     this site takes none."""
 
-    index: Index
+    index: BoardIndex
     literature: Sequence[Literature] = ()
     form: str = ""
     _known: dict[str, tuple[str, Any]] = field(default_factory=dict, repr=False)
@@ -47,19 +47,19 @@ class Site:
         """A record as it was published."""
         return self.store.record(digest)
 
-    def notices(self, digest: str) -> list[Notice]:
+    def status_changes(self, digest: str) -> list[StatusChange]:
         """What was announced of a record, the oldest first."""
-        return self._once("notices", self._notices).get(digest, [])
+        return self._once("status_changes", self._status_changes).get(digest, [])
 
-    def all_notices(self) -> list[Notice]:
+    def all_status_changes(self) -> list[StatusChange]:
         """The oldest first."""
-        by_record = self._once("notices", self._notices)
-        return sorted((notice for several in by_record.values() for notice in several), key=lambda n: n.created)
+        by_record = self._once("status_changes", self._status_changes)
+        return sorted((change for several in by_record.values() for change in several), key=lambda c: c.created)
 
-    def _notices(self) -> dict[str, list[Notice]]:
-        found: dict[str, list[Notice]] = {}
-        for notice in self.store.notices():
-            found.setdefault(notice.record, []).append(notice)
+    def _status_changes(self) -> dict[str, list[StatusChange]]:
+        found: dict[str, list[StatusChange]] = {}
+        for change in self.store.status_changes():
+            found.setdefault(change.record, []).append(change)
         return found
 
     def methods(self) -> dict[str, str]:

@@ -10,7 +10,7 @@ from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import sequence_means
 from oysterbench.results.comparison import Board, Entry, boards
 from oysterbench.results.records import ResultRecord, samples
-from oysterbench_leaderboard.ranking import MISSED
+from oysterbench.results.standings import UNPREDICTED_WEIGHT
 from oysterbench_leaderboard.record import Record
 
 NOT_ANSWERED = "was not answered"
@@ -67,7 +67,7 @@ def weighed(results: Sequence[ResultRecord], known: Sequence[ResultRecord]) -> t
 
 def _weight(key: str, sequence: str, known: Sequence[ResultRecord]) -> float:
     there = [result for result in known if result.sequence == sequence and result.failure is None]
-    missed = MISSED.get(key, key)
+    missed = UNPREDICTED_WEIGHT.get(key, key)
     for result in there:
         if not math.isnan(value := result.metrics.get(missed, math.nan)):
             return value

@@ -9,8 +9,8 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from oysterbench.results.comparison import PRIMARY
 from oysterbench.results.records import aggregate
+from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.submissions.gate import Gate
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Service

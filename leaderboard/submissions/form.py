@@ -12,8 +12,8 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Route
 
 from oysterbench.evaluate.metrics import find_metric
-from oysterbench.results.comparison import PRIMARY
 from oysterbench.results.records import aggregate
+from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.record import MOST_TEXT
 from oysterbench_leaderboard.site.links import Links
 from oysterbench_leaderboard.site.render import environment, html

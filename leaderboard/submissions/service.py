@@ -20,7 +20,7 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.record import MOST_TEXT, Record, check_text
-from oysterbench_leaderboard.store import Notice, RecordStore
+from oysterbench_leaderboard.store import RecordStore, StatusChange
 from oysterbench_leaderboard.submissions import limited
 from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted
 from oysterbench_leaderboard.submissions.refusals import Refusal
@@ -294,7 +294,9 @@ class Service:
         self.store.add(record)
 
     def _announce(self, submission: Submission) -> None:
-        self.store.announce(Notice(submission.published, "withdrawn", submission.reason, submission.notice))
+        self.store.add_status_change(
+            StatusChange(submission.published, "withdrawn", submission.reason, submission.notice)
+        )
 
     def _settle(self) -> None:
         """Do what a crash left undone: what the database calls published or withdrawn is so on the board; files that

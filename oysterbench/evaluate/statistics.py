@@ -131,6 +131,13 @@ def weighed_means(sample: Sample, weights: Sample | None) -> dict[str, float]:
     return means
 
 
+def mean_over_sequences(sample: Sample, weights: Sample | None = None) -> float:
+    """The mean of `summarise` alone; NaN where no run has a value."""
+    means = np.array(list(weighed_means(sample, weights).values()))
+    shares = None if weights is None else np.array(list(sequence_weights(sample, weights).values()))
+    return mean_of(means, shares) if len(means) else math.nan
+
+
 def summarise(sample: Sample, weights: Sample | None = None) -> Summary:
     """Mean, median, spread and interval of a metric. An empty sample has none of them, and says so.
 
@@ -223,7 +230,7 @@ def _settled(value: float) -> float:
     return float(f"{value:.12g}")
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=32)
 def _weights(n: int) -> Array:
     """(RESAMPLES, n): share of each of n values in each resample."""
     chosen = stream(0, b"", "statistics", "bootstrap", n).integers(0, n, (RESAMPLES, n))

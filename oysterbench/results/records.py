@@ -10,7 +10,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
+
+import msgspec
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import write_atomically
@@ -19,9 +21,6 @@ from oysterbench.evaluate.statistics import summarise
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-result/2"
-
-MAPPINGS = ("metrics", "reasons", "conditions", "method_settings", "settings", "info", "hardware")
-"""Keys of a record that hold keys and values."""
 
 
 def hardware() -> dict[str, Any]:
@@ -72,13 +71,13 @@ class ResultRecord:
     split: str
     sequence: str
     method: str
-    metrics: Mapping[str, float] = field(default_factory=dict)
+    metrics: Mapping[str, int | float] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
     failure: str | None = None
     split_digest: str = ""
     truth_digest: str = ""
-    conditions: Mapping[str, float | str] = field(default_factory=dict)
-    run: int = 0
+    conditions: Mapping[str, int | float | str] = field(default_factory=dict)
+    run: Annotated[int, msgspec.Meta(ge=0)] = 0
     seed: int | None = None
     method_settings: Mapping[str, Any] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -91,8 +90,9 @@ class ResultRecord:
 
     def __post_init__(self) -> None:
         """Copies of the mappings are kept, so that the caller's later changes do not reach the record."""
-        for key in MAPPINGS:
-            object.__setattr__(self, key, dict(getattr(self, key)))
+        for key, value in vars(self).items():
+            if isinstance(value, Mapping):
+                object.__setattr__(self, key, dict(value))
         object.__setattr__(self, "notes", tuple(self.notes))
         if self.failure is not None:
             object.__setattr__(self, "metrics", {**self.metrics, **FAILED.get(self.track, {"coverage": 0.0})})
@@ -117,27 +117,10 @@ class ResultRecord:
     @classmethod
     def from_dict(cls, values: Any, where: str = "result") -> ResultRecord:
         """A record from plain values. Raises ResultError naming `where` and the key."""
-        if not isinstance(values, Mapping):
-            raise ResultError(f"{where}: expected a record (a JSON object), got {type(values).__name__}")
-        if values.get("format") != FORMAT:
-            raise ResultError(
-                f"{where}: key 'format': expected {FORMAT!r}, got {values.get('format')!r}; evaluate again with this "
-                "version of oysterbench"
-            )
-        known = {f.name: f for f in fields(cls)}
-        given = {key: value for key, value in values.items() if key != "format"}
-        for key in given:
-            if key not in known:
-                raise ResultError(f"{where}: unknown key {key!r}; known keys: {', '.join(known)}")
-        for key in known:
-            if key not in given:
-                raise ResultError(f"{where}: missing key {key!r}")
-            _check_kind(key, given[key], where)
-        given["metrics"] = {k: math.nan if v is None else v for k, v in given["metrics"].items()}
-        try:
-            return cls(**given)
-        except ResultError as error:
-            raise ResultError(f"{where}: {error}") from None
+        if isinstance(values, Mapping) and isinstance(values.get("metrics"), Mapping):
+            metrics = {key: math.nan if value is None else value for key, value in values["metrics"].items()}
+            values = {**values, "metrics": metrics}
+        return checked(values, cls, FORMAT, where, "; evaluate again with this version of oysterbench")
 
     @classmethod
     def from_json(cls, text: str, where: str = "result") -> ResultRecord:
@@ -145,31 +128,44 @@ class ResultRecord:
         return cls.from_dict(_load(text, where), where)
 
 
-def _check_kind(key: str, value: Any, where: str) -> None:
-    """Refuse a value of another kind than the key's."""
-    expected = "text"
-    fits = isinstance(value, str)
-    if key in MAPPINGS:
-        expected, fits = "an object", isinstance(value, Mapping)
-    elif key == "run":
-        expected, fits = "a whole number from 0", isinstance(value, int) and not isinstance(value, bool) and value >= 0
-    elif key == "seed":
-        expected = "a whole number or null"
-        fits = value is None or (isinstance(value, int) and not isinstance(value, bool))
-    elif key == "notes":
-        expected, fits = "a list of texts", isinstance(value, list) and all(isinstance(note, str) for note in value)
-    elif key == "failure":
-        expected, fits = "text or null", value is None or isinstance(value, str)
-    if not fits:
-        raise ResultError(f"{where}: key {key!r}: expected {expected}, got {value!r:.60}")
-    if key == "conditions":
-        for condition, item in value.items():
-            if isinstance(item, bool) or not isinstance(item, str | int | float):
-                raise ResultError(f"{where}: key 'conditions.{condition}': expected a number or text, got {item!r:.60}")
-    if key == "metrics":
-        for metric, number in value.items():
-            if number is not None and (isinstance(number, bool) or not isinstance(number, int | float)):
-                raise ResultError(f"{where}: key 'metrics.{metric}': expected a number or null, got {number!r:.60}")
+Checked = TypeVar("Checked")
+
+
+def checked(values: Any, kind: type[Checked], form: str, where: str, remedy: str = "") -> Checked:
+    """A dataclass from the plain values of JSON: of the format `form`, with all of its keys and no others, each of its
+    type. Raises ResultError naming `where` and the key; remedy: what to do about another format."""
+    if not isinstance(values, Mapping):
+        raise ResultError(f"{where}: expected a record (a JSON object), got {type(values).__name__}")
+    if values.get("format") != form:
+        raise ResultError(f"{where}: key 'format': expected {form!r}, got {values.get('format')!r:.60}{remedy}")
+    known = [each.name for each in fields(kind)]  # type: ignore[arg-type]
+    given = {key: value for key, value in values.items() if key != "format"}
+    for key in given.keys() - set(known):
+        raise ResultError(f"{where}: unknown key {key!r:.60}; known keys: {', '.join(known)}")
+    for key in known:
+        if key not in given:
+            raise ResultError(f"{where}: missing key {key!r}")
+    try:
+        return msgspec.convert(given, kind)
+    except msgspec.ValidationError as error:  # "Expected `str`, got `int` - at `$.key`", of a mapping `$.key[...]`
+        said, _, place = str(error).partition(" - at `$.")
+        key = place.strip("`").partition("[")[0]
+        if "[...]" in place:
+            key = next((f"{key}.{name}" for name in given[key] if _is_odd(given, key, name, kind)), key)
+        raise ResultError(f"{where}: key {key!r}: {said[:1].lower()}{said[1:]}") from None
+    except ResultError as error:
+        raise ResultError(f"{where}: {error}") from None
+
+
+def _is_odd(given: Mapping[str, Any], key: str, name: str, kind: type[Any]) -> bool:
+    """Whether it is this item of a mapping that is not of its type."""
+    try:
+        msgspec.convert({**given, key: {name: given[key][name]}}, kind)
+    except msgspec.ValidationError:
+        return True
+    except ResultError:
+        pass
+    return False
 
 
 def plain(value: Any) -> Any:

@@ -29,7 +29,7 @@ from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.hub.canonical import sha256
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.board import Query
-from oysterbench_leaderboard.index import SqlIndex
+from oysterbench_leaderboard.index import BoardIndex
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.store import RecordStore
 
@@ -111,7 +111,7 @@ def timed(name: str, action: object) -> None:
     print(f"{name}: {time.perf_counter() - clock:.2f} s, {cpu_s() - cpu:.2f} CPU s", flush=True)
 
 
-def query_ms(index: SqlIndex, board: str, query: Query, times: int = 20) -> str:
+def query_ms(index: BoardIndex, board: str, query: Query, times: int = 20) -> str:
     """Median and 95th percentile of a page, one client."""
     took = []
     for _ in range(times):
@@ -121,7 +121,7 @@ def query_ms(index: SqlIndex, board: str, query: Query, times: int = 20) -> str:
     return f"{statistics.median(took):.1f} ms, 95 %: {statistics.quantiles(took, n=20)[-1]:.1f} ms"
 
 
-def clients_ms(index: SqlIndex, board: str) -> str:
+def clients_ms(index: BoardIndex, board: str) -> str:
     """The same with many clients at once, each asking for page after page."""
     took: list[float] = []
 
@@ -154,7 +154,7 @@ def main() -> None:
         fill(store, given.records)
         size = sum(entry.stat().st_size for entry in os.scandir(store.folder / "records"))
         print(f"{len(store.digests())} records of {size / len(store.digests()) / 1e3:.1f} kB", flush=True)
-        index = SqlIndex(given.index or store.folder / "index.sqlite", store)
+        index = BoardIndex(given.index or store.folder / "index.sqlite", store)
         timed("rebuild", index.rebuild)
         timed("refresh, nothing new", index.refresh)
         boards = sorted(index.boards(), key=lambda board: -board.entries)

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import leaderboard as made
 from oysterbench.core.streams import stream
-from oysterbench_leaderboard.index import SqlIndex
+from oysterbench_leaderboard.index import BoardIndex
 from oysterbench_leaderboard.site.paths import split_path
 from oysterbench_leaderboard.store import RecordStore
 
@@ -38,7 +38,7 @@ def serve(folder: Path, index: str, ready: multiprocessing.synchronize.Event, po
 
     from oysterbench_leaderboard.site.running import settings, whole
 
-    app = whole(SqlIndex(index, RecordStore(folder)))
+    app = whole(BoardIndex(index, RecordStore(folder)))
     server = uvicorn.Server(
         uvicorn.Config(**{**settings(app, "127.0.0.1", 0), "log_level": "error", "log_config": None})
     )
@@ -137,7 +137,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="oysterbench-site-") as temporary:
         store = RecordStore(given.folder or Path(temporary))
         url = given.index or str(store.folder / "index.sqlite")
-        index = SqlIndex(url, store)
+        index = BoardIndex(url, store)
         if not given.index or not Path(given.index).exists():
             made.fill(store, given.records)
             index.refresh()

@@ -17,7 +17,7 @@ from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.curves import curves_document
 from oysterbench_leaderboard.record import Record, Tier
-from oysterbench_leaderboard.store import Notice, RecordStore
+from oysterbench_leaderboard.store import RecordStore, StatusChange
 
 STREAMS = Streams(20261120).at("tests", "leaderboard")
 
@@ -258,7 +258,6 @@ def fill(store: RecordStore, records: Mapping[str, Record] | None = None) -> dic
         store.add_curves(curves_made(*made_of))
     digests = {name: store.add(record) for name, record in (records or records_made()).items()}
     if "fraud" in digests:
-        store.announce(
-            Notice(digests["fraud"], "withdrawn", "The estimates were made from the truth.", "2026-11-05T00:00:00Z")
-        )
+        reason = "The estimates were made from the truth."
+        store.add_status_change(StatusChange(digests["fraud"], "withdrawn", reason, "2026-11-05T00:00:00Z"))
     return digests

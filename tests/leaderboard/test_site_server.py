@@ -369,7 +369,7 @@ def test_an_export_that_fails_leaves_the_old_one(made, exported, tmp_path):
     site = made[0]
 
     class Failing(type(site)):
-        def notices(self, digest):
+        def status_changes(self, digest):
             raise ResultError("the disk is gone")
 
     with pytest.raises(ResultError, match="the disk is gone"):

@@ -6,7 +6,7 @@ import pytest
 
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.curves import curves_document
-from oysterbench_leaderboard.store import Notice, RecordStore
+from oysterbench_leaderboard.store import RecordStore, StatusChange
 from oysterbench_leaderboard.verifying import verify
 from tests.helpers.records_made import fill, record_made
 
@@ -39,14 +39,14 @@ def test_a_changed_or_absent_file_is_refused(tmp_path):
 
 def test_notices_come_in_the_order_in_which_they_were_made(tmp_path):
     store = RecordStore(tmp_path)
-    later, earlier = (Notice("a" * 64, "restored", "b", f"2026-0{k}-01T00:00:00Z") for k in (5, 4))
-    store.announce(later)
-    store.announce(earlier)
-    assert store.notices() == [earlier, later]
-    (tmp_path / "notices" / f"{'1' * 64}.json").write_text("{}")
-    assert len(store.read_notices()[0]) == 2
+    later, earlier = (StatusChange("a" * 64, "restored", "b", f"2026-0{k}-01T00:00:00Z") for k in (5, 4))
+    store.add_status_change(later)
+    store.add_status_change(earlier)
+    assert store.status_changes() == [earlier, later]
+    (tmp_path / "changes" / f"{'1' * 64}.json").write_text("{}")
+    assert len(store.read_status_changes()[0]) == 2
     with pytest.raises(ResultError):
-        store.notices()
+        store.status_changes()
 
 
 def test_verify_reads_every_file_whole(tmp_path):
@@ -60,5 +60,5 @@ def test_verify_reads_every_file_whole(tmp_path):
     lost = store.add(record_made(curves="b" * 64))
     store.add(record_made("drawn", curves=kept))
     found = verify(store)
-    assert found.checked == {"records": len(store.digests()), "notices": 1, "curves": before.checked["curves"] + 2}
+    assert found.checked == {"records": len(store.digests()), "changes": 1, "curves": before.checked["curves"] + 2}
     assert set(found.problems) == {f"curves/{odd}.json", f"records/{lost}.json"}

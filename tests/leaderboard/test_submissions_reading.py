@@ -397,7 +397,7 @@ def test_tracks_that_cannot_be_submitted_are_refused_with_those_that_can(served,
 
 
 def test_every_track_that_can_be_submitted_has_an_evaluator_and_a_line_on_the_page():
-    from oysterbench.results.comparison import PRIMARY
+    from oysterbench.results.standings import PRIMARY
     from oysterbench_leaderboard.site.pages.prose import FORMS
     from oysterbench_leaderboard.submissions.catalogue import ELSEWHERE, KIND_OF
 

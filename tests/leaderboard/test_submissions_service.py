@@ -331,7 +331,7 @@ def test_a_withdrawal_is_announced_and_logged(service, tmp_path):
     found = service.publish("reef lab", done(service, tmp_path))
     gone = service.withdraw("reef lab", found.id, "a mistake in the calibration")
     assert (gone.state, gone.reason) == ("withdrawn", "a mistake in the calibration")
-    (notice,) = service.store.notices()
+    (notice,) = service.store.status_changes()
     assert (notice.record, notice.action, notice.reason) == (found.published, "withdrawn", gone.reason)
     assert events(service, "withdrawn")[0]["who"] == "reef lab"
     assert service.withdraw("reef lab", found.id, "again") == gone
@@ -346,7 +346,7 @@ def test_what_is_withdrawn_while_it_is_scored_stays_withdrawn(service, tmp_path)
     service.withdraw("reef lab", made.id)
     queue.score(service, mine, threading.Event())
     assert service.get("reef lab", made.id).state == "withdrawn"
-    assert service.store.notices() == []
+    assert service.store.status_changes() == []
 
 
 def test_what_a_crash_left_between_database_and_board_is_done_at_the_next_start(service, tmp_path):
@@ -360,7 +360,7 @@ def test_what_a_crash_left_between_database_and_board_is_done_at_the_next_start(
     again = make_service(tmp_path)
     assert again.store.digests() == sorted([one.published, two.published])
     assert again.store.record(one.published).curves
-    assert [notice.record for notice in again.store.notices()] == [two.published]
+    assert [notice.record for notice in again.store.status_changes()] == [two.published]
     again.close()
 
 

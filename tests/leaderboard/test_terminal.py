@@ -166,10 +166,10 @@ def test_verify_names_what_is_damaged_and_exits_with_3(board):
     assert "all whole" in shown("verify").stdout
     path = board.folder / "records" / f"{digests['cod']}.json"
     path.write_bytes(path.read_bytes()[:-2])
-    (board.folder / "notices" / "readme.txt").write_text("x")
+    (board.folder / "changes" / "readme.txt").write_text("x")
     text = shown("verify", code=3).stdout
     assert f"records/{digests['cod']}.json" in text
-    assert "notices/readme.txt" in text
+    assert "changes/readme.txt" in text
     assert "2 damaged" in text
     assert f"left out: {digests['cod'][:12]}" in shown("rebuild").stderr
 

@@ -16,7 +16,7 @@ from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.links import Query as Asked
 from oysterbench_leaderboard.site.page import Cell, Column, Later, Line, Page, PageError, Table
 from oysterbench_leaderboard.site.pages.compare import PAIRED
-from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells, state_mark
+from oysterbench_leaderboard.site.pages.ranks import RANK, TIERS, UNRANKED, rank_cells, state_mark
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.tables import DATA_SET, has_data_set, learnt_on
@@ -176,7 +176,13 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     keys = [info.metric, *(key for key in info.columns if key != info.metric)]
     shown = {column.key for column in STANDING_OF_TRACK.get(info.track, ())[:MOST_SHOWN]}
     columns = (
-        Column("rank", "Rank", number=True, sort="rank", about="Place of the best of its group; equals share one."),
+        Column(
+            "rank",
+            "Rank",
+            number=True,
+            sort="rank",
+            about=RANK,
+        ),
         Column("method", "Method", sort="method"),
         numbers.heading(info.metric, sort=True),
         Column("interval", "Interval", numbers.LEVEL, number=True, about="Of the mean, by bootstrap over sequences."),
@@ -211,7 +217,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     values = {key: numbers.cells(key, [row.metrics.get(key) for row in rows]) for key in keys[1:]}
     scores = numbers.cells(info.metric, [row.score for row in rows])
     of_data_set = numbers.cells(info.metric, [row.data_set for row in rows])
-    ranks = rank_cells(site, info, rows)
+    ranks = rank_cells(rows)
     lines = []
     for i, row in enumerate(rows):
         interval = numbers.interval(info.metric, row.low, row.high)
@@ -271,13 +277,13 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
         if metric is not None and metric.weight
         else f"Means over {numbers.count(len(info.sequences), 'sequence')}, each the mean of its runs"
     )
-    said = [f"{mean}; what failed or was not answered scores 0. Errors are of what was answered: mind the coverage."]
+    notes = [f"{mean}; what failed or was not answered scores 0. Errors are of what was answered: mind the coverage."]
     if has_data_set(info, rows):
-        said.append(DATA_SET.format(numbers.heading(info.metric).text))
-    if told := learnt_on(info.split):
-        said.append(told)
+        notes.append(DATA_SET.format(numbers.heading(info.metric).text))
+    if warning := learnt_on(info.split):
+        notes.append(warning)
     if any(row.rank is not None for row in rows):
-        said.append("A rank with = is shared: those records are not told from the first of their group (95 %, paired).")
+        notes.append(f"A rank is {RANK}")
     elif any(row.place is not None for row in rows):
-        said.append("Places in brackets are the order of the means alone: so few sequences tell nothing apart.")
-    return tuple(said)
+        notes.append(f"In brackets: {UNRANKED}")
+    return tuple(notes)

@@ -31,7 +31,7 @@ DIGEST = re.compile("[0-9a-f]{8,64}")
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two. label: its name where the other's is different, or else with what tells them apart."""
+    """One of the two. label: its name where the other's is different, or else with what distinguishes them."""
 
     label: str
     row: Row
@@ -169,9 +169,9 @@ def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:
     """In a sentence."""
     a, b = (side.label for side in sides)
     if not whole.interval.known:
-        return f"Which of the two is better cannot be told: {whole.interval.reason}."
+        return f"Which of the two is better cannot be said: {whole.interval.reason}."
     if whole.verdict == "not significantly different":
-        return f"{a} and {b} are not told apart."
+        return f"{a} and {b} are not significantly different."
     name = numbers.heading(metric).text
     return f"{a if whole.verdict == 'better' else b} is better by {name}."
 

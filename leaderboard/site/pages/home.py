@@ -36,7 +36,7 @@ def home_page(site: Site) -> Page:
             continue
         rows = site.index.page(info.id, Query(size=LEADERS)).rows
         path = split_path(info.track, info.split)
-        ranks = rank_cells(site, info, rows)
+        ranks = rank_cells(rows)
         scores = numbers.texts(info.metric, [row.score for row in rows])
         metric = numbers.heading(info.metric)
         card = Card(

@@ -68,7 +68,7 @@ def _table(site: Site, boards: dict[str, BoardInfo], rows: list[Row], title: str
     lines = []
     for row in rows:
         info = boards[row.board]
-        rank = rank_cells(site, info, [row])[0]
+        rank = rank_cells([row])[0]
         score = numbers.cells(info.metric, [row.score])[0]
         lines.append(
             Line(

@@ -7,8 +7,8 @@ from dataclasses import asdict
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import LEAST_SEQUENCES, RESAMPLES
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
-from oysterbench.results.comparison import PRIMARY
 from oysterbench.results.records import plain
+from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.site import datasets, numbers
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
 from oysterbench_leaderboard.site.pages.ranks import TIERS

@@ -12,8 +12,8 @@ from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Summary
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
 from oysterbench.report.tables import failures_and_notes
-from oysterbench.results.comparison import PRIMARY
 from oysterbench.results.records import ResultRecord, plain
+from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.board import BoardInfo, Query, Row
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.site import numbers, standing
@@ -21,7 +21,7 @@ from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.history import successor
 from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
 from oysterbench_leaderboard.site.pages.compare import PAIRED
-from oysterbench_leaderboard.site.pages.ranks import TIED, TIERS, rank_cells
+from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
 from oysterbench_leaderboard.tables import DATA_SET, has_data_set
@@ -45,7 +45,7 @@ def record_page(site: Site, digest: str) -> Page:
     record = site.record(row.digest)
     info = next(info for info in site.index.boards() if info.id == row.board)
     results = standing.filled(standing.named(record, record.method), info.sequences, ())
-    rank = rank_cells(site, info, [row])[0]
+    rank = rank_cells([row])[0]
     name = f"{row.method} on {info.split}"
     tables = (
         sequences_table(results, info.sequences, f"{name}, by sequence"),
@@ -62,7 +62,7 @@ def record_page(site: Site, digest: str) -> Page:
         "board": board_path(info),
         "method": method_path(record.method),
         "rank": rank,
-        "tied": rank.about == TIED,
+        "tied": row.rank is not None and row.tied,
         "score": numbers.texts(info.metric, [row.score])[0],
         "metric": numbers.heading(info.metric),
         "interval": numbers.interval(info.metric, row.low, row.high),
@@ -85,7 +85,7 @@ def record_page(site: Site, digest: str) -> Page:
         "superseded_by": notes.by.digest if notes.by else None,
         "data_set": record.data_set,
         "per_sequence": _per_sequence(results, info.sequences),
-        "notices": [asdict(notice) for notice in site.notices(row.digest)],
+        "status_changes": [asdict(change) for change in site.status_changes(row.digest)],
     }
     return Page(record_path(row.digest), name, "record.html", context, tables, plain(data))
 
@@ -100,7 +100,7 @@ def rivals(site: Site, info: BoardInfo, row: Row) -> list[Row]:
 
 
 def _notes(site: Site, row: Row) -> Notes:
-    latest = site.notices(row.digest)[-1:]
+    latest = site.status_changes(row.digest)[-1:]
     withdrawn = next(((n.reason, n.created[:10]) for n in latest if n.action == "withdrawn"), None)
     by = successor(site, row)
     reason = site.record(by.digest).reason if by and by.supersedes == row.digest else ""

@@ -1,0 +1,119 @@
+"""What the index keeps of a record: its columns in tables, and what ranks it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from oysterbench.core.errors import ResultError
+from oysterbench.evaluate.metrics import FAILED, find_metric
+from oysterbench.evaluate.statistics import Sample, mean_over_sequences, sequence_means, sequence_weights, weighed_means
+from oysterbench.hub.canonical import sha256
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
+from oysterbench.results.records import ResultRecord, samples
+from oysterbench.results.standings import PRIMARY, UNPREDICTED_WEIGHT, SequenceScores
+from oysterbench_leaderboard.record import Record
+
+COLUMNS: dict[str, tuple[str, ...]] = {
+    track: tuple(dict.fromkeys(c.key for c in (*STANDING_OF_TRACK[track], *OF_TRACK[track]) if c.key != metric))
+    for track, metric in PRIMARY.items()
+}
+"""Track -> metrics that stand beside the one that ranks."""
+
+
+class RecordSummary(msgspec.Struct, frozen=True):
+    """What the database holds of a record as JSON.
+
+    scores:    what ranks it; a value is null where there is none although the sequence was run
+    coverage:  of the sequences that have one
+    data_set:  the ranking metric over all sequences at once, where the record knows it
+    columns:   means of `COLUMNS` over its own sequences; None where there is none
+    sequences: that it has, in its order; failed: runs that failed
+    """
+
+    scores: SequenceScores
+    coverage: dict[str, float]
+    data_set: float | None
+    columns: dict[str, float | None]
+    sequences: tuple[str, ...]
+    runs: int
+    failed: int
+
+
+def read_record(data: bytes, digest: str) -> Record:
+    """A record from the bytes of its file. Raises ResultError, without its name, where they are not those of one."""
+    if sha256(data) != digest:
+        raise ResultError("its bytes are not those it is named for; it was changed")
+    try:
+        record = Record.from_dict(msgspec.json.decode(data), "record")
+    except msgspec.DecodeError as error:
+        raise ResultError(f"expected JSON: {error}") from None
+    if record.track not in PRIMARY:
+        raise ResultError(f"track {record.track!r:.60}: expected one of {', '.join(PRIMARY)}")
+    return record
+
+
+def summarise_record(record: Record) -> RecordSummary:
+    """What the index keeps of a record. Raises ResultError where a value lacks the weight by which it counts."""
+    metric = PRIMARY[record.track]
+    sample, weights = weighed_sample(record.results, metric)
+    weight = _weight(metric)
+    unpredicted = UNPREDICTED_WEIGHT.get(weight)
+    # Predicted, and yet without a value, as AP is where nothing is to be found: no failure, and in no mean.
+    without = {name: math.nan for name, values in samples(record.results, metric).items() if _all_nan(values)}
+    scores = SequenceScores(
+        {**weighed_means(sample, weights), **without},
+        None if weights is None else sequence_weights(sample, weights),
+        sequence_means(samples(record.results, unpredicted)) if unpredicted else None,
+    )
+    covered = sequence_means(samples(record.results, "coverage")) if "coverage" in FAILED[record.track] else {}
+    return RecordSummary(
+        scores,
+        covered,
+        _data_set(record.data_set, metric),
+        {key: column_mean(record.results, key) for key in COLUMNS[record.track] if key != "coverage"},
+        tuple(dict.fromkeys(result.sequence for result in record.results)),
+        len(record.results),
+        sum(result.failure is not None for result in record.results),
+    )
+
+
+def weighed_sample(results: tuple[ResultRecord, ...], key: str) -> tuple[Sample, Sample | None]:
+    """Values of a metric by sequence, and their weights where it has some. A sequence with a failed run that knows no
+    weight is left out: what it weighs where nothing is predicted is the board's to know."""
+    values, weight = samples(results, key), _weight(key)
+    if not weight:
+        return values, None
+    weights = samples(results, weight)
+    for result in results:
+        lacks = math.isnan(result.metrics.get(weight, math.nan)) and not math.isnan(result.metrics.get(key, math.nan))
+        if lacks and result.failure is None:
+            raise ResultError(f"a result on {result.sequence} has {key}, but not {weight}, its weight in the mean")
+    values = {name: found for name, found in values.items() if not any(map(math.isnan, weights[name]))}
+    return values, {name: weights[name] for name in values}
+
+
+def column_mean(results: tuple[ResultRecord, ...], key: str) -> float | None:
+    """Mean over sequences, weighed where the metric is; None where there is none."""
+    mean = mean_over_sequences(*weighed_sample(results, key))
+    return None if math.isnan(mean) else mean
+
+
+def _all_nan(values: list[float]) -> bool:
+    return all(map(math.isnan, values))
+
+
+def _data_set(found: Mapping[str, Any] | None, metric: str) -> float | None:
+    """Of a record's `data_set`, the ranking metric."""
+    metrics = (found or {}).get("metrics")
+    value = metrics.get(metric) if isinstance(metrics, Mapping) else None
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _weight(key: str) -> str:
+    """Key of the metric that weighs another; empty where each sequence has one vote."""
+    found = find_metric(key)
+    return "" if found is None else found.weight
