@@ -20,6 +20,9 @@ BLOCK = 1 << 14
 CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 """Times a unit quaternion: its inverse."""
 
+GRAVITY = 9.80665
+"""Standard gravity, m/s^2, along -z of `map`."""
+
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
     """Homogeneous (4, 4) transform from a (3, 3) rotation matrix and a (3,) translation in m."""

@@ -11,10 +11,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from oysterbench.core.ros import decode, stamp_of
 from oysterbench.hub.canonical import sha256
-from oysterbench.sequence import topics
+from oysterbench.sensors.camera import COLOUR
 from oysterbench.sequence.file import Reading, read_attachments, read_messages, summary_of
-from oysterbench.sequence.names import COLOUR
 
 RECORD = struct.Struct("<qq")  # stamp in ns, bytes that follow
 
@@ -58,12 +58,12 @@ def content_of(path: Path) -> Content:
 
 def decoded_image(data: bytes) -> bytes:
     """A compressed image's CDR data; in PNG, which loses nothing, its header, shape and pixels instead."""
-    message = topics.decode(data, COLOUR)
+    message = decode(data, COLOUR)
     if message.format != "png":
         return data
     pixels = cv2.imdecode(np.asarray(message.data), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         return data
     shape = "x".join(str(n) for n in pixels.shape)
-    head = f"{topics.stamp_of(message.header)} {message.header.frame_id} {shape} {pixels.dtype.str} "
+    head = f"{stamp_of(message.header)} {message.header.frame_id} {shape} {pixels.dtype.str} "
     return head.encode() + pixels.tobytes()

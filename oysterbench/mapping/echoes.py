@@ -12,8 +12,7 @@ from oysterbench.core.measurements import SonarImage
 from oysterbench.mapping.cloud import PointCloud
 from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.views import Path, Pinhole
-from oysterbench.sequence.calibration import SonarCalibration
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import Sequence, SonarCalibration
 
 UNSEEN = 128  # grey level of what no camera saw
 

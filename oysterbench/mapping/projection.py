@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.mapping.settings import MapSettings
-from oysterbench.sequence.calibration import CameraCalibration
+from oysterbench.sequence.types import CameraCalibration
 
 POINTS = 96  # of an oyster in a picture, at most: 5 mm apart on a shell of 80 x 60 mm
 

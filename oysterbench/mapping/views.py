@@ -15,9 +15,8 @@ from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.cloud_settings import CloudSettings
-from oysterbench.sequence.calibration import CameraCalibration
 from oysterbench.sequence.export.parts import undistorting_maps
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import CameraCalibration, Sequence
 
 
 @dataclass(frozen=True)

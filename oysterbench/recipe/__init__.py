@@ -5,7 +5,6 @@ value is refused with file, key, value and the allowed range. The fields of the 
 """
 
 from oysterbench.recipe.drawn import draw
-from oysterbench.recipe.grades import IMU_GRADES
 from oysterbench.recipe.keys import as_plain
 from oysterbench.recipe.path import LOOP_RIPPLE, PathRecipe
 from oysterbench.recipe.rig import CameraRecipe, LampRecipe, RigRecipe, count
@@ -21,47 +20,28 @@ from oysterbench.recipe.scene import (
     SiteRecipe,
     WaterRecipe,
 )
-from oysterbench.recipe.sensors import (
-    AltimeterRecipe,
-    DvlRecipe,
-    ImuRecipe,
-    MagnetometerRecipe,
-    PressureRecipe,
-    ScannerRecipe,
-    SensorRecipe,
-    SonarRecipe,
-    VibrationRecipe,
-)
+from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.recipe.split import SplitRecipe, carry, load_split, parse_split, split_names, vary_split
 from oysterbench.recipe.steering import SteeringRecipe
 
 __all__ = [
     "BOTTOMS",
     "CLASSES",
-    "IMU_GRADES",
     "JERLOV_TYPES",
     "LOOP_RIPPLE",
     "WATER_TYPES",
-    "AltimeterRecipe",
     "CameraRecipe",
     "DrawnRecipe",
-    "DvlRecipe",
-    "ImuRecipe",
     "LampRecipe",
     "LightRecipe",
-    "MagnetometerRecipe",
     "PathRecipe",
-    "PressureRecipe",
     "ReefRecipe",
     "RigRecipe",
-    "ScannerRecipe",
     "SensorRecipe",
     "SequenceRecipe",
     "SiteRecipe",
-    "SonarRecipe",
     "SplitRecipe",
     "SteeringRecipe",
-    "VibrationRecipe",
     "WaterRecipe",
     "as_plain",
     "carry",

@@ -107,17 +107,26 @@ def stated(value: Any) -> Any:
     So a key that is added later, with a default that changes nothing, leaves what older recipes state as it was.
     """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = ((f, getattr(value, f.name)) for f in dataclasses.fields(value))
-        return {f.name: stated(item) for f, item in fields if item != f.default}
+        defaults = {f.name: f.default for f in dataclasses.fields(value)}
+        given = {k: v for k, v in _tables(value).items() if k not in defaults or v != defaults[k]}
+        return {key: stated(item) for key, item in given.items()}
     if isinstance(value, tuple):
         return [stated(item) for item in value]
     return value
 
 
+def _tables(value: Any) -> dict[str, Any]:
+    """Keys and values of a recipe, as its file has them."""
+    if hasattr(value, "as_tables"):
+        tables: dict[str, Any] = value.as_tables()
+        return tables
+    return {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+
+
 def as_plain(value: Any) -> Any:
     """A recipe as nested dicts and lists, for JSON; what is not given (None) is left out."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        values = {f.name: as_plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        values = {key: as_plain(item) for key, item in _tables(value).items()}
         return {name: item for name, item in values.items() if item is not None}
     if isinstance(value, tuple | list):
         return [as_plain(item) for item in value]

@@ -1,20 +1,21 @@
-"""What a vehicle carries: its cameras and lamps, and the sensors of `recipe.sensors`."""
+"""What a vehicle carries: its cameras and lamps, and sensors of any kind that `oysterbench.sensors` has a file of."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-from oysterbench.recipe.keys import choice, number
-from oysterbench.recipe.sensors import (
-    AltimeterRecipe,
-    DvlRecipe,
-    ImuRecipe,
-    MagnetometerRecipe,
-    PressureRecipe,
-    ScannerRecipe,
-    SonarRecipe,
-)
+from oysterbench.core.errors import RecipeError
+from oysterbench.recipe.keys import build, choice, number
+from oysterbench.recipe.sensors import NamedSensorRecipe, SensorRecipe
+
+if TYPE_CHECKING:
+    from oysterbench.sensors.kind import SensorKind
 
 LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
 """How many coefficients of distortion each lens has."""
@@ -38,21 +39,21 @@ IMAGE_FORMATS = ("jpeg", "png")
 
 VEHICLES = ("none", "bluerov2")
 
+R = TypeVar("R", bound=SensorRecipe)
+
 
 @dataclass(frozen=True, kw_only=True)
-class CameraRecipe:
-    """A camera on the rig. Pitch is positive below the horizon."""
+class CameraRecipe(NamedSensorRecipe):
+    """A camera on the rig."""
 
-    name: str
+    block: ClassVar[str] = "camera"
+
     width: int = number(16, 8192)
     height: int = number(16, 8192)
     hfov_deg: float = number(10, 160)  # in water; of the pinhole, for a lens of brown-conrady before its distortion
     rate_hz: float = number(0.1, 200)
     layer_rate_hz: float = number(0, 200, 0.0)  # of the layers; a divisor of rate_hz
     layers: tuple[str, ...] = choice(LAYERS, ("depth", "class", "instance"))  # ground truth that goes into the file
-    position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
-    pitch_deg: float = number(-90, 90, 0.0)
-    yaw_deg: float = number(-180, 180, 0.0)
     image_format: str = choice(IMAGE_FORMATS, "jpeg")  # of its colour frames in the file; png keeps every bit
     jpeg_quality: int = number(50, 100, 95)
     max_range_m: float = number(1, 100, 20.0)  # farther than this is water
@@ -66,14 +67,25 @@ class CameraRecipe:
     gain: float = number(1, 64, 1.0)  # amplification of fewer photons to the same brightness: more noise
     shutter_ms: float = number(0, 200, 0.0)  # time that the shutter is open, for motion blur; 0: an instant
     focus_m: float = number(0.05, 20, 1.0)  # distance at which marine snow is sharp
-    clock_offset_ms: float = number(-1000, 1000, 0.0)  # of its stamps: positive when they are late
-    dropout: float = number(0, 0.99, 0.0)  # share of its frames that are lost
-    dropout_burst: float = number(1, 1000, 1.0)  # frames lost in a row, on average
 
     @property
     def sent_layers(self) -> tuple[str, ...]:
         """The layers that go into the file."""
         return self.layers if self.layer_rate_hz else ()
+
+    def check(self, where: str) -> None:
+        if len(self.distortion) not in LENSES[self.lens]:
+            wanted = " or ".join(str(n) for n in LENSES[self.lens])
+            raise RecipeError(
+                f"{where}: key 'camera.distortion': expected {wanted} coefficients for lens = {self.lens!r}, got "
+                f"{list(self.distortion)}"
+            )
+        if self.layer_rate_hz and not (self.rate_hz / self.layer_rate_hz).is_integer():
+            raise RecipeError(
+                f"{where}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = {self.rate_hz}, got "
+                f"{self.layer_rate_hz}"
+            )
+        super().check(where)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,21 +103,76 @@ class LampRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class RigRecipe:
-    """A vehicle: its body, its cameras and lamps, its inertial unit, and whatever else it measures with."""
+    """A vehicle: its body, its cameras and lamps, its inertial unit, and whatever else it measures with.
+
+    In its file each of the sensors is a table of its kind's block, `[dvl]` or `[[sonar]]`.
+    """
 
     name: str
     summary: str
     truth_rate_hz: float = number(1, 4000, 200.0)
-    imu: ImuRecipe
     camera: tuple[CameraRecipe, ...]
     lamp: tuple[LampRecipe, ...] = ()
-    sonar: tuple[SonarRecipe, ...] = ()
-    scanner: tuple[ScannerRecipe, ...] = ()
-    altimeter: tuple[AltimeterRecipe, ...] = ()
-    dvl: DvlRecipe | None = None
-    pressure: PressureRecipe | None = None
-    magnetometer: MagnetometerRecipe | None = None
+    sensors: tuple[SensorRecipe, ...]  # besides the cameras
     vehicle: str = choice(VEHICLES, "none")  # body that the cameras see and that casts a shadow
+
+    def of(self, kind: type[R]) -> tuple[R, ...]:
+        """The sensors of a kind, such as `DvlRecipe`."""
+        return tuple(sensor for sensor in (*self.sensors, *self.camera) if type(sensor) is kind)
+
+    def as_tables(self) -> dict[str, Any]:
+        """The keys of the rig's file and their values: the sensors by their blocks."""
+        tables = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "sensors"}
+        for sensor in self.sensors:
+            tables[sensor.block] = sensor if sensor.single else (*tables.get(sensor.block, ()), sensor)
+        return tables
+
+
+def sensor_kinds() -> Mapping[str, SensorKind[Any, Any, Any]]:
+    """Block -> kind of sensor. Kinds are plug-ins: they stand above recipes, which find them by their package."""
+    kinds: Mapping[str, SensorKind[Any, Any, Any]] = import_module("oysterbench.sensors.registry").sensor_kinds()
+    return kinds
+
+
+def read_rig(table: Mapping[str, Any], where: str) -> RigRecipe:
+    """A rig from the content of its TOML file."""
+    kinds = {block: kind for block, kind in sensor_kinds().items() if block != CameraRecipe.block}
+    plain = [f.name for f in dataclasses.fields(RigRecipe) if f.name != "sensors"]
+    for key in table:
+        if key not in (*plain, *kinds):
+            raise RecipeError(f"{where}: unknown key {key!r}; known keys here: {', '.join((*plain, *kinds))}")
+    sensors = []
+    for block, kind in kinds.items():
+        if block not in table:
+            if kind.required:
+                raise RecipeError(f"{where}: missing key {block!r}")
+            continue
+        entries = [table[block]] if kind.recipe.single else table[block]
+        if not isinstance(entries, list):
+            raise RecipeError(f"{where}: key {block!r}: expected a list, got {entries!r}")
+        sensors += [build(kind.recipe, kind.fill_in(entry), where, f"{block}.") for entry in entries]
+    values = {key: value for key, value in table.items() if key in plain}
+    rig: RigRecipe = build(RigRecipe, {**values, "sensors": sensors}, where, "")
+    check_rig(rig, where)
+    return rig
+
+
+def check_rig(rig: RigRecipe, where: str) -> None:
+    """Raise RecipeError on what no single key can say.
+
+    A sensor's name begins its topics: names must be good in ROS 2, and no two sensors share one.
+    """
+    seen = {"truth", "tf", "tf_static", *(block for block, kind in sensor_kinds().items() if kind.recipe.single)}
+    for sensor in (*rig.camera, *rig.sensors):
+        sensor.check(where)
+        if not isinstance(sensor, NamedSensorRecipe):
+            continue
+        key = f"{where}: key '{sensor.block}.name'"
+        if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", sensor.name):
+            raise RecipeError(f"{key}: expected a letter, then letters, digits and '_', got {sensor.name!r}")
+        if sensor.name in seen:
+            raise RecipeError(f"{key}: {sensor.name!r} is taken; names must differ")
+        seen.add(sensor.name)
 
 
 def count(duration_s: float, rate_hz: float) -> int:

@@ -5,23 +5,19 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.drawn import draw
-from oysterbench.recipe.grades import with_grade
 from oysterbench.recipe.keys import as_plain, build, choice, number, stated
 from oysterbench.recipe.path import check_path
-from oysterbench.recipe.rig import LENSES, CameraRecipe, RigRecipe
+from oysterbench.recipe.rig import RigRecipe, read_rig
 from oysterbench.recipe.scene import WATER_TYPES, SequenceRecipe
-from oysterbench.recipe.sensors import ImuRecipe, SensorRecipe
 from oysterbench.recipe.steering import SteeringRecipe, check_steering
 
 TRACKS = ("slam", "segmentation", "steering")
@@ -152,7 +148,7 @@ def vary_split(split: SplitRecipe, changes: Mapping[str, Any], where: str) -> Sp
     varied = dataclasses.replace(
         split,
         sequence=(build(SequenceRecipe, sequence, where, ""),),
-        rig=build(RigRecipe, rig, where, ""),
+        rig=read_rig(rig, f"{where}: rig {split.rig.name}"),
     )
     _check_split(varied, where)
     return varied
@@ -167,7 +163,7 @@ def _rig_text(name: str, where: str) -> str:
 
 
 def _read_rig(source: str, where: str) -> RigRecipe:
-    return build(RigRecipe, with_grade(_parse_toml(source, where)), where, "")
+    return read_rig(_parse_toml(source, where), where)
 
 
 def _check_split(split: SplitRecipe, where: str) -> None:
@@ -185,22 +181,6 @@ def _check_split(split: SplitRecipe, where: str) -> None:
     for name in (split.name, *names):
         if not name or not all(c.isalnum() or c in "-_" for c in name):
             raise RecipeError(f"{where}: key 'name': expected letters, digits, '-' and '_', got {name!r}")
-    for camera in split.rig.camera:
-        if len(camera.distortion) not in LENSES[camera.lens]:
-            wanted = " or ".join(str(n) for n in LENSES[camera.lens])
-            raise RecipeError(
-                f"{where}: rig {split.rig.name}: key 'camera.distortion': expected {wanted} coefficients for "
-                f"lens = {camera.lens!r}, got {list(camera.distortion)}"
-            )
-        if camera.layer_rate_hz and not (camera.rate_hz / camera.layer_rate_hz).is_integer():
-            raise RecipeError(
-                f"{where}: rig {split.rig.name}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = "
-                f"{camera.rate_hz}, got {camera.layer_rate_hz}"
-            )
-    _check_names(split.rig, f"{where}: rig {split.rig.name}")
-    _check_losses(split.rig, f"{where}: rig {split.rig.name}")
-    _check_reach(split.rig, f"{where}: rig {split.rig.name}")
-    _check_vibration(split.rig.imu, f"{where}: rig {split.rig.name}")
     for sequence in split.sequence:
         place = f"{where}: sequence {sequence.name}"
         for ends in (lambda key: 0.0), (lambda key: 1.0):
@@ -222,65 +202,6 @@ def _check_sequence(sequence: SequenceRecipe, where: str) -> None:
             f"{where}: key 'path.altitude_m': the vehicle would leave the water; expected less than reef.depth_m = "
             f"{sequence.reef.depth_m:g}, got {sequence.path.altitude_m:g}"
         )
-
-
-RESERVED_NAMES = ("imu", "dvl", "pressure", "magnetometer", "truth", "tf", "tf_static")
-
-
-def _check_names(rig: RigRecipe, where: str) -> None:
-    """A sensor's name begins its topics: names must be good in ROS 2, and no two sensors share one."""
-    seen = set(RESERVED_NAMES)
-    for key in ("camera", "sonar", "scanner", "altimeter"):
-        for sensor in getattr(rig, key):
-            if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", sensor.name):
-                raise RecipeError(
-                    f"{where}: key '{key}.name': expected a letter, then letters, digits and '_', got {sensor.name!r}"
-                )
-            if sensor.name in seen:
-                raise RecipeError(f"{where}: key '{key}.name': {sensor.name!r} is taken; names must differ")
-            seen.add(sensor.name)
-
-
-def _check_losses(rig: RigRecipe, where: str) -> None:
-    """A share of losses needs bursts that long, as at least one message comes through between two of them."""
-    for key in (f.name for f in dataclasses.fields(rig)):
-        value = getattr(rig, key)
-        for sensor in value if isinstance(value, tuple) else (value,):
-            if not isinstance(sensor, SensorRecipe | CameraRecipe):
-                continue
-            shortest = sensor.dropout / (1 - sensor.dropout)
-            if sensor.dropout_burst < shortest:
-                raise RecipeError(
-                    f"{where}: key '{key}.dropout_burst': expected at least {shortest:.3g} for dropout = "
-                    f"{sensor.dropout:g}, got {sensor.dropout_burst:g}"
-                )
-
-
-def _check_reach(rig: RigRecipe, where: str) -> None:
-    """What hears echoes hears them from somewhere."""
-    listeners = [(key, sensor) for key in ("sonar", "scanner", "altimeter") for sensor in getattr(rig, key)]
-    for key, sensor in (*listeners, *([("dvl", rig.dvl)] if rig.dvl else [])):
-        if sensor.min_range_m >= sensor.max_range_m:
-            raise RecipeError(
-                f"{where}: key '{key}.max_range_m': expected more than min_range_m = {sensor.min_range_m:g}, "
-                f"got {sensor.max_range_m:g}"
-            )
-
-
-def _check_vibration(unit: ImuRecipe, where: str) -> None:
-    for vibration in unit.vibration:
-        if vibration.kind != "psd":
-            if vibration.psd:
-                raise RecipeError(
-                    f"{where}: key 'imu.vibration.psd': expected none for kind = {vibration.kind!r}; give level"
-                )
-            continue
-        frequencies = [row[0] for row in vibration.psd]
-        if len(frequencies) < 2 or any(high <= low for low, high in pairwise(frequencies)):
-            raise RecipeError(
-                f"{where}: key 'imu.vibration.psd': expected at least two rows of increasing frequency, "
-                f"got frequencies {frequencies}"
-            )
 
 
 def _read_text(path: Path, absent: str) -> str:

@@ -10,14 +10,13 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import GRAVITY, Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import LightRecipe
 from oysterbench.render.light import build_light
 from oysterbench.render.optics import Caustics
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.water import DEPTHS, IMAGE_CONE_RAD, Water, forward_share
-from oysterbench.scene.rig import GRAVITY
 
 wp.set_module_options(KERNEL_OPTIONS)
 

@@ -1,4 +1,4 @@
-"""Where a rig's cameras and inertial unit sit in base_link, and how a camera projects."""
+"""Where a rig's cameras sit in base_link, and how a camera projects."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.geometry import Array, transform
-from oysterbench.recipe import CameraRecipe, ImuRecipe, MagnetometerRecipe
+from oysterbench.recipe import CameraRecipe
 
 R_FORWARD_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Turns an optical frame (z forward, x right, y down) into x forward, y left, z up (REP 103)."""
-
-GRAVITY = 9.80665
-"""Standard gravity, m/s^2, along -z of `map`."""
 
 
 def camera_pose(recipe: CameraRecipe) -> Array:
@@ -52,8 +49,3 @@ def camera_matrix(recipe: CameraRecipe) -> Array:
             )
     focal = np.round(recipe.width / 2 / extent, 9)
     return np.array([[focal, 0.0, (recipe.width - 1) / 2], [0.0, focal, (recipe.height - 1) / 2], [0.0, 0.0, 1.0]])
-
-
-def imu_pose(recipe: ImuRecipe | MagnetometerRecipe) -> Array:
-    """T_base_imu (4, 4), or that of a magnetometer."""
-    return transform(Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix(), recipe.position_m)

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import GRAVITY, Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
-from oysterbench.scene.rig import GRAVITY
 
 COMPONENTS = 64
 """Sines in the sum: with frequencies at random inside their bands the sum does not repeat itself."""

@@ -2,20 +2,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import RangeMeasurement
+from oysterbench.core.ros import RANGE, Message, decode, range_bytes, stamp_of
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import AltimeterRecipe, SiteRecipe
-from oysterbench.render.rays import RayCaster
-from oysterbench.scene.path import Path
+from oysterbench.recipe import SiteRecipe
+from oysterbench.recipe.keys import number
+from oysterbench.recipe.sensors import AcousticRecipe
 from oysterbench.sensors import acoustics
+from oysterbench.sensors.kind import SensedWorld, SensorKind, Strip, link, quantise, times_of
+
+if TYPE_CHECKING:
+    from oysterbench.render.rays import RayCaster
+    from oysterbench.scene.path import Path
 
 RAYS = 401  # over the main lobe
 PULSE_M = 0.05  # of range that the echo's envelope adds up: some 70 us
 STRONG = 0.5  # of the strongest echo: what the detector takes for the bottom
 WEAKEST_BOTTOM = "mud"  # that it hears from its greatest range
 PINGS_AT_ONCE = 128  # bounds the memory
+RANGE_STEP = 1e-6  # m, to which readings are rounded
+
+
+@dataclass(frozen=True, kw_only=True)
+class AltimeterRecipe(AcousticRecipe):
+    """A single-beam echo sounder: the range of the first strong echo in its cone."""
+
+    block: ClassVar[str] = "altimeter"
+
+    pitch_deg: float = number(-90, 90, 90.0)
+    frequency_khz: float = number(10, 3000, 115.0)
+    beam_deg: float = number(1, 60, 28.0)
+    min_range_m: float = number(0.05, 20, 0.3)
+    max_range_m: float = number(0.5, 300, 100.0)
+    noise_m: float = number(0, 1, 0.005)  # 1 sigma
+    noise_share: float = number(0, 0.2, 0.002)  # of the range, 1 sigma
+    step_m: float = number(0, 1, 0.001)
+
+
+@dataclass(frozen=True)
+class AltimeterCalibration:
+    """An altimeter: width of its cone, rad; least and greatest range, m; pose, x along its axis."""
+
+    beam_rad: float
+    min_range_m: float
+    max_range_m: float
+    T_base_sensor: Array
 
 
 def measure(
@@ -88,3 +127,59 @@ def beam_rays(width: float) -> tuple[Array, Array]:
     sines = np.sqrt(1 - cosines**2)
     rays = np.column_stack([cosines, sines * np.cos(around), sines * np.sin(around)])
     return rays, acoustics.beam_pattern(np.arccos(cosines), width)
+
+
+def range_message(
+    measured: RangeMeasurement, min_range_m: float, max_range_m: float, beam_rad: float, variance: float = 0.0
+) -> Message:
+    """Range along the altimeter's axis, m, +inf where nothing answers (REP 117); variance in m^2, 0 where unknown."""
+    limits = (min_range_m, max_range_m)
+    data = range_bytes(measured.stamp_ns, link(measured.sensor), measured.range, limits, beam_rad, variance)
+    return Message(f"/{measured.sensor}/range", measured.stamp_ns, data)
+
+
+def read_range(data: bytes, sensor: str) -> RangeMeasurement:
+    """Range from its message, in which it is a float32."""
+    message = decode(data, RANGE)
+    return RangeMeasurement(stamp_of(message.header), sensor, float(message.range))
+
+
+class Altimeter(SensorKind[AltimeterRecipe, AltimeterCalibration, RangeMeasurement]):
+    """The kind."""
+
+    recipe = AltimeterRecipe
+    calibration = AltimeterCalibration
+    title = "altimeter"
+    reader = "ranges"
+    rank = 50
+    leaves: ClassVar = {"range": RANGE}
+    tables: ClassVar = {"range": lambda message: {"range": message.range}}
+
+    def calibrate(self, recipe: AltimeterRecipe, site: SiteRecipe) -> dict[str, Any]:
+        return {
+            "beam_rad": float(np.radians(recipe.beam_deg)),
+            "min_range_m": recipe.min_range_m,
+            "max_range_m": recipe.max_range_m,
+            "T_base_sensor": acoustics.mount_pose(recipe).tolist(),
+        }
+
+    def measure(
+        self, world: SensedWorld, recipe: AltimeterRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
+    ) -> Iterator[RangeMeasurement]:
+        times, setting = times_of(recipe, len(stamps_ns)), world.recipe
+        ranges = measure(world.path, world.caster, recipe, setting.site, times, world.streams, setting.reef.bottom)
+        ranges = quantise(ranges, RANGE_STEP)
+        return (RangeMeasurement(int(stamps_ns[k]), recipe.name, float(ranges[k])) for k in wanted)
+
+    def encode(self, recipe: AltimeterRecipe, measurement: RangeMeasurement) -> list[Message]:
+        beam, variance = float(np.radians(recipe.beam_deg)), recipe.noise_m**2
+        return [range_message(measurement, recipe.min_range_m, recipe.max_range_m, beam, variance)]
+
+    def decode(self, name: str, calibration: AltimeterCalibration, *data: bytes) -> RangeMeasurement:
+        return read_range(*data, name)
+
+    def strips(self, name: str) -> list[Strip]:
+        return [Strip(f"/{name}/range", f"{name} range, m", ("range",))]
+
+
+KIND = Altimeter()

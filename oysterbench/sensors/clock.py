@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import CameraRecipe, SensorRecipe
+from oysterbench.recipe.sensors import SensorRecipe
 
 
 def stamps(n: int, rate_hz: float, epoch_ns: int, offset_ms: float = 0.0) -> NDArray[np.int64]:
@@ -14,7 +14,7 @@ def stamps(n: int, rate_hz: float, epoch_ns: int, offset_ms: float = 0.0) -> NDA
     return epoch_ns + round(offset_ms * 1e6) + np.rint(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)
 
 
-def kept(n: int, recipe: SensorRecipe | CameraRecipe, streams: Streams) -> NDArray[np.bool_]:
+def kept(n: int, recipe: SensorRecipe, streams: Streams) -> NDArray[np.bool_]:
     """(n,) which of n messages arrive; streams: the sensor's own branch.
 
     A chain of two states, of which one loses all (Gilbert 1960): runs of messages that arrive and that do not take

@@ -2,20 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import Array, transform
 from oysterbench.core.measurements import DvlMeasurement
+from oysterbench.core.ros import (
+    POINTS,
+    RANGE,
+    Message,
+    decode,
+    encode,
+    header,
+    make,
+    point_rows,
+    points_bytes,
+    range_bytes,
+    stamp_of,
+    vector,
+)
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import DvlRecipe, SiteRecipe
-from oysterbench.render.rays import RayCaster
-from oysterbench.scene.path import Path
+from oysterbench.recipe import SiteRecipe
+from oysterbench.recipe.keys import number
+from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors import acoustics
+from oysterbench.sensors.kind import XYZ, Row, SensedWorld, SensorKind, Strip, columns_of, link, quantise, times_of
 
+if TYPE_CHECKING:
+    from oysterbench.render.rays import RayCaster
+    from oysterbench.scene.path import Path
+
+VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
 FREQUENCY_KHZ = 1000.0  # of the A50 class
 BEAM_AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)
 CONE_RAYS, CONE_DEG = 6, 1.5  # around each beam's axis, and how far off it: a beam is some 4 deg wide
@@ -24,7 +47,45 @@ WEAKEST_BOTTOM = "mud"  # that it holds on to at its greatest range
 MARGIN = 1.2  # that rays reach farther, for an assumed speed of sound that makes ranges shorter
 FEWEST_BEAMS = 3  # for three components of velocity
 PINGS_AT_ONCE = 512  # bounds the memory
-READING_STEP = 1e-6  # m/s and m, to which readings may be rounded: far below the noise
+READING_STEP = 1e-6  # m/s and m, to which readings are rounded: far below the noise
+READINGS = ("velocity", "altitude", "beam_ranges", "beam_velocities")
+
+BEAM = np.dtype(
+    {
+        "names": ["x", "y", "z", "range", "velocity", "valid"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<f4", "u1"],
+        "offsets": [0, 4, 8, 12, 16, 20],
+        "itemsize": 24,
+    }
+)
+"""A beam as a point: where it meets the bottom in the DVL's frame (m), range (m) and velocity (m/s) along it, valid."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DvlRecipe(SensorRecipe):
+    """A Doppler velocity log: four beams in Janus form, looking down."""
+
+    block: ClassVar[str] = "dvl"
+
+    rate_hz: float = number(0.1, 50, 8.0)
+    yaw_deg: float = number(-180, 180, 0.0)  # of the mount; beams lie at 45, 135, 225 and 315 deg from its x axis
+    janus_deg: float = number(5, 45, 22.5)  # beams off the vertical
+    min_range_m: float = number(0.01, 5, 0.05)
+    max_range_m: float = number(1, 300, 50.0)
+    beam_noise_m_s: float = number(0, 1, 0.004)  # 1 sigma of a beam's velocity
+    scale_error: float = number(0, 0.1, 0.001)  # 1 sigma of a constant share of the velocity
+    range_noise_share: float = number(0, 0.1, 0.001)  # of a beam's range, 1 sigma
+    misalignment_deg: float = number(0, 10, 0.0)  # of the mount against its calibration, 1 sigma
+    assumed_sound_speed_m_s: float | None = number(1300, 1700, None)
+
+
+@dataclass(frozen=True)
+class DvlCalibration:
+    """A DVL: pose; directions of its beams (4, 3), unit vectors in its frame; greatest range, m."""
+
+    T_base_sensor: Array
+    beam_directions: Array
+    max_range_m: float
 
 
 def measure(
@@ -68,7 +129,7 @@ def measure(
     valid = valid & (ranges >= recipe.min_range_m) & (ranges <= recipe.max_range_m)
     along = moving @ true_beams.T * scale * stretch + velocity_noise
     return [
-        _sample(int(stamps_ns[k]), recipe, beams, np.where(valid[k], ranges[k], np.nan), along[k], valid[k])
+        _measurement(int(stamps_ns[k]), recipe, beams, np.where(valid[k], ranges[k], np.nan), along[k], valid[k])
         for k in range(n)
     ]
 
@@ -140,7 +201,7 @@ def _cone(axis: Array) -> Array:
     return np.concatenate([axis[None], ring])
 
 
-def _sample(
+def _measurement(
     stamp: int, recipe: DvlRecipe, beams: Array, ranges: Array, along: Array, valid: NDArray[np.bool_]
 ) -> DvlMeasurement:
     """One message's worth."""
@@ -157,3 +218,131 @@ def _sample(
         beam_velocities=np.where(valid, along, np.nan),
         beam_valid=valid,
     )
+
+
+def dvl_messages(measured: DvlMeasurement, min_range_m: float, max_range_m: float, janus_rad: float) -> list[Message]:
+    """Velocity, beams and altitude; of the DVL, least and greatest range, how far its beams are off the vertical."""
+    return [
+        dvl_velocity_message(measured),
+        dvl_beams_message(measured),
+        dvl_altitude_message(measured, min_range_m, max_range_m, janus_rad),
+    ]
+
+
+def dvl_velocity_message(measured: DvlMeasurement) -> Message:
+    """Velocity over ground with its covariance; rates are marked as not measured, by a variance of -1."""
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = measured.covariance
+    covariance[3, 3] = -1.0
+    twist = make("geometry_msgs/msg/Twist", linear=vector(measured.velocity), angular=vector(np.zeros(3)))
+    message = make(
+        VELOCITY,
+        header=header(measured.stamp_ns, link("dvl")),
+        twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance.ravel()),
+    )
+    return Message("/dvl/velocity", measured.stamp_ns, encode(message))
+
+
+def dvl_beams_message(measured: DvlMeasurement) -> Message:
+    """The beams, a point each; NaN where a beam has no lock."""
+    rows = np.zeros(len(measured.beam_ranges), dtype=BEAM)
+    hits = measured.beam_directions * np.asarray(measured.beam_ranges)[:, None]
+    for axis, values in zip("xyz", hits.T, strict=True):
+        rows[axis] = values
+    rows["range"], rows["velocity"], rows["valid"] = measured.beam_ranges, measured.beam_velocities, measured.beam_valid
+    return Message("/dvl/beams", measured.stamp_ns, points_bytes(measured.stamp_ns, link("dvl"), rows))
+
+
+def dvl_altitude_message(measured: DvlMeasurement, min_range_m: float, max_range_m: float, janus_rad: float) -> Message:
+    """Altitude along the DVL's -z, NaN without lock (REP 117); the field of view is what the beams span."""
+    limits = (min_range_m, max_range_m)
+    data = range_bytes(measured.stamp_ns, link("dvl"), measured.altitude, limits, 2.0 * janus_rad)
+    return Message("/dvl/altitude", measured.stamp_ns, data)
+
+
+def read_dvl(velocity: bytes, beams: bytes, altitude: bytes, directions: Array) -> DvlMeasurement:
+    """Measurement from its three messages and the beams' directions (4, 3), which the calibration keeps.
+
+    Beams and altitude travel as float32; the figure of merit is the root of the covariance's trace. Raises ValueError
+    where the messages are not of one stamp.
+    """
+    message = decode(velocity, VELOCITY)
+    stamp = stamp_of(message.header)
+    points, height = decode(beams, POINTS), decode(altitude, RANGE)
+    rows = point_rows(points)
+    if not stamp == stamp_of(points.header) == stamp_of(height.header):
+        raise ValueError(f"the DVL's velocity, beams and altitude at {stamp} are not of one stamp")
+    linear = message.twist.twist.linear
+    covariance = np.array(message.twist.covariance, dtype=float).reshape(6, 6)[:3, :3].copy()
+    return DvlMeasurement(
+        stamp_ns=stamp,
+        velocity=np.array([linear.x, linear.y, linear.z]),
+        covariance=covariance,
+        figure_of_merit=float(np.sqrt(np.trace(covariance))),
+        altitude=float(height.range),
+        beam_directions=directions,
+        beam_ranges=rows["range"].astype(float),
+        beam_velocities=rows["velocity"].astype(float),
+        beam_valid=rows["valid"].astype(bool),
+    )
+
+
+def _velocity_row(message: Any) -> Row:
+    variances = message.twist.covariance[[0, 7, 14]]
+    return columns_of("velocity_", message.twist.twist.linear) | {
+        f"variance_{axis}": float(value) for axis, value in zip(XYZ, variances, strict=True)
+    }
+
+
+def _beams_row(message: Any) -> Row:
+    keys = ("range", "velocity", "valid")
+    return {f"{key}_{k}": beam[key].item() for k, beam in enumerate(point_rows(message)) for key in keys}
+
+
+class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
+    """The kind."""
+
+    recipe = DvlRecipe
+    calibration = DvlCalibration
+    title = "DVL"
+    reader = "dvl"
+    rank = 20
+    leaves: ClassVar = {"velocity": VELOCITY, "beams": POINTS, "altitude": RANGE}
+    tables: ClassVar = {
+        "velocity": _velocity_row,
+        "beams": _beams_row,
+        "altitude": lambda message: {"range": message.range},
+    }
+
+    def calibrate(self, recipe: DvlRecipe, site: SiteRecipe) -> dict[str, Any]:
+        return {
+            "T_base_sensor": transform(mount_rotation(recipe), recipe.position_m).tolist(),
+            "beam_directions": beam_directions(recipe).tolist(),
+            "max_range_m": recipe.max_range_m,
+        }
+
+    def measure(
+        self, world: SensedWorld, recipe: DvlRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
+    ) -> Iterator[DvlMeasurement]:
+        times, setting = times_of(recipe, len(stamps_ns)), world.recipe
+        measured = measure(
+            world.path, world.caster, recipe, setting.site, times, stamps_ns, world.streams, setting.reef.bottom
+        )
+        for k in wanted:
+            readings: dict[str, Any] = {key: quantise(getattr(measured[k], key), READING_STEP) for key in READINGS}
+            yield dataclasses.replace(measured[k], **readings)
+
+    def encode(self, recipe: DvlRecipe, measurement: DvlMeasurement) -> list[Message]:
+        return dvl_messages(measurement, recipe.min_range_m, recipe.max_range_m, np.radians(recipe.janus_deg))
+
+    def decode(self, name: str, calibration: DvlCalibration, *data: bytes) -> DvlMeasurement:
+        return read_dvl(*data, calibration.beam_directions)
+
+    def strips(self, name: str) -> list[Strip]:
+        return [
+            Strip("/dvl/velocity", "DVL velocity, m/s", tuple(f"velocity_{axis}" for axis in XYZ)),
+            Strip("/dvl/altitude", "DVL altitude, m", ("range",)),
+        ]
+
+
+KIND = Dvl()

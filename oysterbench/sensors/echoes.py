@@ -1,17 +1,21 @@
-"""What imaging and scanning sonars share: from rays to power per range bin, and from power to recorded amplitudes."""
+"""What sonars share that record echoes: from rays to power per range bin, and from power to amplitudes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
-from oysterbench.recipe import ScannerRecipe, SiteRecipe, SonarRecipe
-from oysterbench.render.rays import Echoes, RayCaster
-from oysterbench.sensors.acoustics import absorption, echo_strength, range_resolution, sound_speed
+from oysterbench.recipe import SiteRecipe
+from oysterbench.recipe.sensors import BinnedSonarRecipe
+from oysterbench.sensors.acoustics import absorption, echo_strength, mount_pose, range_resolution, sound_speed
+
+if TYPE_CHECKING:
+    from oysterbench.render.rays import Echoes, RayCaster
 
 PLAIN_STEP = 5e-6
 GAINED_STEP = 1e-4
@@ -94,14 +98,14 @@ class Returns:
     powers: Array
 
 
-def range_axis(recipe: SonarRecipe | ScannerRecipe, true_speed: float) -> RangeAxis:
+def range_axis(recipe: BinnedSonarRecipe, true_speed: float) -> RangeAxis:
     """The range bins of a sonar in water of a speed of sound in m/s."""
     step = (recipe.max_range_m - recipe.min_range_m) / recipe.bins
     assumed = recipe.assumed_sound_speed_m_s or true_speed
     return RangeAxis(recipe.min_range_m, step, recipe.bins, assumed / true_speed)
 
 
-def bin_middles(recipe: SonarRecipe | ScannerRecipe) -> Array:
+def bin_middles(recipe: BinnedSonarRecipe) -> Array:
     """(bins,) m: the ranges of the middles of a sonar's bins, as it believes them."""
     step = (recipe.max_range_m - recipe.min_range_m) / recipe.bins
     return np.asarray(recipe.min_range_m + step * (np.arange(recipe.bins) + 0.5))
@@ -210,7 +214,7 @@ def resolve(power: Array, axis: RangeAxis, true_speed: float, bandwidth_khz: flo
 
 def record(
     power: Array,
-    recipe: SonarRecipe | ScannerRecipe,
+    recipe: BinnedSonarRecipe,
     absorption_db_m: float,
     generator: np.random.Generator,
 ) -> NDArray[np.uint16]:
@@ -231,7 +235,7 @@ def record(
     return np.minimum(np.rint(counts), FULL_SCALE).astype(np.uint16)
 
 
-def time_varying_gain(recipe: SonarRecipe | ScannerRecipe, absorption_db_m: float) -> Array:
+def time_varying_gain(recipe: BinnedSonarRecipe, absorption_db_m: float) -> Array:
     """Gain (bins,) of amplitudes: r^2 10^(2 a r / 20), which undoes spreading and absorption, or 1 without `tvg`."""
     if not recipe.tvg:
         return np.ones(recipe.bins)
@@ -239,9 +243,18 @@ def time_varying_gain(recipe: SonarRecipe | ScannerRecipe, absorption_db_m: floa
     return np.asarray(ranges**2 * 10 ** (0.1 * absorption_db_m * ranges))
 
 
-def amplitude_step(recipe: SonarRecipe | ScannerRecipe) -> float:
+def amplitude_step(recipe: BinnedSonarRecipe) -> float:
     """Amplitude of one count of a recorded sonar, over that of a perfect scatterer that fills a beam at 1 m."""
     return GAINED_STEP if recipe.tvg else PLAIN_STEP
+
+
+def calibrate(recipe: BinnedSonarRecipe) -> dict[str, Any]:
+    """What the calibrations of all sonars hold: ranges of the bins, amplitude of a count, and pose."""
+    return {
+        "ranges_m": bin_middles(recipe).tolist(),
+        "amplitude_step": amplitude_step(recipe),
+        "T_base_sensor": mount_pose(recipe).tolist(),
+    }
 
 
 def dot(a: Array, b: Array) -> Array:

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
 import numpy as np
 from numpy.polynomial.polynomial import polyval
+from numpy.typing import NDArray
 
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import GRAVITY, Array, transform
+from oysterbench.core.measurements import PressureMeasurement
+from oysterbench.core.ros import Message, decode, encode, header, make, stamp_of
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import PressureRecipe, SiteRecipe
-from oysterbench.scene.path import Path
-from oysterbench.scene.rig import GRAVITY
-from oysterbench.scene.waves import Waves
+from oysterbench.recipe import SiteRecipe
+from oysterbench.recipe.keys import number
+from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.sensors.kind import SensedWorld, SensorKind, Strip, link, quantise, times_of
+
+if TYPE_CHECKING:
+    from oysterbench.scene.path import Path
+    from oysterbench.scene.waves import Waves
+
+FLUID_PRESSURE = "sensor_msgs/msg/FluidPressure"
+PRESSURE_STEP = 1e-3  # Pa, to which readings are rounded
 
 ATMOSPHERE = 101_325.0
 """Pressure at the surface, Pa."""
@@ -20,6 +34,28 @@ SALT = (8.24493e-1, -4.0899e-3, 7.6438e-5, -8.2467e-7, 5.3875e-9)
 SALT_ROOT = (-5.72466e-3, 1.0227e-4, -1.6546e-6)
 SALT_SQUARED = 4.8314e-4
 """kg/m^3 by powers of deg C: of pure water, and with salinity S, S^1.5 and S^2 (Millero & Poisson 1981; UNESCO 44)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PressureRecipe(SensorRecipe):
+    """A pressure sensor. What tide and waves do is of the site (`SiteRecipe`)."""
+
+    block: ClassVar[str] = "pressure"
+
+    rate_hz: float = number(0.1, 1000, 20.0)
+    offset_m: float = number(0, 5, 0.02)  # of depth, 1 sigma, constant
+    noise_m: float = number(0, 1, 0.002)  # of depth, 1 sigma
+    step_pa: float = number(0, 1e5, 20.0)  # of the digital reading
+    max_depth_m: float = number(1, 11_000, 300.0)  # readings stop there
+
+
+@dataclass(frozen=True)
+class PressureCalibration:
+    """A pressure sensor: pose; density of the water, kg/m^3, and pressure of the air over it, Pa."""
+
+    T_base_sensor: Array
+    density: float
+    atmosphere: float
 
 
 def density(site: SiteRecipe) -> float:
@@ -60,3 +96,59 @@ def tide(site: SiteRecipe, times_s: Array, streams: Streams) -> Array:
 def noise_variance(recipe: PressureRecipe, site: SiteRecipe) -> float:
     """Variance (Pa^2) of a reading about its mean: of its noise and of its steps."""
     return (density(site) * GRAVITY * recipe.noise_m) ** 2 + recipe.step_pa**2 / 12
+
+
+def pressure_message(sample: PressureMeasurement) -> Message:
+    """Absolute pressure, Pa."""
+    message = make(
+        FLUID_PRESSURE,
+        header=header(sample.stamp_ns, link("pressure")),
+        fluid_pressure=float(sample.pressure),
+        variance=float(sample.variance),
+    )
+    return Message("/pressure", sample.stamp_ns, encode(message))
+
+
+def read_pressure(data: bytes) -> PressureMeasurement:
+    """Pressure sample from its message."""
+    message = decode(data, FLUID_PRESSURE)
+    return PressureMeasurement(stamp_of(message.header), float(message.fluid_pressure), float(message.variance))
+
+
+class PressureSensor(SensorKind[PressureRecipe, PressureCalibration, PressureMeasurement]):
+    """The kind."""
+
+    recipe = PressureRecipe
+    calibration = PressureCalibration
+    title = "pressure sensor"
+    reader = "pressure"
+    rank = 30
+    leaves: ClassVar = {"": FLUID_PRESSURE}
+    tables: ClassVar = {"": lambda message: {"pressure": message.fluid_pressure, "variance": message.variance}}
+
+    def calibrate(self, recipe: PressureRecipe, site: SiteRecipe) -> dict[str, Any]:
+        T_base_sensor = transform(np.eye(3), recipe.position_m).tolist()
+        return {"T_base_sensor": T_base_sensor, "density": density(site), "atmosphere": ATMOSPHERE}
+
+    def measure(
+        self, world: SensedWorld, recipe: PressureRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
+    ) -> Iterator[PressureMeasurement]:
+        from oysterbench.scene.waves import build_waves
+
+        site, streams = world.recipe.site, world.streams
+        waves = build_waves(site, world.recipe.reef.depth_m, streams)  # the ones that move the vehicle
+        values = measure(world.path, recipe, site, waves, times_of(recipe, len(stamps_ns)), streams)
+        values, variance = quantise(values, PRESSURE_STEP), noise_variance(recipe, site)
+        return (PressureMeasurement(int(stamps_ns[k]), float(values[k]), variance) for k in wanted)
+
+    def encode(self, recipe: PressureRecipe, measurement: PressureMeasurement) -> list[Message]:
+        return [pressure_message(measurement)]
+
+    def decode(self, name: str, calibration: PressureCalibration, *data: bytes) -> PressureMeasurement:
+        return read_pressure(*data)
+
+    def strips(self, name: str) -> list[Strip]:
+        return [Strip("/pressure", "pressure, kPa", ("pressure",), 1e-3)]
+
+
+KIND = PressureSensor()

@@ -2,17 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import ScanPing
+from oysterbench.core.ros import IMAGE, Message, decode, echo_image, encode, header, make, read_echo_image, stamp_of
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import ScannerRecipe, SiteRecipe
-from oysterbench.render.rays import RayCaster
+from oysterbench.recipe import SiteRecipe
+from oysterbench.recipe.keys import number
+from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import Rays
+from oysterbench.sensors.kind import SensedWorld, SensorKind, link, times_of
 
+if TYPE_CHECKING:
+    from oysterbench.render.rays import RayCaster
+    from oysterbench.sensors.panels import Panel
+
+HEAD = "sensor_msgs/msg/JointState"
 COLUMNS, ROWS = 24, 240  # of rays over the beam's main lobe
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScannerRecipe(BinnedSonarRecipe):
+    """A mechanically scanned sonar: one narrow beam, turned a step at each ping about the z axis of its mount."""
+
+    block: ClassVar[str] = "scanner"
+
+    beam_deg: float = number(0.1, 20, 2.0)  # across, at half power
+    vfov_deg: float = number(1, 90, 25.0)
+    step_deg: float = number(0.1, 30, 0.9)
+    sector_deg: float = number(1, 360, 360.0)  # scanned to and fro where less than 360
+    bins: int = number(16, 4096, 1200)
+    min_range_m: float = number(0.05, 20, 0.75)
+    bandwidth_khz: float = number(1, 1000, 50.0)
+
+
+@dataclass(frozen=True)
+class ScannerCalibration:
+    """A scanning sonar: ranges (bins,) m; width of its beam, rad; amplitude of a number's step; pose at angle 0."""
+
+    ranges_m: Array
+    beam_rad: float
+    amplitude_step: float
+    T_base_sensor: Array
 
 
 class ScanningSonar:
@@ -87,3 +126,87 @@ def head_angle(recipe: ScannerRecipe, index: int) -> float:
     steps = max(1, int(np.floor(recipe.sector_deg / recipe.step_deg + 1e-9)))
     place = index % (2 * steps)
     return float(np.radians((min(place, 2 * steps - place) - steps / 2) * recipe.step_deg))
+
+
+def scan_messages(ping: ScanPing) -> list[Message]:
+    """A scanning sonar's amplitudes, near first, as a picture of one row; and the angle of its head, rad."""
+    head = make(
+        HEAD,
+        header=header(ping.stamp_ns, link(ping.sensor)),
+        name=[f"{ping.sensor}_head"],
+        position=np.array([ping.angle], dtype=float),
+        velocity=np.array([], dtype=float),
+        effort=np.array([], dtype=float),
+    )
+    data = echo_image(ping.stamp_ns, link(ping.sensor), ping.amplitudes[None])
+    return [
+        Message(f"/{ping.sensor}/ping", ping.stamp_ns, data),
+        Message(f"/{ping.sensor}/head", ping.stamp_ns, encode(head)),
+    ]
+
+
+def read_scan(ping: bytes, head: bytes, sensor: str) -> ScanPing:
+    """Ping from its two messages. Raises ValueError where they are not of one stamp."""
+    stamp, pixels = read_echo_image(ping)
+    joint = decode(head, HEAD)
+    if stamp_of(joint.header) != stamp:
+        raise ValueError(f"{sensor}'s ping and head at {stamp} are not of one stamp")
+    return ScanPing(stamp, sensor, float(joint.position[0]), pixels[0])
+
+
+class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
+    """The kind."""
+
+    recipe = ScannerRecipe
+    calibration = ScannerCalibration
+    title = "scanner"
+    reader = "scans"
+    rank = 60
+    leaves: ClassVar = {"ping": IMAGE, "head": HEAD}
+    tables: ClassVar = {"head": lambda message: {"angle": float(message.position[0])}}
+
+    def calibrate(self, recipe: ScannerRecipe, site: SiteRecipe) -> dict[str, Any]:
+        return {**echoes.calibrate(recipe), "beam_rad": float(np.radians(recipe.beam_deg))}
+
+    def measure(
+        self, world: SensedWorld, recipe: ScannerRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
+    ) -> Iterator[ScanPing]:
+        head = ScanningSonar(world.caster, recipe, world.recipe.site, world.recipe.reef.bottom)
+        bodies = world.bodies(times_of(recipe, len(stamps_ns)))
+        return (head.ping(bodies[k], world.streams, k, int(stamps_ns[k])) for k in wanted.tolist())
+
+    def encode(self, recipe: ScannerRecipe, measurement: ScanPing) -> list[Message]:
+        return scan_messages(measurement)
+
+    def decode(self, name: str, calibration: ScannerCalibration, *data: bytes) -> ScanPing:
+        return read_scan(*data, name)
+
+    def panels(self, sequence: Any, name: str) -> list[Panel]:
+        from oysterbench.sensors.panels import WIDTH, Panel
+
+        title = f"{name}, to {sequence.scanners[name].ranges_m[-1]:.1f} m"
+        return [Panel(title, WIDTH, WIDTH, partial(_frames, sequence, name), WIDTH * WIDTH // 6)]
+
+
+def _frames(sequence: Any, name: str, times: NDArray[np.int64]) -> Iterator[bytes]:
+    """What the head has heard so far, each angle as it was heard last."""
+    import cv2
+
+    from oysterbench.sensors.panels import WIDTH, Fan, jpeg, white_of
+
+    ranges = sequence.scanners[name].ranges_m
+    angles = np.linspace(-np.pi, np.pi, 361)
+    heard = np.zeros((len(ranges), len(angles)), dtype=np.uint16)
+    fan = Fan.of(angles, ranges)
+    pings = sequence.scans(name)
+    ping = next(pings, None)
+    half = np.radians(1.0)
+    for time in times:
+        while ping is not None and ping.stamp_ns <= time:
+            off = np.abs((angles - ping.angle + np.pi) % (2 * np.pi) - np.pi)
+            heard[:, off <= half] = ping.amplitudes[:, None]
+            ping = next(pings, None)
+        yield jpeg(cv2.resize(fan.draw(heard, white_of(heard)), (WIDTH, WIDTH)))
+
+
+KIND = Scanner()

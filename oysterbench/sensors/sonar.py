@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Cloud, SonarImage
+from oysterbench.core.ros import (
+    IMAGE,
+    POINTS,
+    Message,
+    decode,
+    echo_image,
+    point_rows,
+    points_bytes,
+    read_echo_image,
+    stamp_of,
+)
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import SiteRecipe, SonarRecipe
-from oysterbench.render.rays import RayCaster
+from oysterbench.recipe import SiteRecipe
+from oysterbench.recipe.keys import number
+from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import RangeAxis, Rays, Returns
+from oysterbench.sensors.kind import SensedWorld, SensorKind, link, topic
+
+if TYPE_CHECKING:
+    from oysterbench.render.rays import RayCaster
+    from oysterbench.sensors.panels import Fan, Panel
 
 ROWS = 200  # of rays over the elevations
 PROBE_COLUMNS, PROBE_ROWS = 12, 48  # of the rays that tell where elevations have to be dense
@@ -22,6 +43,45 @@ MOST_PER_WIDTH = 6.0  # and no more than so many where beams lie closer than tha
 PATTERN_REACH = 4.0  # half-power widths, each side, within which a beam hears
 RAISED_M = 0.05  # what is lower over the bottom has its bounce off the bottom together with its echo
 CLOUD_ROWS = 32  # of the cloud, over the elevations
+
+RETURN = np.dtype(
+    {
+        "names": ["x", "y", "z", "intensity", "class", "instance"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "u1", "<u2"],
+        "offsets": [0, 4, 8, 12, 16, 18],
+        "itemsize": 20,
+    }
+)
+"""A sonar's return as a point: place in the sensor's frame (m), amplitude, and what answered."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SonarRecipe(BinnedSonarRecipe):
+    """An imaging (multibeam, forward-looking) sonar: a fan of beams, each an echo strength per range bin."""
+
+    block: ClassVar[str] = "sonar"
+
+    hfov_deg: float = number(5, 180, 130.0)
+    vfov_deg: float = number(1, 90, 20.0)
+    beams: int = number(8, 1024, 256)
+    beam_deg: float = number(0.1, 20, 1.0)  # width of a beam across, at half power
+    multipath: float = number(0, 1, 0.0)  # amplitude kept by sound that takes one more bounce off bottom or surface
+    cloud: bool = field(default=False)  # also a point cloud with class and instance of each return
+
+
+@dataclass(frozen=True)
+class SonarCalibration:
+    """An imaging sonar: azimuths (beams,) rad, left of x positive; ranges (bins,) m; height of its fan, rad; frequency,
+    Hz; amplitude of a pixel's step; pose."""
+
+    beams: int
+    bins: int
+    azimuths_rad: Array
+    ranges_m: Array
+    vfov_rad: float
+    frequency_hz: float
+    amplitude_step: float
+    T_base_sensor: Array
 
 
 @dataclass(frozen=True)
@@ -256,3 +316,102 @@ def gather(power: Array, columns: Columns, beams: int) -> Array:
         for k, tap in enumerate(taps):
             those += np.multiply(power[k : k + last : columns.per_beam], tap, out=part)
     return heard
+
+
+def sonar_message(image: SonarImage) -> Message:
+    """A fan's amplitudes as a picture of 16 bits: a row per range bin, near first; a column per beam, left first."""
+    data = echo_image(image.stamp_ns, link(image.sensor), image.pixels)
+    return Message(f"/{image.sensor}/image", image.stamp_ns, data)
+
+
+def read_sonar(data: bytes, sensor: str) -> SonarImage:
+    """Fan image from its message."""
+    stamp, pixels = read_echo_image(data)
+    return SonarImage(stamp, sensor, pixels)
+
+
+def cloud_message(cloud: Cloud) -> Message:
+    """A sonar's returns with what they are: fields x, y, z, intensity, class, instance."""
+    rows = np.zeros(len(cloud.points), dtype=RETURN)
+    for axis, values in zip("xyz", np.reshape(cloud.points, (-1, 3)).T, strict=True):
+        rows[axis] = values
+    rows["intensity"], rows["class"], rows["instance"] = cloud.intensity, cloud.classes, cloud.instances
+    return Message(f"/{cloud.sensor}/cloud", cloud.stamp_ns, points_bytes(cloud.stamp_ns, link(cloud.sensor), rows))
+
+
+def read_cloud(data: bytes, sensor: str) -> Cloud:
+    """Cloud from its message."""
+    message = decode(data, POINTS)
+    stamp, rows = stamp_of(message.header), point_rows(message)
+    return Cloud(
+        stamp_ns=stamp,
+        sensor=sensor,
+        points=np.stack([rows[axis] for axis in "xyz"], axis=-1).astype(np.float32),
+        intensity=rows["intensity"].astype(np.float32),
+        classes=rows["class"].astype(np.uint8),
+        instances=rows["instance"].astype(np.uint16),
+    )
+
+
+class Sonar(SensorKind[SonarRecipe, SonarCalibration, tuple[SonarImage, Cloud | None]]):
+    """The kind. What a ping measures is its image; its cloud is truth."""
+
+    recipe = SonarRecipe
+    calibration = SonarCalibration
+    title = reader = "sonar"
+    rank = 80
+    bulky = True
+    leaves: ClassVar = {"image": IMAGE}
+    truth_leaves: ClassVar = {"cloud": POINTS}
+
+    def topics(self, recipe: SonarRecipe) -> dict[str, str]:
+        clouds = {topic(recipe.name, leaf): kind for leaf, kind in self.truth_leaves.items()}
+        return super().topics(recipe) | (clouds if recipe.cloud else {})
+
+    def calibrate(self, recipe: SonarRecipe, site: SiteRecipe) -> dict[str, Any]:
+        return {
+            **echoes.calibrate(recipe),
+            "beams": recipe.beams,
+            "bins": recipe.bins,
+            "azimuths_rad": beam_azimuths(recipe).tolist(),
+            "vfov_rad": float(np.radians(recipe.vfov_deg)),
+            "frequency_hz": 1e3 * recipe.frequency_khz,
+        }
+
+    def measure(
+        self, world: SensedWorld, recipe: SonarRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
+    ) -> Iterator[tuple[SonarImage, Cloud | None]]:
+        site, bottom = world.recipe.site, world.recipe.reef.bottom
+        sonar = world.instrument(recipe, lambda: ImagingSonar(world.caster, recipe, site, bottom))
+        for index, body in zip(wanted.tolist(), world.bodies(wanted / recipe.rate_hz), strict=True):
+            yield sonar.ping(body, world.streams, index, int(stamps_ns[index]))
+
+    def encode(self, recipe: SonarRecipe, measurement: tuple[SonarImage, Cloud | None]) -> list[Message]:
+        image, cloud = measurement
+        return [sonar_message(image), *([] if cloud is None else [cloud_message(cloud)])]
+
+    def decode(self, name: str, calibration: SonarCalibration, *data: bytes) -> Any:
+        return read_sonar(*data, name)
+
+    def panels(self, sequence: Any, name: str) -> list[Panel]:
+        from oysterbench.sensors.panels import WIDTH, Fan, Panel
+
+        calibration = sequence.sonars[name]
+        fan = Fan.of(calibration.azimuths_rad, calibration.ranges_m)
+        title = f"{name}, to {calibration.ranges_m[-1]:.1f} m"
+        return [Panel(title, WIDTH, fan.height, partial(_frames, sequence, name, fan), WIDTH * fan.height // 5)]
+
+
+def _frames(sequence: Any, name: str, fan: Fan, times: NDArray[np.int64]) -> Iterator[bytes]:
+    from oysterbench.sensors.panels import WIDTH, blank, jpeg, latest, white_of
+
+    white = None
+    for ping in latest(sequence.sonar, name, times):
+        if ping is None:
+            yield jpeg(blank(WIDTH, fan.height))
+            continue
+        white = white or white_of(ping.pixels)
+        yield jpeg(fan.draw(ping.pixels, white))
+
+
+KIND = Sonar()

@@ -2,12 +2,47 @@
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.fft import irfft, next_fast_len
+from dataclasses import dataclass
+from itertools import pairwise
 
+import numpy as np
+
+from oysterbench.core.errors import RecipeError
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import VibrationRecipe
+from oysterbench.recipe.keys import choice, number
+
+VIBRATION_KINDS = ("white", "sine", "psd")
+VIBRATION_TARGETS = ("accel", "gyro")
+
+
+@dataclass(frozen=True, kw_only=True)
+class VibrationRecipe:
+    """What thrusters and pumps add to a reading, through the whole sequence without restarts."""
+
+    on: str = choice(VIBRATION_TARGETS)
+    kind: str = choice(VIBRATION_KINDS)
+    level: tuple[float, float, float] = number(0, 1000, (0.0, 0.0, 0.0))
+    """Per axis, m/s^2 or rad/s: standard deviation of a sample (white), or amplitude (sine)."""
+    frequency_hz: float = number(0, 2000, 1.0)  # of a sine; above half the unit's rate it aliases, as does a psd
+    psd: tuple[tuple[float, float, float, float], ...] = number(0, 1e6, ())
+    """Rows of frequency (Hz, increasing) and one-sided power spectral density per axis, (m/s^2)^2/Hz or (rad/s)^2/Hz;
+    linear between the rows, nothing outside them."""
+
+    def check(self, where: str) -> None:
+        """Raise RecipeError on what no single key can say."""
+        if self.kind != "psd":
+            if self.psd:
+                raise RecipeError(
+                    f"{where}: key 'imu.vibration.psd': expected none for kind = {self.kind!r}; give level"
+                )
+            return
+        frequencies = [row[0] for row in self.psd]
+        if len(frequencies) < 2 or any(high <= low for low, high in pairwise(frequencies)):
+            raise RecipeError(
+                f"{where}: key 'imu.vibration.psd': expected at least two rows of increasing frequency, "
+                f"got frequencies {frequencies}"
+            )
 
 
 def vibrate(n: int, rate_hz: float, recipe: VibrationRecipe, streams: Streams) -> Array:
@@ -28,6 +63,8 @@ def shaped(n: int, rate_hz: float, psd: Array, rng: np.random.Generator) -> Arra
     so that nothing in it begins anew, and its densities are exact. It is drawn at least twice as long as it is used,
     since the end of what is drawn meets its beginning.
     """
+    from scipy.fft import irfft, next_fast_len
+
     length = next_fast_len(2 * n, real=True)
     density = folded(np.arange(length // 2 + 1) * (rate_hz / length), rate_hz, psd)
     density[0] = 0.0  # what does not oscillate is the bias

@@ -15,23 +15,27 @@ from mcap.stream_reader import breakup_chunk
 from mcap.summary import Summary
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.core.ros import TF_STATIC, Message
+from oysterbench.sensors.registry import sensor_kinds
 from oysterbench.sequence.file import DAMAGE, RECORD, Reading, damaged, read_attachments, read_metadata, summary_of
-from oysterbench.sequence.names import TF_STATIC
 from oysterbench.sequence.read import CALIBRATION
 from oysterbench.sequence.types import is_measured
-from oysterbench.sequence.wire import Message
 from oysterbench.sequence.write import SequenceWriter
 
 PUBLIC_METADATA = ("sequence", "split", "split_version", "track", "rig", "oysterbench")
 PUBLIC_ATTACHMENTS = (CALIBRATION, "classes.json")
-PUBLIC_LEAVES = ("image", "camera_info", "velocity", "beams", "altitude", "range", "ping", "head")
-PUBLIC_TOPICS = (TF_STATIC, "/imu", "/pressure", "/magnetometer")
-"""What a hidden split shows: lists of what may be seen, so that what is new stays hidden until it is listed."""
+"""What a hidden split shows besides measurements: lists of what may be seen, so that what is new stays hidden until it
+is listed. A topic is listed by the `leaves` of its kind of sensor."""
 
 
 def is_public(topic: str) -> bool:
-    """Whether a hidden split shows a topic: a measurement of a kind that is listed here."""
-    return is_measured(topic) and (topic in PUBLIC_TOPICS or topic.rsplit("/", 1)[-1] in PUBLIC_LEAVES)
+    """Whether a hidden split shows a topic: a measurement of a kind of sensor that there is."""
+    if topic == TF_STATIC:
+        return True
+    name, _, leaf = topic.removeprefix("/").partition("/")
+    kinds = sensor_kinds()
+    listed = (kinds[name],) if name in kinds and kinds[name].single else kinds.values()
+    return is_measured(topic) and any(leaf in kind.leaves and (kind.single == (name == kind.block)) for kind in listed)
 
 
 def cut(

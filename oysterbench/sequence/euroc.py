@@ -14,8 +14,7 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.core.trajectory import Trajectory, read_trajectory
-from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
 GRAVITY = 9.81  # m/s^2; where the folder has no key for it, as the layout itself has none
 

@@ -17,7 +17,7 @@ from mcap.summary import Summary
 from zstandard import ZstdError
 
 from oysterbench.core.errors import SequenceError
-from oysterbench.sequence.wire import Message
+from oysterbench.core.ros import Message
 
 DAMAGE = (
     McapError,

@@ -9,21 +9,17 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.measurements import (
-    Cloud,
-    DvlMeasurement,
-    Image,
-    ImuMeasurement,
-    MagneticMeasurement,
-    PressureMeasurement,
-    RangeMeasurement,
-    ScanPing,
-    SonarImage,
-)
+from oysterbench.core.measurements import Cloud, Image
+from oysterbench.core.ros import decode, stamp_of
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sequence import topics
-from oysterbench.sequence.calibration import RigCalibration, camera_calibration, inertial_calibration, rig_calibration
+from oysterbench.sensors.camera import LAYERS, read_layer
+from oysterbench.sensors.kind import Row
+from oysterbench.sensors.kind import topic as topic_of
+from oysterbench.sensors.registry import read_calibrations, sensor_kinds
+from oysterbench.sensors.sonar import read_cloud
 from oysterbench.sequence.file import (
     DAMAGE,
     Attachments,
@@ -34,6 +30,7 @@ from oysterbench.sequence.file import (
     read_metadata,
     summary_of,
 )
+from oysterbench.sequence.truth import TRUTH, TRUTH_POSE, odometry_row, pose_row, read_truth
 from oysterbench.sequence.types import Sequence
 
 if TYPE_CHECKING:
@@ -45,8 +42,6 @@ __all__ = [
     "OYSTERS",
     "STEERING",
     "McapSequence",
-    "camera_calibration",
-    "inertial_calibration",
     "read_attachments",
     "read_messages",
 ]
@@ -81,13 +76,10 @@ class McapSequence(Sequence):
                 channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()
             }
             self.name = self.metadata["sequence"]
-            self._calibrate(rig_calibration(json.loads(self.attachments[CALIBRATION])))
-
-    def _calibrate(self, rig: RigCalibration) -> None:
-        self.imu_calibration, self.cameras = rig.imu, rig.cameras
-        self.sonars, self.scanners, self.altimeters = rig.sonars, rig.scanners, rig.altimeters
-        self.dvl_calibration, self.pressure_calibration = rig.dvl, rig.pressure
-        self.magnetometer_calibration = rig.magnetometer
+            calibrations = read_calibrations(json.loads(self.attachments[CALIBRATION]))
+            for block, found in calibrations.items():
+                kind = sensor_kinds()[block]
+                setattr(self, kind.attribute, found[block] if kind.single else found)
 
     @property
     def duration_s(self) -> float:
@@ -96,78 +88,62 @@ class McapSequence(Sequence):
     def contents(self) -> list[tuple[str, str, int]]:
         return [(topic, self.types[topic], count) for topic, count in self.counts.items()]
 
-    def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
-        self._check(camera, self.cameras, "camera")
-        for (data,) in self._messages((f"/{camera}/image",), start_ns, end_ns):
-            stamp, pixels = self._decoded(topics.read_colour, data)
-            yield Image(stamp, camera, pixels)
+    def _measured(self, block: str, name: str, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:
+        kind = sensor_kinds()[block]
+        calibrations = self.calibrations(kind)
+        if name not in calibrations:
+            if kind.single:
+                self._lacks(kind.title)
+            self._check(name, calibrations, kind.title)
+        names, calibration = kind.read_topics(name), calibrations[name]
+        return self._decode_all(lambda *data: kind.decode(name, calibration, *data), names, start_ns, end_ns)
 
     def layer(self, camera: str, layer: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         """Images of a layer, such as `depth` (see `Image`): those that the recipe's `layers` name."""
         self._check(camera, self.cameras, "camera")
-        if f"/{camera}/{layer}" not in self.types or layer not in topics.LAYERS:
-            known = [name for name in topics.LAYERS if f"/{camera}/{name}" in self.types]
+        if f"/{camera}/{layer}" not in self.types or layer not in LAYERS:
+            known = [name for name in LAYERS if f"/{camera}/{name}" in self.types]
             raise SequenceError(
                 f"{self.path}: {camera} has no layer {layer!r}; its layers: {', '.join(known) or 'none'}; more can be "
                 "asked for with the rig's key 'camera.layers'"
             )
         for (data,) in self._messages((f"/{camera}/{layer}",), start_ns, end_ns):
-            stamp, pixels = self._decoded(topics.read_layer, data, layer)
+            stamp, pixels = self._decoded(read_layer, data, layer)
             yield Image(stamp, camera, pixels)
-
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
-        return self._samples(topics.read_imu, (topics.IMU,), start_ns, end_ns)
-
-    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlMeasurement]:
-        if self.dvl_calibration is None:
-            self._lacks("DVL")
-        names = (topics.DVL_VELOCITY, topics.DVL_BEAMS, topics.DVL_ALTITUDE)
-        return self._samples(topics.read_dvl, names, start_ns, end_ns, self.dvl_calibration.beam_directions)
-
-    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureMeasurement]:
-        if self.pressure_calibration is None:
-            self._lacks("pressure sensor")
-        return self._samples(topics.read_pressure, (topics.PRESSURE,), start_ns, end_ns)
-
-    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticMeasurement]:
-        if self.magnetometer_calibration is None:
-            self._lacks("magnetometer")
-        return self._samples(topics.read_magnetic, (topics.MAGNETOMETER,), start_ns, end_ns)
-
-    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeMeasurement]:
-        self._check(name, self.altimeters, "altimeter")
-        return self._samples(topics.read_range, (f"/{name}/range",), start_ns, end_ns, name)
-
-    def sonar(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[SonarImage]:
-        self._check(name, self.sonars, "sonar")
-        return self._samples(topics.read_sonar, (f"/{name}/image",), start_ns, end_ns, name)
-
-    def scans(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ScanPing]:
-        self._check(name, self.scanners, "scanner")
-        return self._samples(topics.read_scan, (f"/{name}/ping", f"/{name}/head"), start_ns, end_ns, name)
 
     def clouds(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Cloud]:
         self._check(name, self.sonars, "sonar")
         if f"/{name}/cloud" not in self.types:
             raise SequenceError(f"{self.path}: {name} sends no cloud; the rig's key 'sonar.cloud' asks for one")
-        return self._samples(topics.read_cloud, (f"/{name}/cloud",), start_ns, end_ns, name)
+        return self._decode_all(lambda data: read_cloud(data, name), (f"/{name}/cloud",), start_ns, end_ns)
 
     def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
-        """Messages of a scalar sensor as a table: indexed by stamp_ns, a column per number (`sequence.tables`)."""
-        from oysterbench.sequence.tables import has_table, table
+        """Messages of a scalar sensor as a table: indexed by stamp_ns (int64), a column per number, in SI units."""
+        import pandas as pd
 
-        if topic not in self.types or not has_table(topic, self.types[topic]):
-            scalar = [name for name, kind in self.types.items() if has_table(name, kind)]
+        tables = self._tables()
+        if topic not in tables:
             raise SequenceError(
-                f"{self.path}: no topic {topic!r} that makes a table; those that do: {', '.join(scalar)}"
+                f"{self.path}: no topic {topic!r} that makes a table; those that do: {', '.join(tables)}"
             )
-        data = (data for (data,) in self._messages((topic,), start_ns, end_ns))
-        return self._decoded(table, data, self.types[topic])
+        stamps, rows = [], []
+        for (data,) in self._messages((topic,), start_ns, end_ns):
+            message = self._decoded(decode, data, self.types[topic])
+            stamps.append(stamp_of(message.header))
+            rows.append(self._decoded(tables[topic], message))
+        return pd.DataFrame(rows, index=pd.Index(np.array(stamps, dtype=np.int64), name="stamp_ns"))
+
+    def _tables(self) -> dict[str, Callable[[Any], Row]]:
+        """Topic -> what makes a row of its message, of those that make tables."""
+        known = {TRUTH: odometry_row, TRUTH_POSE: lambda message: pose_row(message.pose)}
+        for name, kind in self.sensors().items():
+            known |= {topic_of(name, leaf): row for leaf, row in kind.tables.items()}
+        return {topic: known[topic] for topic in self.types if topic in known}
 
     def truth(self) -> Trajectory:
-        truth = self._decoded(topics.read_truth, [data for (data,) in self._messages((topics.TRUTH,))])
+        truth = self._decoded(read_truth, [data for (data,) in self._messages((TRUTH,))])
         if len(truth) == 0:
-            raise SequenceError(f"{self.path} has no truth: no message on {topics.TRUTH}")
+            raise SequenceError(f"{self.path} has no truth: no message on {TRUTH}")
         return truth
 
     def oysters(self) -> pd.DataFrame:
@@ -193,16 +169,11 @@ class McapSequence(Sequence):
         if name not in known:
             raise SequenceError(f"{self.path}: no {kind} {name!r}; {kind}s: {', '.join(known) or 'none'}")
 
-    def _samples(
-        self,
-        read: Callable[..., Any],
-        names: tuple[str, ...],
-        start_ns: int | None,
-        end_ns: int | None,
-        *arguments: Any,
+    def _decode_all(
+        self, read: Callable[..., Any], names: tuple[str, ...], start_ns: int | None, end_ns: int | None
     ) -> Iterator[Any]:
         for data in self._messages(names, start_ns, end_ns):
-            yield self._decoded(read, *data, *arguments)
+            yield self._decoded(read, *data)
 
     def _messages(
         self, names: tuple[str, ...], start_ns: int | None = None, end_ns: int | None = None

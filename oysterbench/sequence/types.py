@@ -25,47 +25,38 @@ from oysterbench.core.measurements import (
     SonarImage,
 )
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sequence.calibration import (
-    AltimeterCalibration,
-    CameraCalibration,
-    DvlCalibration,
-    ImuCalibration,
-    MagnetometerCalibration,
-    PressureCalibration,
-    ScannerCalibration,
-    SonarCalibration,
-)
-from oysterbench.sequence.names import LAYERS, TRUTH_TOPICS
+from oysterbench.sensors.altimeter import AltimeterCalibration
+from oysterbench.sensors.camera import CameraCalibration
+from oysterbench.sensors.dvl import DvlCalibration
+from oysterbench.sensors.imu import ImuCalibration
+from oysterbench.sensors.magnetometer import MagnetometerCalibration
+from oysterbench.sensors.pressure import PressureCalibration
+from oysterbench.sensors.registry import AnyKind, calibrated_kinds, sensor_kinds
+from oysterbench.sensors.scanner import ScannerCalibration
+from oysterbench.sensors.sonar import SonarCalibration
+from oysterbench.sequence.truth import TRUTH_TYPES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["CameraCalibration", "ImuCalibration", "Measurement", "SensorsOnly", "Sequence", "imu_arrays"]
-
-Measurement = (
-    ImuMeasurement
-    | DvlMeasurement
-    | PressureMeasurement
-    | MagneticMeasurement
-    | RangeMeasurement
-    | SonarImage
-    | ScanPing
-    | Image
-    | Cloud
-)
-"""What a stream may hold."""
-
-SINGLE = ("imu", "dvl", "pressure", "magnetometer")
-"""Sensors of which a rig has one at most: their kind is their name."""
-
-CALIBRATIONS = ("cameras", "sonars", "scanners", "altimeters", *(f"{kind}_calibration" for kind in SINGLE))
+__all__ = [
+    "AltimeterCalibration",
+    "CameraCalibration",
+    "DvlCalibration",
+    "ImuCalibration",
+    "ImuMeasurement",
+    "SensorsOnly",
+    "Sequence",
+    "SonarCalibration",
+    "imu_arrays",
+]
 
 
 class Sequence(ABC):
     """Sensors of one run of a vehicle, in time order, and the truth if the file holds it.
 
-    Every iterator gives the samples with `start_ns <= stamp_ns < end_ns`, all by default, and reads no more of a file
-    than that. SequenceError where the sequence has no such sensor, or its file is damaged.
+    Every iterator gives the measurements with `start_ns <= stamp_ns < end_ns`, all by default, and reads no more of a
+    file than that. SequenceError where the sequence has no such sensor, or its file is damaged.
     """
 
     name: str
@@ -79,37 +70,74 @@ class Sequence(ABC):
     pressure_calibration: PressureCalibration | None = None
     magnetometer_calibration: MagnetometerCalibration | None = None
 
-    @abstractmethod
+    def sensors(self) -> dict[str, AnyKind]:
+        """Name -> kind of every sensor."""
+        return {name: kind for kind in calibrated_kinds() for name in self.calibrations(kind)}
+
+    def calibrations(self, kind: AnyKind) -> Mapping[str, Any]:
+        """Name -> calibration of the sensors of a kind."""
+        known = getattr(self, kind.attribute, None)
+        if kind.single:
+            return {} if known is None else {kind.block: known}
+        return known or {}
+
+    def calibration(self, name: str) -> Any:
+        """Calibration of any sensor, by its name or, where a rig has one at most, its kind."""
+        return self.calibrations(self._kind(name))[name]
+
+    def measurements(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Any]:
+        """Measurements of any sensor, by its name or, where a rig has one at most, its kind; in time order."""
+        return self._by_reader(self._kind(name), name, start_ns, end_ns)
+
+    def _kind(self, name: str) -> AnyKind:
+        known = self.sensors()
+        if name not in known:
+            raise SequenceError(f"{self.name} has no sensor {name!r}; its sensors: {', '.join(known)}")
+        return known[name]
+
+    def _by_reader(self, kind: AnyKind, name: str, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:
+        """By the method that a kind has here, if it has one, which a subclass may have in a way of its own."""
+        if not kind.reader:
+            return self._measured(kind.block, name, start_ns, end_ns)
+        found: Iterator[Any] = getattr(self, kind.reader)(*(() if kind.single else (name,)), start_ns, end_ns)
+        return found
+
+    def _measured(self, block: str, name: str, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:
+        """What a subclass that knows every kind of sensor overrides."""
+        kind = sensor_kinds()[block]
+        self._lacks(kind.title if kind.single else f"{kind.title} {name!r}")
+
     def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         """Colour frames of a camera, in time order."""
+        return self._measured("camera", camera, start_ns, end_ns)
 
-    @abstractmethod
     def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
-        """Inertial samples, in time order."""
+        """Inertial measurements, in time order."""
+        return self._measured("imu", "imu", start_ns, end_ns)
 
     def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlMeasurement]:
-        """Samples of the Doppler velocity log, in time order."""
-        self._lacks("DVL")
+        """Measurements of the Doppler velocity log, in time order."""
+        return self._measured("dvl", "dvl", start_ns, end_ns)
 
     def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureMeasurement]:
-        """Samples of the pressure sensor, in time order."""
-        self._lacks("pressure sensor")
+        """Measurements of the pressure sensor, in time order."""
+        return self._measured("pressure", "pressure", start_ns, end_ns)
 
     def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticMeasurement]:
-        """Samples of the magnetometer, in time order."""
-        self._lacks("magnetometer")
+        """Measurements of the magnetometer, in time order."""
+        return self._measured("magnetometer", "magnetometer", start_ns, end_ns)
 
     def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeMeasurement]:
         """Ranges of an altimeter, in time order."""
-        self._lacks(f"altimeter {name!r}")
+        return self._measured("altimeter", name, start_ns, end_ns)
 
     def sonar(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[SonarImage]:
         """Fan images of an imaging sonar, in time order."""
-        self._lacks(f"sonar {name!r}")
+        return self._measured("sonar", name, start_ns, end_ns)
 
     def scans(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ScanPing]:
         """Pings of a scanning sonar, in time order."""
-        self._lacks(f"scanner {name!r}")
+        return self._measured("scanner", name, start_ns, end_ns)
 
     def clouds(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Cloud]:
         """Returns of an imaging sonar with elevation, class and instance: truth, which no method sees."""
@@ -145,36 +173,20 @@ class Sequence(ABC):
         """Name, type and number of messages of each topic."""
 
     def stream(self, *sensors: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Any]:
-        """Inertial samples and those of `sensors` (all cameras by default), merged in time order.
+        """Inertial measurements and those of `sensors` (all cameras by default), merged in time order.
 
-        A sensor is `dvl`, `pressure` or `magnetometer`, or a camera, sonar, scanner or altimeter by its name. At one
-        stamp they come in this order, inertial first, so that a frame is always preceded by all inertial samples up to
-        its stamp; of the others as they were named.
+        A sensor goes by its name or, where a rig has one at most, by its kind, such as `dvl`. At one stamp they come in
+        this order, inertial first, so that a frame is always preceded by all inertial measurements up to its stamp; of
+        the others as they were named.
         """
         wanted = [name for name in dict.fromkeys(sensors or tuple(self.cameras)) if name != "imu"]
-        sources = [self._tagged(k, read(start_ns, end_ns)) for k, read in enumerate(map(self._reader, wanted), start=1)]
+        sources = [self._tagged(k, self.measurements(name, start_ns, end_ns)) for k, name in enumerate(wanted, start=1)]
         inertial = self._tagged(0, self.imu(start_ns, end_ns))
         return (item for _, _, item in heapq.merge(inertial, *sources, key=lambda row: row[:2]))
 
     @staticmethod
-    def _tagged(rank: int, samples: Iterator[Any]) -> Iterator[tuple[int, int, Any]]:
-        return ((sample.stamp_ns, rank, sample) for sample in samples)
-
-    def _reader(self, sensor: str) -> Callable[[int | None, int | None], Iterator[Any]]:
-        if sensor in SINGLE:
-            return getattr(self, sensor)
-        named: list[tuple[Mapping[str, Any], Callable[..., Iterator[Any]]]] = [
-            (self.altimeters, self.ranges),
-            (self.cameras, self.images),
-            (self.sonars, self.sonar),
-            (self.scanners, self.scans),
-        ]
-        for known, read in named:
-            if sensor in known:
-                return lambda start_ns, end_ns: read(sensor, start_ns, end_ns)
-        known_names = [kind for kind in SINGLE if getattr(self, f"{kind}_calibration") is not None]
-        known_names += [name for known, _ in named for name in known]
-        raise SequenceError(f"{self.name} has no sensor {sensor!r}; its sensors: {', '.join(known_names)}")
+    def _tagged(rank: int, measured: Iterator[Any]) -> Iterator[tuple[int, int, Any]]:
+        return ((item.stamp_ns, rank, item) for item in measured)
 
     def for_method(self) -> Sequence:
         """The same sensors without the truth: what a method is given."""
@@ -193,40 +205,21 @@ class SensorsOnly(Sequence):
 
     def __init__(self, sequence: Sequence) -> None:
         self.name = sequence.name
-        for key in CALIBRATIONS:
-            setattr(self, key, getattr(sequence, key))
+        for kind in calibrated_kinds():
+            if hasattr(sequence, kind.attribute):
+                setattr(self, kind.attribute, getattr(sequence, kind.attribute))
         self.metadata = {"sequence": sequence.name}
         self._duration_s = sequence.duration_s
         self._contents = [row for row in sequence.contents() if is_measured(row[0])]
         # Only the iterators are kept, in closures, not the sequence: nothing here leads to the truth by name.
         self._iterators: dict[str, Callable[..., Any]] = {
-            kind: _closed(getattr(sequence, kind))
-            for kind in ("images", "imu", "dvl", "pressure", "magnetometer", "ranges", "sonar", "scans", "frame")
+            "read": _closed(sequence._by_reader),
+            "frame": _closed(sequence.frame),
         }
 
-    def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
-        return self._iterators["images"](camera, start_ns, end_ns)
-
-    def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
-        return self._iterators["imu"](start_ns, end_ns)
-
-    def dvl(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[DvlMeasurement]:
-        return self._iterators["dvl"](start_ns, end_ns)
-
-    def pressure(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[PressureMeasurement]:
-        return self._iterators["pressure"](start_ns, end_ns)
-
-    def magnetometer(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[MagneticMeasurement]:
-        return self._iterators["magnetometer"](start_ns, end_ns)
-
-    def ranges(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[RangeMeasurement]:
-        return self._iterators["ranges"](name, start_ns, end_ns)
-
-    def sonar(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[SonarImage]:
-        return self._iterators["sonar"](name, start_ns, end_ns)
-
-    def scans(self, name: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ScanPing]:
-        return self._iterators["scans"](name, start_ns, end_ns)
+    def _measured(self, block: str, name: str, start_ns: int | None, end_ns: int | None) -> Iterator[Any]:
+        found: Iterator[Any] = self._iterators["read"](sensor_kinds()[block], name, start_ns, end_ns)
+        return found
 
     def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
         if topic not in (name for name, _, _ in self._contents):
@@ -261,17 +254,17 @@ class SensorsOnly(Sequence):
 
 def is_measured(topic: str) -> bool:
     """Whether a topic is what a real vehicle would have: neither truth, nor a layer, nor a cloud with classes."""
-    last = topic.rsplit("/", 1)[-1]
-    return not (topic in TRUTH_TOPICS or topic.startswith("/truth") or last in LAYERS or last == "cloud")
+    truth_leaves = {leaf for kind in sensor_kinds().values() for leaf in kind.truth_leaves}
+    return not (topic in TRUTH_TYPES or topic.startswith("/truth") or topic.rsplit("/", 1)[-1] in truth_leaves)
 
 
 def _closed(call: Callable[..., Any]) -> Callable[..., Any]:
     return lambda *arguments: call(*arguments)
 
 
-def imu_arrays(samples: Iterator[ImuMeasurement]) -> tuple[NDArray[np.int64], Array, Array]:
-    """Stamps (N,) ns, gyro (N, 3) rad/s and accel (N, 3) m/s^2 of all samples."""
-    rows = list(samples)
+def imu_arrays(measured: Iterator[ImuMeasurement]) -> tuple[NDArray[np.int64], Array, Array]:
+    """Stamps (N,) ns, gyro (N, 3) rad/s and accel (N, 3) m/s^2 of all measurements."""
+    rows = list(measured)
     return (
         np.array([row.stamp_ns for row in rows], dtype=np.int64),
         np.array([row.gyro for row in rows]).reshape(-1, 3),

@@ -8,8 +8,8 @@ from typing import IO
 
 from mcap.writer import CompressionType, Writer
 
+from oysterbench.core.ros import EPOCH_NS, Message, channel_metadata, schema
 from oysterbench.sequence.file import CHECKSUM, checksum
-from oysterbench.sequence.wire import EPOCH_NS, Message, channel_metadata, schema
 from oysterbench.version import VERSION
 
 CHUNK_BYTES = 4_000_000

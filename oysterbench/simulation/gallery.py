@@ -31,7 +31,8 @@ INK = (232, 232, 228)
 
 def preview(split: SplitRecipe, sequence: str | None = None, progress: Progress = lambda done, total: None) -> Picture:
     """A sheet (H, W, 3) uint8 RGB of small frames, evenly over the time of a sequence (the first by default)."""
-    from oysterbench.simulation.simulated_sequence import build_sequence, render_frame
+    from oysterbench.sensors.camera import render_frame
+    from oysterbench.simulation.simulated_sequence import build_sequence
 
     recipe = split.sequence[0] if sequence is None else split.find_sequence(sequence)
     small = dataclasses.replace(split, rig=shrink(split.rig, PREVIEW_WIDTH))
@@ -115,7 +116,8 @@ def panels(table: Path, progress: Progress = lambda done, total: None) -> tuple[
     split that are replaced (see `recipe.vary_split`); where they say so, with another `rig` and through its `camera`.
     """
     split, rows = _read_gallery(table)
-    from oysterbench.simulation.simulated_sequence import build_sequence, render_frame
+    from oysterbench.sensors.camera import render_frame
+    from oysterbench.simulation.simulated_sequence import build_sequence
 
     pictures: list[Picture] = []
     for k, row in enumerate(rows):

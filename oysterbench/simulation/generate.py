@@ -24,18 +24,13 @@ import numpy as np
 from oysterbench.core.errors import OysterbenchError, RecipeError, SequenceError
 from oysterbench.core.files import home, locked, write_atomically
 from oysterbench.core.geometry import Array
+from oysterbench.core.ros import EPOCH_NS, TF_STATIC, Message
 from oysterbench.recipe import CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, count
-from oysterbench.sequence import topics
-from oysterbench.sequence.read import (
-    CALIBRATION,
-    METADATA,
-    OYSTERS,
-    STEERING,
-    McapSequence,
-    read_attachments,
-    read_messages,
-)
-from oysterbench.sequence.topics import EPOCH_NS, Message
+from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.sensors.registry import kind_of, rig_calibration, rig_frames, rig_sensors
+from oysterbench.sequence.file import read_attachments, read_messages
+from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, STEERING, McapSequence
+from oysterbench.sequence.truth import rig_topics, static_transforms
 from oysterbench.sequence.write import SequenceWriter, pack
 from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
 from oysterbench.simulation.scheduling import Results, run_here, run_in_processes, run_on_cluster
@@ -164,11 +159,14 @@ def _parts(folder: Path, sequence: str, made_by: str) -> Path:
 def plan(split: SplitRecipe, sequence: SequenceRecipe) -> list[Job]:
     """All jobs of a sequence."""
     jobs = [Job(sequence.name)]
-    rates = {camera.name: camera.rate_hz for camera in split.rig.camera}
-    rates |= {sonar.name: sonar.rate_hz for sonar in split.rig.sonar}
-    for source, rate_hz in rates.items():
-        jobs += [Job(sequence.name, source, frame) for frame in range(count(sequence.duration_s, rate_hz))]
+    for source, recipe in bulky_sensors(split.rig).items():
+        jobs += [Job(sequence.name, source, frame) for frame in range(count(sequence.duration_s, recipe.rate_hz))]
     return jobs
+
+
+def bulky_sensors(rig: RigRecipe) -> dict[str, SensorRecipe]:
+    """Name -> recipe of the sensors of which each measurement is a job of its own."""
+    return {kind.name_of(recipe): recipe for kind, recipe in rig_sensors(rig) if kind.bulky}
 
 
 def _render(
@@ -226,42 +224,39 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
             f"a worker has {PROGRAM}, and was asked for what {program} makes: install the same version on all workers"
         )
     from oysterbench.render.device import check_device
-    from oysterbench.simulation.sensor_simulation import oyster_csv, recorders, sensor_messages
+    from oysterbench.simulation.sensor_simulation import oyster_csv, sensor_messages, small_messages
     from oysterbench.simulation.simulated_sequence import build_sequence
 
     check_device(device)
     simulated = build_sequence(split, job.sequence, salt, device)
     tables = {}
     if job.source:
-        messages = recorders(simulated)[job.source](job.frame, job.frame + 1)
+        messages = sensor_messages(simulated, bulky_sensors(split.rig)[job.source], job.frame, job.frame + 1)
     else:
-        messages = sensor_messages(simulated)
+        messages = small_messages(simulated)
         tables[OYSTERS] = oyster_csv(simulated)
         if split.steering is not None:
             from oysterbench.simulation.steering.labels import steering_csv
 
             tables[STEERING] = steering_csv(simulated, split.steering)
-    kinds = topics.rig_topics(split.rig)
+    kinds = rig_topics(split.rig)
     types = {name: kinds[name] for name, source in _sources(split.rig).items() if source == job.source}
     return pack(messages, types, tables)
 
 
 def _sources(rig: RigRecipe) -> dict[str, str]:
     """Topic -> the source of the jobs whose parts hold it, in the order of the file; all but the rig's frames."""
-    bulky = {name: camera.name for camera in rig.camera for name in topics.camera_topics(camera.name)}
-    bulky |= {name: sonar.name for sonar in rig.sonar for name in topics.sonar_topics(sonar.name)}
-    return {name: bulky.get(name, "") for name in topics.rig_topics(rig) if name != topics.TF_STATIC}
+    bulky = {topic: name for name, recipe in bulky_sensors(rig).items() for topic in kind_of(recipe).topics(recipe)}
+    return {name: bulky.get(name, "") for name in rig_topics(rig) if name != TF_STATIC}
 
 
 def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, made_by: str) -> None:
     """Put the parts of a sequence together, in time order; the file appears in one step."""
-    from oysterbench.simulation.calibration import rig_calibration
-
     calibration = rig_calibration(split.rig, recipe.site)
     jobs = plan(split, recipe)
     temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
     with open(temporary, "wb") as file:
-        writer = SequenceWriter(file, topics.rig_topics(split.rig))
+        writer = SequenceWriter(file, rig_topics(split.rig))
         writer.metadata(
             METADATA,
             {
@@ -280,7 +275,7 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
         writer.attachment("rig.toml", "application/toml", split.rig_source.encode())
         for name, table in read_attachments(parts / Job(recipe.name).part).items():
             writer.attachment(name, "text/csv", table)
-        writer.write(topics.static_transforms(EPOCH_NS, _frames(split.rig, calibration)))
+        writer.write(static_transforms(EPOCH_NS, _frames(split.rig, calibration)))
         writer.section()
         for topic, source in _sources(split.rig).items():  # a section each, so that reading one touches no other
             files = [parts / job.part for job in jobs if job.source == source]
@@ -303,12 +298,10 @@ def _frames(rig: RigRecipe, calibration: dict[str, Any]) -> dict[str, tuple[Arra
     from scipy.spatial.transform import Rotation
 
     frames = {}
-    for name, keys in topics.rig_frames(rig).items():
-        entry = calibration
-        for key in keys:
-            entry = entry[key]
+    for frame, (kind, name) in rig_frames(rig).items():
+        entry = calibration[kind.key] if kind.single else calibration[kind.key][name]
         T = np.array(next(value for key, value in entry.items() if key.startswith("T_base_")))
-        frames[name] = (T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
+        frames[frame] = (T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
     return frames
 
 

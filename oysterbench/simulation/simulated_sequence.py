@@ -1,26 +1,22 @@
-"""One sequence, built: its path, its cameras and sonars, and what they see at any time."""
+"""One sequence, built: its reef, the path over it, and what its cameras and sonars see them with."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, TypeVar
 
 from oysterbench.core.geometry import Array, transform
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe, SplitRecipe, draw
-from oysterbench.render.camera import CameraRenderer, Frame
+from oysterbench.recipe import RigRecipe, SequenceRecipe, SplitRecipe, draw
+from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.render.camera import CameraRenderer
 from oysterbench.render.rays import RayCaster
 from oysterbench.scene.path import Path, build_path
-from oysterbench.scene.rig import camera_pose
 from oysterbench.scene.world import World, build_world
-from oysterbench.sensors.sonar import ImagingSonar
 
-FRAME_LAYERS = ("depth", "class", "instance")
-SHUTTER_POSES = 4  # besides the frame's own, evenly while the shutter is open
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -45,10 +41,15 @@ class SimulatedSequence:
         return RayCaster(self.world, self.device)
 
     @cached_property
-    def sonars(self) -> dict[str, ImagingSonar]:
-        """Each imaging sonar in the world."""
-        reef, site = self.recipe.reef, self.recipe.site
-        return {s.name: ImagingSonar(self.caster, s, site, reef.bottom) for s in self.rig.sonar}
+    def _instruments(self) -> dict[SensorRecipe, Any]:
+        return {}
+
+    def instrument(self, recipe: SensorRecipe, build: Callable[[], T]) -> T:
+        """What `build` makes for a sensor, made when it is first asked for."""
+        if recipe not in self._instruments:
+            self._instruments[recipe] = build()
+        made: T = self._instruments[recipe]
+        return made
 
     def bodies(self, times_s: Array) -> list[Array]:
         """T_map_base (4, 4) at times (N,) s."""
@@ -68,30 +69,3 @@ def build_sequence(split: SplitRecipe, name: str, salt: bytes, device: str = "cp
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
     return SimulatedSequence(split.rig, recipe, world, path, streams, device)
-
-
-def render_frame(simulated: SimulatedSequence, camera: CameraRecipe, index: int) -> Frame:
-    """Frame `index` of a camera: what it sees at index / rate_hz seconds."""
-    time_s = index / camera.rate_hz
-    opened = camera.shutter_ms * 1e-3 * (np.arange(SHUTTER_POSES) / SHUTTER_POSES - 0.5) if camera.shutter_ms else ()
-    body, *shutter = simulated.bodies(np.maximum(time_s + np.array([0.0, *opened]), 0.0))
-    mount = camera_pose(camera)
-    noise = simulated.streams.generator("camera", camera.name, "noise", index)
-    renderer = simulated.renderers[camera.name]
-    return renderer.render(body @ mount, noise, time_s, body, [pose @ mount for pose in shutter])
-
-
-def render_layers(simulated: SimulatedSequence, camera: CameraRecipe, index: int) -> dict[str, NDArray[Any]]:
-    """Those layers of frame `index` that no frame carries by itself, as the camera's recipe names them."""
-    wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
-    if not wanted:
-        return {}
-    time_s = index / camera.rate_hz
-    (body,) = simulated.bodies(np.array([time_s]))
-    renderer = simulated.renderers[camera.name]
-    layers: dict[str, NDArray[Any]] = dict(
-        renderer.layers(body @ camera_pose(camera), [*wanted, "instances"], time_s, body)
-    )
-    if "visibility" in layers:
-        layers["visibility"] = layers["visibility"][layers["instances"]]
-    return {name: layers[name] for name in wanted}

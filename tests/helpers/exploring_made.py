@@ -13,7 +13,7 @@ from oysterbench.methods.piloting import commands
 from oysterbench.methods.steering import VehicleState, View
 from oysterbench.recipe import SplitRecipe, parse_split
 from oysterbench.sequence import names, topics
-from oysterbench.sequence.calibration import camera_calibration
+from oysterbench.sequence.types import camera_calibration
 from oysterbench.sequence.read import CALIBRATION, METADATA, STEERING
 from oysterbench.sequence.write import SequenceWriter
 from tests.helpers.hand_made_dive import calibration

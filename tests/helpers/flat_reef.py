@@ -11,7 +11,7 @@ from oysterbench.core.geometry import transform
 from oysterbench.core.measurements import DvlMeasurement, Image, ImuMeasurement
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence import Sequence
-from oysterbench.sequence.calibration import CameraCalibration, DvlCalibration
+from oysterbench.sequence.types import CameraCalibration, DvlCalibration
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 115.0
 BOTTOM, ALTITUDE = -3.0, 1.0

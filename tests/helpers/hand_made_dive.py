@@ -21,7 +21,7 @@ from oysterbench.core.measurements import (
     SonarImage,
 )
 from oysterbench.sequence import topics
-from oysterbench.sequence.calibration import camera_calibration
+from oysterbench.sequence.types import camera_calibration
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
 from oysterbench.sequence.write import SequenceWriter
 

@@ -23,7 +23,7 @@ from oysterbench.mapping.pictures import seen_points
 from oysterbench.mapping.views import Path as PosePath
 from oysterbench.mapping.views import partner
 from oysterbench.sequence import Sequence
-from oysterbench.sequence.calibration import CameraCalibration
+from oysterbench.sequence.types import CameraCalibration
 from tests.helpers.hand_made_dive import BOTTOM_Z, OPTICAL, turn
 from tests.helpers.paths import COMMAND
 

@@ -15,7 +15,7 @@ from oysterbench.recipe import PathRecipe, SiteRecipe, load_split
 from oysterbench.recipe.path import PATH_KINDS
 from oysterbench.scene.path import build_path
 from oysterbench.scene.path.routes import dense_spots
-from oysterbench.scene.rig import GRAVITY
+from oysterbench.core.geometry import GRAVITY
 from oysterbench.sensors.imu import ideal_imu
 from oysterbench.simulation.simulated_sequence import build_sequence, render_frame
 from tests.helpers.tiny import TINY_SPLIT, make_split

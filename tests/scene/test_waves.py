@@ -9,7 +9,7 @@ from scipy.signal import welch
 
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
-from oysterbench.scene.rig import GRAVITY
+from oysterbench.core.geometry import GRAVITY
 from oysterbench.scene.waves import CUT, build_waves, depth_factors, dispersion
 
 DEPTH = 6.0

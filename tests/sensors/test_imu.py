@@ -12,7 +12,7 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import IMU_GRADES, ImuRecipe, VibrationRecipe, load_split
 from oysterbench.recipe.grades import with_grade
 from oysterbench.scene.path import build_path
-from oysterbench.scene.rig import GRAVITY, imu_pose
+from oysterbench.core.geometry import GRAVITY, imu_pose
 from oysterbench.sensors.imu import Triad, digitise, errors, gauss_markov, ideal_imu, measure, random_walk, read_out
 
 

@@ -10,7 +10,7 @@ import pytest
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import PressureRecipe, SiteRecipe, load_split
 from oysterbench.scene.path import build_path
-from oysterbench.scene.rig import GRAVITY
+from oysterbench.core.geometry import GRAVITY
 from oysterbench.scene.waves import build_waves
 from oysterbench.sensors.pressure import ATMOSPHERE, density, depth_of, measure, noise_variance, tide
 

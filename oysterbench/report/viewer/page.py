@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections import Counter
 from html import escape
 from importlib import resources
 from typing import Any
@@ -12,8 +13,8 @@ import numpy as np
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.page import page
-from oysterbench.report.viewer.panels import Panel, pictures
 from oysterbench.report.viewer.strips import path_plot, strips
+from oysterbench.sensors.panels import Panel
 from oysterbench.sequence.types import Sequence
 
 STEPS = 120
@@ -71,6 +72,11 @@ _BODY = """<style>{style}</style>
 <script>{script}</script>"""
 
 
+def pictures(sequence: Sequence) -> list[Panel]:
+    """Of every sensor that shows any."""
+    return [panel for name, kind in sequence.sensors().items() for panel in kind.panels(sequence, name)]
+
+
 def moments(start_ns: int, end_ns: int, panels: list[Panel]) -> np.ndarray:
     """(n,) int64 stamps, evenly over the sequence: as many as the size of the page allows."""
     one = sum(panel.bytes_each for panel in panels) * 4 / 3  # base64
@@ -86,19 +92,8 @@ def _span(sequence: Sequence) -> tuple[int, int]:
 
 
 def _facts(sequence: Sequence, duration_s: float) -> str:
-    kinds = {
-        "camera": len(sequence.cameras),
-        "sonar": len(sequence.sonars),
-        "scanner": len(sequence.scanners),
-        "altimeter": len(sequence.altimeters),
-    }
-    words = [f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in kinds.items() if n]
-    single = {
-        "DVL": sequence.dvl_calibration,
-        "pressure sensor": sequence.pressure_calibration,
-        "magnetometer": sequence.magnetometer_calibration,
-    }
-    words += [name for name, known in single.items() if known is not None]
+    counts = Counter(sequence.sensors().values())
+    words = [kind.title if kind.single else f"{n} {kind.title}{'s' if n > 1 else ''}" for kind, n in counts.items()]
     split = sequence.metadata.get("split")
     return ", ".join([f"{duration_s:.1f} s", *([f"split {split}"] if split else []), *words])
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
-from oysterbench.sequence import topics
+from oysterbench.sensors.kind import XYZ, Strip
 from oysterbench.sequence.types import Sequence, imu_arrays
 
 WIDTH, HEIGHT = 1080, 120
@@ -19,39 +19,20 @@ LEFT, RIGHT, TOP, BOTTOM = 64, 8, 8, 20
 COLUMNS = 500
 """Of a curve: each keeps the least and the greatest of its samples, so that no peak is lost."""
 
-XYZ = ("x", "y", "z")
-
-
-@dataclass(frozen=True)
-class Strip:
-    """Columns of a topic's table that share a plot: what is written beside each, and the factor to the unit shown."""
-
-    topic: str
-    title: str
-    columns: tuple[str, ...]
-    factor: float = 1.0
+IMU = "/imu"
 
 
 def _wanted(sequence: Sequence) -> list[Strip]:
-    wanted = [
-        Strip(topics.IMU, "angular rate, deg/s", tuple(f"gyro_{axis}" for axis in XYZ), 180 / np.pi),
-        Strip(topics.IMU, "specific force, m/s²", tuple(f"accel_{axis}" for axis in XYZ)),
-        Strip(topics.DVL_VELOCITY, "DVL velocity, m/s", tuple(f"velocity_{axis}" for axis in XYZ)),
-        Strip(topics.DVL_ALTITUDE, "DVL altitude, m", ("range",)),
-        Strip(topics.PRESSURE, "pressure, kPa", ("pressure",), 1e-3),
-        Strip(topics.MAGNETOMETER, "magnetic field, µT", tuple(f"field_{axis}" for axis in XYZ), 1e6),
-    ]
-    wanted += [Strip(f"/{name}/range", f"{name} range, m", ("range",)) for name in sequence.altimeters]
     counts = {topic: count for topic, _, count in sequence.contents()}
-    return [strip for strip in wanted if strip.topic == topics.IMU or counts.get(strip.topic)]
+    ranked = sorted(sequence.sensors().items(), key=lambda item: item[1].rank)
+    wanted = [strip for name, kind in ranked for strip in kind.strips(name)]
+    return [strip for strip in wanted if strip.topic == IMU or counts.get(strip.topic)]
 
 
 def strips(sequence: Sequence, start_ns: int, end_ns: int) -> list[str]:
     """A figure for each, over the same span of time."""
     inertial = _inertial_table(sequence)
-    tables = (
-        (strip, inertial if strip.topic == topics.IMU else sequence.frame(strip.topic)) for strip in _wanted(sequence)
-    )
+    tables = ((strip, inertial if strip.topic == IMU else sequence.frame(strip.topic)) for strip in _wanted(sequence))
     return [_plot(strip, table, start_ns, end_ns) for strip, table in tables]
 
 

@@ -8,11 +8,10 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import GRAVITY, Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import PathRecipe, SiteRecipe
 from oysterbench.scene.path.itinerary import KNOT_S, ramp
-from oysterbench.scene.rig import GRAVITY
 
 SWAY_PERIODS_S = (2.2, 3.4, 5.3)
 """Periods of a station-keeping ROV's motion; the shorter ones carry most of the acceleration."""

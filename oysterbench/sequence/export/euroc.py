@@ -8,10 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, invert
-from oysterbench.sequence.calibration import CameraCalibration, ImuCalibration
 from oysterbench.sequence.export.parts import number, numbers, port_notes, sensor_poses, write_lines, write_png
-from oysterbench.sequence.names import TRUTH
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.truth import TRUTH
+from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
 IMU_HEADER = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"

@@ -8,10 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from oysterbench.core.geometry import Array, invert
-from oysterbench.sequence.calibration import CameraCalibration
 from oysterbench.sequence.export.parts import number, numbers, port_notes, write_lines
-from oysterbench.sequence.names import IMU
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import CameraCalibration, Sequence
 
 DISTORTION_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
 
@@ -38,7 +36,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
             f"accelerometer_random_walk: {number(unit.accel_random_walk)}",
             f"gyroscope_noise_density: {number(unit.gyro_noise_density)}",
             f"gyroscope_random_walk: {number(unit.gyro_random_walk)}",
-            f"rostopic: {IMU}",
+            "rostopic: /imu",
             f"update_rate: {number(unit.rate_hz)}",
         ],
     )

@@ -15,8 +15,7 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sequence.calibration import CameraCalibration
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import CameraCalibration, Sequence
 
 PNG_LEVEL = 1  # of 9, all of them lossless; the higher ones take four times the time for 5 %
 

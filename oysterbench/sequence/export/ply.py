@@ -13,9 +13,8 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.core.ply import write_ply
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sequence.calibration import CameraCalibration
 from oysterbench.sequence.export.parts import frames_with_layers, sensor_poses
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import CameraCalibration, Sequence
 
 VOXEL_M = 0.01
 """Edge of the cubes of space of which each keeps its first point: a reef is seen in frame after frame."""

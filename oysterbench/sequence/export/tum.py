@@ -8,9 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds, write_tum
-from oysterbench.sequence.calibration import CameraCalibration
 from oysterbench.sequence.export.parts import any_camera, port_notes, sensor_poses, write_lines, write_png
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import CameraCalibration, Sequence
 
 DEPTH_STEPS = 5000.0
 """Numbers of a depth image in a metre; 65535, the greatest, is 13.1 m."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from oysterbench.core.ros import EPOCH_NS
 from oysterbench.recipe import SteeringRecipe, count
 from oysterbench.sensors import clock
-from oysterbench.sequence.topics import EPOCH_NS
 from oysterbench.simulation.simulated_sequence import SimulatedSequence
 from oysterbench.simulation.steering.expert import Expert, best
 from oysterbench.simulation.steering.observation import Sight

@@ -10,7 +10,7 @@ from oysterbench.recipe import CameraRecipe
 from oysterbench.render.lens import pixel_rays as render_rays
 from oysterbench.render.lens import project as render_project
 from oysterbench.scene.rig import camera_matrix
-from oysterbench.sequence.calibration import CameraCalibration, camera_calibration
+from oysterbench.sequence.types import CameraCalibration, camera_calibration
 from oysterbench.sequence.export.parts import undistorting_maps
 from oysterbench.sequence.export.ply import pixel_rays, points_at
 

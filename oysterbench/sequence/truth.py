@@ -3,13 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from oysterbench.core.geometry import Array
+from oysterbench.core.ros import (
+    BASE,
+    MAP,
+    TF_STATIC,
+    Message,
+    decode,
+    encode,
+    header,
+    make,
+    point,
+    quaternion,
+    stamp_of,
+    vector,
+)
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sequence.names import BASE, MAP, POSE_TYPES, TF, TF_STATIC, TRUTH, TRUTH_POSE, TYPES
-from oysterbench.sequence.wire import Message, decode, encode, header, make, point, quaternion, stamp_of, vector
+from oysterbench.recipe import RigRecipe
+from oysterbench.sensors.kind import Row, columns_of
+from oysterbench.sensors.registry import rig_sensors
+
+TF = "/tf"
+TRUTH, TRUTH_POSE = "/truth/odometry", "/truth/pose"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+TRUTH_TYPES = {
+    TRUTH: "nav_msgs/msg/Odometry",
+    TRUTH_POSE: "geometry_msgs/msg/PoseStamped",
+    TF: TRANSFORMS,
+}
+"""Topics that tell where the vehicle truly is: as odometry, and in two forms more for viewers and tools."""
+
+
+def rig_topics(rig: RigRecipe) -> dict[str, str]:
+    """Topic -> type of everything that a rig sends, truth included, in the order of the file: the small ones first.
+
+    Each topic has chunks of its own (`SequenceWriter.section` after each), so that reading one touches no other.
+    """
+    topics = {TF_STATIC: TRANSFORMS}
+    for kind, recipe in rig_sensors(rig):
+        topics |= kind.topics(recipe)
+        if kind.rank == 0:  # the inertial unit: next to it the truth
+            topics |= TRUTH_TYPES
+    return topics
 
 
 def truth_message(stamp_ns: int, position: Array, attitude: Array, velocity: Array, rate: Array) -> Message:
@@ -17,7 +57,7 @@ def truth_message(stamp_ns: int, position: Array, attitude: Array, velocity: Arr
     pose = make("geometry_msgs/msg/Pose", position=point(position), orientation=quaternion(attitude))
     twist = make("geometry_msgs/msg/Twist", linear=vector(velocity), angular=vector(rate))
     message = make(
-        TYPES[TRUTH],
+        TRUTH_TYPES[TRUTH],
         header=header(stamp_ns, MAP),
         child_frame_id=BASE,
         pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
@@ -29,7 +69,7 @@ def truth_message(stamp_ns: int, position: Array, attitude: Array, velocity: Arr
 def truth_pose_message(stamp_ns: int, position: Array, attitude: Array) -> Message:
     """True pose of base_link in map: position (3,) m, quaternion (4,)."""
     pose = make("geometry_msgs/msg/Pose", position=point(position), orientation=quaternion(attitude))
-    message = make(POSE_TYPES[TRUTH_POSE], header=header(stamp_ns, MAP), pose=pose)
+    message = make(TRUTH_TYPES[TRUTH_POSE], header=header(stamp_ns, MAP), pose=pose)
     return Message(TRUTH_POSE, stamp_ns, encode(message))
 
 
@@ -53,14 +93,14 @@ def _transforms(stamp_ns: int, parent: str, frames: Mapping[str, tuple[Array, Ar
         )
         for frame, (position, attitude) in frames.items()
     ]
-    return encode(make(TYPES[TF_STATIC], transforms=transforms))
+    return encode(make(TRANSFORMS, transforms=transforms))
 
 
 def read_truth(messages: list[bytes]) -> Trajectory:
     """Trajectory from odometry messages."""
     stamps, positions, quaternions = [], [], []
     for data in messages:
-        message = decode(data, TYPES[TRUTH])
+        message = decode(data, TRUTH_TYPES[TRUTH])
         place, turn = message.pose.pose.position, message.pose.pose.orientation
         stamps.append(stamp_of(message.header))
         positions.append([place.x, place.y, place.z])
@@ -72,10 +112,21 @@ def read_truth(messages: list[bytes]) -> Trajectory:
 
 def read_twist(data: bytes) -> tuple[int, Array, Array]:
     """Stamp, true velocity (3,) m/s and rate (3,) rad/s, both in base_link, from an odometry message."""
-    message = decode(data, TYPES[TRUTH])
+    message = decode(data, TRUTH_TYPES[TRUTH])
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     return (
         stamp_of(message.header),
         np.array([linear.x, linear.y, linear.z]),
         np.array([angular.x, angular.y, angular.z]),
     )
+
+
+def pose_row(pose: Any) -> Row:
+    """A pose as columns."""
+    return columns_of("", pose.position) | columns_of("q", pose.orientation, "xyzw")
+
+
+def odometry_row(message: Any) -> Row:
+    """The truth as columns."""
+    twist = message.twist.twist
+    return pose_row(message.pose.pose) | columns_of("velocity_", twist.linear) | columns_of("rate_", twist.angular)

@@ -1,10 +1,9 @@
-"""Pictures of a sequence at given moments: frames of cameras, fans of sonars in Cartesian, sweeps of scanners."""
+"""Pictures of a sequence at given moments, as the viewer shows them: fans of sonars in Cartesian, and waterfalls."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import cv2
@@ -12,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
-from oysterbench.sequence.types import Sequence
 
 WIDTH = 400
 QUALITY = 72
 BACKGROUND = 24  # grey level outside a fan
+WHITE_PERCENTILE = 99.7  # of the amplitudes of a picture: what is shown brightest
 
 
 @dataclass(frozen=True)
@@ -28,31 +27,6 @@ class Panel:
     height: int
     frames: Callable[[NDArray[np.int64]], Iterator[bytes]]
     bytes_each: int
-
-
-def pictures(sequence: Sequence) -> list[Panel]:
-    """Of every camera, imaging sonar and scanning sonar."""
-    panels = []
-    for name, camera in sequence.cameras.items():
-        width = min(WIDTH, camera.width)
-        height = round(camera.height * width / camera.width)
-        frames = partial(_camera_frames, sequence, name, (width, height))
-        panels.append(Panel(name, width, height, frames, width * height // 4))
-    for name, sonar in sequence.sonars.items():
-        fan = Fan.of(sonar.azimuths_rad, sonar.ranges_m)
-        panels.append(
-            Panel(
-                f"{name}, to {sonar.ranges_m[-1]:.1f} m",
-                WIDTH,
-                fan.height,
-                partial(_sonar_frames, sequence, name, fan),
-                WIDTH * fan.height // 5,
-            )
-        )
-    for name, scanner in sequence.scanners.items():
-        title = f"{name}, to {scanner.ranges_m[-1]:.1f} m"
-        panels.append(Panel(title, WIDTH, WIDTH, partial(_scanner_frames, sequence, name), WIDTH * WIDTH // 6))
-    return panels
 
 
 @dataclass(frozen=True)
@@ -91,10 +65,8 @@ class Fan:
         return cls(beams.astype(np.float32), bins.astype(np.float32), centre, metres, ranges_m, azimuths_rad)
 
     def draw(self, amplitudes: NDArray[np.uint16], white: float) -> NDArray[Any]:
-        """(H, W, 3) uint8 BGR of amplitudes (bins, beams); `white` is the brightest that is told apart."""
-        grey = np.clip(np.sqrt(amplitudes / white), 0.0, 1.0).astype(np.float32)
-        flat = cv2.remap(grey, self.columns, self.rows, cv2.INTER_LINEAR)
-        picture = np.asarray(cv2.applyColorMap(np.rint(255 * np.asarray(flat)).astype(np.uint8), cv2.COLORMAP_INFERNO))
+        """(H, W, 3) uint8 BGR of amplitudes (bins, beams); `white` is the brightest that is shown."""
+        picture = coloured(np.asarray(cv2.remap(grey_of(amplitudes, white), self.columns, self.rows, cv2.INTER_LINEAR)))
         picture[self.rows < 0] = BACKGROUND
         self._rings(picture)
         return picture
@@ -118,12 +90,12 @@ def _round_step(value: float) -> float:
     return float(max(factor * power for factor in (1, 2, 5) if factor * power <= value * 1.0001))
 
 
-def _jpeg(picture: Any) -> bytes:
+def jpeg(picture: Any) -> bytes:
     _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return data.tobytes()
 
 
-def _latest(read: Callable[..., Iterator[Any]], name: str, times: NDArray[np.int64]) -> Iterator[Any]:
+def latest(read: Callable[..., Iterator[Any]], name: str, times: NDArray[np.int64]) -> Iterator[Any]:
     """The first sample in the interval that begins at each moment, or else the one before; None before all."""
     before = None
     step = max(int(times[1] - times[0]), 1) if len(times) > 1 else 1
@@ -132,38 +104,21 @@ def _latest(read: Callable[..., Iterator[Any]], name: str, times: NDArray[np.int
         yield before
 
 
-def _camera_frames(sequence: Sequence, name: str, size: tuple[int, int], times: NDArray[np.int64]) -> Iterator[bytes]:
-    for image in _latest(sequence.images, name, times):
-        if image is None:
-            yield _jpeg(np.full((size[1], size[0], 3), BACKGROUND, dtype=np.uint8))
-        else:
-            small = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
-            yield _jpeg(cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+def white_of(amplitudes: NDArray[np.uint16]) -> float:
+    """The amplitude that is shown brightest."""
+    return max(float(np.percentile(amplitudes, WHITE_PERCENTILE)), 1.0)
 
 
-def _sonar_frames(sequence: Sequence, name: str, fan: Fan, times: NDArray[np.int64]) -> Iterator[bytes]:
-    white = None
-    for ping in _latest(sequence.sonar, name, times):
-        if ping is None:
-            yield _jpeg(np.full((fan.height, WIDTH, 3), BACKGROUND, dtype=np.uint8))
-            continue
-        if white is None:
-            white = max(float(np.percentile(ping.pixels, 99.7)), 1.0)
-        yield _jpeg(fan.draw(ping.pixels, white))
+def grey_of(amplitudes: NDArray[np.uint16], white: float) -> NDArray[np.float32]:
+    """Amplitudes as brightness from 0 to 1, their root: the eye sees more of the weak ones."""
+    return np.clip(np.sqrt(amplitudes / white), 0.0, 1.0).astype(np.float32)
 
 
-def _scanner_frames(sequence: Sequence, name: str, times: NDArray[np.int64]) -> Iterator[bytes]:
-    """What the head has heard so far, each angle as it was heard last."""
-    ranges = sequence.scanners[name].ranges_m
-    angles = np.linspace(-np.pi, np.pi, 361)
-    heard = np.zeros((len(ranges), len(angles)), dtype=np.uint16)
-    fan = Fan.of(angles, ranges)
-    pings = sequence.scans(name)
-    ping = next(pings, None)
-    half = np.radians(1.0)
-    for time in times:
-        while ping is not None and ping.stamp_ns <= time:
-            off = np.abs((angles - ping.angle + np.pi) % (2 * np.pi) - np.pi)
-            heard[:, off <= half] = ping.amplitudes[:, None]
-            ping = next(pings, None)
-        yield _jpeg(cv2.resize(fan.draw(heard, max(float(np.percentile(heard, 99.7)), 1.0)), (WIDTH, WIDTH)))
+def coloured(grey: NDArray[np.float32]) -> NDArray[Any]:
+    """(H, W, 3) uint8 BGR of brightness (H, W) from 0 to 1."""
+    return np.asarray(cv2.applyColorMap(np.rint(255 * grey).astype(np.uint8), cv2.COLORMAP_INFERNO))
+
+
+def blank(width: int, height: int) -> NDArray[np.uint8]:
+    """(H, W, 3): what is shown before the first measurement."""
+    return np.full((height, width, 3), BACKGROUND, dtype=np.uint8)

@@ -1,0 +1,278 @@
+"""Camera: colour frames, and the layers of truth behind each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import Image
+from oysterbench.core.ros import IMAGE, Message, decode, encode, header, image_bytes, make, stamp_of
+from oysterbench.recipe import CameraRecipe, SiteRecipe
+from oysterbench.sensors.kind import SensedWorld, SensorKind, from_entry, topic
+
+if TYPE_CHECKING:
+    from oysterbench.render.camera import Frame
+    from oysterbench.sensors.panels import Panel
+
+COLOUR = "sensor_msgs/msg/CompressedImage"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+PNG_LEVEL = 1  # of 9: a turbid frame becomes 5 % smaller at 6, in four times the time
+FRAME_LAYERS = ("depth", "class", "instance")
+SHUTTER_POSES = 4  # besides the frame's own, evenly while the shutter is open
+
+LAYERS = {
+    "depth": "16UC1",
+    "class": "mono8",
+    "instance": "16UC1",
+    "normals": "32FC3",
+    "clean": "32FC3",
+    "direct": "32FC3",
+    "forward_scatter": "32FC3",
+    "backscatter": "32FC3",
+    "snow": "32FC3",
+    "visibility": "32FC1",
+}
+"""Layers of a camera and their encodings. Depth in mm along the optical axis, 0 = none (REP 118)."""
+
+PIXELS = {"mono8": ("u1", 1), "16UC1": ("<u2", 1), "32FC1": ("<f4", 1), "32FC3": ("<f4", 3)}
+"""Encodings: type of a number, and numbers in a pixel."""
+
+
+def optical_frame(camera: str) -> str:
+    """Frame of a camera's measurements: z forward, x right, y down (REP 103)."""
+    return f"{camera}_optical_frame"
+
+
+def camera_topics(camera: str, layers: tuple[str, ...] = tuple(LAYERS)) -> dict[str, str]:
+    """Topic and type of everything that a camera sends: `image`, `camera_info` and the layers."""
+    leaves = {"image": COLOUR, "camera_info": CAMERA_INFO} | dict.fromkeys(layers, IMAGE)
+    return {topic(camera, leaf): kind for leaf, kind in leaves.items()}
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    """A camera: matrix (3, 3) in px, distortion, pose of its optical frame.
+
+    distortion_model and distortion as in sensor_msgs/CameraInfo: plumb_bob (Brown-Conrady k1, k2, p1, p2[, k3]) or
+    equidistant (Kannala-Brandt k1 to k4). Behind a flat port both are those in air: port_m is the distance from the
+    pupil to the port, port_index the water's refractive index against air; None without one.
+    """
+
+    width: int
+    height: int
+    rate_hz: float
+    matrix: Array
+    distortion: Array
+    T_base_cam: Array
+    distortion_model: str = "plumb_bob"
+    port_m: float | None = None
+    port_index: float = 1.0
+
+
+@dataclass(frozen=True)
+class CameraFrame:
+    """What a camera measures at one instant: colour (H, W, 3) uint8 RGB, and the layers of truth that go along."""
+
+    stamp_ns: int
+    camera: str
+    colour: NDArray[np.uint8]
+    layers: Mapping[str, NDArray[Any]]
+
+
+def render_frame(world: SensedWorld, camera: CameraRecipe, index: int) -> Frame:
+    """Frame `index` of a camera: what it sees at index / rate_hz seconds."""
+    from oysterbench.scene.rig import camera_pose
+
+    time_s = index / camera.rate_hz
+    opened = camera.shutter_ms * 1e-3 * (np.arange(SHUTTER_POSES) / SHUTTER_POSES - 0.5) if camera.shutter_ms else ()
+    body, *shutter = world.bodies(np.maximum(time_s + np.array([0.0, *opened]), 0.0))
+    mount = camera_pose(camera)
+    noise = world.streams.generator("camera", camera.name, "noise", index)
+    renderer = world.renderers[camera.name]
+    return renderer.render(body @ mount, noise, time_s, body, [pose @ mount for pose in shutter])
+
+
+def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[str, NDArray[Any]]:
+    """Those layers of frame `index` that no frame carries by itself, as the camera's recipe names them."""
+    from oysterbench.scene.rig import camera_pose
+
+    wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
+    if not wanted:
+        return {}
+    time_s = index / camera.rate_hz
+    (body,) = world.bodies(np.array([time_s]))
+    renderer = world.renderers[camera.name]
+    layers: dict[str, NDArray[Any]] = dict(
+        renderer.layers(body @ camera_pose(camera), [*wanted, "instances"], time_s, body)
+    )
+    if "visibility" in layers:
+        layers["visibility"] = layers["visibility"][layers["instances"]]
+    return {name: layers[name] for name in wanted}
+
+
+def camera_info(stamp_ns: int, name: str, calibration: CameraCalibration) -> Message:
+    """Calibration of a camera, valid for the frame of that stamp."""
+    k = calibration.matrix
+    message = make(
+        CAMERA_INFO,
+        header=header(stamp_ns, optical_frame(name)),
+        height=calibration.height,
+        width=calibration.width,
+        distortion_model=calibration.distortion_model,
+        d=coefficients(calibration),
+        k=k.ravel(),
+        r=np.eye(3).ravel(),
+        p=np.column_stack([k, np.zeros(3)]).ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+    )
+    return Message(f"/{name}/camera_info", stamp_ns, encode(message))
+
+
+def coefficients(calibration: CameraCalibration) -> NDArray[np.float64]:
+    """Distortion coefficients, as many as the model has in CameraInfo."""
+    n = 4 if calibration.distortion_model == "equidistant" else 5
+    return np.pad(calibration.distortion, (0, n - len(calibration.distortion)))
+
+
+def colour_message(
+    stamp_ns: int, camera: str, pixels: NDArray[np.uint8], quality: int, image_format: str = "jpeg"
+) -> Message:
+    """(H, W, 3) uint8 RGB as JPEG of a quality, or as PNG, which keeps every bit."""
+    suffix, settings = {
+        "jpeg": (".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]),
+        "png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL]),
+    }[image_format]
+    done, data = cv2.imencode(suffix, cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), settings)
+    if not done:
+        raise SequenceError(f"{camera}: the frame at {stamp_ns} could not be encoded as {image_format}")
+    message = make(COLOUR, header=header(stamp_ns, optical_frame(camera)), format=image_format, data=data.ravel())
+    return Message(f"/{camera}/image", stamp_ns, encode(message))
+
+
+def read_colour(data: bytes) -> tuple[int, NDArray[Any]]:
+    """Stamp and (H, W, 3) uint8 RGB from a compressed image."""
+    message = decode(data, COLOUR)
+    pixels = cv2.imdecode(np.asarray(message.data), cv2.IMREAD_COLOR_RGB)
+    if pixels is None:
+        raise SequenceError(f"the frame at {stamp_of(message.header)} is not a readable image")
+    return stamp_of(message.header), pixels
+
+
+def layer_message(stamp_ns: int, camera: str, layer: str, pixels: NDArray[Any]) -> Message:
+    """A layer's image, in the units of `Image`; depth is rounded to mm."""
+    if layer == "depth":
+        pixels = np.rint(np.clip(pixels, 0.0, 65.535) * 1000.0)
+    kind, _ = PIXELS[LAYERS[layer]]
+    data = image_bytes(stamp_ns, optical_frame(camera), LAYERS[layer], np.asarray(pixels, dtype=kind))
+    return Message(f"/{camera}/{layer}", stamp_ns, data)
+
+
+def read_layer(data: bytes, layer: str) -> tuple[int, NDArray[Any]]:
+    """Stamp and pixels of a layer, in the units of `Image`."""
+    message = decode(data, IMAGE)
+    kind, numbers = PIXELS[message.encoding]
+    shape = (message.height, message.width) if numbers == 1 else (message.height, message.width, numbers)
+    pixels = np.asarray(message.data).view(kind).reshape(shape)
+    if layer == "depth":
+        return stamp_of(message.header), pixels.astype(np.float32) / np.float32(1000.0)
+    return stamp_of(message.header), pixels.astype(np.dtype(kind).newbyteorder("="))
+
+
+class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
+    """The kind."""
+
+    recipe = CameraRecipe
+    calibration = CameraCalibration
+    title = "camera"
+    reader = "images"
+    rank = 70
+    required = True
+    bulky = True
+    leaves: ClassVar = {"image": COLOUR, "camera_info": CAMERA_INFO}
+    truth_leaves: ClassVar = dict.fromkeys(LAYERS, IMAGE)
+    read_leaves = ("image",)
+
+    def frame(self, name: str) -> str:
+        return optical_frame(name)
+
+    def topics(self, recipe: CameraRecipe) -> dict[str, str]:
+        return camera_topics(recipe.name, recipe.sent_layers)
+
+    def calibrate(self, recipe: CameraRecipe, site: SiteRecipe | None) -> dict[str, Any]:
+        from oysterbench.scene.rig import PORT_INDEX, camera_matrix, camera_pose
+
+        entry: dict[str, Any] = {
+            "width": recipe.width,
+            "height": recipe.height,
+            "rate_hz": recipe.rate_hz,
+            "matrix": camera_matrix(recipe).tolist(),
+            "distortion_model": "equidistant" if recipe.lens == "fisheye" else "plumb_bob",
+            "distortion": [*recipe.distortion, *([0.0] * (4 - len(recipe.distortion)))],
+            "T_base_cam": camera_pose(recipe).tolist(),
+        }
+        if recipe.port_mm is not None:
+            entry["port"] = {"distance_m": recipe.port_mm / 1e3, "index": PORT_INDEX}
+        return entry
+
+    def read_calibration(self, entry: Mapping[str, Any]) -> CameraCalibration:
+        port = entry.get("port")
+        values = entry if port is None else {**entry, "port_m": port["distance_m"], "port_index": port["index"]}
+        return from_entry(CameraCalibration, values)
+
+    def measure(
+        self, world: SensedWorld, recipe: CameraRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
+    ) -> Iterator[CameraFrame]:
+        every = round(recipe.rate_hz / recipe.layer_rate_hz) if recipe.layer_rate_hz else 0
+        for index in wanted.tolist():
+            frame = render_frame(world, recipe, index)
+            layers: dict[str, NDArray[Any]] = {}
+            if every and index % every == 0:
+                made = {"depth": frame.depth, "class": frame.classes, "instance": frame.instances}
+                made |= render_layers(world, recipe, index)
+                layers = {name: made[name] for name in recipe.layers}
+            yield CameraFrame(int(stamps_ns[index]), recipe.name, frame.colour, layers)
+
+    def encode(self, recipe: CameraRecipe, measurement: CameraFrame) -> list[Message]:
+        stamp, name = measurement.stamp_ns, recipe.name
+        calibration = self.read_calibration(self.calibrate(recipe, None))
+        return [
+            camera_info(stamp, name, calibration),
+            colour_message(stamp, name, measurement.colour, recipe.jpeg_quality, recipe.image_format),
+            *(layer_message(stamp, name, layer, pixels) for layer, pixels in measurement.layers.items()),
+        ]
+
+    def decode(self, name: str, calibration: CameraCalibration, *data: bytes) -> Image:
+        stamp, pixels = read_colour(*data)
+        return Image(stamp, name, pixels)
+
+    def panels(self, sequence: Any, name: str) -> list[Panel]:
+        from oysterbench.sensors.panels import WIDTH, Panel
+
+        calibration = sequence.cameras[name]
+        width = min(WIDTH, calibration.width)
+        height = round(calibration.height * width / calibration.width)
+        return [Panel(name, width, height, partial(_frames, sequence, name, (width, height)), width * height // 4)]
+
+
+def _frames(sequence: Any, name: str, size: tuple[int, int], times: NDArray[np.int64]) -> Iterator[bytes]:
+    from oysterbench.sensors.panels import blank, jpeg, latest
+
+    for image in latest(sequence.images, name, times):
+        if image is None:
+            yield jpeg(blank(*size))
+        else:
+            small = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
+            yield jpeg(cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+
+
+KIND = Camera()

@@ -1,0 +1,216 @@
+"""What a kind of sensor is: one descriptor that its file in this package defines, and everything else loops over.
+
+A module of `oysterbench.sensors` that defines `KIND` adds a kind: rigs take its block, the simulation measures with it,
+sequences read it, and tables, exports and the viewer show it. Nothing here may import `scene` or `render` at its top:
+who reads a sequence needs neither.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench.core.ros import Message
+from oysterbench.core.streams import Streams
+from oysterbench.recipe import SequenceRecipe, SiteRecipe
+from oysterbench.recipe.sensors import SensorRecipe
+
+if TYPE_CHECKING:
+    from oysterbench.render.camera import CameraRenderer
+    from oysterbench.render.rays import RayCaster
+    from oysterbench.scene.path import Path
+    from oysterbench.sensors.panels import Panel
+
+R = TypeVar("R", bound=SensorRecipe)
+C = TypeVar("C")
+M = TypeVar("M")
+T = TypeVar("T")
+
+XYZ = ("x", "y", "z")
+
+Row = dict[str, float]
+"""The numbers of a message, by their columns, in SI units."""
+
+Export = Callable[[Any, str, File, bool], list[str]]
+"""Writes what a sensor (sequence, its name) measured into a folder, with truth or without; returns notes on it."""
+
+
+class SensedWorld(Protocol):
+    """What sensors measure in: a sequence that is being simulated."""
+
+    @property
+    def recipe(self) -> SequenceRecipe: ...
+    @property
+    def path(self) -> Path: ...
+    @property
+    def streams(self) -> Streams: ...
+    @property
+    def caster(self) -> RayCaster: ...
+    @property
+    def renderers(self) -> Mapping[str, CameraRenderer]: ...
+
+    def bodies(self, times_s: Array) -> list[Array]:
+        """T_map_base (4, 4) at times (N,) s."""
+
+    def instrument(self, recipe: SensorRecipe, build: Callable[[], T]) -> T:
+        """What `build` makes for a sensor, made once."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Columns of a topic's table that share a plot: what is written beside each, and the factor to the unit shown."""
+
+    topic: str
+    title: str
+    columns: tuple[str, ...]
+    factor: float = 1.0
+
+
+class SensorKind(ABC, Generic[R, C, M]):
+    """A kind of sensor: its recipe R, its calibration C, and its measurements M.
+
+    title: what messages to people call one. rank: its place among the topics of a file, the small ones first. leaves,
+    truth_leaves: types of its topics by what follows their name, `/NAME/LEAF` (or `/NAME` where that is empty): those
+    that a real vehicle would have, and those that only a simulation knows. read_leaves: those that make a measurement
+    (all measured ones by default). tables: the row that a message of a leaf makes. reader: the method of `Sequence`
+    that gives its measurements, where it has one besides `Sequence.measurements`. required: every rig has an entry in
+    calibration.json. bulky: each measurement is a job of its own. exports: formats that it can be written in, by name.
+    """
+
+    recipe: ClassVar[type[Any]]
+    calibration: ClassVar[type[Any]]
+    title: ClassVar[str]
+    rank: ClassVar[int]
+    leaves: ClassVar[Mapping[str, str]]
+    truth_leaves: ClassVar[Mapping[str, str]] = {}
+    read_leaves: ClassVar[tuple[str, ...]] = ()
+    tables: ClassVar[Mapping[str, Callable[[Any], Row]]] = {}
+    reader: ClassVar[str] = ""
+    required: ClassVar[bool] = False
+    bulky: ClassVar[bool] = False
+    exports: ClassVar[Mapping[str, Export]] = {}
+
+    @property
+    def block(self) -> str:
+        """Its table in a rig's file."""
+        return str(self.recipe.block)
+
+    @property
+    def single(self) -> bool:
+        """Whether a rig has one at most; its block is its name."""
+        return bool(self.recipe.single)
+
+    @property
+    def key(self) -> str:
+        """Its key in calibration.json; where there are several, calibrations lie there by their names."""
+        return self.block if self.single else f"{self.block}s"
+
+    @property
+    def attribute(self) -> str:
+        """The attribute of `Sequence` that has the calibration, or the calibrations by name."""
+        return f"{self.block}_calibration" if self.single else f"{self.block}s"
+
+    def name_of(self, recipe: R) -> str:
+        """Name of a sensor."""
+        return self.block if self.single else str(getattr(recipe, "name"))  # noqa: B009
+
+    def frame(self, name: str) -> str:
+        """Frame of a sensor's measurements: x along its axis, y left, z up."""
+        return link(name)
+
+    def topics(self, recipe: R) -> dict[str, str]:
+        """Topic -> type of everything that a sensor sends."""
+        return {topic(self.name_of(recipe), leaf): kind for leaf, kind in self.leaves.items()}
+
+    def read_topics(self, name: str) -> tuple[str, ...]:
+        """Topics of which one message each makes a measurement."""
+        return tuple(topic(name, leaf) for leaf in self.read_leaves or self.leaves)
+
+    def fill_in(self, table: Any) -> Any:
+        """The sensor's table of a rig's file, with what other keys of it imply."""
+        return table
+
+    @abstractmethod
+    def calibrate(self, recipe: R, site: SiteRecipe) -> dict[str, Any]:
+        """What a perfect calibration would find, as an entry of calibration.json."""
+
+    def read_calibration(self, entry: Mapping[str, Any]) -> C:
+        """Calibration from its entry. Raises LookupError, TypeError or ValueError where that is not of its shape."""
+        found: C = from_entry(self.calibration, entry)
+        return found
+
+    @abstractmethod
+    def measure(
+        self, world: SensedWorld, recipe: R, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
+    ) -> Iterator[M]:
+        """Measurements of those indices `wanted` (K,) of all its instants; stamps_ns (N,): of all of them."""
+
+    @abstractmethod
+    def encode(self, recipe: R, measurement: M) -> list[Message]:
+        """The messages of a measurement."""
+
+    @abstractmethod
+    def decode(self, name: str, calibration: C, *data: bytes) -> M:
+        """A measurement from one message of each of `read_topics`. Raises ValueError where they do not fit."""
+
+    def panels(self, sequence: Any, name: str) -> list[Panel]:
+        """Pictures over time, for the viewer."""
+        return []
+
+    def strips(self, name: str) -> list[Strip]:
+        """Curves over time, for the viewer."""
+        return []
+
+
+def topic(name: str, leaf: str) -> str:
+    """A sensor's topic."""
+    return f"/{name}/{leaf}" if leaf else f"/{name}"
+
+
+def link(name: str) -> str:
+    """Frame of a sensor other than a camera."""
+    return f"{name}_link"
+
+
+def times_of(recipe: SensorRecipe, n: int) -> Array:
+    """Times (n,) s of a sensor's instants, from the start."""
+    return np.arange(n) / recipe.rate_hz
+
+
+def quantise(values: ArrayLike, step: float) -> Array:
+    """Values rounded to a step, far above the last bits, in which the mathematics of two processors differ.
+
+    So the same recipe gives the same bytes on any machine.
+    """
+    return np.asarray(np.rint(np.asarray(values) / step) * step + 0.0)  # and no negative zeros
+
+
+def columns_of(prefix: str, value: Any, axes: Iterable[str] = XYZ) -> Row:
+    """A vector of a message as columns."""
+    return {f"{prefix}{axis}": getattr(value, axis) for axis in axes}
+
+
+def from_entry(kind: type[T], entry: Mapping[str, Any]) -> T:
+    """A calibration from the keys of its entry in calibration.json; other keys are for other readers."""
+    values: dict[str, Any] = {}
+    for name, annotation in kind.__annotations__.items():
+        if name not in entry and hasattr(kind, name):
+            continue
+        values[name] = _CONVERSIONS[annotation](entry[name])
+    return kind(**values)
+
+
+_CONVERSIONS: dict[str, Callable[[Any], Any]] = {
+    "Array": lambda value: np.array(value, dtype=float),
+    "int": int,
+    "float": float,
+    "float | None": float,
+    "str": str,
+}

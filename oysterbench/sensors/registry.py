@@ -1,0 +1,83 @@
+"""Every kind of sensor that there is a file of, and what follows from that for a rig and for a calibration."""
+
+from __future__ import annotations
+
+import pkgutil
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+from oysterbench.recipe import RigRecipe, SiteRecipe
+from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.sensors.kind import SensorKind
+
+AnyKind = SensorKind[Any, Any, Any]
+
+FIRST_CALIBRATED = ("imu", "camera", "sonar", "scanner", "altimeter")
+"""Blocks whose calibrations come first in calibration.json, whose bytes depend on it; the others by their rank."""
+
+
+@cache
+def sensor_kinds() -> Mapping[str, AnyKind]:
+    """Block -> kind, of all modules of this package that define `KIND`, by rank."""
+    package = import_module("oysterbench.sensors")
+    modules = (import_module(f"{package.__name__}.{info.name}") for info in pkgutil.iter_modules(package.__path__))
+    kinds: list[AnyKind] = [module.KIND for module in modules if hasattr(module, "KIND")]
+    return {kind.block: kind for kind in sorted(kinds, key=lambda kind: (kind.rank, kind.block))}
+
+
+@cache
+def calibrated_kinds() -> tuple[AnyKind, ...]:
+    """All kinds, in the order of calibration.json."""
+    kinds = sensor_kinds()
+    return tuple(kinds[block] for block in dict.fromkeys((*FIRST_CALIBRATED, *kinds)))
+
+
+def kind_of(recipe: SensorRecipe) -> AnyKind:
+    """The kind of a sensor."""
+    return sensor_kinds()[recipe.block]
+
+
+def rig_sensors(rig: RigRecipe) -> Iterator[tuple[AnyKind, Any]]:
+    """Kind and recipe of each sensor of a rig, by the rank of the kinds."""
+    for kind in sensor_kinds().values():
+        for recipe in rig.of(kind.recipe):
+            yield kind, recipe
+
+
+def rig_calibration(rig: RigRecipe, site: SiteRecipe) -> dict[str, Any]:
+    """calibration.json of a rig at a site, as JSON values: what a perfect calibration would find. What the rig lacks is
+    absent."""
+    document: dict[str, Any] = {}
+    for kind in calibrated_kinds():
+        entries = {kind.name_of(recipe): kind.calibrate(recipe, site) for recipe in rig.of(kind.recipe)}
+        if entries or kind.required:
+            document[kind.key] = entries[kind.block] if kind.single else entries
+    return document
+
+
+def read_calibrations(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Block -> name -> calibration, from calibration.json, of the kinds that it has.
+
+    Raises LookupError, TypeError or ValueError where the document is not of its shape.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for kind in calibrated_kinds():
+        entries = document[kind.key] if kind.required else document.get(kind.key)
+        if entries or kind.required:
+            by_name = {kind.block: entries} if kind.single else entries
+            found[kind.block] = {name: kind.read_calibration(entry) for name, entry in by_name.items()}
+    return found
+
+
+def rig_frames(rig: RigRecipe) -> dict[str, tuple[AnyKind, str]]:
+    """Frame -> kind and name of the sensor that it belongs to, for `/tf_static`."""
+    ranked = sorted(calibrated_kinds(), key=lambda kind: (not kind.single, kind.rank if kind.single else 0))
+    names = ((kind, kind.name_of(recipe)) for kind in ranked for recipe in rig.of(kind.recipe))
+    return {kind.frame(name): (kind, name) for kind, name in names}
+
+
+def export_formats() -> dict[str, AnyKind]:
+    """Format -> the kind of sensor that is written in it."""
+    return {form: kind for kind in sensor_kinds().values() for form in kind.exports}

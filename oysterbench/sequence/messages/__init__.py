@@ -1,1 +1,0 @@
-"""Samples to messages and back, a file per kind of sensor. Messages are stock ROS 2 types in CDR."""
