@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.geometry import Array, transform
 from oysterbench.core.measurements import RangeMeasurement
 from oysterbench.core.streams import Streams, stream
-from oysterbench.recipe import AltimeterRecipe, SiteRecipe
+from oysterbench.recipe import SiteRecipe
 from oysterbench.sensors import acoustics, altimeter
+from oysterbench.sensors.altimeter import AltimeterRecipe
 from oysterbench.sequence.types import AltimeterCalibration
 from oysterbench_baselines.gtsam_full.echoes import (
     ALTIMETER,

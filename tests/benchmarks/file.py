@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.recipe import load_split
-from oysterbench.sequence import topics
+from oysterbench.sensors.registry import sensor_kinds
 from oysterbench.simulation import generate
 from oysterbench.simulation.simulated_sequence import build_sequence
 
@@ -64,9 +64,8 @@ def measure(split_name: str, seconds: float, image_format: str) -> dict[str, flo
     split = dataclasses.replace(split, sequence=(sequence,), rig=rig)
     build_sequence(split, sequence.name, b"")
     clock = Clock()
-    for name in topics.__all__:
-        if name.endswith(("_message", "_messages")) or name == "camera_info":
-            setattr(topics, name, clock.timed("encoding", getattr(topics, name)))
+    for kind in map(type, sensor_kinds().values()):
+        kind.encode = clock.timed("encoding", kind.encode)  # type: ignore[method-assign]
     pack = generate.pack
 
     def pack_timed(messages: Any, *arguments: Any) -> bytes:

@@ -12,7 +12,11 @@ import time
 
 import numpy as np
 
-from oysterbench.recipe import AltimeterRecipe, DvlRecipe, ScannerRecipe, SiteRecipe, SonarRecipe, load_split
+from oysterbench.recipe import SiteRecipe, load_split
+from oysterbench.sensors.altimeter import AltimeterRecipe
+from oysterbench.sensors.dvl import DvlRecipe
+from oysterbench.sensors.scanner import ScannerRecipe
+from oysterbench.sensors.sonar import SonarRecipe
 
 SITE = SiteRecipe()
 

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from oysterbench.core.ros import EPOCH_NS
 from oysterbench.evaluate.steering import DiveLog
 from oysterbench.methods.piloting import commands
 from oysterbench.methods.steering import VehicleState, View
 from oysterbench.recipe import SplitRecipe, parse_split
-from oysterbench.sequence import names, topics
-from oysterbench.sequence.types import camera_calibration
+from oysterbench.sensors.camera import KIND as CAMERA
+from oysterbench.sensors.camera import camera_info, camera_topics, colour_message
 from oysterbench.sequence.read import CALIBRATION, METADATA, STEERING
+from oysterbench.sequence.truth import TF, TRUTH_POSE, TRUTH_TYPES
 from oysterbench.sequence.write import SequenceWriter
 from tests.helpers.hand_made_dive import calibration
 
@@ -82,7 +84,7 @@ def label_table(pictures: int, seed: int = 0) -> pd.DataFrame:
     best = worth.reshape(pictures, -1).argmax(axis=1)
     table = pd.DataFrame(
         {
-            "stamp_ns": topics.EPOCH_NS + 2_000_000_000 * np.arange(pictures),
+            "stamp_ns": EPOCH_NS + 2_000_000_000 * np.arange(pictures),
             "yaw": best // len(PITCH),
             "pitch": best % len(PITCH),
             "heading_rad": np.round(generator.uniform(-3, 3, pictures), 3),
@@ -114,16 +116,18 @@ def write_labelled(path: Path, name: str, table: pd.DataFrame | None, pictures: 
     }
     known = {"imu": calibration()["imu"], "cameras": {"cam_front": camera}}
     with open(path, "wb") as file:
-        writer = SequenceWriter(file, {**names.POSE_TYPES, **names.camera_topics("cam_front", ())})
+        writer = SequenceWriter(
+            file, {TRUTH_POSE: TRUTH_TYPES[TRUTH_POSE], TF: TRUTH_TYPES[TF], **camera_topics("cam_front", ())}
+        )
         writer.metadata(METADATA, {"sequence": name, "split": "made", "split_version": "1.0"})
         writer.attachment(CALIBRATION, "application/json", json.dumps(known).encode())
         if table is not None:
             writer.attachment(STEERING, "text/csv", table.to_csv(index=False).encode())
         rows = list(labels[["stamp_ns", "yaw", "pitch"]].itertuples(index=False))[: pictures or len(labels)]
         for stamp, _, _ in rows:
-            writer.write(topics.camera_info(int(stamp), "cam_front", camera_calibration(camera)))
+            writer.write(camera_info(int(stamp), "cam_front", CAMERA.read_calibration(camera)))
         for stamp, yaw, pitch in rows:
-            writer.write(topics.colour_message(int(stamp), "cam_front", picture(int(yaw), int(pitch)), 95, "png"))
+            writer.write(colour_message(int(stamp), "cam_front", picture(int(yaw), int(pitch)), 95, "png"))
         writer.finish()
     return path
 

@@ -20,9 +20,24 @@ from oysterbench.core.measurements import (
     ScanPing,
     SonarImage,
 )
-from oysterbench.sequence import topics
-from oysterbench.sequence.types import camera_calibration
+from oysterbench.core.ros import EPOCH_NS, Message
+from oysterbench.sensors.altimeter import range_message
+from oysterbench.sensors.camera import KIND as CAMERA
+from oysterbench.sensors.camera import camera_info, camera_topics, colour_message, layer_message, optical_frame
+from oysterbench.sensors.dvl import dvl_messages
+from oysterbench.sensors.imu import imu_message
+from oysterbench.sensors.magnetometer import magnetic_message
+from oysterbench.sensors.pressure import pressure_message
+from oysterbench.sensors.scanner import scan_messages
+from oysterbench.sensors.sonar import cloud_message, sonar_message
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
+from oysterbench.sequence.truth import (
+    rig_topics,
+    static_transforms,
+    transform_message,
+    truth_message,
+    truth_pose_message,
+)
 from oysterbench.sequence.write import SequenceWriter
 
 BOTTOM_Z, FLIGHT_Z = -3.0, -1.8
@@ -43,6 +58,17 @@ name = "cam_left"
 clock_offset_ms = 4.0
 [[camera]]
 name = "cam_right"
+"""
+SENSORS = """
+[[scanner]]
+name = "msis"
+rate_hz = 20.0
+[[altimeter]]
+name = "alt"
+rate_hz = 5.0
+[dvl]
+[pressure]
+[magnetometer]
 """
 BEAMS, BINS = 16, 40
 JANUS = np.radians(22.5)
@@ -168,7 +194,7 @@ class Samples:
 def stamps(rate_hz: float, seconds: float) -> list[tuple[int, float]]:
     """Stamp and time of each sample."""
     times = np.arange(round(rate_hz * seconds)) / rate_hz
-    return [(topics.EPOCH_NS + round(t * 1e9), float(t)) for t in times]
+    return [(EPOCH_NS + round(t * 1e9), float(t)) for t in times]
 
 
 def samples(seconds: float = 2.0) -> Samples:
@@ -231,52 +257,44 @@ def samples(seconds: float = 2.0) -> Samples:
 
 def all_types() -> dict[str, str]:
     """Topic -> type, as `rig_topics` gives them for such a rig."""
-    from oysterbench.sequence import names
 
-    return {
-        **names.TYPES,
-        **names.POSE_TYPES,
-        **names.DVL_TYPES,
-        **names.PRESSURE_TYPES,
-        **names.MAGNETOMETER_TYPES,
-        **names.altimeter_topics("alt"),
-        **names.scanner_topics("msis"),
-        **names.camera_topics("cam_left", ("depth", "class", "instance", "visibility")),
-        **names.camera_topics("cam_right", ()),
-        **names.sonar_topics("fls"),
-    }
+    from oysterbench.recipe import parse_split
+    from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
+
+    rig = parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + SENSORS).rig
+    small = {topic: kind for topic, kind in rig_topics(rig).items() if not topic.startswith("/cam_front/")}
+    cameras = camera_topics("cam_left", ("depth", "class", "instance", "visibility")) | camera_topics("cam_right", ())
+    return {**small, **cameras, "/fls/image": "sensor_msgs/msg/Image", "/fls/cloud": "sensor_msgs/msg/PointCloud2"}
 
 
-def messages(seconds: float = 2.0, image_format: str = "png") -> list[topics.Message]:
+def messages(seconds: float = 2.0, image_format: str = "png") -> list[Message]:
     """Every message of the dive, sensor after sensor."""
     made, known = samples(seconds), calibration()
     frames = {"imu_link": known["imu"]["T_base_imu"], "dvl_link": known["dvl"]["T_base_sensor"]}
-    frames |= {topics.optical_frame(name): entry["T_base_cam"] for name, entry in known["cameras"].items()}
+    frames |= {optical_frame(name): entry["T_base_cam"] for name, entry in known["cameras"].items()}
     placed = {
         name: (np.array(T)[:3, 3], Rotation.from_matrix(np.array(T)[:3, :3]).as_quat()) for name, T in frames.items()
     }
-    sent = [topics.static_transforms(topics.EPOCH_NS, placed)]
-    sent += [topics.imu_message(sample, 1e-6, 1e-4) for sample in made.imu]
-    sent += [message for sample in made.dvl for message in topics.dvl_messages(sample, 0.05, 50.0, JANUS)]
-    sent += [topics.pressure_message(sample) for sample in made.pressure]
-    sent += [topics.magnetic_message(sample) for sample in made.magnetometer]
-    sent += [topics.range_message(sample, 0.3, 100.0, 0.5) for sample in made.ranges]
-    sent += [topics.sonar_message(image) for image in made.sonar]
-    sent += [topics.cloud_message(cloud) for cloud in made.clouds]
-    sent += [message for ping in made.scans for message in topics.scan_messages(ping)]
+    sent = [static_transforms(EPOCH_NS, placed)]
+    sent += [imu_message(sample, 1e-6, 1e-4) for sample in made.imu]
+    sent += [message for sample in made.dvl for message in dvl_messages(sample, 0.05, 50.0, JANUS)]
+    sent += [pressure_message(sample) for sample in made.pressure]
+    sent += [magnetic_message(sample) for sample in made.magnetometer]
+    sent += [range_message(sample, 0.3, 100.0, 0.5) for sample in made.ranges]
+    sent += [sonar_message(image) for image in made.sonar]
+    sent += [cloud_message(cloud) for cloud in made.clouds]
+    sent += [message for ping in made.scans for message in scan_messages(ping)]
     for stamp, T in made.poses:
         attitude = Rotation.from_matrix(T[:3, :3]).as_quat()
-        sent.append(
-            topics.truth_message(stamp, T[:3, 3], attitude, np.array([SPEED, 0.0, 0.0]), np.array([0.0, 0.0, RATE]))
-        )
-        sent.append(topics.truth_pose_message(stamp, T[:3, 3], attitude))
-        sent.append(topics.transform_message(stamp, T[:3, 3], attitude))
+        sent.append(truth_message(stamp, T[:3, 3], attitude, np.array([SPEED, 0.0, 0.0]), np.array([0.0, 0.0, RATE])))
+        sent.append(truth_pose_message(stamp, T[:3, 3], attitude))
+        sent.append(transform_message(stamp, T[:3, 3], attitude))
     for name, entry in known["cameras"].items():
         for k, (stamp, t) in enumerate(stamps(10, seconds)):
-            sent.append(topics.camera_info(stamp, name, camera_calibration(entry)))
-            sent.append(topics.colour_message(stamp, name, colour(t, name), 95, image_format))
+            sent.append(camera_info(stamp, name, CAMERA.read_calibration(entry)))
+            sent.append(colour_message(stamp, name, colour(t, name), 95, image_format))
             if name == "cam_left" and k % 5 == 0:
-                sent += [topics.layer_message(stamp, name, layer, pixels) for layer, pixels in layers(t, name).items()]
+                sent += [layer_message(stamp, name, layer, pixels) for layer, pixels in layers(t, name).items()]
     return sent
 
 

@@ -18,15 +18,17 @@ from oysterbench.core.measurements import (
 )
 from oysterbench.core.streams import Streams
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.recipe import DvlRecipe, ImuRecipe, MagnetometerRecipe, PressureRecipe, RigRecipe, SiteRecipe
-from oysterbench.recipe.grades import COMMON, IMU_GRADES
+from oysterbench.recipe import RigRecipe, SensorRecipe, SiteRecipe
 from oysterbench.render.rays import Echoes
 from oysterbench.scene.path import Path
 from oysterbench.scene.waves import build_waves
 from oysterbench.sensors import dvl, imu, magnetometer, pressure
-from oysterbench.sequence import calibration
+from oysterbench.sensors.dvl import DvlRecipe
+from oysterbench.sensors.imu import COMMON, IMU_GRADES, ImuRecipe
+from oysterbench.sensors.magnetometer import MagnetometerRecipe
+from oysterbench.sensors.pressure import PressureRecipe
+from oysterbench.sensors.registry import read_calibrations, rig_calibration, rig_sensors
 from oysterbench.sequence.types import Sequence
-from oysterbench.simulation.calibration import rig_calibration
 
 START_NS = 1_700_000_000_000_000_000
 BOTTOM_M, DEPTH_M = 5.0, 3.5
@@ -74,20 +76,21 @@ def survey_path(duration_s: float, resting: bool = True, phase: float = 0.0) -> 
 def rig(*sensors: str, **dvl_keys: Any) -> RigRecipe:
     """A vehicle with a MEMS unit and some of dvl, pressure, magnetometer."""
     grade: dict[str, Any] = {**COMMON, **IMU_GRADES["mems"], "accel_range": None, "gyro_range": None}
-    return RigRecipe(
-        name="scalar",
-        summary="no camera",
-        imu=ImuRecipe(rate_hz=100.0, position_m=(-0.05, 0.02, 0.03), **grade),
-        camera=(),
-        dvl=DvlRecipe(position_m=(-0.08, 0.0, -0.12), misalignment_deg=0.3, **dvl_keys) if "dvl" in sensors else None,
-        pressure=PressureRecipe(position_m=(-0.2, 0.0, 0.05)) if "pressure" in sensors else None,
-        magnetometer=MagnetometerRecipe(
+    known: dict[str, SensorRecipe] = {
+        "imu": ImuRecipe(rate_hz=100.0, position_m=(-0.05, 0.02, 0.03), **grade),
+        "dvl": DvlRecipe(position_m=(-0.08, 0.0, -0.12), misalignment_deg=0.3, **dvl_keys),
+        "pressure": PressureRecipe(position_m=(-0.2, 0.0, 0.05)),
+        "magnetometer": MagnetometerRecipe(
             rate_hz=10.0,
             hard_iron_ut=(4.0, -7.0, 2.5),
             soft_iron=((1.03, 0.01, 0.0), (0.01, 0.98, 0.02), (0.0, 0.02, 1.0)),
-        )
-        if "magnetometer" in sensors
-        else None,
+        ),
+    }
+    return RigRecipe(
+        name="scalar",
+        summary="no camera",
+        camera=(),
+        sensors=tuple(sensor for block, sensor in known.items() if block in ("imu", *sensors)),
     )
 
 
@@ -99,28 +102,29 @@ class SensorDive(Sequence):
     def __init__(self, seed: int, vehicle: RigRecipe, path: Path) -> None:
         streams, site, waves = Streams(seed), SiteRecipe(), None
         waves = build_waves(site, BOTTOM_M, streams)
-        known = calibration.rig_calibration(rig_calibration(vehicle, site))
-        self.imu_calibration, self.cameras, self.metadata, self.path = known.imu, known.cameras, {}, path
-        self.dvl_calibration, self.pressure_calibration = known.dvl, known.pressure
-        self.magnetometer_calibration = known.magnetometer
-        times, stamps = self._clock(vehicle.imu.rate_hz)
-        readings = zip(stamps, *imu.measure(path, vehicle.imu, times, streams), strict=True)
+        known = read_calibrations({"cameras": {}, **rig_calibration(vehicle, site)})
+        self.cameras, self.metadata, self.path = {}, {}, path
+        for kind, _ in rig_sensors(vehicle):
+            setattr(self, kind.attribute, known[kind.block][kind.block])
+        (unit,) = vehicle.of(ImuRecipe)
+        times, stamps = self._clock(unit.rate_hz)
+        readings = zip(stamps, *imu.measure(path, unit, times, streams), strict=True)
         self._samples: dict[str, list[Any]] = {"imu": [ImuMeasurement(int(s), g, f) for s, g, f in readings]}
-        if vehicle.dvl is not None:
-            times, stamps = self._clock(vehicle.dvl.rate_hz)
+        for dvl_recipe in vehicle.of(DvlRecipe):
+            times, stamps = self._clock(dvl_recipe.rate_hz)
             caster: Any = LevelBottom()
-            self._samples["dvl"] = dvl.measure(path, caster, vehicle.dvl, site, times, stamps, streams)
-        if vehicle.pressure is not None:
-            times, stamps = self._clock(vehicle.pressure.rate_hz)
-            values = pressure.measure(path, vehicle.pressure, site, waves, times, streams)
-            variance = pressure.noise_variance(vehicle.pressure, site)
+            self._samples["dvl"] = dvl.measure(path, caster, dvl_recipe, site, times, stamps, streams)
+        for pressure_recipe in vehicle.of(PressureRecipe):
+            times, stamps = self._clock(pressure_recipe.rate_hz)
+            values = pressure.measure(path, pressure_recipe, site, waves, times, streams)
+            variance = pressure.noise_variance(pressure_recipe, site)
             self._samples["pressure"] = [
                 PressureMeasurement(int(s), float(v), variance) for s, v in zip(stamps, values, strict=True)
             ]
-        if vehicle.magnetometer is not None:
-            times, stamps = self._clock(vehicle.magnetometer.rate_hz)
-            fields = magnetometer.measure(path, vehicle.magnetometer, site, times, streams)
-            variance = magnetometer.noise_variance(vehicle.magnetometer)
+        for magnetometer_recipe in vehicle.of(MagnetometerRecipe):
+            times, stamps = self._clock(magnetometer_recipe.rate_hz)
+            fields = magnetometer.measure(path, magnetometer_recipe, site, times, streams)
+            variance = magnetometer.noise_variance(magnetometer_recipe)
             self._samples["magnetometer"] = [
                 MagneticMeasurement(int(s), f, variance) for s, f in zip(stamps, fields, strict=True)
             ]

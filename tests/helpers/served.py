@@ -22,11 +22,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import transform
+from oysterbench.core.ros import EPOCH_NS, TF_STATIC
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory, write_tum
-from oysterbench.sequence import topics
-from oysterbench.sequence.names import TYPES
+from oysterbench.sensors.camera import camera_topics, colour_message, layer_message
+from oysterbench.sensors.imu import IMU
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, STEERING
+from oysterbench.sequence.truth import TRANSFORMS, TRUTH, TRUTH_TYPES, truth_message
 from oysterbench.sequence.write import SequenceWriter
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.state import State
@@ -34,7 +36,7 @@ from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.paths import ROOT
 
 NAMES = ("pool-01", "pool-02")
-EPOCH_NS = topics.EPOCH_NS
+EPOCH_NS = EPOCH_NS
 CAMERA = {
     "width": 64,
     "height": 48,
@@ -199,11 +201,11 @@ def write_sequence(file: Path, number: int, split: str, digest: str) -> None:
         },
         "cameras": {"cam": CAMERA},
     }
-    cameras = topics.camera_topics("cam", ("class", "instance", "depth"))
+    cameras = camera_topics("cam", ("class", "instance", "depth"))
     about = {"sequence": NAMES[number], "split": split, "split_version": "1.0", "digest": digest}
     true = path(number)
     with open(file, "wb") as output:
-        writer = SequenceWriter(output, {**TYPES, **cameras})
+        writer = SequenceWriter(output, {TF_STATIC: TRANSFORMS, "/imu": IMU, TRUTH: TRUTH_TYPES[TRUTH], **cameras})
         writer.metadata(METADATA, about)
         writer.attachment(CALIBRATION, "application/json", json.dumps(calibration).encode())
         oysters = b"id,state,height_m,x,y,z\n7,live,0.08,0.5,0.1,-3.0\n9,live,0.1,0.8,-0.2,-3.0\n"
@@ -211,15 +213,15 @@ def write_sequence(file: Path, number: int, split: str, digest: str) -> None:
         writer.attachment(STEERING, "text/csv", steering_table(number))
         for i, stamp in enumerate(true.stamps_ns.tolist()):
             pose = (true.positions[i], true.quaternions[i])
-            writer.write(topics.truth_message(stamp, *pose, np.zeros(3), np.zeros(3)))
+            writer.write(truth_message(stamp, *pose, np.zeros(3), np.zeros(3)))
         writer.section()
         for k in range(IMAGES):
             stamp = EPOCH_NS + k * 500_000_000
             named, numbered = classes(number, k)
             layers = {"class": named, "instance": numbered, "depth": np.full((48, 64), 1.0, dtype=np.float32)}
-            writer.write(topics.colour_message(stamp, "cam", np.full((48, 64, 3), 90, dtype=np.uint8), 95, "png"))
+            writer.write(colour_message(stamp, "cam", np.full((48, 64, 3), 90, dtype=np.uint8), 95, "png"))
             for name, values in layers.items():
-                writer.write(topics.layer_message(stamp, "cam", name, values))
+                writer.write(layer_message(stamp, "cam", name, values))
         writer.finish()
 
 

@@ -13,7 +13,7 @@ from oysterbench.hub.canonical import canonical, parse, sha256
 from oysterbench.hub.content import content_of
 from oysterbench.hub.manifest import build_manifest, describe_file, read_manifest, released_manifest
 from oysterbench.hub.verify import ABSENT, DAMAGED, REPACKED, RIGHT, UNKNOWN, check_file, check_unknown, checks
-from oysterbench.sequence.messages import camera
+from oysterbench.sensors import camera
 from tests.helpers.hand_made_dive import write_dive
 from tests.helpers.trees import DIGEST, FACTS, write_sequence
 
@@ -83,7 +83,7 @@ def test_one_pixel_or_one_bit_makes_another_content(file, tmp_path, monkeypatch)
         changed[3, 4, 1] ^= 1
         return colour(stamp_ns, name, changed, quality, image_format)
 
-    monkeypatch.setattr("oysterbench.sequence.topics.colour_message", one_pixel_off)
+    monkeypatch.setattr("tests.helpers.hand_made_dive.colour_message", one_pixel_off)
     other = content_of(write_sequence(tmp_path / "other.mcap", "dive-01")).topics
     changed = {topic for topic in known if known[topic] != other[topic]}
     assert changed == {"/cam_left/image", "/cam_right/image"}

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from oysterbench.core.errors import RecipeError
-from oysterbench.recipe import IMU_GRADES, parse_split, vary_split
+from oysterbench.recipe import parse_split, vary_split
+from oysterbench.sensors.imu import IMU_GRADES, ImuRecipe
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 NOISE_KEYS = ("gyro_noise_density", "gyro_random_walk", "accel_noise_density", "accel_random_walk")
@@ -23,7 +24,7 @@ def rig(imu, more=""):
 
 
 def test_a_grade_gives_the_keys_that_the_rig_does_not():
-    unit = rig('grade = "low"\ngyro_noise_density = 1e-3').rig.imu
+    unit = rig('grade = "low"\ngyro_noise_density = 1e-3').rig.of(ImuRecipe)[0]
     assert unit.gyro_noise_density == 1e-3
     assert unit.gyro_bias_instability == pytest.approx(np.radians(10.0) / 3600)
     assert (unit.accel_noise_density, unit.accel_bias_instability) == (pytest.approx(8.33e-4, rel=1e-3), 2.0e-4)
@@ -40,7 +41,7 @@ def test_grades_are_as_published():
     }
     assert set(published) == set(IMU_GRADES)
     for grade, (gyro, accel) in published.items():
-        unit = rig(f'grade = "{grade}"').rig.imu
+        unit = rig(f'grade = "{grade}"').rig.of(ImuRecipe)[0]
         assert unit.gyro_noise_density == pytest.approx(gyro, rel=2e-3)
         assert unit.accel_noise_density == pytest.approx(accel, rel=2e-3)
 
@@ -50,7 +51,7 @@ def test_a_key_is_missing_only_when_neither_rig_nor_grade_gives_it():
         others = "\n".join(f"{other} = 0.0" for other in NOISE_KEYS if other != key)
         with pytest.raises(RecipeError, match=f"missing key 'imu.{key}'"):
             rig(others)
-        assert rig(others + '\ngrade = "mid"').rig.imu.grade == "mid"
+        assert rig(others + '\ngrade = "mid"').rig.of(ImuRecipe)[0].grade == "mid"
 
 
 def test_a_rig_with_a_grade_survives_being_taken_apart_and_built_again():
@@ -61,7 +62,7 @@ def test_a_rig_with_a_grade_survives_being_taken_apart_and_built_again():
 
 
 def test_the_walk_of_a_bias_holds_its_instability():
-    unit = rig('grade = "low"\naccel_random_walk = 3e-5').rig.imu
+    unit = rig('grade = "low"\naccel_random_walk = 3e-5').rig.of(ImuRecipe)[0]
     # A Gauss-Markov process steps by sigma * sqrt(2 dt / tau) while dt is short.
     assert unit.gyro_bias_walk == pytest.approx(np.radians(10.0) / 3600 * np.sqrt(2 / 100.0))
     assert unit.accel_bias_walk == pytest.approx(np.hypot(3e-5, 2e-4 * np.sqrt(2 / 100.0)))

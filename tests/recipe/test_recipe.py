@@ -10,6 +10,7 @@ import pytest
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import PathRecipe, as_plain, load_split, parse_split, split_names, vary_split
 from oysterbench.recipe.path import PATH_KINDS
+from oysterbench.sensors.imu import ImuRecipe
 from tests.helpers.paths import ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
 
@@ -28,7 +29,7 @@ def test_the_mini_split_is_what_its_users_expect():
     assert sequence.duration_s == 20
     assert sequence.reef.oysters >= 1000
     assert 25 <= camera.pitch_deg <= 35
-    assert (camera.rate_hz, split.rig.imu.rate_hz, split.rig.truth_rate_hz) == (20, 200, 200)
+    assert (camera.rate_hz, split.rig.of(ImuRecipe)[0].rate_hz, split.rig.truth_rate_hz) == (20, 200, 200)
 
 
 def test_a_recipe_can_be_read_from_a_path(tmp_path):

@@ -13,9 +13,8 @@ from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import parse_split, vary_split
 from oysterbench.render.lens import pixel_rays, project
 from oysterbench.scene.rig import PORT_INDEX
-from oysterbench.sequence import topics
-from oysterbench.sequence.read import camera_calibration
-from oysterbench.simulation.calibration import rig_calibration
+from oysterbench.sensors.camera import KIND, camera_info, coefficients
+from oysterbench.sensors.registry import rig_calibration
 from tests.helpers.reefs import CAMERA, FLAT, SPLIT, noise, pose, renderer_of, small_reef
 
 BROWN = dataclasses.replace(CAMERA, lens="brown-conrady", distortion=(-0.21, 0.06, 1.5e-3, -8e-4, -0.01))
@@ -24,7 +23,7 @@ PORT = dataclasses.replace(CAMERA, port_mm=40.0)
 
 
 def calibration(camera):
-    return camera_calibration(
+    return KIND.read_calibration(
         rig_calibration(dataclasses.replace(SPLIT.rig, camera=(camera,)), SPLIT.sequence[0].site)["cameras"]["test"]
     )
 
@@ -93,10 +92,10 @@ def test_depth_behind_a_port_counts_from_the_pupil():
     ("camera", "model", "n"), [(CAMERA, "plumb_bob", 5), (BROWN, "plumb_bob", 5), (FISHEYE, "equidistant", 4)]
 )
 def test_the_distortion_travels_in_the_messages(camera, model, n):
-    message = topics.camera_info(1, "test", calibration(camera))
+    message = camera_info(1, "test", calibration(camera))
     assert model.encode() in message.data
-    assert len(topics.coefficients(calibration(camera))) == n
-    assert topics.coefficients(calibration(camera))[: len(camera.distortion)] == pytest.approx(camera.distortion)
+    assert len(coefficients(calibration(camera))) == n
+    assert coefficients(calibration(camera))[: len(camera.distortion)] == pytest.approx(camera.distortion)
 
 
 def test_a_lens_that_folds_its_picture_is_refused():

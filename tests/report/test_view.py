@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import oysterbench
-from oysterbench.report.viewer.page import BYTES, STEPS, moments, view_page
-from oysterbench.report.viewer.panels import BACKGROUND, WIDTH, Fan, Panel, pictures
+from oysterbench.core.ros import EPOCH_NS
+from oysterbench.report.viewer.page import BYTES, STEPS, moments, pictures, view_page
 from oysterbench.report.viewer.strips import path_plot
-from oysterbench.sequence import topics
+from oysterbench.sensors.panels import BACKGROUND, WIDTH, Fan, Panel
 from oysterbench.sequence.export import export_sequence
 from tests.helpers import hand_made_dive as dive
 
@@ -103,7 +103,7 @@ def test_a_full_circle_has_room_behind():
 
 
 def test_the_path_follows_the_truth(sequence):
-    times = topics.EPOCH_NS + np.array([0, 500_000_000, 1_500_000_000])
+    times = EPOCH_NS + np.array([0, 500_000_000, 1_500_000_000])
     plot = path_plot(sequence, times)
     poses = np.array(plot.poses)
     moved = np.diff(poses[:, :2], axis=0)
@@ -121,7 +121,7 @@ def test_the_page_is_bounded_however_many_sensors_there_are(sequence):
     assert len(times) * 20 * 50_000 * 4 / 3 <= BYTES
     assert len(moments(0, 10**12, [])) == STEPS
     for panel in pictures(sequence):
-        start = topics.EPOCH_NS
+        start = EPOCH_NS
         sizes = [len(data) for data in panel.frames(np.array([start, start + 10**9]))]
         assert max(sizes) < 2.0 * panel.bytes_each, f"{panel.title}: noise is the worst that there is"
 

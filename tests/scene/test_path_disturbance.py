@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from oysterbench.core.geometry import GRAVITY
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import PathRecipe, SiteRecipe, load_split
 from oysterbench.scene.path import build, build_path
 from oysterbench.scene.path.disturbance import EXCITATION_S, HULL, crab
-from oysterbench.core.geometry import GRAVITY
 from oysterbench.scene.waves import Waves
 
 BASE = load_split("slam-mini").sequence[0]

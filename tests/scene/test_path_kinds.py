@@ -10,14 +10,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import RecipeError
+from oysterbench.core.geometry import GRAVITY
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import PathRecipe, SiteRecipe, load_split
 from oysterbench.recipe.path import PATH_KINDS
 from oysterbench.scene.path import build_path
 from oysterbench.scene.path.routes import dense_spots
-from oysterbench.core.geometry import GRAVITY
+from oysterbench.sensors.camera import render_frame
 from oysterbench.sensors.imu import ideal_imu
-from oysterbench.simulation.simulated_sequence import build_sequence, render_frame
+from oysterbench.simulation.simulated_sequence import build_sequence
 from tests.helpers.tiny import TINY_SPLIT, make_split
 
 BASE = load_split("slam-mini").sequence[0]

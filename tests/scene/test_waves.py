@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.signal import welch
 
+from oysterbench.core.geometry import GRAVITY
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
-from oysterbench.core.geometry import GRAVITY
 from oysterbench.scene.waves import CUT, build_waves, depth_factors, dispersion
 
 DEPTH = 6.0

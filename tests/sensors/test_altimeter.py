@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import AltimeterRecipe, SiteRecipe
+from oysterbench.recipe import SiteRecipe
 from oysterbench.sensors import acoustics, altimeter
+from oysterbench.sensors.altimeter import AltimeterRecipe
 from tests.helpers.acoustic_scenes import Steady, at, ball, caster_over
 
 SITE = SiteRecipe()

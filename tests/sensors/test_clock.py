@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import PressureRecipe, load_split
+from oysterbench.recipe import load_split
 from oysterbench.sensors.clock import kept, stamps
+from oysterbench.sensors.pressure import PressureRecipe
 
 EPOCH = 1_767_225_600_000_000_000
 

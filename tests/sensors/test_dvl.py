@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import DvlRecipe, SiteRecipe
+from oysterbench.recipe import SiteRecipe
 from oysterbench.sensors import acoustics, dvl
+from oysterbench.sensors.dvl import DvlRecipe
 from tests.helpers.acoustic_scenes import Steady, at, ball, caster_over
 
 SITE = SiteRecipe()

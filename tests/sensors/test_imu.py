@@ -8,12 +8,25 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.geometry import GRAVITY
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import IMU_GRADES, ImuRecipe, VibrationRecipe, load_split
-from oysterbench.recipe.grades import with_grade
+from oysterbench.recipe import load_split
 from oysterbench.scene.path import build_path
-from oysterbench.core.geometry import GRAVITY, imu_pose
-from oysterbench.sensors.imu import Triad, digitise, errors, gauss_markov, ideal_imu, measure, random_walk, read_out
+from oysterbench.sensors.imu import (
+    IMU_GRADES,
+    ImuRecipe,
+    Triad,
+    digitise,
+    errors,
+    gauss_markov,
+    ideal_imu,
+    imu_pose,
+    measure,
+    random_walk,
+    read_out,
+    with_grade,
+)
+from oysterbench.sensors.vibration import VibrationRecipe
 
 
 def hills(x, y):
@@ -33,7 +46,7 @@ def unit(**changes):
 
 
 def graded(grade, rate_hz):
-    return ImuRecipe(**with_grade({"imu": {"grade": grade, "rate_hz": rate_hz}})["imu"])
+    return ImuRecipe(**with_grade({"grade": grade, "rate_hz": rate_hz}))
 
 
 def integrate(gyro, accel, dt, position, velocity, rotation):

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import MagnetometerRecipe, SiteRecipe, load_split
+from oysterbench.recipe import SiteRecipe, load_split
 from oysterbench.scene.path import build_path
-from oysterbench.sensors.magnetometer import earth_field, measure, noise_variance
+from oysterbench.sensors.magnetometer import MagnetometerRecipe, earth_field, measure, noise_variance
 
 TIMES = np.arange(0.0, 20.0, 0.02)
 SITE = SiteRecipe()

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from oysterbench.core.streams import Streams
-from oysterbench.recipe import PressureRecipe, SiteRecipe, load_split
-from oysterbench.scene.path import build_path
 from oysterbench.core.geometry import GRAVITY
+from oysterbench.core.streams import Streams
+from oysterbench.recipe import SiteRecipe, load_split
+from oysterbench.scene.path import build_path
 from oysterbench.scene.waves import build_waves
-from oysterbench.sensors.pressure import ATMOSPHERE, density, depth_of, measure, noise_variance, tide
+from oysterbench.sensors.pressure import ATMOSPHERE, PressureRecipe, density, depth_of, measure, noise_variance, tide
 
 TIMES = np.arange(0.0, 20.0, 0.05)
 CALM = SiteRecipe(temperature_c=15.0, salinity_ppt=12.0)

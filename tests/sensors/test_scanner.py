@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import ScannerRecipe, SiteRecipe
+from oysterbench.recipe import SiteRecipe
 from oysterbench.sensors import acoustics
-from oysterbench.sensors.scanner import ScanningSonar, head_angle
+from oysterbench.sensors.scanner import ScannerRecipe, ScanningSonar, head_angle
 from tests.helpers.acoustic_scenes import at, ball, caster_over, wall
 
 SITE = SiteRecipe()

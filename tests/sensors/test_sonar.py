@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import CLASSES, SiteRecipe, SonarRecipe
+from oysterbench.recipe import CLASSES, SiteRecipe
 from oysterbench.sensors import acoustics, echoes, sonar
-from oysterbench.sensors.sonar import ImagingSonar
+from oysterbench.sensors.sonar import ImagingSonar, SonarRecipe
 from tests.helpers.acoustic_scenes import at, ball, caster_over, wall
 
 SITE = SiteRecipe()

@@ -8,8 +8,7 @@ from scipy.signal import welch
 from scipy.stats import kstest
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import VibrationRecipe
-from oysterbench.sensors.vibration import folded, vibrate
+from oysterbench.sensors.vibration import VibrationRecipe, folded, vibrate
 
 PSD = ((2.0, 1e-4, 0.0, 2e-3), (20.0, 3e-3, 1e-3, 2e-3), (30.0, 3e-3, 1e-3, 5e-4), (70.0, 1e-5, 0.0, 0.0))
 """Hz and density per axis: rising and falling edges, a plateau, and an end."""

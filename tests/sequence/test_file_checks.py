@@ -10,7 +10,7 @@ from mcap.records import Attachment, Channel, Chunk, ChunkIndex, DataEnd, Footer
 from mcap.records import Message as Record
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from oysterbench.sequence import topics
+from oysterbench.core.ros import EPOCH_NS
 from tests.helpers import hand_made_dive as dive
 
 
@@ -91,7 +91,7 @@ def test_no_time_is_zero_and_chunks_span_their_messages(records):
     for chunk, index in zip(chunks, indexes, strict=True):
         messages = [record for record in breakup_chunk(chunk) if isinstance(record, Record)]
         times = [message.log_time for message in messages]
-        assert min(times) >= topics.EPOCH_NS - 10**9
+        assert min(times) >= EPOCH_NS - 10**9
         assert all(message.publish_time == message.log_time for message in messages)
         assert (chunk.message_start_time, chunk.message_end_time) == (min(times), max(times))
         assert (index.message_start_time, index.message_end_time) == (min(times), max(times))

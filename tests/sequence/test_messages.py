@@ -12,8 +12,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 import oysterbench
+from oysterbench.core.ros import EPOCH_NS, stamp_of
 from oysterbench.recipe import parse_split
-from oysterbench.sequence import topics
+from oysterbench.sensors.camera import LAYERS
+from oysterbench.sensors.registry import rig_frames
+from oysterbench.sequence.truth import rig_topics
 from tests.helpers import hand_made_dive as dive
 from tests.helpers.paths import ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
@@ -105,10 +108,10 @@ def test_rosbags_opens_the_file_with_its_own_types_and_every_message_decodes(div
     assert len(decoded) == sum(expected.values())
     times = [stamp for _, stamp, _ in decoded]
     assert times == sorted(times)
-    assert min(times) == topics.EPOCH_NS
+    assert min(times) == EPOCH_NS
     for topic, stamp, message in decoded:
         head = message.transforms[0].header if hasattr(message, "transforms") else message.header
-        assert topics.stamp_of(head) == stamp, topic
+        assert stamp_of(head) == stamp, topic
 
 
 @pytest.mark.parametrize("store", [Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY, Stores.LATEST])
@@ -172,7 +175,7 @@ def test_a_beam_is_the_point_that_it_hits(sequence, dive_file):
 
 def test_a_rig_has_the_topics_and_frames_of_its_sensors():
     rig = parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + EVERY_SENSOR).rig
-    found = topics.rig_topics(rig)
+    found = rig_topics(rig)
     assert {
         "/tf_static",
         "/tf",
@@ -197,7 +200,7 @@ def test_a_rig_has_the_topics_and_frames_of_its_sensors():
         "/cam_front/instance",
     } == set(found)
     assert found["/fls/cloud"] == "sensor_msgs/msg/PointCloud2"
-    assert set(topics.rig_frames(rig)) == {
+    assert set(rig_frames(rig)) == {
         "imu_link",
         "dvl_link",
         "pressure_link",
@@ -208,13 +211,13 @@ def test_a_rig_has_the_topics_and_frames_of_its_sensors():
         "msis_link",
         "alt_link",
     }
-    bare = topics.rig_topics(parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG).rig)
+    bare = rig_topics(parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG).rig)
     assert not {"/dvl/velocity", "/pressure", "/magnetometer"} & set(bare)
 
 
 def test_the_readme_names_every_topic():
     readme = (ROOT / "README.md").read_text()
     rig = parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + EVERY_SENSOR).rig
-    for topic in set(topics.rig_topics(rig)) - {"/tf_static"}:
+    for topic in set(rig_topics(rig)) - {"/tf_static"}:
         name = re.sub("^/(cam_front|fls|plain|msis|alt)/", "/NAME/", topic)
-        assert f"`{name}`" in readme or name.rsplit("/")[-1] in topics.LAYERS, topic
+        assert f"`{name}`" in readme or name.rsplit("/")[-1] in LAYERS, topic

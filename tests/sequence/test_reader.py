@@ -12,12 +12,13 @@ from mcap.reader import make_reader
 import oysterbench
 from oysterbench.core.errors import MethodError, SequenceError
 from oysterbench.core.measurements import ImuMeasurement, SonarImage
-from oysterbench.sequence import topics
+from oysterbench.core.ros import EPOCH_NS, Message
+from oysterbench.sensors.imu import imu_message
 from oysterbench.sequence.file import read_messages
 from oysterbench.sequence.write import SequenceWriter
 from tests.helpers import hand_made_dive as dive
 
-START = topics.EPOCH_NS
+START = EPOCH_NS
 READERS = {
     "imu": lambda s, *r: s.imu(*r),
     "dvl": lambda s, *r: s.dvl(*r),
@@ -79,7 +80,7 @@ def test_a_stream_of_no_name_is_of_all_cameras(sequence):
 
 
 def test_an_unknown_sensor_is_named_with_what_there_is(sequence):
-    with pytest.raises(SequenceError, match=r"no sensor 'fsl'; its sensors: imu, dvl, .*fls.*msis"):
+    with pytest.raises(SequenceError, match=r"no sensor 'fsl'; its sensors: imu, .*fls, msis, .*dvl"):
         list(sequence.stream("fsl"))
     with pytest.raises(SequenceError, match="no sonar 'msis'; sonars: fls"):
         list(sequence.sonar("msis"))
@@ -216,12 +217,12 @@ def long_file(path, megabytes: int, seconds: float):
         writer.attachment("truth/oysters.csv", "text/csv", generator.bytes(min(frame * 4, megabytes * 10_000)))
         for stamp, _ in dive.stamps(200, seconds):
             gyro, accel = generator.normal(size=(2, 3))
-            writer.write(topics.imu_message(ImuMeasurement(stamp, gyro, accel), 1e-6, 1e-4))
+            writer.write(imu_message(ImuMeasurement(stamp, gyro, accel), 1e-6, 1e-4))
         writer.section()
         n = megabytes * 1_000_000 // frame
         for k in range(n):
             data = b"\0\1\0\0" + struct.pack("<I", 0) + generator.bytes(frame)
-            writer.write(topics.Message("/cam_left/image", START + round(k * seconds / n * 1e9), data))
+            writer.write(Message("/cam_left/image", START + round(k * seconds / n * 1e9), data))
         writer.finish()
     return path
 

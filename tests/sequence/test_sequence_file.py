@@ -9,8 +9,11 @@ from rosbags.highlevel import AnyReader
 
 import oysterbench
 from oysterbench.core.errors import MethodError, SequenceError
+from oysterbench.core.ros import EPOCH_NS
 from oysterbench.recipe import parse_split
-from oysterbench.sequence import Image, ImuMeasurement, topics
+from oysterbench.sensors.camera import LAYERS
+from oysterbench.sensors.imu import ImuRecipe
+from oysterbench.sequence import Image, ImuMeasurement
 from oysterbench.sequence.types import imu_arrays
 from oysterbench.simulation.generate import generate_split
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
@@ -40,7 +43,7 @@ def test_every_topic_has_its_messages(sequence):
 def test_images_come_with_stamps_in_order_and_the_size_of_the_camera(sequence):
     images = list(sequence.images("cam_front"))
     stamps = np.array([image.stamp_ns for image in images])
-    assert np.array_equal(stamps, topics.EPOCH_NS + np.arange(25) * 100_000_000)
+    assert np.array_equal(stamps, EPOCH_NS + np.arange(25) * 100_000_000)
     assert all(image.pixels.shape == (48, 64, 3) and image.pixels.dtype == np.uint8 for image in images)
     assert len({image.pixels.tobytes() for image in images}) == 25
 
@@ -62,7 +65,7 @@ def test_the_calibration_travels_in_the_file(sequence, tiny_split):
     assert (camera.width, camera.height) == (64, 48)
     assert camera.matrix[0, 0] == pytest.approx(32 / np.tan(np.radians(34.5)))
     assert np.allclose(camera.T_base_cam[:3, :3] @ [0, 0, 1], [np.cos(np.pi / 6), 0, -0.5]), "30 degrees down"
-    assert sequence.imu_calibration.gyro_noise_density == tiny_split.rig.imu.gyro_noise_density
+    assert sequence.imu_calibration.gyro_noise_density == tiny_split.rig.of(ImuRecipe)[0].gyro_noise_density
     assert sequence.attachments["split.toml"].decode() == tiny_split.source
 
 
@@ -120,11 +123,11 @@ def test_reading_the_inertial_unit_touches_no_image(tiny_file):
 
 
 def test_every_layer_can_be_asked_for(tmp_path):
-    asked = TINY_RIG + f"layers = {list(topics.LAYERS)}\n".replace("'", '"')
+    asked = TINY_RIG + f"layers = {list(LAYERS)}\n".replace("'", '"')
     split = parse_split(TINY_SPLIT.replace("duration_s = 2.5", "duration_s = 1.0"), "tiny.toml", rig_source=asked)
     sequence = oysterbench.open(generate_split(split, tmp_path)["tiny-01"])
-    found = {name: [image.pixels for image in sequence.layer("cam_front", name)] for name in topics.LAYERS}
-    assert {name: len(images) for name, images in found.items()} == dict.fromkeys(topics.LAYERS, 2)
+    found = {name: [image.pixels for image in sequence.layer("cam_front", name)] for name in LAYERS}
+    assert {name: len(images) for name, images in found.items()} == dict.fromkeys(LAYERS, 2)
     depth, instance, normals, share = (found[name][0] for name in ("depth", "instance", "normals", "visibility"))
     bottom = depth > 0
     np.testing.assert_allclose(np.linalg.norm(normals[bottom], axis=-1), 1.0, atol=1e-3)
@@ -143,7 +146,7 @@ def test_a_method_cannot_reach_the_truth(sequence):
     with pytest.raises(MethodError, match="does not see the truth"):
         sensors.truth()
     assert not any("truth" in topic for topic, _, _ in sensors.contents())
-    assert next(sensors.images("cam_front")).stamp_ns == topics.EPOCH_NS
+    assert next(sensors.images("cam_front")).stamp_ns == EPOCH_NS
     assert sensors.duration_s == sequence.duration_s
 
 

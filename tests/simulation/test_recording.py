@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import oysterbench
+from oysterbench.core.ros import EPOCH_NS
 from oysterbench.recipe import load_split, parse_split
-from oysterbench.sequence import topics
 from oysterbench.simulation.generate import generate_split
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
@@ -110,7 +110,7 @@ def test_what_is_measured_fits_the_truth(sequence):
 
 def test_a_clock_offset_shifts_stamps_and_nothing_else(sequence):
     stamps = np.array([sample.stamp_ns for sample in sequence.pressure()])
-    assert np.array_equal(stamps, topics.EPOCH_NS + 12_000_000 + np.arange(80) * 50_000_000)
+    assert np.array_equal(stamps, EPOCH_NS + 12_000_000 + np.arange(80) * 50_000_000)
 
 
 def test_the_sonar_sees_the_reef_that_the_camera_sees(sequence):

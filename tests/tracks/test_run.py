@@ -19,7 +19,7 @@ from oysterbench.methods.entrants import Command, PythonMethod
 from oysterbench.methods.inputs import FORMS, frame_pose, write_input
 from oysterbench.report.tables import results_table
 from oysterbench.sequence.export.parts import sensor_poses
-from oysterbench.sequence.names import TRUTH_TOPICS
+from oysterbench.sequence.truth import TRUTH_TYPES
 from oysterbench.tracks.slam_runs import Dive, dives_of, run_slam
 from tests.helpers.programs import command
 
@@ -111,7 +111,7 @@ def test_what_a_program_is_given_holds_no_truth(form, dive_file, tmp_path, truth
         content = oysterbench.open(place)
         topics = {topic for topic, _, _ in content.contents()}
         assert topics >= {"/imu", "/cam_left/image"}
-        assert not topics & {*TRUTH_TOPICS, "/cam_left/depth", "/cam_left/instance", "/fls/cloud"}
+        assert not topics & {*TRUTH_TYPES, "/cam_left/depth", "/cam_left/instance", "/fls/cloud"}
         assert set(content.attachments) == {"calibration.json"}
         with pytest.raises(SequenceError, match="no truth"):
             content.truth()

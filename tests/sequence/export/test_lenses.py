@@ -10,9 +10,10 @@ from oysterbench.recipe import CameraRecipe
 from oysterbench.render.lens import pixel_rays as render_rays
 from oysterbench.render.lens import project as render_project
 from oysterbench.scene.rig import camera_matrix
-from oysterbench.sequence.types import CameraCalibration, camera_calibration
+from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sequence.export.parts import undistorting_maps
 from oysterbench.sequence.export.ply import pixel_rays, points_at
+from oysterbench.sequence.types import CameraCalibration
 
 MATRIX = np.array([[90.0, 0, 79.5], [0, 92.0, 59.5], [0, 0, 1.0]])
 
@@ -74,7 +75,7 @@ def test_rays_behind_a_flat_port_are_those_that_the_picture_was_drawn_with():
         "T_base_cam": np.eye(4),
         "port": {"distance_m": 0.08, "index": 1.33},
     }
-    rays = pixel_rays(camera_calibration(entry))
+    rays = pixel_rays(CAMERA.read_calibration(entry))
     np.testing.assert_allclose(rays, render_rays(recipe)[1:-1, 1:-1], atol=2e-7)
     assert rays[0, 0, 2] < rays[60, 80, 2] < -0.02
     pixels = render_project(points_at(rays.reshape(-1, 3), np.full(rays[..., 0].size, 1.3)), recipe)
