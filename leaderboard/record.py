@@ -75,7 +75,9 @@ class Record:
                 raise ResultError(
                     f"record: key {key!r}: expected a SHA-256 (64 hex digits) or nothing, got {value!r:.80}"
                 )
-        if len({comparable_key(result) for result in self.results}) > 1:
+        keys = ("track", "split", "split_digest", "evaluator_version", "settings")
+        first = [getattr(self.results[0], key) for key in keys]
+        if any([getattr(result, key) for key in keys] != first for result in self.results):
             raise ResultError(
                 f"record of {self.method}: expected results of one split, evaluator and setting, got several"
             )

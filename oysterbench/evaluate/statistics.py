@@ -290,7 +290,7 @@ def bootstrap_intervals(values: Array, weights: Array | None = None) -> Array:
     found = np.full((len(values), 2), math.nan)
     for rows, known, drawn in _by_known(values):
         means = _resampled_rows(values[rows][:, known], None if weights is None else weights[rows][:, known], drawn)
-        found[rows] = np.quantile(means, _tails(int(known.sum())), axis=1).T
+        found[rows] = _quantiles(means, _tails(int(known.sum())))
     return np.array([[_settled(value) for value in row] for row in found.tolist()]).reshape(found.shape)
 
 
@@ -319,10 +319,23 @@ def significant_signs(
 def _by_known(values: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.bool_], Array]]:
     """Rows of values (R, n) that have a value in the same columns, these columns (n,), and shares (RESAMPLES, k) of
     each of them in each resample; rows with too few for an interval are left out."""
-    patterns, which = np.unique(~np.isnan(values), axis=0, return_inverse=True)
-    for k, known in enumerate(patterns):
-        if known.sum() >= LEAST_SEQUENCES:
-            yield np.flatnonzero(which.ravel() == k), known, _weights(int(known.sum()))
+    missing = np.isnan(values)
+    patterns, which = missing[:1], np.zeros(len(values), int)
+    if missing.any():
+        patterns, which = np.unique(missing, axis=0, return_inverse=True)
+    for k, pattern in enumerate(patterns):
+        known = np.count_nonzero(~pattern)
+        if known >= LEAST_SEQUENCES:
+            yield np.flatnonzero(which.ravel() == k), ~pattern, _weights(known)
+
+
+def _quantiles(values: Array, shares: Sequence[float]) -> Array:
+    """(R, len(shares)) quantiles of each row (R, n), interpolated as by `np.quantile`, but along the memory."""
+    places = [share * (values.shape[1] - 1) for share in shares]
+    kept = [place for at in places for place in (math.floor(at), math.ceil(at))]
+    ordered = np.partition(values, sorted(set(kept)), axis=1)
+    ends = [(ordered[:, math.floor(at)], ordered[:, math.ceil(at)], at - math.floor(at)) for at in places]
+    return np.stack([low + (high - low) * part for low, high, part in ends], axis=1)
 
 
 def _resampled_rows(values: Array, weights: Array | None, drawn: Array) -> Array:

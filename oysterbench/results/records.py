@@ -9,6 +9,7 @@ import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -90,9 +91,8 @@ class ResultRecord:
 
     def __post_init__(self) -> None:
         """Copies of the mappings are kept, so that the caller's later changes do not reach the record."""
-        for key, value in vars(self).items():
-            if isinstance(value, Mapping):
-                object.__setattr__(self, key, dict(value))
+        for key in _MAPPINGS:
+            object.__setattr__(self, key, dict(getattr(self, key)))
         object.__setattr__(self, "notes", tuple(self.notes))
         if self.failure is not None:
             object.__setattr__(self, "metrics", {**self.metrics, **FAILED.get(self.track, {"coverage": 0.0})})
@@ -128,7 +128,14 @@ class ResultRecord:
         return cls.from_dict(_load(text, where), where)
 
 
+_MAPPINGS = [each.name for each in fields(ResultRecord) if str(each.type).startswith("Mapping")]
+
 Checked = TypeVar("Checked")
+
+
+@lru_cache
+def _keys(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(each.name for each in fields(kind))
 
 
 def checked(values: Any, kind: type[Checked], form: str, where: str, remedy: str = "") -> Checked:
@@ -138,7 +145,7 @@ def checked(values: Any, kind: type[Checked], form: str, where: str, remedy: str
         raise ResultError(f"{where}: expected a record (a JSON object), got {type(values).__name__}")
     if values.get("format") != form:
         raise ResultError(f"{where}: key 'format': expected {form!r}, got {values.get('format')!r:.60}{remedy}")
-    known = [each.name for each in fields(kind)]  # type: ignore[arg-type]
+    known = _keys(kind)
     given = {key: value for key, value in values.items() if key != "format"}
     for key in given.keys() - set(known):
         raise ResultError(f"{where}: unknown key {key!r:.60}; known keys: {', '.join(known)}")

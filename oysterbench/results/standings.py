@@ -39,9 +39,9 @@ UNPREDICTED_WEIGHT = {"union_px": "truth_px"}
 """Key of a metric's weight -> key of the same weight where nothing was predicted: the union of an empty mask with the
 truth is the truth."""
 
-REFERENCES = 100
+REFERENCES = 50
 """Methods, the best placed, against which all others are tested: what is significantly worse than all of them shares
-the rank after them. So a board of tens of thousands is ranked within seconds, and one of up to 100 in full."""
+the rank after them. So a board of tens of thousands is ranked within seconds, and one of up to 50 in full."""
 
 BATCH = 256
 """Methods whose resamples are in memory at once: 20 MB."""
