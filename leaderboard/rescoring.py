@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ class Again:
 def evaluator_of(track: str) -> tuple[str, dict[str, Any]]:
     """Version and settings by which this version of oysterbench scores for the board. Raises Refusal for a track whose
     estimates are never kept."""
-    from oysterbench_leaderboard.submissions.evaluators import evaluator
+    from oysterbench_leaderboard.submissions.scoring import evaluator
 
     return evaluator(track)
 
@@ -61,7 +61,7 @@ def score_again(
     estimates: folder of files named by their SHA-256; truth: folder with the sequences of a hidden split; recipe: of
     the split, where it does not come with oysterbench
 
-    What an upload holds is read and scored in a limited process, as when it came. Nothing is written.
+    What an upload holds is read and scored in a sandbox, as when it came. Nothing is written.
     """
     if not record.estimates:
         return Again(record.digest, None, "its estimates were not kept")
@@ -100,10 +100,10 @@ Made = tuple[tuple[ResultRecord, ...], Mapping[str, Any] | None, dict[str, Any] 
 
 
 def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None, split: str) -> Made:
-    """What a team sent, as one file, through the same limited process as when it came."""
-    from oysterbench_leaderboard.submissions import limited
+    """What a team sent, as one file, through the same sandbox as when it came."""
+    from oysterbench_leaderboard.submissions import sandbox
     from oysterbench_leaderboard.submissions.catalogue import serve_split
-    from oysterbench_leaderboard.submissions.settings import Settings
+    from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
     if len(files) > 1:
         raise ResultError(f"expected one upload, got {len(files)} files")
@@ -113,17 +113,11 @@ def _score_upload(record: Record, files: Mapping[str, Path], truth: Path | None,
     _check_recipe(record, wanted.split_digest)
     if not served.truth:
         raise ResultError(f"{record.split} is not rendered here: `oysterbench render {record.split}`")
-    settings = Settings(folder=path.parent.parent)
-    job = {
-        "do": "score",
-        "path": str(path.resolve()),
-        "wanted": wanted.to_dict(),
-        "limits": asdict(limited.limits_of(settings)),
-        "truth": {name: str(place.resolve()) for name, place in served.truth.items()},
-        "method": record.method,
-        "created": record.created,
-    }
-    ended = limited.run(job, limited.scoring(settings))
+    settings = SubmissionSettings(folder=path.parent.parent)
+    truths = {name: str(place.resolve()) for name, place in served.truth.items()}
+    upload, hidden = path.resolve(), (str(path.parent.resolve()),)
+    job = sandbox.Job(str(upload), wanted, settings.limits, hidden, truths, record.method, record.created)
+    ended = sandbox.run(job, sandbox.scoring(settings))
     if ended.answer is None:
         raise ResultError(f"scoring {digest[:12]} ended without an answer ({ended.cause})")
     if "refused" in ended.answer:

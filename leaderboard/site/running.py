@@ -78,8 +78,7 @@ def whole(
     of what it scores against; root: what a proxy puts before our addresses."""
     taken: Any = None
     if submissions is not None:
-        from oysterbench_leaderboard.submissions.opening import open_service
-        from oysterbench_leaderboard.submissions.web import Submissions
+        from oysterbench_leaderboard.submissions.web import Submissions, open_service
 
         service = open_service(submissions, truths, index.store, index.refresh)
         taken = Submissions(service, render.server_links(root), workers)

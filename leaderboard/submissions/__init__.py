@@ -1,1 +1,1 @@
-"""Submissions: tokens, intake, queue, scoring in a limited process, publication."""
+"""Submissions: tokens, uploads, queue, scoring in a sandbox, publication."""

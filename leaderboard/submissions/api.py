@@ -11,32 +11,33 @@ from starlette.routing import Route
 
 from oysterbench.results.records import aggregate
 from oysterbench.results.standings import PRIMARY
-from oysterbench_leaderboard.submissions.gate import Gate
+from oysterbench_leaderboard.submissions.auth import Auth
+from oysterbench_leaderboard.submissions.database import Submission
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Service
-from oysterbench_leaderboard.submissions.state import Submission
 
 MOST_BODY = 4000
 """Bytes of a small body."""
 
 
-def routes(gate: Gate) -> list[Route]:
+def routes(auth: Auth) -> list[Route]:
     """Of the interface."""
-    service = gate.service
+    service = auth.service
 
     async def team(request: Request) -> str:
         kind, _, token = request.headers.get("authorization", "").partition(" ")
         if kind.lower() != "bearer" or not token:
             raise Refusal("token", "expected the header 'Authorization: Bearer TOKEN'")
-        request.state.team = (await gate.holder(request, token.strip())).team
-        return request.state.team
+        holder = await auth.holder(request, token.strip())
+        request.state.team = holder.team
+        return holder.team
 
     async def splits(request: Request) -> Response:
         limits = {key: getattr(service.settings, key) for key in ("file_bytes", "upload_bytes", "per_day", "per_split")}
         return JSONResponse({"splits": service.catalogue.public(), "limits": limits})
 
     async def send(request: Request) -> Response:
-        made, new = await gate.submit(request, await team(request))
+        made, new = await auth.submit(request, await team(request))
         return JSONResponse(await run_in_threadpool(shown, service, made), 201 if new else 200)
 
     async def listed(request: Request) -> Response:
@@ -62,7 +63,7 @@ def routes(gate: Gate) -> list[Route]:
         return JSONResponse({"error": refusal.kind, "reason": refusal.reason}, refusal.status, headers)
 
     def route(path: str, handler: Any, method: str) -> Route:
-        return Route(path, gate.answered(handler, refuse), methods=[method])
+        return Route(path, auth.answered(handler, refuse), methods=[method])
 
     return [
         route("/api/submissions/splits", splits, "GET"),

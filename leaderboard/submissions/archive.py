@@ -9,7 +9,7 @@ import stat
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -18,19 +18,23 @@ from oysterbench_leaderboard.submissions.refusals import Refusal
 
 ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""Ways of compression that are read: others reach far higher ratios."""
+"""Kinds of compression that are read: others reach far higher ratios."""
+
+BROKEN = (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, NotImplementedError, RuntimeError)
+"""What the library raises where an archive is not one."""
 
 ENCRYPTED = 0x1
 EPOCH = (1980, 1, 1, 0, 0, 0)
 """Date of files in archives that are made here."""
 
+NAMED = "expected names as `SEQUENCE.tum`"
 SHOWN = 80
 """Characters of a name in a message."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Of what is read (`settings.Settings`)."""
+    """Of what is read (`SubmissionSettings`)."""
 
     file_bytes: int
     results_bytes: int
@@ -75,10 +79,9 @@ class Archive:
         try:
             self._zip = zipfile.ZipFile(file)
             entries = self._zip.infolist()
-        except (zipfile.BadZipFile, zlib.error, ValueError, EOFError, OSError, NotImplementedError) as error:
-            raise Refusal(
-                "archive", f"{label}: not a whole zip archive: {' '.join(str(error).split())[:100]}"
-            ) from None
+        except BROKEN as error:
+            said = " ".join(str(error).split())[:100]
+            raise Refusal("archive", f"{label}: not a whole zip archive: {said}") from None
         budget.take(len(entries), sum(max(entry.file_size, 0) for entry in entries))
         self.entries: dict[str, zipfile.ZipInfo] = {}
         for entry in entries:
@@ -88,32 +91,29 @@ class Archive:
     def _check(self, entry: zipfile.ZipInfo, arrays: bool) -> None:
         # `filename` has been mended by the library; what was written says what was meant.
         name = entry.orig_filename
-        where = f"{self.label}: {shown(name)}"
         kind = stat.S_IFMT(entry.external_attr >> 16)
-        if name in self.entries:
-            raise Refusal("archive", f"{where} is there twice; expected each name once")
-        if kind and not stat.S_ISREG(kind) and not stat.S_ISDIR(kind):
-            what = "a symbolic link" if stat.S_ISLNK(kind) else "no regular file"
-            raise Refusal("archive", f"{where} is {what}; expected files alone")
-        if name.startswith(("/", "\\")) or name[1:2] == ":":
-            raise Refusal("archive", f"{where} is an absolute path; expected names as `SEQUENCE.tum`")
-        if ".." in name.replace("\\", "/").split("/"):
-            raise Refusal("archive", f"{where} leaves its folder by '..'; expected names as `SEQUENCE.tum`")
-        if "\\" in name or "\0" in name or not name.isprintable():
-            raise Refusal("archive", f"{where} has characters that no name here has; expected names as `SEQUENCE.tum`")
-        if entry.is_dir() or name.endswith("/"):
-            raise Refusal("archive", f"{where} is a folder; archive the files alone, e.g. `zip -D answers.zip *.tum`")
-        if entry.flag_bits & ENCRYPTED or entry.compress_type not in METHODS:
-            raise Refusal("archive", f"{where} is encrypted or packed in an unusual way; expected deflate or none")
-        if entry.file_size > self.limits.file_bytes:
-            most = self.limits.file_bytes // 1_000_000
-            raise Refusal("archive", f"{where} has {entry.file_size} bytes unpacked; expected at most {most} MB")
-        if not arrays and entry.file_size > self.limits.ratio * max(entry.compress_size, 1) + 1000:
-            raise Refusal(
-                "archive",
-                f"{where} unpacks to {entry.file_size} bytes from {entry.compress_size}; expected at most "
-                f"{self.limits.ratio:g} times as many",
-            )
+        size, most, ratio = entry.file_size, self.limits.file_bytes, self.limits.ratio
+        wrong = (
+            (name in self.entries, "is there twice; expected each name once"),
+            (stat.S_ISLNK(kind), "is a symbolic link; expected files alone"),
+            (kind and not stat.S_ISREG(kind) and not stat.S_ISDIR(kind), "is no regular file; expected files alone"),
+            (name.startswith(("/", "\\")) or name[1:2] == ":", f"is an absolute path; {NAMED}"),
+            (".." in name.replace("\\", "/").split("/"), f"leaves its folder by '..'; {NAMED}"),
+            ("\\" in name or "\0" in name or not name.isprintable(), f"has characters that no name here has; {NAMED}"),
+            (name.endswith("/"), "is a folder; archive the files alone, e.g. `zip -D predictions.zip *.tum`"),
+            (
+                entry.flag_bits & ENCRYPTED or entry.compress_type not in METHODS,
+                "is encrypted or packed in an unusual way; expected deflate or none",
+            ),
+            (size > most, f"has {size} bytes unpacked; expected at most {most // 1_000_000} MB"),
+            (
+                not arrays and size > ratio * max(entry.compress_size, 1) + 1000,
+                f"unpacks to {size} bytes from {entry.compress_size}; expected at most {ratio:g} times as many",
+            ),
+        )
+        for is_wrong, what in wrong:
+            if is_wrong:
+                raise Refusal("archive", f"{self.label}: {shown(name)} {what}")
 
     def read(self, name: str) -> bytes:
         """The bytes of an entry; no more than its size says."""
@@ -121,27 +121,23 @@ class Archive:
         try:
             with self._zip.open(entry) as file:
                 return file.read(self.limits.file_bytes + 1)[: self.limits.file_bytes + 1]
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            ValueError,
-            EOFError,
-            OSError,
-            NotImplementedError,
-            RuntimeError,
-        ) as error:
+        except BROKEN as error:
             said = " ".join(str(error).split())[:100]
             raise Refusal("archive", f"{self.label}: {shown(name)} cannot be unpacked: {said}") from None
 
 
-def pack(files: Mapping[str, Path], target: IO[bytes]) -> None:
+def pack(files: Mapping[str, Path | IO[bytes]], target: IO[bytes]) -> None:
     """Write a zip archive of files, by their names in it: the same bytes for the same files, whenever it is made."""
     with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(files):
             entry = zipfile.ZipInfo(name, EPOCH)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.external_attr = 0o100644 << 16
-            with open(files[name], "rb") as source, archive.open(entry, "w") as place:
+            file = files[name]
+            with (
+                open(file, "rb") if isinstance(file, Path) else nullcontext(file) as source,
+                archive.open(entry, "w") as place,
+            ):
                 shutil.copyfileobj(source, place, 1 << 20)
 
 

@@ -7,33 +7,40 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+
+import msgspec
 
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.core.files import write_atomically
 from oysterbench.hub.canonical import canonical, sha256
-from oysterbench.results.records import plain
+from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 TRACKS_OF = {"slam": ("slam",), "segmentation": ("segmentation", "detection"), "steering": ("steering",)}
-"""Track of a split's recipe -> tracks of which answers to it are scored."""
+"""Track of a split's recipe -> tracks that are scored on it."""
 
 SCORED = tuple(track for tracks in TRACKS_OF.values() for track in tracks)
 """Tracks that can be submitted."""
 
 ELSEWHERE = {
     "density": "maps are scored where they are made: `oysterbench eval --track density`",
-    "exploration": "dives are scored where they are made: `oysterbench eval --track steering --closed-loop`",
+    "exploration": "rollouts are scored where they are made: `oysterbench eval --track steering --closed-loop`",
 }
 """Track that cannot be submitted -> why."""
 
-Kind = Literal["poses", "answers", "commands", "results"]
-"""What is sent: paths, answers to images, commands at pictures, or results that were computed elsewhere."""
+Kind = Literal["poses", "predictions", "commands", "results"]
+"""What is sent: paths, masks or instances of images, commands at pictures, or results that were computed elsewhere."""
 
-KIND_OF: dict[str, Kind] = {"slam": "poses", "segmentation": "answers", "detection": "answers", "steering": "commands"}
-"""Track -> the estimates that it takes."""
+KIND_OF: dict[str, Kind] = {
+    "slam": "poses",
+    "segmentation": "predictions",
+    "detection": "predictions",
+    "steering": "commands",
+}
+"""Track -> the predictions that it takes."""
 
 Images = Mapping[str, Mapping[str, tuple[int, int]]]
 """Sequence -> name of an image -> height and width."""
@@ -41,10 +48,10 @@ Images = Mapping[str, Mapping[str, tuple[int, int]]]
 
 @dataclass(frozen=True)
 class Wanted:
-    """What an answer to a split on a track is made of.
+    """What predictions on a split and track are made of.
 
     split_digest, conditions: as results hold them; hidden: whether nobody but the server has the truth
-    images: that are answered, by masks or commands; empty where they are not known, as on a client that has not
+    images: that predictions or commands are wanted of; empty where they are not known, as on a client that has not
             downloaded them
     task:   of the track steering, the table [steering] of the recipe
     """
@@ -56,30 +63,21 @@ class Wanted:
     sequences: tuple[str, ...]
     conditions: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
     images: Images = field(default_factory=dict)
-    task: Mapping[str, Any] = field(default_factory=dict)
+    task: SteeringRecipe | None = None
 
     @property
     def kind(self) -> Kind:
-        """Of the estimates."""
+        """Of the predictions."""
         return KIND_OF[self.track]
 
     @property
     def of_images(self) -> bool:
         """Whether what is sent are masks or instances."""
-        return self.kind == "answers"
+        return self.kind == "predictions"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {**self.__dict__, "sequences": list(self.sequences)}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Wanted:
-        """As `to_dict` made it."""
-        images = {
-            sequence: {name: (int(size[0]), int(size[1])) for name, size in named.items()}
-            for sequence, named in values["images"].items()
-        }
-        return cls(**{**values, "sequences": tuple(values["sequences"]), "images": images})
+    def size(self, image: str) -> tuple[int, int] | None:
+        """Height and width of an image by its name, px; None where it is not known."""
+        return self.images.get(image.partition("/")[0], {}).get(image)
 
 
 @dataclass(frozen=True)
@@ -122,7 +120,7 @@ class Catalogue:
                 "takes": ["estimates"] * bool(one.truth) + ["results"] * (not one.any.hidden),
                 "sequences": list(one.any.sequences),
                 "images": {sequence: len(named) for sequence, named in one.any.images.items()},
-                "task": dict(one.any.task),
+                "task": msgspec.to_builtins(one.any.task),
             }
             for name, one in self.splits.items()
         ]
@@ -164,7 +162,7 @@ def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None
     names = tuple(sequence.name for sequence in split.sequence)
     images = {name: _images_of(path, split.track, cache) for name, path in files.items() if split.track in NAMED}
     wanted = {
-        track: Wanted(track, split.name, digest(split), split.hidden, names, found, images, _task(split))
+        track: Wanted(track, split.name, digest(split), split.hidden, names, found, images, split.steering)
         for track in TRACKS_OF[split.track]
     }
     return Served(wanted, files)
@@ -182,11 +180,6 @@ def _check(split: Any, name: str, path: Path) -> None:
     for key, value in wanted.items():
         if said.get(key) != value:
             raise ResultError(f"{path}: expected {key} {value!r}, got {said.get(key)!r}: the truth of another split")
-
-
-def _task(split: Any) -> dict[str, Any]:
-    """The table [steering] as plain values."""
-    return {} if split.steering is None else plain(asdict(split.steering))
 
 
 def _masked(path: Path) -> tuple[str, ...]:
@@ -241,4 +234,22 @@ def local_wanted(split_name: str, track: str) -> Wanted:
     from oysterbench.simulation.generate import digest
 
     names = tuple(sequence.name for sequence in split.sequence)
-    return Wanted(track, split.name, digest(split), split.hidden, names, task=_task(split))
+    return Wanted(track, split.name, digest(split), split.hidden, names, task=split.steering)
+
+
+def served_splits(truths: Iterable[str], cache: Path | None = None) -> Catalogue:
+    """What there is to be served."""
+    from oysterbench.recipe import load_split, split_names
+
+    found: dict[str, Served] = {}
+    for given in truths:
+        split, _, place = given.partition("=")
+        if not split or not place:
+            raise ResultError(f"--truth: expected SPLIT=FOLDER, got {given!r}")
+        served = serve_split(split, Path(place), cache)
+        found[served.any.split] = served
+    for name in split_names():
+        recipe = load_split(name)
+        if name not in found and not recipe.hidden and recipe.track in TRACKS_OF:
+            found[name] = serve_split(name, None, cache)
+    return Catalogue(found.values())

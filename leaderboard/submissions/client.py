@@ -20,7 +20,7 @@ from oysterbench_leaderboard.submissions.package import Package
 
 MOST_ANSWER = 64_000_000
 WAIT_S = (1.0, 10.0)
-"""Between two looks at a submission that is not scored yet: at first, and at most."""
+"""Between two requests for a submission that is not scored yet: at first, and at most."""
 
 REFUSED_FOR_GOOD = ("quota", "guessing")
 """Kinds of refusals that come with a status that otherwise is worth another attempt."""
@@ -73,14 +73,14 @@ class Client:
         """Put it on the board."""
         return self._ask("POST", f"/api/submissions/{urllib.parse.quote(id, safe='')}/publish")
 
-    def wait(self, id: str, told: Callable[[dict[str, Any]], None] = lambda found: None) -> dict[str, Any]:
-        """A submission when it is scored; `told` is called whenever its state has changed."""
+    def wait(self, id: str, on_change: Callable[[dict[str, Any]], None] = lambda found: None) -> dict[str, Any]:
+        """A submission when it is scored; `on_change` is called whenever its state has changed."""
         pause, state = WAIT_S[0], ""
         while True:
             found = self.get(id)
             if found["state"] != state:
                 state = found["state"]
-                told(found)
+                on_change(found)
             if state not in ("queued", "running"):
                 return found
             time.sleep(pause)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,14 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 
 TOKEN = "OYSTERBENCH_TOKEN"
 
+echo = partial(click.echo, err=True)
+
 
 @click.command("submit", short_help="Send results or estimates to a leaderboard.")
 @click.argument("place", metavar="RESULT_OR_ESTIMATES", type=click.Path(path_type=Path))
 @click.option("--to", "url", required=True, envvar="OYSTERBENCH_BOARD_URL", help="Address of the leaderboard.")
 @click.option("--method", required=True, help="Name of the method, for the board.")
-@click.option("--split", help="What it answers.  [default: as the results or the names say]")
+@click.option("--split", help="What it was run on.  [default: as the results or the names say]")
 @click.option("--track", help="Of a split with several.  [default: its first]")
 @click.option("--of", "of", default="", help="Whose estimates, of a folder with those of several methods.")
 @click.option("--run", type=click.IntRange(min=1), default=1, show_default=True, help="Which run, of several.")
@@ -67,33 +70,34 @@ def command(
     """
     if publish and not wait:
         raise click.UsageError("--publish waits until the submission is scored: --no-wait does not go with it")
+    from oysterbench.cli.hub import bytes_bar
     from oysterbench_leaderboard.submissions.catalogue import why
     from oysterbench_leaderboard.submissions.client import Client
-    from oysterbench_leaderboard.submissions.package import look, packed, split_in, wanted_of
+    from oysterbench_leaderboard.submissions.package import find_package, packed, split_in, wanted_of
 
     client = Client(url, _token(team_token_file))
     if client.open:
-        _say(f"{url}: without https others on the way can read the token and what is sent")
-    told = client.splits()
-    said_split, said_track = split_in(place)
-    chosen = _choose(told["splits"], split or said_split, place)
-    of_track = track or said_track or chosen["tracks"][0]
+        echo(f"{url}: without https others on the way can read the token and what is sent")
+    offered = client.splits()
+    known_split, known_track = split_in(place)
+    chosen = _choose(offered["splits"], split or known_split, place)
+    of_track = track or known_track or chosen["tracks"][0]
     if of_track not in chosen["tracks"]:
         where = "--track" if track else f"{place}: its track"
         raise ResultError(
             f"{where}: {chosen['split']} has {', '.join(chosen['tracks'])}, got {of_track!r:.60}{why(of_track)}"
         )
     results = results or "estimates" not in chosen["takes"]
-    found = look(place, chosen["sequences"], of, run, results)
-    with packed(found, wanted_of(chosen["split"], of_track, chosen), told["limits"]) as package:
-        _say(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to be sent")
+    found = find_package(place, chosen["sequences"], of, run, results)
+    with packed(found, wanted_of(chosen["split"], of_track, chosen), offered["limits"]) as package:
+        echo(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to be sent")
         if absent := [name for name in chosen["sequences"] if name not in package.facts["sequences"]]:
-            _say(f"nothing is sent for {', '.join(absent)}: counted as failed there")
-        with _bar(package.size) as progress:
+            echo(f"nothing is sent for {', '.join(absent)}: counted as failed there")
+        with bytes_bar("sending") as progress:
             sent = client.send(package, method, about, summary, progress)
-    _say(f"submission {sent['id']}: {url.rstrip('/')}{sent['page']}")
+    echo(f"submission {sent['id']}: {url.rstrip('/')}{sent['page']}")
     if wait:
-        sent = client.wait(sent["id"], lambda now: _say(f"{now['state']}{_before(now)}"))
+        sent = client.wait(sent["id"], lambda now: echo(f"{now['state']}{_before(now)}"))
         if publish and sent["state"] == "done":
             sent = client.publish(sent["id"])
     _show(sent, as_json)
@@ -124,7 +128,7 @@ def _choose(splits: list[dict[str, Any]], name: str, place: Path) -> dict[str, A
     names = {path.stem for path in place.iterdir()} if place.is_dir() else set()
     fits = [one for one in splits if names & set(one["sequences"])]
     if len(fits) != 1:
-        raise click.UsageError(f"--split: expected what is answered, one of {', '.join(known)}")
+        raise click.UsageError(f"--split: expected the split that was predicted, one of {', '.join(known)}")
     return fits[0]
 
 
@@ -135,12 +139,6 @@ def _described(facts: dict[str, Any]) -> str:
 
 def _before(found: dict[str, Any]) -> str:
     return f", {found['queued_before']} wait longer" if found.get("queued_before") else ""
-
-
-def _bar(size: int) -> Any:
-    from oysterbench.cli.hub import bytes_bar
-
-    return bytes_bar("sending")
 
 
 def _show(sent: dict[str, Any], as_json: bool) -> None:
@@ -161,7 +159,3 @@ def _show(sent: dict[str, Any], as_json: bool) -> None:
             click.echo("  private until it is published: the same command with --publish does so")
     if sent["state"] in ("failed", "withdrawn"):
         sys.exit(OysterbenchError.exit_code)
-
-
-def _say(text: str) -> None:
-    click.echo(text, err=True)

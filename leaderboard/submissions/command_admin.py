@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ def add(name: str, folder: Path, as_json: bool) -> None:
     """Print a new token of a team, which is made if it is new. Only its hash is kept: it is shown this once."""
     from oysterbench_leaderboard.submissions.tokens import issue
 
-    token = issue(_state(folder), name)
+    token = issue(_database(folder), name)
     click.echo(json.dumps({"team": name, "token": token}) if as_json else token)
     click.echo("this token is not shown again; OYSTERBENCH_TOKEN or --team-token-file gives it to `submit`", err=True)
 
@@ -53,7 +54,7 @@ def list_teams(folder: Path, as_json: bool) -> None:
     """List the tokens of all teams, without what is secret."""
     from oysterbench_leaderboard.submissions.tokens import listed
 
-    rows = listed(_state(folder, must_exist=True))
+    rows = listed(_database(folder, must_exist=True))
     if as_json:
         click.echo(json.dumps(rows, indent=2))
     for row in () if as_json else rows:
@@ -70,7 +71,7 @@ def revoke_token(name: str, folder: Path, as_json: bool) -> None:
     """Revoke a token by its id (`team list`), or all tokens of a team."""
     from oysterbench_leaderboard.submissions.tokens import revoke
 
-    gone = revoke(_state(folder, must_exist=True), name)
+    gone = revoke(_database(folder, must_exist=True), name)
     click.echo(
         json.dumps({"revoked": gone}) if as_json else f"revoked: {', '.join(gone) or 'none that was not before'}"
     )
@@ -96,14 +97,14 @@ def submissions() -> None:
 @AS_JSON
 def list_submissions(folder: Path, of: str | None, state: str | None, limit: int, as_json: bool) -> None:
     """List submissions, the newest first."""
-    from oysterbench_leaderboard.submissions import state as states
+    from oysterbench_leaderboard.submissions import database
 
-    c = states.submissions.c
+    c = database.submissions.c
     wanted = [column == value for column, value in ((c.team, of), (c.state, state)) if value]
-    with _state(folder, must_exist=True).reading() as connection:
-        found = states.find(connection, *wanted, limit=limit)
+    with _database(folder, must_exist=True).reading() as connection:
+        found = database.find(connection, *wanted, limit=limit)
     if as_json:
-        click.echo(json.dumps([one.__dict__ for one in found], indent=2))
+        click.echo(json.dumps([asdict(one) for one in found], indent=2))
         return
     for one in found:
         why = f": {one.reason}" if one.reason else ""
@@ -120,10 +121,10 @@ def list_submissions(folder: Path, of: str | None, state: str | None, limit: int
 @AS_JSON
 def show_log(folder: Path, id: str, limit: int, as_json: bool) -> None:
     """Print the log, of one submission where its id is given. Nothing is ever taken out of it."""
-    from oysterbench_leaderboard.submissions import state as states
+    from oysterbench_leaderboard.submissions import database
 
-    with _state(folder, must_exist=True).reading() as connection:
-        rows = states.log(connection, id, limit)
+    with _database(folder, must_exist=True).reading() as connection:
+        rows = database.log(connection, id, limit)
     if as_json:
         click.echo(json.dumps(rows, indent=2))
     for row in () if as_json else rows:
@@ -138,24 +139,24 @@ def retry(id: str, folder: Path, as_json: bool) -> None:
     """Put a submission that failed back into the queue; a running server scores it."""
     import time
 
-    from oysterbench_leaderboard.submissions import state as states
+    from oysterbench_leaderboard.submissions import database
 
-    at = states.utc(time.time())
-    with _state(folder, must_exist=True).writing() as connection:
-        c = states.submissions.c
+    at = database.utc(time.time())
+    with _database(folder, must_exist=True).writing() as connection:
+        c = database.submissions.c
         values: dict[str, Any] = {"state": "queued", "reason": "", "attempt": 0}
-        if not states.change(connection, id, at, c.state == "failed", **values):
+        if not database.change(connection, id, at, c.state == "failed", **values):
             raise ResultError(
                 f"{id}: no submission of that id has failed; `submissions list --state failed` lists them"
             )
-        states.tell(connection, at, "operator", "queued", id, "tried again")
+        database.log_event(connection, at, "operator", "queued", id, "tried again")
     click.echo(json.dumps({"id": id, "state": "queued"}) if as_json else f"{id}: queued")
 
 
-def _state(folder: Path, must_exist: bool = False) -> Any:
+def _database(folder: Path, must_exist: bool = False) -> Any:
+    from oysterbench_leaderboard.submissions.database import Database
     from oysterbench_leaderboard.submissions.settings import load_settings
-    from oysterbench_leaderboard.submissions.state import State
 
     if must_exist and not folder.is_dir():
         raise ResultError(f"--submissions {folder}: no such folder; `oysterbench leaderboard team add` makes it")
-    return State(load_settings(folder))
+    return Database(load_settings(folder))

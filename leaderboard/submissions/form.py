@@ -18,11 +18,11 @@ from oysterbench_leaderboard.record import MOST_TEXT
 from oysterbench_leaderboard.site.links import Links
 from oysterbench_leaderboard.site.render import environment, html
 from oysterbench_leaderboard.submissions.api import small_body
+from oysterbench_leaderboard.submissions.auth import Auth
 from oysterbench_leaderboard.submissions.catalogue import ELSEWHERE
-from oysterbench_leaderboard.submissions.gate import Gate
+from oysterbench_leaderboard.submissions.database import Submission
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.sessions import Sessions, check_origin, set_cookie
-from oysterbench_leaderboard.submissions.state import Submission
 from oysterbench_leaderboard.submissions.tokens import Holder
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -44,16 +44,16 @@ REFRESH_S = 5
 class WebForm:
     """Pages under /submit."""
 
-    def __init__(self, gate: Gate, links: Links) -> None:
-        self.gate, self.service, self.links = gate, gate.service, links
-        self.sessions = Sessions(gate.service)
+    def __init__(self, auth: Auth, links: Links) -> None:
+        self.auth, self.service, self.links = auth, auth.service, links
+        self.sessions = Sessions(auth.service)
         self.environment = environment(str(TEMPLATES))
 
     def routes(self) -> list[Route]:
         """Of the form."""
 
         def route(path: str, handler: Any, method: str) -> Route:
-            return Route(path, self.gate.answered(handler, self._refused), methods=[method])
+            return Route(path, self.auth.answered(handler, self._refused), methods=[method])
 
         return [
             route(NEW, self._new, "GET"),
@@ -151,7 +151,7 @@ class WebForm:
 
     async def _sign_in(self, request: Request) -> Response:
         fields, value = await self._fields(request)
-        holder = await self.gate.holder(request, fields.get("token", "").strip())
+        holder = await self.auth.holder(request, fields.get("token", "").strip())
         fresh = await run_in_threadpool(self.sessions.begin, holder, value)
         return self._go(request, NEW, fresh)
 
@@ -165,14 +165,14 @@ class WebForm:
         value = self.sessions.value(request)
         holder = await self._signed_in(request, value)
 
-        def check(fields: dict[str, str]) -> None:
+        def check_fields(fields: dict[str, str]) -> None:
             self.sessions.check(request, value, fields.get("csrf", ""))
             if not hasattr(request.state, "fields"):
                 request.state.fields = {key: fields.get(key, "") for key in FIELDS}
             if " " in fields.get("split", ""):  # "SPLIT TRACK", one choice of the form
                 fields["split"], _, fields["track"] = fields["split"].partition(" ")
 
-        made, _ = await self.gate.submit(request, holder.team, check)
+        made, _ = await self.auth.submit(request, holder.team, check_fields)
         return self._go(request, f"/submit/{made.id}", value)
 
     async def _publish(self, request: Request) -> Response:

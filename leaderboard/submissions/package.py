@@ -11,25 +11,28 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from oysterbench.core.errors import OysterbenchError, RecipeError, ResultError
+import msgspec
+
+from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.archive import Limits, pack
-from oysterbench_leaderboard.submissions.bundle import FILES, IMAGE, check_bundle, open_bundle
 from oysterbench_leaderboard.submissions.catalogue import Wanted, local_wanted
+from oysterbench_leaderboard.submissions.predictions import IMAGE, OPENERS, check_predictions, open_predictions
 
 RESULTS = "results.json"
 KINDS = {".zip": "application/zip", ".json": "application/json", ".txt": "text/plain", ".tum": "text/plain"}
 KINDS |= {".csv": "text/csv", ".npz": "application/octet-stream"}
 """Suffix of a file that is sent as it is -> its content type."""
 
-SUFFIXES = tuple(dict.fromkeys(suffix for suffixes in FILES.values() for suffix in suffixes))
-"""Of files that answer a sequence."""
+SUFFIXES = tuple(dict.fromkeys(suffix for openers in OPENERS.values() for suffix in openers if suffix != IMAGE))
+"""Of files named by a sequence."""
 
 NO_RATIO = 1e9  # what is sent is one's own
 
 
 @dataclass(frozen=True)
 class Package:
-    """A file to be sent, and what is in it (`bundle.check_bundle`)."""
+    """A file to be sent, and what is in it (`check_predictions`)."""
 
     path: Path
     content_type: str
@@ -52,13 +55,13 @@ class Found:
         return sorted({name.split("/")[0].rpartition(".")[0] or name.split("/")[0] for name in self.files})
 
 
-def look(place: Path, sequences: Sequence[str], method: str = "", run: int = 1, results: bool = False) -> Found:
+def find_package(place: Path, sequences: Sequence[str], method: str = "", run: int = 1, results: bool = False) -> Found:
     """What a path holds for these sequences: a file; a folder with a file for each sequence, or an image folder for
     each; or what `oysterbench run` and `eval` leave. method, run: which of its estimates there. Raises ResultError."""
     if place.is_file():
         if place.suffix.lower() not in KINDS:
             raise ResultError(f"{place}: expected a file that ends in {', '.join(KINDS)}, got {place.suffix or 'none'}")
-        if place.suffix in FILES["poses"] and place.stem in sequences and len(sequences) > 1:
+        if place.suffix in OPENERS["poses"] and place.stem in sequences and len(sequences) > 1:
             return Found(None, {place.name: place})
         return Found(place, {})
     if not place.is_dir():
@@ -72,7 +75,7 @@ def look(place: Path, sequences: Sequence[str], method: str = "", run: int = 1, 
         own = [place / f"{sequence}{suffix}" for suffix in SUFFIXES]
         own = [path for path in own if path.is_file()]
         if len(own) > 1:
-            raise ResultError(f"{place}: both {own[0].name} and {own[1].name} answer {sequence}; keep one of them")
+            raise ResultError(f"{place}: both {own[0].name} and {own[1].name} are of {sequence}; keep one of them")
         if own:
             files[own[0].name] = own[0]
         elif (place / sequence).is_dir():
@@ -125,12 +128,13 @@ def split_in(place: Path) -> tuple[str, str]:
     return "", ""
 
 
-def wanted_of(split: str, track: str, told: dict[str, Any]) -> Wanted:
-    """What the split asks for: as this installation knows it, or else as the server tells."""
+def wanted_of(split: str, track: str, known: dict[str, Any]) -> Wanted:
+    """What the split asks for: as this installation knows it, or else as the server says."""
     try:
         return local_wanted(split, track)
-    except (RecipeError, OysterbenchError):
-        return Wanted(track, split, "", bool(told["hidden"]), tuple(told["sequences"]), task=told.get("task", {}))
+    except OysterbenchError:
+        task = msgspec.convert(known.get("task"), SteeringRecipe | None)
+        return Wanted(track, split, "", bool(known["hidden"]), tuple(known["sequences"]), task=task)
 
 
 @contextmanager
@@ -140,7 +144,7 @@ def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Pac
         if found.file is not None:
             path, kind = found.file, KINDS[found.file.suffix.lower()]
         else:
-            path, kind = Path(folder) / "answers.zip", KINDS[".zip"]
+            path, kind = Path(folder) / "predictions.zip", KINDS[".zip"]
             with open(path, "wb") as target:
                 pack(found.files, target)
         size = path.stat().st_size
@@ -149,7 +153,7 @@ def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Pac
             raise ResultError(f"{path.name}: {size / 1e6:.0f} MB to be sent; the server takes at most {most} MB")
         within = Limits(limits["file_bytes"], limits["file_bytes"], 1 << 30, 1 << 40, NO_RATIO)
         known = wanted if wanted.split_digest else replace(wanted, split_digest=_digest_in(path))
-        facts = check_bundle(open_bundle(path, known, within), known)
+        facts = check_predictions(open_predictions(path, known, within), known)
         with open(path, "rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         yield Package(path, kind, digest, size, wanted, facts)

@@ -4,14 +4,15 @@ by the number of the attempt: whoever was thought dead and comes back late chang
 from __future__ import annotations
 
 import threading
-from dataclasses import asdict
+from dataclasses import replace
 
-from sqlalchemy import and_, or_
+from sqlalchemy import and_, or_, select
 
 from oysterbench.core.errors import OysterbenchError
-from oysterbench_leaderboard.submissions import limited
+from oysterbench_leaderboard.submissions import sandbox
+from oysterbench_leaderboard.submissions.database import Submission, change, log_event, submissions
+from oysterbench_leaderboard.submissions.sandbox import Job
 from oysterbench_leaderboard.submissions.service import Service
-from oysterbench_leaderboard.submissions.state import Submission, change, find, submissions, tell
 
 POLL_S = 1.0
 """How often a worker looks for what another host has queued."""
@@ -32,30 +33,25 @@ def claim(service: Service) -> Submission | None:
     c = submissions.c
     now = service.clock()
     waiting = or_(c.state == "queued", and_(c.state == "running", c.lease < now))
-    with service.state.writing() as connection:
-        rows = connection.execute(
-            c.id.table.select()
-            .where(waiting)
-            .order_by(c.attempt, c.created_s, c.id)
-            .limit(1)
-            .with_for_update(skip_locked=True)
-        ).mappings()
-        row = next(iter(rows), None)
+    with service.database.writing() as connection:
+        oldest = select(submissions).where(waiting).order_by(c.attempt, c.created_s, c.id).limit(1)
+        row = connection.execute(oldest.with_for_update(skip_locked=True)).mappings().first()
         if row is None:
             return None
-        attempt = row["attempt"] + 1
-        values = {"state": "running", "attempt": attempt, "lease": now + service.settings.lease_s}
-        if not change(connection, row["id"], service.now(), c.attempt == row["attempt"], **values):
+        mine, at = Submission(**row), service.now()
+        attempt, lease = mine.attempt + 1, now + service.settings.lease_s
+        guard = c.attempt == mine.attempt
+        if not change(connection, mine.id, at, guard, state="running", attempt=attempt, lease=lease):
             return None
-        tell(connection, service.now(), "worker", "running", row["id"], f"attempt {attempt}")
-        return find(connection, c.id == row["id"])[0]
+        log_event(connection, at, "worker", "running", mine.id, f"attempt {attempt}")
+        return replace(mine, state="running", attempt=attempt, lease=lease, updated=at)
 
 
 def renew(service: Service, mine: Submission) -> bool:
     """Go on with a lease; whether it is still this worker's."""
     c = submissions.c
     guard = (c.state == "running", c.attempt == mine.attempt)
-    with service.state.writing() as connection:
+    with service.database.writing() as connection:
         lease = service.clock() + service.settings.lease_s
         return change(connection, mine.id, service.now(), *guard, lease=lease)
 
@@ -65,10 +61,10 @@ def finish(service: Service, mine: Submission, state: str, record: str = "", rea
     c = submissions.c
     guard = (c.state == "running", c.attempt == mine.attempt)
     at = service.now()
-    with service.state.writing() as connection:
+    with service.database.writing() as connection:
         ended = change(connection, mine.id, at, *guard, state=state, record=record, reason=reason, lease=0.0)
         if ended:
-            tell(connection, at, "worker", state, mine.id, reason or record)
+            log_event(connection, at, "worker", state, mine.id, reason or record)
         return ended
 
 
@@ -80,19 +76,12 @@ def score(service: Service, mine: Submission, stop: threading.Event) -> None:
         finish(service, mine, "failed", reason=FAILED["absent"])
         return
     settings = service.settings
-    job = {
-        "do": "score",
-        "path": str(service.estimates / mine.digest),
-        "wanted": wanted.to_dict(),
-        "limits": asdict(limited.limits_of(settings)),
-        "truth": {name: str(path) for name, path in served.truth.items()},
-        "method": mine.method,
-        "created": mine.created,
-    }
+    path, truth = service.estimates / mine.digest, {name: str(path) for name, path in served.truth.items()}
+    job = Job(str(path), wanted, settings.limits, service.hidden, truth, mine.method, mine.created)
     try:
-        beat_s = settings.lease_s / 3
-        ended = limited.run(job, limited.scoring(settings), stop, lambda: renew(service, mine), beat_s)
-    except limited.Stopped:
+        allowance, beat_s = sandbox.scoring(settings), settings.lease_s / 3
+        ended = sandbox.run(job, allowance, stop, lambda: renew(service, mine), beat_s)
+    except sandbox.Stopped:
         if stop.is_set():
             finish(service, mine, "queued")
         return

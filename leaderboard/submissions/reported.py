@@ -9,10 +9,10 @@ from oysterbench.evaluate.metrics import find_metric
 from oysterbench.results.records import ResultRecord, aggregate, method_key
 from oysterbench_leaderboard.record import check_text
 from oysterbench_leaderboard.submissions.archive import Limits, shown
-from oysterbench_leaderboard.submissions.bundle import told
 from oysterbench_leaderboard.submissions.catalogue import Wanted, why
-from oysterbench_leaderboard.submissions.evaluators import evaluator
+from oysterbench_leaderboard.submissions.predictions import refusing
 from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.scoring import evaluator
 
 LONGEST = 2000
 """Characters of a text in results, and of a key."""
@@ -29,7 +29,7 @@ def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: L
     if not isinstance(rows, list) or not rows:
         raise Refusal("format", "results.json: key 'results': expected a list of results, as `oysterbench eval` writes")
     found = []
-    with told("results.json"):
+    with refusing("results.json"):
         found = [ResultRecord.from_dict(row, f"results.json: results[{i}]") for i, row in enumerate(rows)]
     for i, record in enumerate(found):
         where = f"results.json: results[{i}]"
@@ -54,7 +54,7 @@ def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: L
         raise Refusal("format", "results.json: expected results of one method with one setting, got several")
     if len({(record.sequence, record.run) for record in found}) < len(found):
         raise Refusal("format", "results.json: expected each run of a sequence once, got one of them twice")
-    with told("results.json"):
+    with refusing("results.json"):
         aggregate(found)
         _check_texts([record.to_dict() for record in found], "results.json")
     return tuple(found)

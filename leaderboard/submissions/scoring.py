@@ -1,4 +1,4 @@
-"""Scoring what was sent against the truth: what the limited process does that sees the truth.
+"""Scoring predictions against the truth: what the sandbox does that sees the truth.
 
 What leaves it are metrics, and sentences out of a closed list: no message that was made with the truth in sight. Of a
 hidden split the metrics that describe the truth itself are left out, and the others are rounded, as a hundred exact
@@ -9,23 +9,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from oysterbench.core.errors import LabelError, MethodError, TrajectoryError
 from oysterbench.results.records import ResultRecord, plain
-from oysterbench_leaderboard.submissions.bundle import Bundle
-from oysterbench_leaderboard.submissions.catalogue import Wanted
-from oysterbench_leaderboard.submissions.evaluators import evaluator
+from oysterbench_leaderboard.submissions.catalogue import Kind, Wanted, why
+from oysterbench_leaderboard.submissions.predictions import Predictions, Reader
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
-UNANSWERED = "nothing was sent for this sequence"
-NOT_SCORED = (
-    "the path cannot be brought to the truth: too few of its poses are at times of the sequence, or its motion "
-    "determines no alignment; `oysterbench eval` on a public split says which"
-)
-NOT_SCORED_IMAGES = "the answers cannot be held against the truth; `oysterbench eval` on a public split says why"
+MISSING = "nothing was sent for this sequence"
+NOT_SCORED: dict[Kind, str] = {
+    "poses": "the path cannot be brought to the truth: too few of its poses are at times of the sequence, or its "
+    "motion determines no alignment; `oysterbench eval` on a public split says which",
+    "predictions": "the predictions cannot be held against the truth; `oysterbench eval` on a public split says why",
+    "commands": "the commands cannot be held against the truth",
+}
 NO_VALUE = "has no value for this estimate on this sequence"
 
 CAUSES = {
@@ -40,13 +40,35 @@ CAUSES = {
 """Why a path is refused that `oysterbench eval` would refuse (`evaluate.diagnose`)."""
 
 READ_AS = "it was read so that {} no longer holds"
-"""Of a path that can be meant in one way only."""
+"""Of a path that can be meant in one sense only."""
 
 OF_TRUTH = ("path_length_m", "cover", "count_truth", "density_truth_per_m2")
 """Metrics that say nothing of the estimate, and are left out of results on hidden splits."""
 
 DIGITS = 4
 """Significant digits of metrics on hidden splits."""
+
+
+def evaluator(track: str) -> tuple[str, dict[str, Any]]:
+    """Name and version of a track's evaluator, and its settings: those that boards rank by. Raises Refusal for a track
+    that cannot be submitted."""
+    if track == "slam":
+        from oysterbench.evaluate.slam import scoring as slam
+
+        return slam.EVALUATOR, slam.SlamSettings().as_dict()
+    if track == "segmentation":
+        from oysterbench.evaluate import segmentation
+
+        return segmentation.EVALUATOR, segmentation.SegmentationSettings().as_dict()
+    if track == "detection":
+        from oysterbench.evaluate import detection
+
+        return detection.EVALUATOR, detection.DetectionSettings().as_dict()
+    if track == "steering":
+        from oysterbench.evaluate import steering
+
+        return steering.EVALUATOR, {}
+    raise Refusal("split", f"the track {track!r:.60} cannot be submitted{why(track)}")
 
 
 @dataclass(frozen=True)
@@ -59,203 +81,214 @@ class Scored:
     curves: Any = None
 
 
-def score_bundle(
-    bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], method: str, created: str, hidden: bool
+@dataclass(frozen=True)
+class Found:
+    """What a sequence's predictions score, as `ResultRecord` has it."""
+
+    metrics: Mapping[str, float]
+    reasons: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+class Scorer(Protocol):
+    """Of a kind of predictions, over the sequences of a split, one after the other."""
+
+    def open(self, path: Path, sequence: str) -> str:
+        """Go to a sequence; the digest of its truth."""
+        ...
+
+    def score(self, readers: Mapping[str, Reader]) -> Found:
+        """Hold the predictions against the truth. Raises Refusal, TrajectoryError, LabelError, MethodError."""
+        ...
+
+    def failed(self) -> dict[str, float]:
+        """The metrics by which a sequence that has no score counts."""
+        ...
+
+    def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
+        """With what is known over all sequences."""
+        ...
+
+
+def score_predictions(
+    predictions: Predictions, wanted: Wanted, truth: Mapping[str, Path], method: str, created: str
 ) -> Scored:
     """The same bytes for the same input, whenever and wherever it is scored. created: of the submission, UTC."""
-    common = {
+    if predictions.kind == "results":  # as their authors computed them; what the split is like says the server
+        return Scored(
+            tuple(
+                replace(record, method=method, conditions=dict(wanted.conditions[record.sequence]))
+                for record in predictions.results
+            )
+        )
+    version, settings = evaluator(wanted.track)
+    common: dict[str, Any] = {
         "track": wanted.track,
         "split": wanted.split,
         "split_digest": wanted.split_digest,
         "method": method,
         "hardware": {},
         "created": created,
+        "settings": settings,
+        "evaluator_version": version,
     }
-    if bundle.kind == "results":
-        return Scored(tuple(_reported(record, wanted, method) for record in bundle.results))
-    scored = {"poses": _score_poses, "answers": _score_answers, "commands": _score_commands}[bundle.kind](
-        bundle, wanted, truth, common
-    )
-    if not hidden:
-        return scored
-    results = tuple(_discreet(record) for record in scored.results)
-    return Scored(results, _rounded(scored.data_set))
-
-
-def _reported(record: ResultRecord, wanted: Wanted, method: str) -> ResultRecord:
-    """As its authors computed it; what the split is like says the server."""
-    return replace(record, method=method, conditions=dict(wanted.conditions[record.sequence]))
-
-
-# Paths:
-
-
-def _score_poses(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], common: dict[str, Any]) -> Scored:
-    from oysterbench.evaluate.slam.scoring import SlamSettings, score
-    from oysterbench.sequence import open_sequence
-    from oysterbench.tracks.slam import truth_digest
-    from oysterbench_leaderboard.curves import curves_document, sequence_curve
-
-    version, settings = evaluator("slam")
+    scorer: Scorer = SCORERS[predictions.kind](wanted, method)
+    given = predictions.sequences(wanted)
     results = []
-    curves = {}
     for sequence in wanted.sequences:
-        true = open_sequence(truth[sequence]).truth()
-        record = {
-            **common,
-            "sequence": sequence,
-            "truth_digest": truth_digest(true),
-            "conditions": wanted.conditions[sequence],
-            "settings": settings,
-            "evaluator_version": version,
-        }
-        read = bundle.poses.get(sequence)
-        if read is None:
-            results.append(ResultRecord(**record, failure=UNANSWERED))
-            continue
+        digest = scorer.open(truth[sequence], sequence)
+        about = {**common, "sequence": sequence, "truth_digest": digest, "conditions": wanted.conditions[sequence]}
         try:
-            estimate, notes = _read_for(true, read)
-            found = score(true, estimate, SlamSettings())
-        except Refusal as refusal:
-            results.append(ResultRecord(**record, failure=refusal.reason))
-        except TrajectoryError:
-            results.append(ResultRecord(**record, failure=NOT_SCORED))
-        else:
-            results.append(ResultRecord(**record, metrics=found.metrics, reasons=found.reasons, notes=tuple(notes)))
-            if not wanted.hidden:
-                curves[sequence] = sequence_curve(found, 0)
-    return Scored(tuple(results), curves=curves_document(curves, settings["align"]) if curves else None)
+            if sequence not in given:
+                raise Refusal("absent", MISSING)
+            found = scorer.score(predictions.readers)
+            results.append(
+                ResultRecord(**about, metrics=found.metrics, reasons=found.reasons, notes=tuple(found.notes))
+            )
+        except (Refusal, TrajectoryError, LabelError, MethodError) as error:
+            failure = error.reason if isinstance(error, Refusal) else NOT_SCORED[predictions.kind]
+            results.append(ResultRecord(**about, failure=failure, metrics=scorer.failed()))
+    scored = scorer.whole(tuple(results))
+    if not wanted.hidden:
+        return scored
+    return Scored(tuple(_discreet(record) for record in scored.results), _rounded(scored.data_set))
 
 
-def _read_for(truth: Any, read: Any) -> tuple[Any, list[str]]:
-    """The path, read in the one way that makes sense of it, and what was decided. Raises Refusal where none does."""
-    from oysterbench.evaluate.slam.diagnose import diagnose
+class PathScorer:
+    """Of the track slam."""
 
-    estimate = read()
-    notes = list(estimate.notes)
-    options: dict[str, Any] = {}
-    for finding in diagnose(truth, estimate):
-        cause = CAUSES.get(finding.cause, NOT_SCORED)
-        if finding.severity == "refuse":
-            raise Refusal("format", f"the path is refused: {cause}")
-        if finding.severity == "certain":
-            options |= finding.changes
-            estimate = read(**options)
-            notes.append(READ_AS.format(f"'{cause}'"))
-    return replace(estimate, notes=()), list(dict.fromkeys(notes))
+    def __init__(self, wanted: Wanted, method: str) -> None:
+        self._hidden = wanted.hidden
+        self._curves: dict[str, Any] = {}
 
+    def open(self, path: Path, sequence: str) -> str:
+        from oysterbench.sequence import open_sequence
+        from oysterbench.tracks.slam import truth_digest
 
-# Images:
+        self._truth, self._sequence = open_sequence(path).truth(), sequence
+        return truth_digest(self._truth)
 
+    def score(self, readers: Mapping[str, Reader]) -> Found:
+        from oysterbench.evaluate.slam.scoring import SlamSettings, score
+        from oysterbench_leaderboard.curves import sequence_curve
 
-def _score_answers(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], common: dict[str, Any]) -> Scored:
-    from oysterbench.annotations import labelled_sequence
-    from oysterbench.report.images import ImageRun
+        estimate, notes = self._read(readers[self._sequence])
+        found = score(self._truth, estimate, SlamSettings())
+        if not self._hidden:
+            self._curves[self._sequence] = sequence_curve(found, 0)
+        return Found(found.metrics, found.reasons, notes)
 
-    version, settings = evaluator(wanted.track)
-    run = _segment if wanted.track == "segmentation" else _detect
-    answered = bundle.answered(wanted)
-    runs = []
-    for sequence in wanted.sequences:
-        clip = labelled_sequence(truth[sequence], wanted.conditions[sequence])
-        record = {
-            **common,
-            "sequence": sequence,
-            "truth_digest": clip.digest,
-            "conditions": clip.conditions,
-            "settings": settings,
-            "evaluator_version": version,
-        }
-        if sequence not in answered:
-            runs.append(ImageRun(ResultRecord(**record, failure=UNANSWERED, metrics=_missed(clip, wanted))))
-            continue
-        try:
-            found = run(clip, bundle)
-        except (LabelError, MethodError):
-            runs.append(ImageRun(ResultRecord(**record, failure=NOT_SCORED_IMAGES, metrics=_missed(clip, wanted))))
-        else:
-            runs.append(ImageRun(ResultRecord(**record, metrics=found.metrics, reasons=found.reasons), found))
-    return Scored(tuple(each.record for each in runs), _data_set(wanted.track, runs))
+    def _read(self, read: Reader) -> tuple[Any, tuple[str, ...]]:
+        """The path, read in the one sense that it can have, and what was decided. Raises Refusal where it has none."""
+        from oysterbench.evaluate.slam.diagnose import diagnose
 
+        estimate = read()
+        notes = list(estimate.notes)
+        options: dict[str, Any] = {}
+        for finding in diagnose(self._truth, estimate):
+            cause = CAUSES.get(finding.cause, NOT_SCORED["poses"])
+            if finding.severity == "refuse":
+                raise Refusal("format", f"the path is refused: {cause}")
+            if finding.severity == "certain":
+                options |= finding.changes
+                estimate = read(**options)
+                notes.append(READ_AS.format(f"'{cause}'"))
+        return replace(estimate, notes=()), tuple(dict.fromkeys(notes))
 
-def _segment(clip: Any, bundle: Bundle) -> Any:
-    from oysterbench.evaluate.segmentation import ClipScorer, SegmentationSettings
-
-    scorer = ClipScorer(SegmentationSettings())
-    for true, _ in clip.images():
-        scorer.add(true, bundle.answers[true.name].mask())
-    return scorer.result()
-
-
-def _detect(clip: Any, bundle: Bundle) -> Any:
-    from oysterbench.evaluate.detection import DetectionScorer, DetectionSettings
-
-    scorer = DetectionScorer(DetectionSettings())
-    for true, _ in clip.single():
-        scorer.add(true, bundle.answers[true.name].instances((true.height, true.width)))
-    return scorer.result()
-
-
-def _missed(clip: Any, wanted: Wanted) -> dict[str, float]:
-    """By what a clip that was not answered counts."""
-    if wanted.track != "segmentation":
+    def failed(self) -> dict[str, float]:
         return {}
-    from oysterbench.evaluate.segmentation import SegmentationSettings
-    from oysterbench.tracks.segmentation import all_missed
 
-    return all_missed(clip, SegmentationSettings())
+    def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
+        from oysterbench_leaderboard.curves import curves_document
 
-
-def _data_set(track: str, runs: list[Any]) -> Any:
-    if track == "segmentation":
-        from oysterbench.tracks.segmentation import dataset_rows
-    else:
-        from oysterbench.tracks.detection import dataset_rows
-    rows = dataset_rows(runs)
-    return plain(rows[0].as_plain()) if rows else None
+        align = results[0].settings["align"]
+        return Scored(results, curves=curves_document(self._curves, align) if self._curves else None)
 
 
-# Commands at pictures:
+class ImageScorer:
+    """Of the tracks segmentation and detection."""
+
+    def __init__(self, wanted: Wanted, method: str) -> None:
+        self._wanted = wanted
+        self._scores: dict[str, Any] = {}
+
+    def open(self, path: Path, sequence: str) -> str:
+        from oysterbench.annotations import labelled_sequence
+
+        self._labelled = labelled_sequence(path, self._wanted.conditions[sequence])
+        self._sequence = sequence
+        return self._labelled.digest
+
+    def score(self, readers: Mapping[str, Reader]) -> Found:
+        from oysterbench.evaluate.detection import DetectionScorer, DetectionSettings
+        from oysterbench.evaluate.segmentation import ClipScorer, SegmentationSettings
+
+        segmentation = self._wanted.track == "segmentation"
+        scorer: Any = ClipScorer(SegmentationSettings()) if segmentation else DetectionScorer(DetectionSettings())
+        for true, _ in self._labelled.images() if segmentation else self._labelled.single():
+            scorer.add(true, readers[true.name]())
+        found = self._scores[self._sequence] = scorer.result()
+        return Found(found.metrics, found.reasons)
+
+    def failed(self) -> dict[str, float]:
+        if self._wanted.track != "segmentation":
+            return {}
+        from oysterbench.evaluate.segmentation import SegmentationSettings
+        from oysterbench.tracks.segmentation import all_missed
+
+        return all_missed(self._labelled, SegmentationSettings())
+
+    def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
+        from oysterbench.report.images import ImageRun
+        from oysterbench.tracks import detection, segmentation
+
+        track = segmentation if self._wanted.track == "segmentation" else detection
+        rows = track.dataset_rows([ImageRun(record, self._scores.get(record.sequence)) for record in results])
+        return Scored(results, plain(rows[0].as_plain()) if rows else None)
 
 
-def _score_commands(bundle: Bundle, wanted: Wanted, truth: Mapping[str, Path], common: dict[str, Any]) -> Scored:
-    from oysterbench.evaluate.steering import Commands, Labels, score_pictures
-    from oysterbench.exploration.labelled_views import labelled_views
-    from oysterbench_leaderboard.submissions.commands import commands_of, task_of
+class CommandScorer:
+    """Of the track steering, at labelled pictures."""
 
-    version, settings = evaluator(wanted.track)
-    task = task_of(wanted.task)
-    results: list[ResultRecord] = []
-    parts: list[tuple[Labels, Commands]] = []
-    for sequence in wanted.sequences:
-        views = labelled_views(truth[sequence], task)
-        record = {
-            **common,
-            "sequence": sequence,
-            "truth_digest": views.digest,
-            "conditions": wanted.conditions[sequence],
-            "settings": settings,
-            "evaluator_version": version,
-        }
-        read = bundle.commands.get(sequence)
-        if read is None:
-            results.append(ResultRecord(**record, failure=UNANSWERED))
-            continue
-        parts.append((views.labels, commands_of(read(), task)))
-        found = score_pictures(*parts[-1])
-        results.append(ResultRecord(**record, metrics=found.metrics, reasons=found.reasons))
-    return Scored(tuple(results), _all_pictures(common["method"], parts) if len(parts) == len(results) else None)
+    def __init__(self, wanted: Wanted, method: str) -> None:
+        assert wanted.task is not None, wanted.split
+        self._task, self._method = wanted.task, method
+        self._parts: list[Any] = []
+
+    def open(self, path: Path, sequence: str) -> str:
+        from oysterbench.exploration.labelled_views import labelled_views
+
+        self._views, self._sequence = labelled_views(path, self._task), sequence
+        return self._views.digest
+
+    def score(self, readers: Mapping[str, Reader]) -> Found:
+        from oysterbench.evaluate.steering import score_pictures
+        from oysterbench_leaderboard.submissions.steering_tables import steering_commands
+
+        self._parts.append((self._views.labels, steering_commands(readers[self._sequence](), self._task)))
+        found = score_pictures(*self._parts[-1])
+        return Found(found.metrics, found.reasons)
+
+    def failed(self) -> dict[str, float]:
+        return {}
+
+    def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
+        from oysterbench.evaluate.steering.dataset import over_sequences
+
+        if len(self._parts) < len(results):
+            return Scored(results)
+        whole = over_sequences(self._parts)
+        intervals = {k: {"low": v.low, "high": v.high, "reason": v.reason} for k, v in whole.intervals.items()}
+        known = {"metrics": whole.score.metrics, "reasons": whole.score.reasons, "intervals": intervals}
+        return Scored(results, plain({"method": self._method, "clips": whole.sequences, **known}))
 
 
-def _all_pictures(method: str, parts: list[Any]) -> dict[str, Any]:
-    """Over all pictures of all sequences together, in the words of other tracks."""
-    from oysterbench.evaluate.steering.dataset import over_sequences
-
-    whole = over_sequences(parts)
-    intervals = {k: {"low": v.low, "high": v.high, "reason": v.reason} for k, v in whole.intervals.items()}
-    known = {"metrics": whole.score.metrics, "reasons": whole.score.reasons, "intervals": intervals}
-    found: dict[str, Any] = plain({"method": method, "clips": whole.sequences, **known})
-    return found
+SCORERS: dict[Kind, type[PathScorer] | type[ImageScorer] | type[CommandScorer]] = {
+    "poses": PathScorer,
+    "predictions": ImageScorer,
+    "commands": CommandScorer,
+}
+"""Kind of predictions -> what scores them."""
 
 
 # What leaves of a hidden split:

@@ -10,7 +10,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,20 @@ from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.record import MOST_TEXT, Record, check_text
 from oysterbench_leaderboard.store import RecordStore, StatusChange
-from oysterbench_leaderboard.submissions import limited
+from oysterbench_leaderboard.submissions import sandbox
 from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted
+from oysterbench_leaderboard.submissions.database import (
+    Database,
+    Submission,
+    change,
+    find,
+    log_event,
+    submissions,
+    teams,
+    utc,
+)
 from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.settings import Settings
-from oysterbench_leaderboard.submissions.state import State, Submission, change, find, submissions, teams, tell, utc
+from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 DAY_S = 86400.0
 LATER = "a later submission of the same method by the same team"
@@ -65,18 +74,20 @@ class Service:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: SubmissionSettings,
         catalogue: Catalogue,
         store: RecordStore,
         changed: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.time,
     ) -> None:
         self.settings, self.catalogue, self.store, self.changed, self.clock = settings, catalogue, store, changed, clock
-        self.state = State(settings)
+        self.database = Database(settings)
         self.incoming, self.estimates = settings.folder / "incoming", settings.folder / "estimates"
         for folder in (self.incoming, self.estimates):
             folder.mkdir(exist_ok=True)
         self.scored = RecordStore(settings.folder / "scored")
+        truths = {str(path.parent.resolve()) for one in catalogue.splits.values() for path in one.truth.values()}
+        self.hidden = (str(settings.folder.resolve()), *sorted(truths))
         self.wake = threading.Event()
         self._checks = threading.Semaphore(settings.checks_at_once)
         self.log = _private_log(settings.folder / "private.log")
@@ -88,7 +99,7 @@ class Service:
 
     def close(self) -> None:
         """No more work."""
-        self.state.close()
+        self.database.close()
         for handler in list(self.log.handlers):
             handler.close()
             self.log.removeHandler(handler)
@@ -101,13 +112,13 @@ class Service:
         Raises Refusal with the reason, by file and line; then nothing was counted.
         """
         form, wanted = self.check_form(form)
-        with self.state.reading() as connection:
+        with self.database.reading() as connection:
             known = self._same(connection, team, form, upload.digest)
             if known is not None:
                 return known, False
             self._check_quota(connection, team, form.split)
         with self._checks:
-            facts = limited.check(self.settings, upload.path, wanted.to_dict(), self.log.info)
+            facts = sandbox.check(self.settings, upload.path, wanted, self.hidden, self.log.info)
         if facts["kind"] != "results" and not self.catalogue.splits[form.split].truth:
             raise Refusal(
                 "split", f"{form.split} has no truth on this server, which takes results alone: send the results.json"
@@ -118,10 +129,7 @@ class Service:
     def check_form(self, form: Form) -> tuple[Form, Wanted]:
         """The form with its track, and what it has to be answered by. Raises Refusal naming the field."""
         for key in ("method", "url", "summary"):
-            try:
-                check_text(key, getattr(form, key), MOST_TEXT[key])
-            except ResultError as error:
-                raise Refusal("text", str(error).removeprefix("record: ")) from None
+            _check_text(key, getattr(form, key))
         if not form.method.strip():
             raise Refusal("text", "expected the name of the method, got an empty one")
         if form.url and not form.url.startswith(("https://", "http://")):
@@ -136,15 +144,10 @@ class Service:
         return next(iter(find(connection, *same, c.digest == digest)), None)
 
     def _check_quota(self, connection: Connection, team: str, split: str) -> None:
-        count = select(func.count()).select_from(submissions).where(submissions.c.team == team)
-        since = self.clock() - DAY_S
-        today = connection.execute(count.where(submissions.c.created_s > since)).scalar_one()
+        c, since = submissions.c, self.clock() - DAY_S
+        of_team = select(func.count(), func.min(c.created_s)).where(c.team == team)
+        today, oldest = connection.execute(of_team.where(c.created_s > since)).one()
         if today >= self.settings.per_day:
-            oldest = connection.execute(
-                select(func.min(submissions.c.created_s)).where(
-                    submissions.c.team == team, submissions.c.created_s > since
-                )
-            ).scalar_one()
             wait_s = int(oldest - since) + 1
             raise Refusal(
                 "quota",
@@ -152,7 +155,7 @@ class Service:
                 f"{wait_s // 3600} h {wait_s % 3600 // 60 + 1} min",
                 wait_s,
             )
-        of_split = connection.execute(count.where(submissions.c.split == split)).scalar_one()
+        of_split, _ = connection.execute(of_team.where(c.split == split)).one()
         if of_split >= self.settings.per_split:
             raise Refusal("quota", f"{of_split} submissions to {split} are all that a team has")
 
@@ -170,7 +173,7 @@ class Service:
     def _accept(self, team: str, form: Form, upload: Upload, facts: dict[str, Any]) -> tuple[Submission, bool]:
         at_s = self.clock()
         at = utc(at_s)
-        with self.state.writing() as connection:
+        with self.database.writing() as connection:
             # Of one team at a time: its quota is counted, and the same bytes are looked for, with nobody between.
             connection.execute(select(teams.c.name).where(teams.c.name == team).with_for_update()).first()
             known = self._same(connection, team, form, upload.digest)
@@ -180,45 +183,34 @@ class Service:
             made = Submission(
                 id=secrets.token_hex(8),
                 team=team,
-                track=form.track,
-                split=form.split,
-                method=form.method,
-                url=form.url,
-                summary=form.summary,
+                **asdict(form),
                 kind=facts["kind"],
                 digest=upload.digest,
                 size=upload.size,
-                state="queued",
-                attempt=0,
-                lease=0.0,
-                reason="",
-                record="",
-                published="",
-                notice="",
                 created=at,
                 created_s=at_s,
                 updated=at,
             )
-            connection.execute(insert(submissions).values(**made.__dict__))
-            tell(connection, at, team, "queued", made.id, f"{form.method} on {form.split} ({form.track})")
+            connection.execute(insert(submissions).values(asdict(made)))
+            log_event(connection, at, team, "queued", made.id, f"{form.method} on {form.split} ({form.track})")
         self.wake.set()
         return made, True
 
     def refused(self, who: str, what: str, refusal: Refusal) -> None:
         """Log a refusal, with its reason."""
-        with self.state.writing() as connection:
-            tell(connection, self.now(), who, "refused", why=f"{what}: {refusal.kind}: {refusal.reason}")
+        with self.database.writing() as connection:
+            log_event(connection, self.now(), who, "refused", why=f"{what}: {refusal.kind}: {refusal.reason}")
 
     # Looking:
 
     def of_team(self, team: str, limit: int = 200) -> list[Submission]:
         """A team's submissions, the newest first."""
-        with self.state.reading() as connection:
+        with self.database.reading() as connection:
             return find(connection, submissions.c.team == team, limit=limit)
 
     def get(self, team: str, id: str) -> Submission:
         """One of a team's own. Raises Refusal for those of others as for those that do not exist."""
-        with self.state.reading() as connection:
+        with self.database.reading() as connection:
             return self._own(connection, team, id)
 
     def _own(self, connection: Connection, team: str, id: str) -> Submission:
@@ -235,7 +227,7 @@ class Service:
         """How many wait longer."""
         c = submissions.c
         query = select(func.count()).select_from(submissions)
-        with self.state.reading() as connection:
+        with self.database.reading() as connection:
             return connection.execute(query.where(c.state == "queued", c.created_s < submission.created_s)).scalar_one()
 
     # Publishing:
@@ -243,7 +235,7 @@ class Service:
     def publish(self, team: str, id: str) -> Submission:
         """Put a submission on the board; once more changes nothing. Raises Refusal where it is not done."""
         c = submissions.c
-        with self.state.writing() as connection:
+        with self.database.writing() as connection:
             found = self._own(connection, team, id)
             if found.published and found.state == "done":
                 return found
@@ -261,26 +253,23 @@ class Service:
             self.scored.add(record)
             at = self.now()
             change(connection, id, at, published=record.digest)
-            tell(connection, at, team, "published", id, record.digest)
+            log_event(connection, at, team, "published", id, record.digest)
         self._show(record)
         self.changed()
         return replace(found, published=record.digest, updated=at)
 
     def withdraw(self, team: str, id: str, reason: str = "") -> Submission:
         """Take a submission back, whatever its state; a published record stays where it is, marked as withdrawn."""
-        try:
-            check_text("reason", reason, MOST_TEXT["reason"])
-        except ResultError as error:
-            raise Refusal("text", str(error).removeprefix("record: ")) from None
+        _check_text("reason", reason)
         at = self.now()
-        with self.state.writing() as connection:
+        with self.database.writing() as connection:
             found = self._own(connection, team, id)
             if found.state == "withdrawn":
                 return found
             reason = reason.strip() or "withdrawn by the team"
             notice = at if found.published else ""
             change(connection, id, at, state="withdrawn", reason=reason, notice=notice, lease=0.0)
-            tell(connection, at, team, "withdrawn", id, reason)
+            log_event(connection, at, team, "withdrawn", id, reason)
         found = replace(found, state="withdrawn", reason=reason, notice=notice, updated=at)
         if notice:
             self._announce(found)
@@ -302,7 +291,7 @@ class Service:
         """Do what a crash left undone: what the database calls published or withdrawn is so on the board; files that
         were being received when the server ended are nobody's."""
         c = submissions.c
-        with self.state.reading() as connection:
+        with self.database.reading() as connection:
             shown = find(connection, c.published != "")
         for submission in shown:
             self._show(self.scored.record(submission.published))
@@ -319,10 +308,10 @@ class Service:
     # Scoring, for the workers:
 
     def build(self, submission: Submission, answer: dict[str, Any]) -> Record:
-        """The record of what the limited process has answered, as the board would read it. Raises ResultError."""
+        """The record of what the sandbox has answered, as the board would read it. Raises ResultError."""
         results = tuple(ResultRecord.from_dict(values) for values in answer["results"])
         reported = submission.kind == "results"
-        answered = [] if reported else [result.sequence for result in results if result.failure is None]
+        predicted = [] if reported else [result.sequence for result in results if result.failure is None]
         record = Record(
             method=submission.method,
             team=submission.team,
@@ -332,13 +321,21 @@ class Service:
             summary=submission.summary,
             data_set=answer["data_set"],
             curves=self.scored.add_curves(answer["curves"]) if answer["curves"] else "",
-            estimates={f"{sequence}/1": submission.digest for sequence in answered},
+            estimates={f"{sequence}/1": submission.digest for sequence in predicted},
             created=submission.created,
         )
         try:
             return Record.from_dict(parse(record.data, "record"))
         except (OysterbenchError, UnicodeEncodeError, ValueError) as error:
             raise ResultError(f"the record cannot be read again: {error}") from None
+
+
+def _check_text(key: str, text: str) -> None:
+    """Refuse what no page could show in a line."""
+    try:
+        check_text(key, text, MOST_TEXT[key])
+    except ResultError as error:
+        raise Refusal("text", str(error).removeprefix("record: ")) from None
 
 
 def _private_log(path: Path) -> logging.Logger:

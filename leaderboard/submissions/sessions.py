@@ -13,9 +13,9 @@ from sqlalchemy import delete, insert, select
 from starlette.requests import Request
 from starlette.responses import Response
 
+from oysterbench_leaderboard.submissions.database import sessions
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Service
-from oysterbench_leaderboard.submissions.state import sessions
 from oysterbench_leaderboard.submissions.tokens import Holder, team_of
 
 COOKIE = "oysterbench_session"
@@ -48,7 +48,7 @@ class Sessions:
     def holder(self, value: str) -> Holder | None:
         """Who is signed in; None for nobody."""
         now = self._service.clock()
-        with self._service.state.reading() as connection:
+        with self._service.database.reading() as connection:
             query = select(sessions.c.token, sessions.c.expires).where(sessions.c.hash == _hash(value))
             found = connection.execute(query).first()
             if found is None or found.expires < now:
@@ -59,7 +59,7 @@ class Sessions:
     def begin(self, holder: Holder, old: str) -> str:
         """Sign in, with a new value: one that was known before is worth nothing."""
         value, now = secrets.token_hex(BYTES), self._service.clock()
-        with self._service.state.writing() as connection:
+        with self._service.database.writing() as connection:
             connection.execute(delete(sessions).where((sessions.c.expires < now) | (sessions.c.hash == _hash(old))))
             expires = now + self._service.settings.session_s
             connection.execute(insert(sessions).values(hash=_hash(value), token=holder.token, expires=expires))
@@ -67,7 +67,7 @@ class Sessions:
 
     def end(self, value: str) -> None:
         """Sign out."""
-        with self._service.state.writing() as connection:
+        with self._service.database.writing() as connection:
             connection.execute(delete(sessions).where(sessions.c.hash == _hash(value)))
 
 

@@ -1,23 +1,27 @@
-"""Settings of a server that takes submissions: where it keeps them, and how much of anything it takes."""
+"""SubmissionSettings of a server that takes submissions: where it keeps them, and how much of anything it takes."""
 
 from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from oysterbench.core.errors import ResultError
+from oysterbench_leaderboard.submissions.archive import Limits
 
 FILE = "settings.toml"
 """In the private folder: any of the keys below but `folder`."""
 
 MB = 1_000_000
 
+Count = Annotated[int, msgspec.Meta(gt=0)]
+Seconds = Annotated[float, msgspec.Meta(gt=0)]
 
-@dataclass(frozen=True, kw_only=True)
-class Settings:
+
+class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What a server allows. Sizes in bytes, times in seconds.
 
     folder:             private: the database, estimates, records that are not published, the log. Never served
@@ -33,8 +37,8 @@ class Settings:
     idle_s:             after which a client that sends nothing is sent away; upload_s: an upload takes at most
     workers:            submissions scored at once
     lease_s:            a worker that is not heard of for so long has died, and another one takes over
-    check_wall_s, check_cpu_s, score_wall_s, score_cpu_s: of the limited process
-    memory_bytes:       address space of the limited process
+    check_wall_s, check_cpu_s, score_wall_s, score_cpu_s: of the sandbox
+    memory_bytes:       address space of the sandbox
     attempts:           how often a process that ends without an answer is tried again, in all
     guesses_of_address, guesses: wrong tokens in `guess_window_s`, of one address and of all
     session_s:          how long a sign-in to the web form lasts
@@ -42,35 +46,30 @@ class Settings:
 
     folder: Path
     database: str = ""
-    file_bytes: int = 64 * MB
-    upload_bytes: int = 256 * MB
-    results_bytes: int = 4 * MB
-    entries: int = 20_000
-    unpacked_bytes: int = 1000 * MB
-    ratio: float = 100.0
-    per_day: int = 10
-    per_split: int = 100
-    uploads_at_once: int = 8
-    checks_at_once: int = 2
-    idle_s: float = 30.0
-    upload_s: float = 3600.0
-    workers: int = 1
-    lease_s: float = 30.0
-    check_wall_s: float = 120.0
-    check_cpu_s: int = 90
-    score_wall_s: float = 1800.0
-    score_cpu_s: int = 1500
-    memory_bytes: int = 4000 * MB
-    attempts: int = 3
-    guesses_of_address: int = 10
-    guesses: int = 200
-    guess_window_s: float = 60.0
-    session_s: float = 12 * 3600.0
-
-    def __post_init__(self) -> None:
-        for key, value in asdict(self).items():
-            if isinstance(value, int | float) and not value > 0:
-                raise ResultError(f"{FILE}: key {key!r}: expected more than 0, got {value!r}")
+    file_bytes: Count = 64 * MB
+    upload_bytes: Count = 256 * MB
+    results_bytes: Count = 4 * MB
+    entries: Count = 20_000
+    unpacked_bytes: Count = 1000 * MB
+    ratio: Annotated[float, msgspec.Meta(gt=0)] = 100.0
+    per_day: Count = 10
+    per_split: Count = 100
+    uploads_at_once: Count = 8
+    checks_at_once: Count = 2
+    idle_s: Seconds = 30.0
+    upload_s: Seconds = 3600.0
+    workers: Count = 1
+    lease_s: Seconds = 30.0
+    check_wall_s: Seconds = 120.0
+    check_cpu_s: Count = 90
+    score_wall_s: Seconds = 1800.0
+    score_cpu_s: Count = 1500
+    memory_bytes: Count = 4000 * MB
+    attempts: Count = 3
+    guesses_of_address: Count = 10
+    guesses: Count = 200
+    guess_window_s: Seconds = 60.0
+    session_s: Seconds = 12 * 3600.0
 
     @property
     def url(self) -> str:
@@ -79,20 +78,21 @@ class Settings:
             return f"sqlite:///{self.folder / 'submissions.sqlite'}"
         return re.sub(r"^postgres(ql)?://", "postgresql+psycopg://", self.database)
 
+    @property
+    def limits(self) -> Limits:
+        """Of what is read."""
+        return Limits(self.file_bytes, self.results_bytes, self.entries, self.unpacked_bytes, self.ratio)
 
-def load_settings(folder: Path, **changes: Any) -> Settings:
+
+def load_settings(folder: Path, **changes: Any) -> SubmissionSettings:
     """The settings of a private folder: its settings.toml, and `changes` over it. Raises ResultError naming the key."""
     path, found = folder / FILE, {}
-    if path.is_file():
-        try:
+    try:
+        if path.is_file():
             found = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ResultError(f"{path}: not valid TOML: {error}") from None
-    kinds = {f.name: f.default for f in fields(Settings) if f.name != "folder"}
-    for key, value in found.items():
-        if key not in kinds:
-            raise ResultError(f"{path}: unknown key {key!r}; known keys: {', '.join(kinds)}")
-        allowed: Any = (int, float) if isinstance(kinds[key], float) else type(kinds[key])
-        if not isinstance(value, allowed) or isinstance(value, bool):
-            raise ResultError(f"{path}: key {key!r}: expected a value like {kinds[key]!r}, got {value!r}")
-    return Settings(folder=folder, **{**found, **changes})
+        return msgspec.convert({**found, **changes, "folder": folder}, SubmissionSettings)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ResultError(f"{path}: not valid TOML: {error}") from None
+    except msgspec.ValidationError as error:
+        known = ", ".join(key for key in SubmissionSettings.__struct_fields__ if key != "folder")
+        raise ResultError(f"{path}: {error}; known keys: {known}") from None

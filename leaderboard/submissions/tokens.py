@@ -15,9 +15,9 @@ from sqlalchemy import Connection, insert, select, update
 
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.record import MOST_TEXT, check_text
+from oysterbench_leaderboard.submissions.database import Database, log_event, teams, tokens, utc
 from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.settings import Settings
-from oysterbench_leaderboard.submissions.state import State, teams, tell, tokens, utc
+from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 PREFIX = "oyb"
 SECRET_BYTES = 32
@@ -36,25 +36,25 @@ class Holder:
     token: str
 
 
-def issue(state: State, team: str) -> str:
+def issue(database: Database, team: str) -> str:
     """A new token of a team, which is made if it is new. It is nowhere kept: who loses it asks for another one."""
     check_text("team", team, MOST_TEXT["team"])
     if not team.strip() or team != team.strip():
         raise ResultError(f"expected the name of a team, without spaces around it, got {team!r}")
     id, secret = secrets.token_hex(6), secrets.token_urlsafe(SECRET_BYTES)
     at = utc(time.time())
-    with state.writing() as connection:
+    with database.writing() as connection:
         if connection.execute(select(teams.c.name).where(teams.c.name == team)).first() is None:
             connection.execute(insert(teams).values(name=team, created=at))
         connection.execute(insert(tokens).values(id=id, team=team, hash=_hash(secret), created=at, revoked=""))
-        tell(connection, at, "operator", "token issued", why=f"{team}: {id}")
+        log_event(connection, at, "operator", "token issued", why=f"{team}: {id}")
     return f"{PREFIX}_{id}_{secret}"
 
 
-def revoke(state: State, name: str) -> list[str]:
+def revoke(database: Database, name: str) -> list[str]:
     """Revoke a token by its id, or all of a team; ids of those that were not revoked before."""
     at = utc(time.time())
-    with state.writing() as connection:
+    with database.writing() as connection:
         chosen = (tokens.c.id == name) | (tokens.c.team == name)
         found = connection.execute(select(tokens.c.id, tokens.c.revoked).where(chosen)).all()
         if not found:
@@ -62,14 +62,14 @@ def revoke(state: State, name: str) -> list[str]:
         connection.execute(update(tokens).where(chosen, tokens.c.revoked == "").values(revoked=at))
         revoked = [id for id, before in found if not before]
         for id in revoked:
-            tell(connection, at, "operator", "token revoked", why=id)
+            log_event(connection, at, "operator", "token revoked", why=id)
     return revoked
 
 
-def listed(state: State) -> list[dict[str, str]]:
+def listed(database: Database) -> list[dict[str, str]]:
     """Tokens of all teams, without what is secret."""
     columns = (tokens.c.team, tokens.c.id, tokens.c.created, tokens.c.revoked)
-    with state.reading() as connection:
+    with database.reading() as connection:
         rows = connection.execute(select(*columns).order_by(tokens.c.team, tokens.c.created, tokens.c.id))
         return [dict(row) for row in rows.mappings()]
 
@@ -99,7 +99,7 @@ class Guesses:
     """Wrong tokens of late. An address that has sent too many is not listened to for a while; when all together have
     sent too many, nobody is who has sent a wrong one."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: SubmissionSettings) -> None:
         self._settings = settings
         self._of: dict[str, deque[float]] = {}
         self._all: deque[float] = deque()

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.routing import Route
 
 from oysterbench_leaderboard.site.links import Links
+from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.submissions.api import routes as api_routes
+from oysterbench_leaderboard.submissions.auth import Auth
+from oysterbench_leaderboard.submissions.catalogue import served_splits
 from oysterbench_leaderboard.submissions.form import NEW, TEMPLATES, WebForm
-from oysterbench_leaderboard.submissions.gate import Gate
 from oysterbench_leaderboard.submissions.queue import Workers
 from oysterbench_leaderboard.submissions.service import Service
+from oysterbench_leaderboard.submissions.settings import load_settings
 
 __all__ = ["NEW", "TEMPLATES", "Submissions"]
 
@@ -37,8 +41,8 @@ class Submissions:
 
     def routes(self) -> list[Route]:
         """To be put before the site's own, which has /submit itself: how to submit."""
-        gate = Gate(self.service)
-        return [*api_routes(gate), *WebForm(gate, self._links).routes()]
+        auth = Auth(self.service)
+        return [*api_routes(auth), *WebForm(auth, self._links).routes()]
 
     def attach(self, app: Starlette) -> None:
         """Score for as long as an application is up."""
@@ -60,3 +64,16 @@ class Submissions:
         finally:
             await run_in_threadpool(workers.stop)
             self.service.close()
+
+
+def open_service(
+    folder: Path, truths: Iterable[str], store: RecordStore, changed: Callable[[], None] = lambda: None
+) -> Service:
+    """The service of a private folder. truths: SPLIT=FOLDER, of hidden splits and of public ones that are kept
+    elsewhere; SPLIT is a name, or a recipe (.toml). changed: called when a record came onto the board, or off it.
+
+    Every public split is served: its estimates are scored where it is rendered here, and its results are taken.
+    Raises ResultError where a truth is missing, or of another split.
+    """
+    settings = load_settings(folder)
+    return Service(settings, served_splits(truths, folder / "catalogue"), store, changed)

@@ -20,10 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.streams import stream
-from oysterbench_leaderboard.submissions import limited
-from oysterbench_leaderboard.submissions.bundle import open_bundle
-from oysterbench_leaderboard.submissions.scoring import score_bundle
-from oysterbench_leaderboard.submissions.state import Submission, find, log, submissions
+from oysterbench_leaderboard.submissions import sandbox, sandbox_worker
+from oysterbench_leaderboard.submissions.database import Submission, find, log, submissions
 from tests.helpers.served import Server, answers, lay, make_service
 
 SENDERS = 2
@@ -154,7 +152,7 @@ def _until(server: Server, method: str, path: str, body: Any, token: str, good: 
 def _look(folder: Path, outcome: Outcome) -> None:
     """At the database, the log and the board; and score all once more."""
     service = make_service(folder)
-    with service.state.reading() as connection:
+    with service.database.reading() as connection:
         found = find(connection, submissions.c.id != "")
         events = log(connection, limit=100_000)
     done = Counter(event["submission"] for event in events if event["what"] == "done")
@@ -173,10 +171,10 @@ def _scored_again(service: Any, one: Submission) -> str:
     """Digest of the record that scoring a submission once more gives, in this process."""
     served = service.catalogue.splits[one.split]
     wanted = served.wanted[one.track]
-    bundle = open_bundle(service.estimates / one.digest, wanted, limited.limits_of(service.settings))
-    scored = score_bundle(bundle, wanted, served.truth, one.method, one.created, wanted.hidden)
-    results = [record.to_dict() for record in scored.results]
-    return service.build(one, {"results": results, "data_set": scored.data_set, "curves": scored.curves}).digest
+    truth = {name: str(path) for name, path in served.truth.items()}
+    path = str(service.estimates / one.digest)
+    job = sandbox.Job(path, wanted, service.settings.limits, (), truth, one.method, one.created)
+    return service.build(one, sandbox_worker.do(job)).digest
 
 
 def check(outcome: Outcome, kills: int) -> None:

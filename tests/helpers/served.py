@@ -30,8 +30,8 @@ from oysterbench.sensors.imu import IMU
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, STEERING
 from oysterbench.sequence.truth import TRANSFORMS, TRUTH, TRUTH_TYPES, truth_message
 from oysterbench.sequence.write import SequenceWriter
+from oysterbench_leaderboard.submissions.database import Database
 from oysterbench_leaderboard.submissions.settings import load_settings
-from oysterbench_leaderboard.submissions.state import State
 from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.paths import ROOT
 
@@ -110,7 +110,7 @@ altitude_m = [0.5, 1.4]
 """What a split of the track steering has besides."""
 
 FAST = {"lease_s": 3.0, "per_day": 1000, "per_split": 1000}
-"""Settings of the tests' servers, unless they ask for others."""
+"""SubmissionSettings of the tests' servers, unless they ask for others."""
 
 
 def path(number: int) -> Trajectory:
@@ -256,9 +256,9 @@ def lay(folder: Path, **settings: Any) -> dict[str, str]:
     private.mkdir()
     lines = [f"{key} = {value!r}" for key, value in {**FAST, **settings}.items()]
     (private / "settings.toml").write_text("\n".join(lines))
-    state = State(load_settings(private))
-    tokens = {team: issue(state, team) for team in ("reef lab", "others")}
-    state.close()
+    database = Database(load_settings(private))
+    tokens = {team: issue(database, team) for team in ("reef lab", "others")}
+    database.close()
     return tokens
 
 

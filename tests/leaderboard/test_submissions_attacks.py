@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from oysterbench_leaderboard.submissions.database import Database, log
 from oysterbench_leaderboard.submissions.settings import load_settings
-from oysterbench_leaderboard.submissions.state import State, log
 from tests.helpers.served import NAMES, Server, answers, estimate, lay, path, running, tum, zipped
 
 
@@ -32,10 +32,10 @@ class Site:
         self.token = tokens["reef lab"]
 
     def events(self) -> list[dict[str, Any]]:
-        state = State(load_settings(self.folder / "private"))
-        with state.reading() as connection:
+        database = Database(load_settings(self.folder / "private"))
+        with database.reading() as connection:
             found = log(connection, limit=10_000)
-        state.close()
+        database.close()
         return found
 
     def count(self) -> int:
@@ -310,7 +310,7 @@ def test_a_form_that_is_not_of_this_site_changes_nothing(site, tmp_path, what):
     assert site.server.wait(site.token, made["id"])["state"] == "done"
 
 
-def test_a_form_with_a_file_is_refused_before_the_file_is_read(site, tmp_path):
+def test_a_form_with_a_file_and_a_wrong_csrf_token_is_refused(site, tmp_path):
     cookie, _ = signed_in(site)
     body = b'--b\r\nContent-Disposition: form-data; name="csrf"\r\n\r\n' + b"0" * 64
     body += b'\r\n--b\r\nContent-Disposition: form-data; name="file"; filename="x.zip"\r\n\r\n' + answers(tmp_path)

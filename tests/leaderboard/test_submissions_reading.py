@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,11 +17,10 @@ from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, Segment
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.results.records import ResultRecord, document, read_results, write_results
 from oysterbench_leaderboard.submissions.archive import Limits
-from oysterbench_leaderboard.submissions.bundle import check_bundle, open_bundle
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue, Wanted, serve_split
-from oysterbench_leaderboard.submissions.evaluators import evaluator
+from oysterbench_leaderboard.submissions.predictions import check_predictions, open_predictions
 from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.scoring import OF_TRUTH, UNANSWERED, score_bundle, significant
+from oysterbench_leaderboard.submissions.scoring import MISSING, OF_TRUTH, evaluator, score_predictions, significant
 from tests.helpers.served import (
     IMAGES,
     NAMES,
@@ -53,15 +53,15 @@ def served(tmp_path_factory):
 
 def wanted_of(served, split: str, track: str = "slam") -> Wanted:
     made = served[split].wanted[track]
-    assert Wanted.from_dict(json.loads(json.dumps(made.to_dict()))) == made
+    assert msgspec.json.decode(msgspec.json.encode(made), type=Wanted) == made
     return made
 
 
 def opened(tmp_path: Path, data: bytes, wanted: Wanted):
     file = tmp_path / "upload"
     file.write_bytes(data)
-    bundle = open_bundle(file, wanted, LIMITS)
-    return bundle, check_bundle(bundle, wanted)
+    predictions = open_predictions(file, wanted, LIMITS)
+    return predictions, check_predictions(predictions, wanted)
 
 
 def npz(**arrays) -> bytes:
@@ -109,18 +109,18 @@ def test_paths_are_read_in_every_format_and_score_the_same(served, tmp_path):
     ]
     arrays = npz(stamps_ns=one.stamps_ns, positions=one.positions, quaternions=one.quaternions)
     files = {"pool-01.npz": arrays, "pool-02.csv": (columns + "\n".join(rows)).encode()}
-    bundle, facts = opened(tmp_path, zipped(files), wanted)
+    predictions, facts = opened(tmp_path, zipped(files), wanted)
     assert facts == {"kind": "poses", "sequences": list(NAMES), "poses": 400, "images": 0}
     text, _ = opened(tmp_path, zipped({"pool-01.txt": tum(one, tmp_path), "pool-02.tum": tum(two, tmp_path)}), wanted)
     for name, trajectory in zip(NAMES, (one, two), strict=True):
-        assert np.allclose(bundle.poses[name]().positions, trajectory.positions, atol=1e-8)
-        assert np.allclose(text.poses[name]().positions, trajectory.positions, atol=1e-6)
+        assert np.allclose(predictions.readers[name]().positions, trajectory.positions, atol=1e-8)
+        assert np.allclose(text.readers[name]().positions, trajectory.positions, atol=1e-6)
 
 
 def test_a_score_is_the_evaluators(served, tmp_path):
     wanted = wanted_of(served, "pool-val")
-    bundle, _ = opened(tmp_path, answers(tmp_path), wanted)
-    scored = score_bundle(bundle, wanted, served["pool-val"].truth, "carp", "2026-11-01T00:00:00Z", hidden=False)
+    predictions, _ = opened(tmp_path, answers(tmp_path), wanted)
+    scored = score_predictions(predictions, wanted, served["pool-val"].truth, "carp", "2026-11-01T00:00:00Z")
     for k, record in enumerate(scored.results):
         (tmp_path / "y.tum").write_bytes(tum(estimate(k), tmp_path))
         from oysterbench.core.trajectory import read_trajectory
@@ -131,7 +131,7 @@ def test_a_score_is_the_evaluators(served, tmp_path):
         assert (record.evaluator_version, dict(record.settings)) == evaluator("slam")
         assert record.split_digest == wanted.split_digest
     hidden = wanted_of(served, "pool-test")
-    again = score_bundle(bundle, hidden, served["pool-test"].truth, "carp", "2026-11-01T00:00:00Z", hidden=True)
+    again = score_predictions(predictions, hidden, served["pool-test"].truth, "carp", "2026-11-01T00:00:00Z")
     for open_, kept in zip(scored.results, again.results, strict=True):
         assert set(open_.metrics) - set(kept.metrics) == {key for key in OF_TRUTH if key in open_.metrics}
         for key, value in kept.metrics.items():
@@ -144,10 +144,10 @@ def test_a_score_is_the_evaluators(served, tmp_path):
 
 def test_a_sequence_without_a_file_counts_as_failed(served, tmp_path):
     wanted = wanted_of(served, "pool-test")
-    bundle, facts = opened(tmp_path, zipped({"pool-02.tum": tum(estimate(1), tmp_path)}), wanted)
+    predictions, facts = opened(tmp_path, zipped({"pool-02.tum": tum(estimate(1), tmp_path)}), wanted)
     assert facts["sequences"] == ["pool-02"]
-    first, second = score_bundle(bundle, wanted, served["pool-test"].truth, "carp", "x", hidden=True).results
-    assert (first.failure, first.metrics["score"], first.metrics["coverage"]) == (UNANSWERED, 0.0, 0.0)
+    first, second = score_predictions(predictions, wanted, served["pool-test"].truth, "carp", "x").results
+    assert (first.failure, first.metrics["score"], first.metrics["coverage"]) == (MISSING, 0.0, 0.0)
     assert second.failure is None
 
 
@@ -185,9 +185,9 @@ def test_masks_arrays_and_annotations_score_the_same(served, tmp_path):
         wanted = wanted_of(served, "pool-masks", track)
         found = {}
         for form, data in forms.items():
-            bundle, facts = opened(tmp_path, data, wanted)
-            assert facts == {"kind": "answers", "sequences": list(NAMES), "poses": 0, "images": 2 * IMAGES}
-            scored = score_bundle(bundle, wanted, truth, "net", "2026-11-01T00:00:00Z", hidden=True)
+            predictions, facts = opened(tmp_path, data, wanted)
+            assert facts == {"kind": "predictions", "sequences": list(NAMES), "poses": 0, "images": 2 * IMAGES}
+            scored = score_predictions(predictions, wanted, truth, "net", "2026-11-01T00:00:00Z")
             found[form] = [record.metrics[key] for record in scored.results]
             assert scored.data_set["metrics"][key] > 0
         assert len({tuple(values) for values in found.values()}) == 1, found
@@ -196,13 +196,13 @@ def test_masks_arrays_and_annotations_score_the_same(served, tmp_path):
 
 def test_an_iou_is_the_evaluators(served, tmp_path):
     wanted = wanted_of(served, "pool-masks", "segmentation")
-    bundle, _ = opened(tmp_path, npz(**masks(0, 2)), wanted)
-    first, second = score_bundle(bundle, wanted, served["pool-masks"].truth, "net", "x", hidden=True).results
+    predictions, _ = opened(tmp_path, npz(**masks(0, 2)), wanted)
+    first, second = score_predictions(predictions, wanted, served["pool-masks"].truth, "net", "x").results
     scorer = ClipScorer(SegmentationSettings())
     for truth, _ in labelled_sequence(served["pool-masks"].truth["pool-01"]).images():
         scorer.add(truth, EstimateImage(truth.name, oyster=masks(0, 2)[truth.name]))
     assert first.metrics["iou"] == significant(scorer.result().metrics["iou"])
-    assert second.failure == UNANSWERED
+    assert second.failure == MISSING
     assert second.metrics["union_px"] > 0, "it counts by the pixels that it missed"
     assert "cover" not in first.metrics
 
@@ -210,7 +210,7 @@ def test_an_iou_is_the_evaluators(served, tmp_path):
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        (lambda: npz(**dict(list(masks(0).items())[:2])), "pool-01: 1 of 3 images are not answered"),
+        (lambda: npz(**dict(list(masks(0).items())[:2])), "pool-01: 1 of 3 images have no prediction"),
         (lambda: npz(**{"pool-01/cam/7": np.ones((48, 64), bool)}), "names no image of pool-masks"),
         (lambda: npz(**{name: mask[:, :60] for name, mask in masks(0).items()}), "expected 64 x 48 pixels"),
         (lambda: npz(**{name: mask * 2.0 for name, mask in masks(0).items()}), "expected probabilities from 0 to 1"),
@@ -237,8 +237,8 @@ def test_what_is_wrong_with_masks_is_said_by_name(served, tmp_path, made, said):
 def reported(served, tmp_path, **changes) -> bytes:
     """A results.json of the public split."""
     wanted = wanted_of(served, "pool-val")
-    bundle, _ = opened(tmp_path, answers(tmp_path), wanted)
-    scored = score_bundle(bundle, wanted, served["pool-val"].truth, "mine", "2026-11-01T00:00:00Z", hidden=False)
+    predictions, _ = opened(tmp_path, answers(tmp_path), wanted)
+    scored = score_predictions(predictions, wanted, served["pool-val"].truth, "mine", "2026-11-01T00:00:00Z")
     write_results(tmp_path / "results.json", [replace(record, **changes) for record in scored.results])
     return (tmp_path / "results.json").read_bytes()
 
@@ -246,9 +246,9 @@ def reported(served, tmp_path, **changes) -> bytes:
 def test_results_of_a_public_split_are_taken_as_their_authors_computed_them(served, tmp_path):
     wanted = wanted_of(served, "pool-val")
     data = reported(served, tmp_path, conditions={"water": "clear"}, seed=3)
-    bundle, facts = opened(tmp_path, data, wanted)
+    predictions, facts = opened(tmp_path, data, wanted)
     assert facts["kind"] == "results"
-    scored = score_bundle(bundle, wanted, {}, "carp", "x", hidden=False)
+    scored = score_predictions(predictions, wanted, {}, "carp", "x")
     before = read_results(tmp_path / "results.json")
     assert [dict(record.metrics) for record in scored.results] == [dict(record.metrics) for record in before]
     assert {record.method for record in scored.results} == {"carp"}
@@ -302,9 +302,9 @@ def test_commands_score_what_the_expert_would_have_gained(served, tmp_path):
     wanted = wanted_of(served, "pool-dive", "steering")
     made = [[[1, 1]] * IMAGES, steered(1)[0].tolist()]
     data = zipped({f"{name}.csv": table(k, made[k]) for k, name in enumerate(NAMES)})
-    bundle, facts = opened(tmp_path, data, wanted)
+    predictions, facts = opened(tmp_path, data, wanted)
     assert facts == {"kind": "commands", "sequences": list(NAMES), "poses": 0, "images": 2 * IMAGES}
-    scored = score_bundle(bundle, wanted, served["pool-dive"].truth, "eel", "2026-11-01T00:00:00Z", hidden=False)
+    scored = score_predictions(predictions, wanted, served["pool-dive"].truth, "eel", "2026-11-01T00:00:00Z")
     straight, expert = (record.metrics for record in scored.results)
     named, worth = steered(0)
     lost = worth.max(axis=(1, 2)) - worth[:, 1, 1]
@@ -322,24 +322,24 @@ def test_probabilities_are_weighed_and_the_likeliest_is_commanded(served, tmp_pa
     wanted = wanted_of(served, "pool-dive", "steering")
     head = "stamp_ns," + ",".join(f"{axis}_{i}" for axis in ("yaw", "pitch") for i in range(3))
     data = zipped({"pool-01.csv": table(0, [[2, 1, 1, 0, 0, 7]] * IMAGES, head)})
-    bundle, facts = opened(tmp_path, data, wanted)
+    predictions, facts = opened(tmp_path, data, wanted)
     assert facts["sequences"] == ["pool-01"]
-    scored = score_bundle(bundle, wanted, served["pool-dive"].truth, "eel", "2026-11-01T00:00:00Z", hidden=False)
+    scored = score_predictions(predictions, wanted, served["pool-dive"].truth, "eel", "2026-11-01T00:00:00Z")
     classes, _ = steered(0)
     metrics = scored.results[0].metrics
     assert metrics["yaw_accuracy"] == (classes[:, 0] == 0).mean()
     turns = np.array([20.0, 0.0, -20.0])
     off = np.abs(turns[None] - turns[classes[:, 0]][:, None]) @ np.array([0.5, 0.25, 0.25])
     assert metrics["yaw_cost_deg"] == pytest.approx(off.mean())
-    assert scored.results[1].failure == UNANSWERED
+    assert scored.results[1].failure == MISSING
     assert scored.data_set is None
 
 
 def test_commands_on_a_hidden_split_leave_rounded_numbers(served, tmp_path):
     wanted = wanted_of(served, "pool-steer", "steering")
     data = zipped({f"{name}.csv": table(k, [[2, 0]] * IMAGES) for k, name in enumerate(NAMES)})
-    bundle, _ = opened(tmp_path, data, wanted)
-    scored = score_bundle(bundle, wanted, served["pool-steer"].truth, "eel", "2026-11-01T00:00:00Z", hidden=True)
+    predictions, _ = opened(tmp_path, data, wanted)
+    scored = score_predictions(predictions, wanted, served["pool-steer"].truth, "eel", "2026-11-01T00:00:00Z")
     for record in scored.results:
         assert all(value == significant(value) for value in record.metrics.values())
         assert len(record.metrics) > 10
@@ -355,8 +355,8 @@ def test_commands_on_a_hidden_split_leave_rounded_numbers(served, tmp_path):
         (lambda t: t.replace(",1,1", ",left,1"), "pool-01.csv:2: yaw: expected a whole number from 0, got 'left'"),
         (lambda t: t.replace(",1,1", ",-1,1"), "expected a whole number from 0, got '-1'"),
         (lambda t: t + "\n5,1,1", "pool-01.csv:5: no picture of pool-01 has the stamp 5; its first is"),
-        (lambda t: t + "\n" + t.split("\n")[1], "pool-01.csv:5: the picture .* is answered twice"),
-        (lambda t: t.rpartition("\n")[0], "1 of 3 pictures are not answered"),
+        (lambda t: t + "\n" + t.split("\n")[1], "pool-01.csv:5: the picture .* has two commands"),
+        (lambda t: t.rpartition("\n")[0], "1 of 3 pictures have no command"),
         (lambda t: "", "pool-01.csv:1: expected the columns"),
         (lambda t: "\xff", "expected a table as text in UTF-8"),
     ],
@@ -377,7 +377,7 @@ def test_what_is_no_probability_is_refused(served, tmp_path, share):
 
 def test_other_files_are_no_commands(served, tmp_path):
     wanted = wanted_of(served, "pool-steer", "steering")
-    with pytest.raises(Refusal, match="expected a table for each sequence"):
+    with pytest.raises(Refusal, match=r"expected tables of commands .*, got arrays"):
         opened(tmp_path, npz(a=np.zeros(3)), wanted)
     with pytest.raises(Refusal, match=r"expected tables of commands \(.csv\)"):
         opened(tmp_path, b"{}", wanted)
@@ -413,7 +413,7 @@ def test_a_truth_of_another_split_is_refused(tmp_path):
     from oysterbench.core.errors import ResultError
 
     recipe, truth = lay_split(tmp_path, "pool-test")
-    _, other = lay_split(tmp_path, "pool-val", hidden=False)
+    _, other = lay_split(tmp_path, "pool-val")
     with pytest.raises(ResultError, match="expected split 'pool-test', got 'pool-val'"):
         serve_split(str(recipe), other)
     with pytest.raises(ResultError, match="is hidden: expected --truth"):

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import threading
 from dataclasses import replace
-from pathlib import Path
 
+import msgspec
 import pytest
 
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.submissions import limited, queue
-from oysterbench_leaderboard.submissions.bundle import check_bundle, open_bundle
-from oysterbench_leaderboard.submissions.catalogue import Wanted
+from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
+from oysterbench_leaderboard.submissions.database import Database, find, log, submissions
 from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.scoring import score_bundle
 from oysterbench_leaderboard.submissions.service import Form, upload_of
-from oysterbench_leaderboard.submissions.settings import Settings, load_settings
-from oysterbench_leaderboard.submissions.state import State, find, log, submissions
+from oysterbench_leaderboard.submissions.settings import SubmissionSettings, load_settings
 from oysterbench_leaderboard.submissions.tokens import Guesses, issue, listed, network, recognise, revoke
 from tests.helpers.served import FAST, answers, lay_split, make_service
 from tests.leaderboard.test_index import postgres  # noqa: F401
@@ -48,18 +46,10 @@ class Clock:
 def here(monkeypatch):
     """What the limited process does, done in this one: its answers are the same, and quicker."""
 
-    def check(settings, path, wanted, log):
-        return check_bundle(open_bundle(path, (w := Wanted.from_dict(wanted)), limited.limits_of(settings)), w)
+    def run(job, *args):
+        return sandbox.Ended(json.loads(json.dumps(sandbox_worker.do(job))), "", "")
 
-    def run(job, allowance, stop=None, beat=None, beat_s=10.0):
-        wanted = Wanted.from_dict(job["wanted"])
-        bundle = open_bundle(Path(job["path"]), wanted, limited.Limits(**job["limits"]))
-        scored = score_bundle(bundle, wanted, job["truth"], job["method"], job["created"], wanted.hidden)
-        results = [record.to_dict() for record in scored.results]
-        return limited.Ended({"results": results, "data_set": scored.data_set, "curves": scored.curves}, "", "")
-
-    monkeypatch.setattr(limited, "check", check)
-    monkeypatch.setattr(limited, "run", run)
+    monkeypatch.setattr(sandbox, "run", run)
 
 
 @pytest.fixture
@@ -67,8 +57,8 @@ def service(laid, tmp_path, here):
     shutil.copytree(laid / "splits", tmp_path / "splits")
     made = make_service(tmp_path, **FAST)
     made.clock = Clock()
-    issue(made.state, "reef lab")
-    issue(made.state, "others")
+    issue(made.database, "reef lab")
+    issue(made.database, "others")
     yield made
     made.close()
 
@@ -80,7 +70,7 @@ def send(service, tmp_path, case=0, form=FORM, team="reef lab"):
 
 
 def events(service, what=""):
-    with service.state.reading() as connection:
+    with service.database.reading() as connection:
         return [event for event in log(connection, limit=10_000) if event["what"] == what or not what]
 
 
@@ -88,45 +78,45 @@ def events(service, what=""):
 
 
 def test_a_token_is_shown_once_and_only_its_hash_is_kept(tmp_path):
-    state = State(Settings(folder=tmp_path / "private"))
-    one, two = issue(state, "reef lab"), issue(state, "reef lab")
+    database = Database(SubmissionSettings(folder=tmp_path / "private"))
+    one, two = issue(database, "reef lab"), issue(database, "reef lab")
     assert one != two
-    with state.reading() as connection:
+    with database.reading() as connection:
         assert recognise(connection, one).team == recognise(connection, two).team == "reef lab"
         for wrong in (one[:-1], one + "x", one.replace("oyb", "oya"), one.upper(), "", "oyb__", "x" * 10_000):
             assert recognise(connection, wrong) is None
     kept = b"".join(path.read_bytes() for path in (tmp_path / "private").iterdir())
     assert one.split("_", 2)[2].encode() not in kept
     assert (tmp_path / "private").stat().st_mode & 0o77 == 0
-    assert [row["team"] for row in listed(state)] == ["reef lab", "reef lab"]
-    state.close()
+    assert [row["team"] for row in listed(database)] == ["reef lab", "reef lab"]
+    database.close()
 
 
 def test_tokens_are_revoked_one_by_one_or_with_their_team(tmp_path):
-    state = State(Settings(folder=tmp_path))
-    one, two = issue(state, "reef lab"), issue(state, "reef lab")
-    assert revoke(state, one.split("_")[1]) == [one.split("_")[1]]
-    with state.reading() as connection:
+    database = Database(SubmissionSettings(folder=tmp_path))
+    one, two = issue(database, "reef lab"), issue(database, "reef lab")
+    assert revoke(database, one.split("_")[1]) == [one.split("_")[1]]
+    with database.reading() as connection:
         assert recognise(connection, one) is None
         assert recognise(connection, two) is not None
-    assert revoke(state, "reef lab") == [two.split("_")[1]]
-    with state.reading() as connection:
+    assert revoke(database, "reef lab") == [two.split("_")[1]]
+    with database.reading() as connection:
         assert recognise(connection, two) is None
     with pytest.raises(ResultError, match="no team and no token is named 'nobody'"):
-        revoke(state, "nobody")
-    state.close()
+        revoke(database, "nobody")
+    database.close()
 
 
 @pytest.mark.parametrize("name", ["", " x", "a\nb", "x" * 81])
 def test_a_team_has_a_plain_name(tmp_path, name):
-    state = State(Settings(folder=tmp_path))
+    database = Database(SubmissionSettings(folder=tmp_path))
     with pytest.raises(ResultError):
-        issue(state, name)
-    state.close()
+        issue(database, name)
+    database.close()
 
 
 def test_guesses_are_counted_by_address_and_all_together(tmp_path):
-    guesses = Guesses(Settings(folder=tmp_path, guesses_of_address=3, guesses=5))
+    guesses = Guesses(SubmissionSettings(folder=tmp_path, guesses_of_address=3, guesses=5))
     for _ in range(3):
         guesses.check("10.0.0.1")
         guesses.failed("10.0.0.1")
@@ -161,7 +151,7 @@ def test_the_same_bytes_for_the_same_place_are_one_submission(service, tmp_path)
 
 
 def test_quotas_count_what_was_accepted_in_a_day_and_on_a_split(service, tmp_path):
-    service.settings = replace(service.settings, per_day=2, per_split=3)
+    service.settings = msgspec.structs.replace(service.settings, per_day=2, per_split=3)
     send(service, tmp_path, 1)
     bad = service.incoming / "bad"
     bad.write_bytes(b"1 2 3\n")
@@ -205,7 +195,7 @@ def test_a_second_scoring_gives_the_same_bytes(service, tmp_path):
     mine = queue.claim(service)
     queue.score(service, mine, threading.Event())
     first = service.get("reef lab", mine.id).record
-    with service.state.writing() as connection:
+    with service.database.writing() as connection:
         queue.change(connection, mine.id, service.now(), state="queued")
     service.clock.now += 1000
     queue.drain(service)
@@ -247,8 +237,8 @@ def test_what_was_begun_most_often_comes_last(service, tmp_path):
 )
 def test_a_scoring_without_an_answer_fails_with_a_sentence_of_the_list(service, tmp_path, monkeypatch, cause, reason):
     said = "Traceback: truth at /secret/place is 1.234"
-    monkeypatch.setattr(limited, "run", lambda *args: limited.Ended(None, cause, said))
     made, _ = send(service, tmp_path)
+    monkeypatch.setattr(sandbox, "run", lambda *args: sandbox.Ended(None, cause, said))
     tries = queue.drain(service)
     found = service.get("reef lab", made.id)
     assert found.state == "failed"
@@ -375,13 +365,18 @@ def test_a_file_without_a_submission_is_no_harm(service, tmp_path):
     assert service.get("reef lab", made.id).state == "done"
 
 
-# Settings:
+# SubmissionSettings:
 
 
 def test_settings_come_from_the_private_folder(tmp_path):
     (tmp_path / "settings.toml").write_text("per_day = 3\nlease_s = 5\n")
     assert load_settings(tmp_path).per_day == 3
-    for text, said in (("per_dya = 3", "unknown key 'per_dya'"), ("per_day = 'x'", "expected a value like 10")):
+    wrong = {
+        "per_dya = 3": "unknown field `per_dya`; known keys: database",
+        "per_day = 'x'": "Expected `int`, got `str`",
+        "per_day = 0": ">= 1",
+    }
+    for text, said in wrong.items():
         (tmp_path / "settings.toml").write_text(text)
         with pytest.raises(ResultError, match=said):
             load_settings(tmp_path)
@@ -389,20 +384,20 @@ def test_settings_come_from_the_private_folder(tmp_path):
 
 def test_the_database_keeps_what_it_has_said(service, tmp_path):
     made, _ = send(service, tmp_path)
-    with service.state.reading() as connection:
+    with service.database.reading() as connection:
         assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
         assert connection.exec_driver_sql("PRAGMA synchronous").scalar() == 2
-    other = State(service.settings)
-    with other.reading() as connection:
+    database = Database(service.settings)
+    with database.reading() as connection:
         assert [one.id for one in find(connection, submissions.c.team == "reef lab")] == [made.id]
-    other.close()
+    database.close()
 
 
 def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):  # noqa: F811
     """Each of two servers, with two workers, takes what the other one has not: nothing is scored twice."""
     shutil.copytree(laid / "splits", tmp_path / "splits")
     hosts = [make_service(tmp_path, database=postgres.replace("+psycopg", ""), **FAST) for _ in range(2)]
-    issue(hosts[0].state, "reef lab")
+    issue(hosts[0].database, "reef lab")
     made = [send(hosts[k % 2], tmp_path, k)[0].id for k in range(6)]
     assert send(hosts[1], tmp_path, 0) == (hosts[1].get("reef lab", made[0]), False)
     workers = [threading.Thread(target=queue.drain, args=(host,)) for host in hosts for _ in range(2)]

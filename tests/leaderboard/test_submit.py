@@ -77,7 +77,7 @@ def test_what_is_wrong_is_found_before_anything_is_sent(site, estimates):
     assert site.server.ask("GET", "/api/submissions", token=site.token)[2] == before
 
 
-def test_commands_are_sent_as_tables_and_scored_in_the_limited_process(site, tmp_path):
+def test_commands_are_sent_as_tables_and_scored_in_the_sandbox(site, tmp_path):
     folder = tmp_path / "commands"
     folder.mkdir()
     for k, name in enumerate(NAMES):
@@ -95,14 +95,14 @@ def test_commands_are_sent_as_tables_and_scored_in_the_limited_process(site, tmp
 
 
 def test_a_track_that_cannot_be_submitted_is_refused_before_anything_is_sent(site, estimates, tmp_path):
-    told = submit(site, estimates, "--method", "map", "--split", "pool-val", "--track", "density")
-    assert told.exit_code == 1
-    assert "--track: pool-val has slam, got 'density': maps are scored where they are made" in told.stderr
+    refused = submit(site, estimates, "--method", "map", "--split", "pool-val", "--track", "density")
+    assert refused.exit_code == 1
+    assert "--track: pool-val has slam, got 'density': maps are scored where they are made" in refused.stderr
     row = {"split": "pool-val", "track": "density", "sequence": "pool-01", "method": "map"}
     (tmp_path / "results.json").write_text(json.dumps({"results": [row]}))
-    told = submit(site, tmp_path / "results.json", "--method", "map")
-    assert told.exit_code == 1
-    assert "its track: pool-val has slam, got 'density'" in told.stderr
+    refused = submit(site, tmp_path / "results.json", "--method", "map")
+    assert refused.exit_code == 1
+    assert "its track: pool-val has slam, got 'density'" in refused.stderr
     status, answer = site.server.send(site.token, b"x", split="pool-val", track="density")
     assert status in (400, 404, 422)
     assert "the tracks that can be submitted are slam, segmentation, detection, steering" in answer["reason"]
@@ -140,7 +140,7 @@ def test_masks_in_a_folder_are_sent_as_they_lie(site, tmp_path):
         site, tmp_path / "masks", "--method", "net", "--split", "pool-masks", "--track", "detection", "--json"
     )
     assert sent.exit_code == 0, sent.output
-    assert "answers of 1 sequences, 3 images" in sent.stderr
+    assert "predictions of 1 sequences, 3 images" in sent.stderr
     assert "nothing is sent for pool-02: counted as failed there" in sent.stderr
     found = json.loads(sent.stdout)
     assert (found["state"], found["track"]) == ("done", "detection")
@@ -151,7 +151,7 @@ def test_masks_in_a_folder_are_sent_as_they_lie(site, tmp_path):
     ("args", "token", "said", "code"),
     [
         (["--method", "x", "--split", "slam-99"], None, "this leaderboard takes submissions to pool-masks", 1),
-        (["--method", "x"], None, "--split: expected what is answered, one of", 2),
+        (["--method", "x"], None, "--split: expected the split that was predicted, one of", 2),
         (["--method", "x" * 90, "--split", "pool-test"], None, "refused: key 'method': expected at most 80", 1),
         (["--method", "x", "--split", "pool-test"], "oyb_0_wrong", "refused: the token is not known", 1),
         (["--method", "x", "--split", "pool-test", "--track", "detection"], None, "--track: pool-test has slam", 1),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.piloting import classes_of
@@ -21,17 +21,6 @@ STAMP = "stamp_ns"
 AXES = ("yaw", "pitch")
 
 
-def task_of(values: Mapping[str, Any]) -> SteeringRecipe:
-    """A table [steering] from plain values (`Wanted.task`)."""
-    given: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-    return SteeringRecipe(**given)
-
-
-def reader(data: bytes, label: str, sequence: str, wanted: Wanted) -> Callable[[], tuple[Steering, ...]]:
-    """Reads the commands when it is asked to."""
-    return lambda: read_commands(data, label, sequence, wanted)
-
-
 def read_commands(data: bytes, label: str, sequence: str, wanted: Wanted) -> tuple[Steering, ...]:
     """What is commanded at each picture of a sequence, in the order of the pictures.
 
@@ -42,7 +31,8 @@ def read_commands(data: bytes, label: str, sequence: str, wanted: Wanted) -> tup
         lines = data.decode("utf-8-sig").split("\n")
     except UnicodeDecodeError:
         raise Refusal("format", f"{label}: expected a table as text in UTF-8 (CSV)") from None
-    task = task_of(wanted.task)
+    task = wanted.task
+    assert task is not None, wanted.split  # of a split of the track steering
     numbered = {axis: [f"{axis}_{i}" for i in range(len(getattr(task, f"{axis}_deg")))] for axis in AXES}
     allowed = ([STAMP, *AXES], [STAMP, *numbered["yaw"], *numbered["pitch"]])
     head = [key.strip() for key in lines[0].split(",")]
@@ -63,37 +53,37 @@ def read_commands(data: bytes, label: str, sequence: str, wanted: Wanted) -> tup
             first = next(iter(pictures))
             raise Refusal("format", f"{where}: no picture of {sequence} has the stamp {stamp}; its first is {first}")
         if stamp in found:
-            raise Refusal("format", f"{where}: the picture {stamp} is answered twice")
-        answer = _answer(pictures.get(str(stamp), f"{sequence}/{stamp}"), fields[1:], len(numbered["yaw"]), where)
+            raise Refusal("format", f"{where}: the picture {stamp} has two commands")
+        command = _command(pictures.get(str(stamp), f"{sequence}/{stamp}"), fields[1:], len(numbered["yaw"]), where)
         try:
-            classes_of(answer, task, where)
+            classes_of(command, task, where)
         except MethodError as error:
             raise Refusal("format", str(error)) from None
-        found[stamp] = answer
+        found[stamp] = command
     if missing := [stamp for stamp in pictures if int(stamp) not in found]:
         raise Refusal(
             "format",
-            f"{label}: {len(missing)} of {len(pictures)} pictures are not answered, the first being {missing[0]}; "
+            f"{label}: {len(missing)} of {len(pictures)} pictures have no command, the first being {missing[0]}; "
             "expected all of a sequence, or none",
         )
     return tuple(found[stamp] for stamp in sorted(found))
 
 
-def commands_of(answers: Sequence[Steering], task: SteeringRecipe) -> Commands:
+def steering_commands(given: Sequence[Steering], task: SteeringRecipe) -> Commands:
     """The commands of a sequence, as the evaluator takes them."""
     import numpy as np
 
     from oysterbench.evaluate.steering import Commands
     from oysterbench.tracks.steering import probabilities
 
-    chosen = [classes_of(answer, task, answer.name) for answer in answers]
-    shares = [probabilities(answer, classes, task) for answer, classes in zip(answers, chosen, strict=True)]
+    chosen = [classes_of(one, task, one.name) for one in given]
+    shares = [probabilities(one, classes, task) for one, classes in zip(given, chosen, strict=True)]
     yaw, pitch = (np.array(of) for of in zip(*shares, strict=True))
     return Commands(np.array(chosen, dtype=np.int64), yaw, pitch)
 
 
-def _answer(name: str, values: Sequence[str], yaws: int, where: str) -> Steering:
-    """A line, as a method would have said it."""
+def _command(name: str, values: Sequence[str], yaws: int, where: str) -> Steering:
+    """A line, as a method would have given it."""
     import numpy as np
 
     if len(values) == len(AXES):

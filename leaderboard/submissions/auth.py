@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import asyncio
+import tempfile
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import IO
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 
-from oysterbench_leaderboard.submissions.intake import (
-    Received,
-    check_length,
-    cleared,
-    one_upload,
-    receive_file,
-    receive_form,
-)
+from oysterbench_leaderboard.submissions.database import Submission
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Form, Service
-from oysterbench_leaderboard.submissions.state import Submission
 from oysterbench_leaderboard.submissions.tokens import Guesses, Holder, recognise
+from oysterbench_leaderboard.submissions.uploads import (
+    check_headers,
+    kept,
+    one_file,
+    receive_file,
+    receive_form,
+    texts_of,
+)
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -38,8 +40,8 @@ Handler = Callable[[Request], Awaitable[Response]]
 Show = Callable[[Request, Refusal], Awaitable[Response]]
 
 
-class Gate:
-    """Of a service."""
+class Auth:
+    """Of a service: tokens, and what comes with them."""
 
     def __init__(self, service: Service) -> None:
         self.service = service
@@ -52,7 +54,7 @@ class Gate:
         self.guesses.check(address)
 
         def look() -> Holder | None:
-            with self.service.state.reading() as connection:
+            with self.service.database.reading() as connection:
                 return recognise(connection, token)
 
         found = await run_in_threadpool(look)
@@ -72,34 +74,33 @@ class Gate:
             self._receiving -= 1
 
     async def submit(
-        self, request: Request, team: str, before_files: Callable[[dict[str, str]], None] = lambda fields: None
+        self, request: Request, team: str, check_fields: Callable[[dict[str, str]], None] = lambda fields: None
     ) -> tuple[Submission, bool]:
         """Receive a body, one file or a form, and take it in. Raises Refusal."""
         settings, folder = self.service.settings, self.service.incoming
-        check_length(request.headers.get("content-length"), settings)
-        if request.headers.get("content-encoding", "identity") != "identity":
-            raise Refusal("type", "expected the bytes as they are, got a content encoding")
-        content_type = request.headers.get("content-type", "")
-        asked = {key: request.query_params.get(key, "") for key in ("method", "split", "track", "url", "summary")}
-        received = Received()
-        async with self._slot():
-            with cleared(received):
-                if content_type.lower().startswith("multipart/"):
-
-                    def check(fields: dict[str, str]) -> None:
-                        before_files(fields)
-                        self.service.check_form(form_of({**asked, **fields}))
-
-                    await receive_form(request.stream(), content_type, received, folder, settings, check)
-                    before_files(received.fields)
+        check_headers(request, settings)
+        fields = dict(request.query_params)
+        async with self._slot(), AsyncExitStack() as stack:
+            with tempfile.TemporaryFile(dir=folder) as body:
+                file: IO[bytes] = body
+                if request.headers.get("content-type", "").lower().startswith("multipart/"):
+                    form = await receive_form(request, settings)
+                    stack.push_async_callback(form.close)
+                    fields |= texts_of(form)
+                    check_fields(fields)
+                    self.service.check_form(form_of(fields))
+                    file = await run_in_threadpool(one_file, form, body)
                 else:
-                    before_files({})
+                    check_fields({})
                     # What is wrong with the question is said before the answer is sent.
-                    await run_in_threadpool(self.service.check_form, form_of(asked))
-                    await receive_file(request.stream(), content_type, received, folder, settings)
-                form = form_of({**asked, **received.fields})
-                upload = await run_in_threadpool(one_upload, received, folder)
-                return await run_in_threadpool(self.service.submit, team, form, upload)
+                    self.service.check_form(form_of(fields))
+                    await receive_file(request, body, settings)
+
+                def take_in() -> tuple[Submission, bool]:
+                    with kept(file, folder) as upload:
+                        return self.service.submit(team, form_of(fields), upload)
+
+                return await run_in_threadpool(take_in)
 
     def answered(self, handler: Handler, show: Show) -> Handler:
         """The handler, with refusals logged and shown, and nothing told of what went wrong inside."""

@@ -1,4 +1,4 @@
-"""The durable state: teams, tokens, submissions and the log of events, in SQLite or PostgreSQL.
+"""The durable state of a server: teams, tokens, submissions and the log of events, in SQLite or PostgreSQL.
 
 Whatever is answered to a client has been committed before. Every change of a submission and the event that tells of it
 are one transaction; no event is ever changed.
@@ -9,9 +9,9 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, get_type_hints
 
 from sqlalchemy import (
     Column,
@@ -34,9 +34,9 @@ from sqlalchemy import (
 from sqlalchemy.exc import SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.submissions.settings import Settings
+from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
-Stage = Literal["queued", "running", "done", "failed", "withdrawn"]
+State = Literal["queued", "running", "done", "failed", "withdrawn"]
 
 metadata = MetaData()
 
@@ -60,34 +60,6 @@ sessions = Table(
     Column("expires", Float, nullable=False),
 )
 
-submissions = Table(
-    "submissions",
-    metadata,
-    Column("id", String(16), primary_key=True),
-    Column("team", String(80), nullable=False),
-    Column("track", String(32), nullable=False),
-    Column("split", String(80), nullable=False),
-    Column("method", String(80), nullable=False),
-    Column("url", String(300), nullable=False),
-    Column("summary", String(500), nullable=False),
-    Column("kind", String(16), nullable=False),
-    Column("digest", String(64), nullable=False),
-    Column("size", Integer, nullable=False),
-    Column("state", String(16), nullable=False),
-    Column("attempt", Integer, nullable=False, default=0),
-    Column("lease", Float, nullable=False, default=0.0),
-    Column("reason", Text, nullable=False, default=""),
-    Column("record", String(64), nullable=False, default=""),
-    Column("published", String(64), nullable=False, default=""),
-    Column("notice", String(32), nullable=False, default=""),
-    Column("created", String(32), nullable=False),
-    Column("created_s", Float, nullable=False),
-    Column("updated", String(32), nullable=False),
-    UniqueConstraint("team", "track", "split", "method", "digest"),
-    Index("submissions_waiting", "state", "attempt", "created_s"),
-    Index("submissions_of_team", "team", "created_s"),
-)
-
 events = Table(
     "events",
     metadata,
@@ -102,9 +74,9 @@ events = Table(
 
 @dataclass(frozen=True)
 class Submission:
-    """One submission.
+    """One submission: its fields are the columns of the table.
 
-    kind:      poses, answers or results
+    kind:      poses, predictions, commands or results
     digest:    SHA-256 of what was sent: the name of its file
     attempt:   how often it was begun to be scored; lease: until when the one that does may be thought alive, in Unix
                seconds
@@ -114,29 +86,39 @@ class Submission:
     created, updated: UTC, ISO 8601
     """
 
-    id: str
-    team: str
-    track: str
-    split: str
-    method: str
-    url: str
-    summary: str
-    kind: str
-    digest: str
-    size: int
-    state: Stage
-    attempt: int
-    lease: float
-    reason: str
-    record: str
-    published: str
-    notice: str
-    created: str
-    created_s: float
-    updated: str
+    id: Annotated[str, String(16)]
+    team: Annotated[str, String(80)]
+    track: Annotated[str, String(32)]
+    split: Annotated[str, String(80)]
+    method: Annotated[str, String(80)]
+    url: Annotated[str, String(300)]
+    summary: Annotated[str, String(500)]
+    kind: Annotated[str, String(16)]
+    digest: Annotated[str, String(64)]
+    size: Annotated[int, Integer]
+    created: Annotated[str, String(32)]
+    created_s: Annotated[float, Float]
+    updated: Annotated[str, String(32)]
+    state: Annotated[State, String(16)] = "queued"
+    attempt: Annotated[int, Integer] = 0
+    lease: Annotated[float, Float] = 0.0
+    reason: Annotated[str, Text] = ""
+    record: Annotated[str, String(64)] = ""
+    published: Annotated[str, String(64)] = ""
+    notice: Annotated[str, String(32)] = ""
 
 
-COLUMNS = [submissions.c[f.name] for f in fields(Submission)]
+submissions = Table(
+    "submissions",
+    metadata,
+    *(
+        Column(name, hint.__metadata__[0], primary_key=name == "id", nullable=False)
+        for name, hint in get_type_hints(Submission, include_extras=True).items()
+    ),
+    UniqueConstraint("team", "track", "split", "method", "digest"),
+    Index("submissions_waiting", "state", "attempt", "created_s"),
+    Index("submissions_of_team", "team", "created_s"),
+)
 
 
 def utc(seconds: float) -> str:
@@ -144,10 +126,10 @@ def utc(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-class State:
+class Database:
     """The database. `writing` and `reading` give a connection in a transaction."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: SubmissionSettings) -> None:
         settings.folder.mkdir(parents=True, exist_ok=True)
         os.chmod(settings.folder, 0o700)
         try:
@@ -195,7 +177,7 @@ def _engine(url: str) -> Engine:
     return engine
 
 
-def tell(connection: Connection, at: str, who: str, what: str, submission: str = "", why: str = "") -> None:
+def log_event(connection: Connection, at: str, who: str, what: str, submission: str = "", why: str = "") -> None:
     """Append an event."""
     values = {"at": at, "who": who[:120], "what": what, "submission": submission, "why": why[:2000]}
     connection.execute(insert(events).values(values))
@@ -204,7 +186,7 @@ def tell(connection: Connection, at: str, who: str, what: str, submission: str =
 def find(connection: Connection, *conditions: Any, newest: bool = True, limit: int | None = None) -> list[Submission]:
     """Submissions for which all conditions hold."""
     time = submissions.c.created_s.desc() if newest else submissions.c.created_s
-    query = select(*COLUMNS).where(*conditions).order_by(time, submissions.c.id).limit(limit)
+    query = select(submissions).where(*conditions).order_by(time, submissions.c.id).limit(limit)
     return [Submission(**row) for row in connection.execute(query).mappings()]
 
 

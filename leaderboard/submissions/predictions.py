@@ -1,0 +1,332 @@
+"""An upload, opened: readers of paths or commands by sequence, of masks or instances by image, or results. Each reading
+ends in these, or in a Refusal that names file and line; no truth is needed for it, so that all of it may be said."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
+
+from oysterbench.core.errors import OysterbenchError
+from oysterbench_leaderboard.submissions.archive import (
+    Archive,
+    Budget,
+    Limits,
+    arrays_of,
+    in_memory,
+    is_zip,
+    shown,
+)
+from oysterbench_leaderboard.submissions.catalogue import Kind, Wanted
+from oysterbench_leaderboard.submissions.refusals import Refusal
+
+# A reader of uploads is started for each submission: what only some kinds need is imported where it is needed.
+if TYPE_CHECKING:
+    from oysterbench.core.trajectory import Trajectory
+    from oysterbench.evaluate.detection import ImageInstances
+    from oysterbench.evaluate.segmentation import EstimateImage
+    from oysterbench.methods.steering import Steering
+    from oysterbench.results.records import ResultRecord
+
+IMAGE = ".png"
+LARGEST_IMAGE_PX = 1 << 26
+
+Reader = Callable[..., Any]
+"""Reads a prediction when it is asked to. Of a path: takes the options that its file leaves open, returns a Trajectory;
+of a table of commands: a tuple of Steering, one for each picture; of an image: an EstimateImage
+(segmentation) or ImageInstances (detection)."""
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """What an upload holds. readers: by sequence, or by name of an image; results: as they are in a results.json."""
+
+    kind: Kind
+    readers: Mapping[str, Reader] = field(default_factory=dict)
+    results: tuple[ResultRecord, ...] = ()
+
+    def sequences(self, wanted: Wanted) -> list[str]:
+        """Those that it has something on."""
+        if self.kind == "results":
+            return sorted({record.sequence for record in self.results})
+        found = {name.partition("/")[0] for name in self.readers}
+        return [name for name in wanted.sequences if name in found]
+
+
+def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
+    """Open an upload: a zip archive, or one file. What it is says its content; names are only compared with what the
+    split has."""
+    with open(path, "rb") as file:
+        first = file.read(4096)
+    if not first:
+        raise Refusal("format", "nothing was sent: the upload is empty")
+    size = path.stat().st_size
+    suffix = ".csv" if wanted.kind == "commands" else ".tum"
+    if is_zip(first):
+        suffix, budget = ".npz", Budget(limits)
+        archive = Archive(path, "archive", budget, arrays=_begins_with_array(first))
+        if not archive.entries:
+            raise Refusal("archive", "the archive holds no file")
+        if not all(name.endswith(".npy") for name in archive.entries):
+            return Predictions(wanted.kind, _members(archive, wanted, budget))
+    if size > limits.file_bytes:
+        raise Refusal("size", f"one file has {size} bytes; expected at most {limits.file_bytes // 1_000_000} MB")
+    data = path.read_bytes()
+    if first.lstrip()[:1] in (b"{", b"["):
+        suffix = ".json"
+        try:
+            content = json.loads(data)
+        except (ValueError, RecursionError) as error:
+            raise Refusal("format", f"upload.json: not valid JSON: {' '.join(str(error).split())[:120]}") from None
+        if isinstance(content, dict) and "results" in content:
+            from oysterbench_leaderboard.submissions.reported import read_results
+
+            return Predictions("results", results=read_results(data, content, wanted, limits))
+    opener = OPENERS[wanted.kind].get(suffix)
+    if opener is None:
+        got = {".npz": "arrays", ".json": "JSON without 'results'"}.get(suffix, "text")
+        raise Refusal("type", f"{wanted.track}: expected {SENT[wanted.kind]}, got {got}")
+    if wanted.of_images:
+        return Predictions(wanted.kind, opener(lambda: data, f"upload{suffix}", "", wanted, Budget(limits)))
+    if len(wanted.sequences) > 1:
+        raise Refusal(
+            "name",
+            f"{wanted.split} has {len(wanted.sequences)} sequences, and one file does not say of which it is; expected "
+            f"a zip archive with a file for each, named {wanted.sequences[0]}.tum and so on",
+        )
+    (only,) = wanted.sequences
+    return Predictions(wanted.kind, opener(lambda: data, f"{only}{suffix}", only, wanted, Budget(limits)))
+
+
+def _begins_with_array(first: bytes) -> bool:
+    """Whether the first entry is an array: such an archive may shrink as much as it likes."""
+    length = int.from_bytes(first[26:28], "little")
+    return first[30 : 30 + length].endswith(b".npy")
+
+
+def _members(archive: Archive, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
+    openers = OPENERS[wanted.kind]
+    found: dict[str, Reader] = {}
+    for name in archive.entries:
+        place = PurePosixPath(name)
+        stem, suffix = place.with_suffix("").as_posix(), place.suffix
+        if suffix not in openers or (suffix != IMAGE and stem not in wanted.sequences):
+            sequences = ", ".join(wanted.sequences[:3]) + (", ..." if len(wanted.sequences) > 3 else "")
+            images = f", or {wanted.sequences[0]}/CAMERA/STAMP{IMAGE}" if IMAGE in openers else ""
+            suffixes = "|".join(suffix for suffix in openers if suffix != IMAGE)
+            raise Refusal(
+                "name",
+                f"{shown(name)} is no name of {wanted.split}; expected SEQUENCE{suffixes}{images}, the sequences being "
+                f"{sequences}, with no folder around them",
+            )
+        for key, reader in openers[suffix](partial(archive.read, name), name, stem, wanted, budget).items():
+            if key in found:
+                raise Refusal("name", f"{shown(name)}: {shown(key)} is in two files; expected it in one")
+            found[key] = reader
+    return found
+
+
+@contextmanager
+def refusing(label: str, path: Path | None = None, prefix: bool = False) -> Iterator[None]:
+    """Turns errors of readers into refusals in the sender's words: `path`, wherever the bytes lay, becomes `label`."""
+    try:
+        yield
+    except Refusal:
+        raise
+    except OysterbenchError as error:
+        text = " ".join(str(error).split())
+        if path is not None:
+            text = text.replace(str(path), label)
+        raise Refusal("format", f"{label}: {text}" if prefix else text) from None
+    except (MemoryError, RecursionError):
+        raise Refusal("format", f"{label}: its content claims to be larger than can be read here") from None
+
+
+# Paths and commands:
+
+
+def _path(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
+    data = read()
+    arrays = label.endswith(".npz")
+    if arrays:
+        if not is_zip(data):
+            raise Refusal("format", f"{label}: not an .npz of numpy arrays")
+        arrays_of(data, label, budget)
+
+    def trajectory(**options: Any) -> Trajectory:
+        from oysterbench.core.trajectory import ReadOptions
+        from oysterbench.core.trajectory.archive import read_npz
+        from oysterbench.core.trajectory.text import read_text
+        from oysterbench.evaluate.slam.validate import check_trajectory
+
+        with refusing(label):
+            found = (read_npz if arrays else read_text)(Path(label), data, ReadOptions(**options))
+        with refusing(label, prefix=True):
+            check_trajectory(found, "estimate")
+        return found
+
+    return {sequence: trajectory}
+
+
+def _commands(
+    read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget
+) -> dict[str, Reader]:
+    data = read()
+
+    def commands() -> tuple[Steering, ...]:
+        from oysterbench_leaderboard.submissions.steering_tables import read_commands
+
+        return read_commands(data, label, sequence, wanted)
+
+    return {sequence: commands}
+
+
+# Images:
+
+
+def _check_image(name: str, wanted: Wanted, file: str, sequence: str = "") -> None:
+    """sequence: that all images in the file are of; empty for any."""
+    of = name.partition("/")[0]
+    if of not in wanted.sequences or (wanted.images and name not in wanted.images[of]):
+        named = next((image for images in wanted.images.values() for image in images), f"{wanted.sequences[0]}/...")
+        raise Refusal("name", f"{shown(file)} names no image of {wanted.split}; its images are named as {named}")
+    if sequence and of != sequence:
+        raise Refusal("name", f"{file}: {shown(name)} is not of {sequence}")
+
+
+def _check_shape(name: str, shape: tuple[int, ...], wanted: Wanted, where: str) -> None:
+    size = wanted.size(name)
+    if size is not None and tuple(shape) != size:
+        got = " x ".join(str(n) for n in shape[::-1])
+        raise Refusal("format", f"{where}: expected {size[1]} x {size[0]} pixels, as the image has, got {got}")
+
+
+def _png(read: Callable[[], bytes], label: str, name: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
+    """A mask in a file of its own, which is read from the archive when it is asked for."""
+    _check_image(name, wanted, label)
+
+    def pixels() -> Any:
+        from oysterbench.annotations.masks import read_png
+
+        data = read()
+        if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 33:
+            raise Refusal("format", f"{shown(label)}: not a PNG file")
+        width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+        if not 0 < width * height <= LARGEST_IMAGE_PX:  # before anything of that size is made
+            raise Refusal("format", f"{shown(label)}: {width} x {height} pixels are more than any image here has")
+        with in_memory(data, label) as path, refusing(label, path):
+            return read_png(path)
+
+    return {name: _mask_reader(name, pixels, wanted)}
+
+
+def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
+    """An .npz with a mask for each image."""
+    import numpy as np
+
+    archive = arrays_of(read(), label, budget)
+
+    def pixels(name: str) -> Any:
+        try:
+            return np.lib.format.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False)
+        except (ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError) as error:
+            said = " ".join(str(error).split())[:120]
+            raise Refusal("format", f"{label}: array {shown(name)} cannot be read: {said}") from None
+
+    names = [key.removesuffix(".npy") for key in archive.entries]
+    for name in names:
+        _check_image(name, wanted, name, sequence)
+    return {name: _mask_reader(name, partial(pixels, name), wanted) for name in names}
+
+
+def _mask_reader(name: str, pixels: Callable[[], Any], wanted: Wanted) -> Reader:
+    """Of a mask, or of what hangs together in it."""
+
+    def mask() -> EstimateImage:
+        from oysterbench.annotations import MaskFiles
+
+        with refusing(name):
+            found = MaskFiles(Path("upload"), {name: pixels}, "auto").get(name)
+        values = next(v for v in (found.oyster, found.probability, found.classes) if v is not None)
+        _check_shape(name, values.shape, wanted, name)
+        return found
+
+    def instances() -> ImageInstances:
+        from oysterbench.evaluate.detection import DetectionSettings
+        from oysterbench.methods.images import Segmentation
+        from oysterbench.tracks.image_predictions import instances_of
+
+        found = mask()
+        with refusing(name):
+            prediction = Segmentation(found.name, found.oyster, found.probability, found.classes)
+            return instances_of(prediction, name, wanted.size(name) or (1, 1), DetectionSettings().threshold)
+
+    return mask if wanted.track == "segmentation" else instances
+
+
+def _coco(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
+    """COCO annotations of any number of images."""
+    from oysterbench.annotations import read_coco
+
+    with in_memory(read(), label) as path, refusing(label, path):
+        file = read_coco(path)
+        place = path
+    for name, size in file.sizes.items():
+        _check_image(name, wanted, name)
+        _check_shape(name, size, wanted, f"{label}: {name}")
+    for name in file.names:
+        _check_image(name, wanted, label, sequence)
+
+    def prediction(name: str) -> EstimateImage | ImageInstances:
+        from oysterbench.evaluate.segmentation import SegmentationSettings
+
+        with refusing(label, place):
+            if wanted.track == "segmentation":
+                return file.mask(name, SegmentationSettings().threshold)
+            return file.instances(name, scored=True)
+
+    return {name: partial(prediction, name) for name in file.names}
+
+
+Opener = Callable[[Callable[[], bytes], str, str, Wanted, Budget], dict[str, Reader]]
+"""Takes what reads a file, the file's name, the name without its suffix, what is wanted, and what may be unpacked."""
+
+OPENERS: dict[Kind, dict[str, Opener]] = {
+    "poses": {".tum": _path, ".txt": _path, ".csv": _path, ".npz": _path},
+    "predictions": {".json": _coco, ".npz": _arrays, IMAGE: _png},
+    "commands": {".csv": _commands},
+}
+"""What is sent -> suffix of a file -> what opens it. All but single masks are named by their sequence."""
+
+SENT: dict[Kind, str] = {
+    "poses": "paths (TUM, EuRoC, CSV, .npz), or a results.json",
+    "predictions": "COCO annotations (.json), arrays (.npz) or PNG masks in a zip archive, or a results.json",
+    "commands": "tables of commands (.csv), one for each sequence, or a results.json",
+}
+"""What is sent -> in words."""
+
+
+def check_predictions(predictions: Predictions, wanted: Wanted) -> dict[str, Any]:
+    """Read all of it. Raises Refusal where something cannot be read, or a sequence has predictions for a part of its
+    images; what it holds, in numbers."""
+    sequences = predictions.sequences(wanted)
+    for sequence in sequences if predictions.kind == "predictions" and wanted.images else ():
+        if missing := [name for name in wanted.images[sequence] if name not in predictions.readers]:
+            raise Refusal(
+                "format",
+                f"{sequence}: {len(missing)} of {len(wanted.images[sequence])} images have no prediction, the first "
+                f"being {missing[0]}; expected all of a sequence, or none",
+            )
+    poses = images = 0
+    for _, read in sorted(predictions.readers.items()):
+        found = read()
+        if predictions.kind == "poses":
+            poses += len(found)
+        else:
+            images += 1 if predictions.kind == "predictions" else len(found)
+    return {"kind": predictions.kind, "sequences": sequences, "poses": poses, "images": images}

@@ -1,0 +1,198 @@
+"""Untrusted bytes are read, and scored, in a sandbox (`oysterbench.methods.sandbox`): `run` is the server's side of it.
+
+The process has a session, an empty folder and an environment of its own, no network where the kernel lets it go, no
+reach of what the server keeps but the files that its job names, and limits to its processor time, address space, file
+sizes, open files and processes; it is killed when its time is over or the server dies. It gets a Job on its standard
+input, and answers with JSON on its standard output. Whatever it says on its standard error goes to the private log.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+
+from oysterbench.methods.sandbox import Sandbox
+from oysterbench_leaderboard.submissions.archive import Limits
+from oysterbench_leaderboard.submissions.catalogue import Wanted
+from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.settings import SubmissionSettings
+
+WORKER = Path(__file__).with_name("sandbox_worker.py")
+OPEN_FILES = 64
+MOST_SAID = 64_000
+"""Bytes of what it says to the log."""
+
+POLL_S = 0.05
+ENVIRONMENT = {
+    "PATH": "/usr/bin:/bin",
+    "LANG": "C.UTF-8",
+    **{f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR")},
+}
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is to be done with an upload: it is read and checked, or scored where there is a truth (sequence -> file).
+
+    hidden: folders of the server that the process cannot open, `path` and `truth` in them excepted
+    created: of the submission, UTC
+    """
+
+    path: str
+    wanted: Wanted
+    limits: Limits
+    hidden: tuple[str, ...] = ()
+    truth: Mapping[str, str] | None = None
+    method: str = ""
+    created: str = ""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How the process ended. answer: None where it gave none; cause: then, out of a closed list: "time", "memory" or
+    "crash"; said: for the private log."""
+
+    answer: dict[str, Any] | None
+    cause: str
+    said: str
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """Of the process."""
+
+    wall_s: float
+    cpu_s: int
+    memory_bytes: int
+    file_bytes: int
+
+
+class Stopped(Exception):
+    """The process was ended because whoever waited for it is to stop."""
+
+
+def checking(settings: SubmissionSettings) -> Allowance:
+    """For reading what was sent."""
+    return Allowance(settings.check_wall_s, settings.check_cpu_s, settings.memory_bytes, settings.file_bytes + 1)
+
+
+def scoring(settings: SubmissionSettings) -> Allowance:
+    """For scoring it."""
+    return Allowance(settings.score_wall_s, settings.score_cpu_s, settings.memory_bytes, settings.file_bytes + 1)
+
+
+def run(
+    job: Job,
+    allowance: Allowance,
+    stop: threading.Event | None = None,
+    beat: Callable[[], bool] = lambda: True,
+    beat_s: float = 10.0,
+) -> Ended:
+    """Do a job in a sandbox. stop: ends it, and raises Stopped; beat: called every beat_s seconds, and ends it with
+    Stopped where it returns False."""
+    sandbox = Sandbox(
+        hidden=job.hidden,
+        visible=(job.path, *(job.truth or {}).values()),
+        network=False,
+        memory_bytes=allowance.memory_bytes,
+        file_bytes=allowance.file_bytes,
+        open_files=OPEN_FILES,
+        cpu_s=allowance.cpu_s,
+    )
+    with (
+        tempfile.TemporaryDirectory(prefix="oysterbench-") as folder,
+        tempfile.TemporaryFile() as asked,
+        tempfile.TemporaryFile() as answer,
+        tempfile.TemporaryFile() as said,
+    ):
+        asked.write(msgspec.json.encode(job))
+        asked.seek(0)
+        process = subprocess.Popen(
+            sandbox.command([sys.executable, "-I", str(WORKER)]),
+            stdin=asked,
+            stdout=answer,
+            stderr=said,
+            cwd=folder,
+            env={**ENVIRONMENT, "HOME": folder, "TMPDIR": folder},
+            start_new_session=True,
+        )
+        try:
+            in_time = _wait(process, allowance.wall_s, stop, beat, beat_s)
+        finally:
+            if process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+        return _ended(process.returncode, in_time, answer, said)
+
+
+def _wait(
+    process: subprocess.Popen[bytes],
+    wall_s: float,
+    stop: threading.Event | None,
+    beat: Callable[[], bool],
+    beat_s: float,
+) -> bool:
+    """Whether it has ended within its time."""
+    begun = last = time.monotonic()
+    while (now := time.monotonic()) - begun <= wall_s:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(POLL_S)
+            return True
+        if stop is not None and stop.is_set():
+            raise Stopped
+        if now - last >= beat_s:
+            last = now
+            if not beat():
+                raise Stopped
+    return False
+
+
+def _ended(code: int, in_time: bool, answer: IO[bytes], said: IO[bytes]) -> Ended:
+    said.seek(0)
+    words = said.read(MOST_SAID).decode(errors="replace")
+    if not in_time or code == -signal.SIGXCPU:
+        return Ended(None, "time", f"ended after its time (exit {code})\n{words}")
+    if code == 0:
+        answer.seek(0)
+        with contextlib.suppress(ValueError):
+            found = json.load(answer)
+            if isinstance(found, dict):
+                return Ended(found, "", words)
+    cause = "memory" if "MemoryError" in words or "std::bad_alloc" in words else "crash"
+    return Ended(None, cause, f"exit {code}\n{words}")
+
+
+CHECK_ENDED = {
+    "time": "what was sent takes longer to be read than is allowed",
+    "memory": "what was sent takes more memory to be read than is allowed",
+    "crash": "what was sent cannot be read: its reader gave up on it",
+}
+"""Why a reader gave no answer."""
+
+
+def check(
+    settings: SubmissionSettings, path: Path, wanted: Wanted, hidden: Iterable[str], log: Callable[[str], None]
+) -> dict[str, Any]:
+    """Read what was sent, all of it, with no truth near: what it holds. Raises Refusal with the reason."""
+    ended = run(Job(str(path), wanted, settings.limits, tuple(hidden)), checking(settings))
+    if ended.said:
+        log(f"check: {ended.said}")
+    if ended.answer is None:
+        raise Refusal("limit", CHECK_ENDED[ended.cause])
+    if "refused" in ended.answer:
+        raise Refusal(**ended.answer["refused"])
+    return ended.answer

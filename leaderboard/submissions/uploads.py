@@ -1,0 +1,175 @@
+"""Receiving what is sent: bytes are counted while they stream, into files that have no name, or a name of ours. Nothing
+that the sender says of it decides anything: its length, its kind and its names are looked at, not used."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+import shutil
+import time
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from python_multipart.multipart import parse_options_header
+from starlette.datastructures import FormData, UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
+from starlette.requests import Request
+
+from oysterbench_leaderboard.submissions.archive import is_zip, pack
+from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.service import Upload, upload_of
+from oysterbench_leaderboard.submissions.settings import SubmissionSettings
+
+KINDS = {
+    "application/zip": "zip",
+    "application/x-zip-compressed": "zip",
+    "application/json": "json",
+    "text/plain": "text",
+    "text/csv": "text",
+    "application/octet-stream": "",
+}
+"""Content type of a body that is one file -> what its first bytes must then be."""
+
+OVERHEAD = 1_000_000
+"""Bytes of a form beside its files."""
+
+MOST_PARTS = 1000
+MOST_FIELD = 4000
+"""Bytes of a field of a form."""
+
+
+def too_large(settings: SubmissionSettings) -> Refusal:
+    """For what is longer than is allowed."""
+    return Refusal("size", f"expected at most {settings.upload_bytes // 1_000_000} MB, got more; nothing was kept")
+
+
+async def paced(stream: AsyncIterator[bytes], settings: SubmissionSettings, most: int) -> AsyncGenerator[bytes, None]:
+    """The chunks of a body. Raises Refusal where there are more than `most` bytes, or they come too slowly."""
+    size, begun = 0, time.monotonic()
+    while True:
+        try:
+            chunk = await asyncio.wait_for(anext(stream), settings.idle_s)
+        except StopAsyncIteration:
+            return
+        except TimeoutError:
+            raise Refusal("request", f"nothing came for {settings.idle_s:g} s; send it again") from None
+        size += len(chunk)
+        if size > most:
+            raise too_large(settings)
+        if time.monotonic() - begun > settings.upload_s:
+            raise Refusal("request", f"the upload took longer than {settings.upload_s:g} s")
+        yield chunk
+
+
+def check_headers(request: Request, settings: SubmissionSettings) -> None:
+    """Refuse at once what says itself that it is too long; what says otherwise is counted all the same."""
+    length = request.headers.get("content-length", "")
+    if length.isdigit() and int(length[:20]) > settings.upload_bytes + OVERHEAD:
+        raise too_large(settings)
+    if request.headers.get("content-encoding", "identity") != "identity":
+        raise Refusal("type", "expected the bytes as they are, got a content encoding")
+
+
+async def receive_file(request: Request, file: IO[bytes], settings: SubmissionSettings) -> None:
+    """A body that is one file. Raises Refusal where it is not what its type says."""
+    content_type = request.headers.get("content-type", "")
+    kind = KINDS.get(content_type.partition(";")[0].strip().lower())
+    if kind is None:
+        raise Refusal(
+            "type",
+            f"expected multipart/form-data or one of {', '.join(KINDS)}, got the content type {content_type!r:.80}",
+        )
+    first = b""
+    async for chunk in paced(request.stream(), settings, settings.upload_bytes):
+        first = first or chunk[:64]
+        file.write(chunk)
+    if kind and kind != kind_of(first):
+        raise Refusal(
+            "type", f"the content type says {content_type!r:.60}, and the bytes are {kind_of(first)}; send as they are"
+        )
+
+
+def kind_of(first: bytes) -> str:
+    """What a file is by its first bytes."""
+    if is_zip(first):
+        return "zip"
+    return "json" if first.lstrip()[:1] in (b"{", b"[") else "text"
+
+
+class _Parser(MultiPartParser):
+    """ended: whether the form came to its end."""
+
+    ended = False
+
+    def on_end(self) -> None:
+        self.ended = True
+
+
+async def receive_form(request: Request, settings: SubmissionSettings) -> FormData:
+    """The fields and files of a form (multipart/form-data). Raises Refusal."""
+    content_type = request.headers.get("content-type", "")
+    kind, options = parse_options_header(content_type)
+    if kind != b"multipart/form-data" or not 0 < len(options.get(b"boundary", b"")) <= 200:
+        raise Refusal("type", f"expected multipart/form-data with a boundary, got {content_type!r:.80}")
+    parser = _Parser(
+        request.headers,
+        paced(request.stream(), settings, settings.upload_bytes + OVERHEAD),
+        max_files=MOST_PARTS,
+        max_fields=MOST_PARTS,
+        max_part_size=MOST_FIELD,
+    )
+    try:
+        form = await parser.parse()
+    except MultiPartException as error:
+        raise Refusal("request", f"the form cannot be read: {error.message[:100]}") from None
+    sizes = [part.size or 0 for _, part in form.multi_items() if isinstance(part, UploadFile)]
+    if parser.ended and sum(sizes) <= settings.upload_bytes:
+        return form
+    await form.close()
+    if parser.ended:
+        raise too_large(settings)
+    raise Refusal("request", "the form breaks off before its end; send it again")
+
+
+def texts_of(form: FormData) -> dict[str, str]:
+    """The fields of a form that are not files, the first of each name."""
+    return {key: value for key, value in reversed(form.multi_items()) if isinstance(value, str)}
+
+
+def one_file(form: FormData, whole: IO[bytes]) -> IO[bytes]:
+    """The files of a form as one; several are put into an archive, `whole`, under the names that they came with, which
+    are looked at like those of any archive."""
+    parts = [part for _, part in form.multi_items() if isinstance(part, UploadFile)]
+    files = [(part.filename or "", part.file) for part in parts if part.filename or part.size]  # a choice may be empty
+    if not files:
+        raise Refusal("request", "expected a file, got none")
+    if len(files) == 1:
+        return files[0][1]
+    if any(is_zip(_first(file)) and not name.endswith(".npz") for name, file in files):
+        raise Refusal("archive", "expected one archive, or files, got an archive among several files")
+    if len(dict(files)) < len(files):
+        raise Refusal("name", "two files have one name; expected SEQUENCE.tum, or as the split names them")
+    pack(dict(files), whole)
+    return whole
+
+
+def _first(file: IO[bytes]) -> bytes:
+    first = file.read(64)
+    file.seek(0)
+    return first
+
+
+@contextmanager
+def kept(source: IO[bytes], folder: Path) -> Iterator[Upload]:
+    """These bytes in a file of the private folder, gone at the end where nobody has taken it over."""
+    path = folder / secrets.token_hex(16)
+    try:
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            source.seek(0)
+            shutil.copyfileobj(source, file, 1 << 20)
+        yield upload_of(path)
+    finally:
+        path.unlink(missing_ok=True)

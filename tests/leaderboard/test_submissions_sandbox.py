@@ -1,0 +1,155 @@
+"""The sandbox of submissions: what runs in it may not do, and what becomes of it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+
+import pytest
+
+from oysterbench.methods.sandbox import can_hide
+from oysterbench_leaderboard.submissions import sandbox
+from oysterbench_leaderboard.submissions.archive import Limits
+from oysterbench_leaderboard.submissions.catalogue import Wanted
+from oysterbench_leaderboard.submissions.sandbox import Allowance, Job, Stopped
+from tests.helpers.paths import ROOT
+
+ALLOWED = Allowance(wall_s=30.0, cpu_s=10, memory_bytes=1_000_000_000, file_bytes=1_000_000)
+LIMITS = Limits(1, 1, 1, 1, 1.0)
+WANTED = Wanted("slam", "pool-test", "", True, ("pool-01",))
+
+PRELUDE = """
+import importlib.util, json, os, resource, sys, time
+spec = importlib.util.spec_from_file_location("worker", {worker!r})
+worker = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(worker)
+def do(job):
+{body}
+worker.do = do
+worker.main()
+"""
+FOREVER = "while True: time.sleep(1)"
+
+
+@pytest.fixture
+def doing(tmp_path, monkeypatch):
+    """A sandbox that does what it is told to."""
+    real = str(sandbox.WORKER)
+
+    def make(body: str) -> None:
+        script = tmp_path / "evil.py"
+        script.write_text(PRELUDE.format(worker=real, body=textwrap.indent(body, "    ")))
+        monkeypatch.setattr(sandbox, "WORKER", script)
+
+    return make
+
+
+def job(path: object = "", **more: object) -> Job:
+    return Job(str(path), WANTED, LIMITS, **more)
+
+
+def test_it_answers_on_a_pipe_that_nothing_else_writes_to(doing):
+    doing("print('noise'); os.write(1, b'more noise'); return {'twice': 2 * int(job.path)}")
+    ended = sandbox.run(job(21), ALLOWED)
+    assert ended.answer == {"twice": 42}
+    assert "noise" in ended.said
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("x = bytearray(2_000_000_000)", "MemoryError"),
+        ("open('big', 'wb').write(bytes(3_000_000))", ""),
+        ("files = [open('/dev/null') for _ in range(200)]", "Too many open files"),
+        ("import socket; socket.create_connection(('127.0.0.1', int(job.path)), 5)", "Error"),
+        ("os.abort()", ""),
+        ("raise ValueError('the truth is 1.2345')", "the truth is 1.2345"),
+        ("return 'x' * 80_000_000", ""),
+    ],
+    ids=["memory", "file size", "open files", "network", "abort", "error", "endless answer"],
+)
+def test_what_it_may_not_do_ends_it_without_an_answer(doing, body, said):
+    import socket
+
+    doing(body)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        ended = sandbox.run(job(listening.getsockname()[1]), ALLOWED)
+    assert ended.answer is None
+    assert ended.cause == ("memory" if "Memory" in said else "crash")
+    assert said in ended.said
+
+
+def test_it_knows_nothing_of_the_servers_environment_and_folder(doing, monkeypatch):
+    monkeypatch.setenv("OYSTERBENCH_SALT", "a secret that must not be known")
+    doing("return {'env': dict(os.environ), 'here': os.listdir('.'), 'session': os.getsid(0), 'pid': os.getpid()}")
+    answer = sandbox.run(job(), ALLOWED).answer
+    assert "a secret" not in str(answer)
+    assert answer["here"] == []
+    assert answer["session"] == answer["pid"]
+    assert not os.path.exists(answer["env"]["HOME"]), "its folder went with it"
+
+
+@pytest.mark.parametrize(
+    ("body", "allowance"),
+    [
+        (FOREVER, Allowance(0.5, 10, ALLOWED.memory_bytes, 1000)),
+        ("while True: pass", Allowance(30.0, 1, ALLOWED.memory_bytes, 1000)),
+    ],
+    ids=["sleeps", "computes"],
+)
+def test_its_time_ends(doing, body, allowance):
+    doing(body)
+    ended = sandbox.run(job(), allowance)
+    assert (ended.answer, ended.cause) == (None, "time")
+
+
+def test_it_is_stopped_when_the_server_stops_or_loses_its_lease(doing):
+    doing(FOREVER)
+    stop = threading.Event()
+    with pytest.raises(Stopped):
+        sandbox.run(job(), ALLOWED, stop, beat=lambda: stop.set() or True, beat_s=0.1)
+    with pytest.raises(Stopped):
+        sandbox.run(job(), ALLOWED, beat=lambda: False, beat_s=0.1)
+
+
+@pytest.mark.skipif(not can_hide(), reason="needs Landlock: Linux 5.13 or later")
+def test_it_cannot_open_what_the_server_hides_but_the_files_of_its_job(doing, tmp_path):
+    private = tmp_path / "private"
+    private.mkdir()
+    for name in ("upload", "truth", "submissions.sqlite"):
+        (private / name).write_text(name)
+    doing("return {name: open(os.path.join(os.path.dirname(job.path), name)).read() for name in job.method.split()}")
+    hidden, truth = (str(private),), {"pool-01": str(private / "truth")}
+    both = job(private / "upload", hidden=hidden, truth=truth, method="upload truth")
+    assert sandbox.run(both, ALLOWED).answer == {"upload": "upload", "truth": "truth"}
+    for name, given in (("truth", None), ("submissions.sqlite", truth)):
+        ended = sandbox.run(job(private / "upload", hidden=hidden, truth=given, method=name), ALLOWED)
+        assert ended.answer is None
+        assert "Permission denied" in ended.said
+
+
+RUNS = """
+import sys
+from pathlib import Path
+from tests.leaderboard.test_submissions_sandbox import job
+from oysterbench_leaderboard.submissions import sandbox
+sandbox.WORKER = Path(sys.argv[1])
+sandbox.run(job(sys.argv[2]), sandbox.Allowance(60.0, 60, 1_000_000_000, 1_000_000))
+"""
+
+
+def test_it_dies_with_the_server(doing, tmp_path):
+    """Which is seen by a pipe whose other end nobody holds any more."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    doing(f"kept = open(job.path, 'wb', buffering=0)\nkept.write(b'up')\n{FOREVER}")
+    server = subprocess.Popen([sys.executable, "-c", RUNS, str(sandbox.WORKER), str(pipe)], cwd=ROOT)
+    with open(pipe, "rb") as reader:
+        assert reader.read(2) == b"up"
+        assert server.poll() is None
+        server.kill()
+        server.wait()
+        assert reader.read() == b""
