@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from oysterbench.evaluate.density.metrics import DENSITY as METRICS
+from oysterbench.evaluate.measures import Measures
 
 __all__ = ["EVALUATOR", "METRICS", "Cell", "DensityScore", "MapCount", "TrueCount", "score_density"]
 
@@ -74,37 +74,34 @@ class DensityScore:
 
 def score_density(truth: TrueCount, estimate: MapCount) -> DensityScore:
     """Score a map: cells that were truly seen are asked about, and no others."""
-    metrics: dict[str, float] = {}
-    reasons: dict[str, str] = {}
-
-    def put(key: str, top: float, bottom: float, reason: str) -> None:
-        metrics[key] = top / bottom if bottom > 0 else math.nan
-        if not bottom > 0:
-            reasons[key] = reason
-
+    measures = Measures()
     asked = len(truth.cells)
     errors = {at: estimate.cells[at].per_m2 - cell.per_m2 for at, cell in truth.cells.items() if at in estimate.cells}
     none_seen, none_met = "no cell was seen enough to have a number", "no cell that was truly seen has a number"
-    put("map_score", sum(1.0 / (1.0 + abs(e) / HALF_PER_M2) for e in errors.values()), asked, none_seen)
-    put("cell_mae_per_m2", sum(map(abs, errors.values())), len(errors), none_met)
-    put("cell_bias_per_m2", sum(errors.values()), len(errors), none_met)
+    measures.ratio("map_score", sum(1.0 / (1.0 + abs(e) / HALF_PER_M2) for e in errors.values()), asked, none_seen)
+    measures.ratio("cell_mae_per_m2", sum(map(abs, errors.values())), len(errors), none_met)
+    measures.ratio("cell_bias_per_m2", sum(errors.values()), len(errors), none_met)
     right = sum(_class(estimate.cells[at].per_m2) == _class(truth.cells[at].per_m2) for at in errors)
-    put("right_class", right, asked, none_seen)
-    put("coverage", len(errors), asked, none_seen)
+    measures.ratio("right_class", right, asked, none_seen)
+    measures.ratio("coverage", len(errors), asked, none_seen)
 
     none_true = "no picture shows an oyster"
-    put("count_error_percent", 100.0 * (estimate.count - truth.shown), truth.shown, none_true)
-    put("count_off_percent", 100.0 * abs(estimate.count - truth.shown), truth.shown, none_true)
-    put("live_error_percent", 100.0 * (estimate.live - truth.live), truth.live, "no picture shows a live oyster")
-    metrics["count_within"] = float(estimate.low <= truth.shown <= estimate.high)
+    measures.ratio("count_error_percent", 100.0 * (estimate.count - truth.shown), truth.shown, none_true)
+    measures.ratio("count_off_percent", 100.0 * abs(estimate.count - truth.shown), truth.shown, none_true)
+    measures.ratio(
+        "live_error_percent", 100.0 * (estimate.live - truth.live), truth.live, "no picture shows a live oyster"
+    )
+    measures["count_within"] = float(estimate.low <= truth.shown <= estimate.high)
     entries = Counter(owner for owner in estimate.owners if owner)
-    put("twice_percent", 100.0 * (sum(entries.values()) - len(entries)), truth.shown, none_true)
-    put("lost_percent", 100.0 * len(estimate.found - set(entries)), truth.shown, none_true)
-    metrics["oysters_truth"], metrics["oysters_counted"] = float(truth.shown), float(estimate.count)
-    put("hidden_percent", 100.0 * truth.hidden, truth.shown + truth.hidden, "no oyster lies on what was seen")
-    metrics["area_m2"] = truth.area_m2
-    put("density_truth_live_per_m2", truth.live, truth.area_m2, "nothing was seen")
-    return DensityScore(metrics, reasons)
+    measures.ratio("twice_percent", 100.0 * (sum(entries.values()) - len(entries)), truth.shown, none_true)
+    measures.ratio("lost_percent", 100.0 * len(estimate.found - set(entries)), truth.shown, none_true)
+    measures["oysters_truth"], measures["oysters_counted"] = float(truth.shown), float(estimate.count)
+    measures.ratio(
+        "hidden_percent", 100.0 * truth.hidden, truth.shown + truth.hidden, "no oyster lies on what was seen"
+    )
+    measures["area_m2"] = truth.area_m2
+    measures.ratio("density_truth_live_per_m2", truth.live, truth.area_m2, "nothing was seen")
+    return DensityScore(measures.values, measures.reasons)
 
 
 def _class(per_m2: float) -> int:

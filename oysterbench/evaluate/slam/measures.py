@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.alignment import Alignment
 from oysterbench.evaluate.slam.association import Association, find_gaps
 from oysterbench.evaluate.slam.consistency import nees
@@ -36,27 +37,6 @@ SUBPATH_PERCENTS = (10, 20, 30, 40, 50)
 MIN_CHORD = 0.1
 """Of a segment's length: its ends must be this far apart for the estimate's scale to be told from them."""
 STILL = "the truth does not move: there is no path to take a percentage of"
-
-
-@dataclass
-class Measures:
-    """Values by key, with the reason for each that is NaN, and what should be said about them."""
-
-    values: dict[str, float] = field(default_factory=dict)
-    reasons: dict[str, str] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-
-    def __setitem__(self, key: str, value: float) -> None:
-        self.values[key] = value
-
-    def __getitem__(self, key: str) -> float:
-        return self.values[key]
-
-    def missing(self, reason: str, *keys: str) -> None:
-        """Values that cannot be had."""
-        for key in keys:
-            self.values[key] = float("nan")
-            self.reasons[key] = reason
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array, Similarity
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.alignment import Alignment, fit_alignment
 from oysterbench.evaluate.slam.association import associate, rate_notes
 from oysterbench.evaluate.slam.clock import estimate_offset, shift
-from oysterbench.evaluate.slam.measures import Matched, Measures, measure
+from oysterbench.evaluate.slam.measures import Matched, measure
 from oysterbench.evaluate.slam.metrics import SLAM as METRICS
 from oysterbench.evaluate.slam.pose_errors import absolute_errors
 from oysterbench.evaluate.slam.recall import Recall

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Literal, get_args
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from oysterbench.core.errors import TrajectoryError
+from oysterbench.evaluate.settings import EvaluatorSettings, is_number, positive, setting, whole
 
 Align = Literal["none", "origin", "se3", "posyaw", "sim3", "scale"]
 Associate = Literal["interpolate", "nearest"]
@@ -14,27 +16,16 @@ Angle = Literal["turned", "direct"]
 
 MIN_MATCHED = 5
 """Fewer poses are fitted by the alignment rather than scored: three are 9 numbers, of which sim3 fits 7."""
+MAX_OFFSET_S = 4e9
+"""Less than the 146 years that a stamp may be from the epoch, and enough to bring stamps from zero to today."""
 
-_CHOICES: dict[str, tuple[str, ...]] = {
-    "align": get_args(Align),
-    "associate": get_args(Associate),
-    "rpe_pairs": get_args(Pairs),
-    "rpe_angle": get_args(Angle),
-}
-_POSITIVE = {
-    "max_gap_s": "s",
-    "max_difference_s": "s",
-    "recall_scale_percent": "%",
-    "rpe_delta_s": "s",
-    "rpe_delta_m": "m",
-    "rpe_delta_deg": "deg",
-    "velocity_step_s": "s",
-}
-_COUNTS = {"align_first": MIN_MATCHED, "rpe_frames": 1, "subpath_step": 1}
+
+def _is_offset(value: Any) -> bool:
+    return value == "estimate" or (is_number(value) and abs(value) < MAX_OFFSET_S)
 
 
 @dataclass(frozen=True)
-class SlamSettings:
+class SlamSettings(EvaluatorSettings):
     """How an estimate is scored.
 
     align:                none; origin (first matched pose); posyaw (translation and yaw, the freedom that a
@@ -56,61 +47,28 @@ class SlamSettings:
     velocity_step_s:      over which time velocities are differenced
     """
 
+    error = TrajectoryError
+
     align: Align = "posyaw"
-    align_first: int | None = None
+    align_first: int | None = whole(None, MIN_MATCHED)
     associate: Associate = "interpolate"
-    max_gap_s: float = 0.3
-    max_difference_s: float = 0.01
-    time_offset_s: float | Literal["estimate"] = 0.0
-    recall_scale_percent: float = 1.0
-    rpe_frames: int = 1
-    rpe_delta_s: float = 1.0
-    rpe_delta_m: float = 1.0
-    rpe_delta_deg: float = 10.0
+    max_gap_s: float = positive(0.3, "s")
+    max_difference_s: float = positive(0.01, "s")
+    time_offset_s: float | Literal["estimate"] = setting(0.0, "seconds or 'estimate'", _is_offset)
+    recall_scale_percent: float = positive(1.0, "%")
+    rpe_frames: int = whole(1, 1)
+    rpe_delta_s: float = positive(1.0, "s")
+    rpe_delta_m: float = positive(1.0, "m")
+    rpe_delta_deg: float = positive(10.0, "deg")
     rpe_pairs: Pairs = "all"
     rpe_angle: Angle = "turned"
-    subpath_m: tuple[float, ...] = ()
-    subpath_step: int = 1
-    velocity_step_s: float = 0.2
+    subpath_m: tuple[float, ...] = setting(
+        (), "lengths of more than 0 m", lambda value: all(is_number(m) and 0 < m < math.inf for m in value)
+    )
+    subpath_step: int = whole(1, 1)
+    velocity_step_s: float = positive(0.2, "s")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "subpath_m", tuple(self.subpath_m))
-        for key, options in _CHOICES.items():
-            value = getattr(self, key)
-            if value not in options:
-                raise TrajectoryError(f"evaluator setting {key!r}: expected one of {', '.join(options)}, got {value!r}")
-        for key, unit in _POSITIVE.items():
-            self._check(key, getattr(self, key), f"more than 0 {unit}", _is_positive)
-        for key, least in _COUNTS.items():
-            value = getattr(self, key)
-            if key == "align_first" and value is None:
-                continue
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise TrajectoryError(f"evaluator setting {key!r}: expected a whole number from {least}, got {value!r}")
-        for length in self.subpath_m:
-            self._check("subpath_m", length, "lengths of more than 0 m", _is_positive)
+        super().__post_init__()
         if self.rpe_angle == "direct" and self.rpe_pairs != "all":
-            raise TrajectoryError(
-                f"evaluator setting 'rpe_angle': expected 'turned' with {self.rpe_pairs} pairs, got 'direct', which "
-                "tries all pairs"
-            )
-        if self.time_offset_s != "estimate":
-            self._check("time_offset_s", self.time_offset_s, "seconds or 'estimate'", _is_offset)
-
-    @staticmethod
-    def _check(key: str, value: Any, expected: str, holds: Any) -> None:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not holds(value):
-            raise TrajectoryError(f"evaluator setting {key!r}: expected {expected}, got {value!r}")
-
-    def as_dict(self) -> dict[str, Any]:
-        """The settings for JSON."""
-        return {**asdict(self), "subpath_m": list(self.subpath_m)}
-
-
-def _is_positive(value: float) -> bool:
-    return 0 < value < float("inf")
-
-
-def _is_offset(value: float) -> bool:
-    # Less than the 146 years that a stamp may be from the epoch, and enough to bring stamps from zero to today.
-    return abs(value) < 4e9
+            self.refuse("rpe_angle", f"'turned' with {self.rpe_pairs} pairs (direct tries all)", self.rpe_angle)

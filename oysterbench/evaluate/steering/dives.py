@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
+from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.statistics import (
     Interval,
     Sample,
@@ -45,14 +46,7 @@ class Place:
 
 def score_dive(log: DiveLog, task: SteeringRecipe) -> DiveScore:
     """Measure a dive."""
-    metrics: dict[str, float] = {}
-    reasons: dict[str, str] = {}
-
-    def put(key: str, top: float, bottom: float, reason: str) -> None:
-        metrics[key] = top / bottom if bottom > 0 else math.nan
-        if not bottom > 0:
-            reasons[key] = reason
-
+    measures = Measures()
     steps = len(log.commands)
     minutes = steps * log.step_s / 60.0
     none_done, no_way = "no command was carried out", "the vehicle did not move"
@@ -61,21 +55,21 @@ def score_dive(log: DiveLog, task: SteeringRecipe) -> DiveScore:
     after = log.altitude[1:]
     low, high = task.altitude_m
     way = float(np.linalg.norm(np.diff(log.states[:, :3], axis=0), axis=1).sum())
-    put("oysters_per_min", seen, minutes, none_done)
-    metrics["oysters_seen"] = float(seen)
-    put("found_share", float(log.found.sum()), len(log.found), "no live oyster is in the area")
-    metrics["covered_share"] = float(log.covered[-1])
-    metrics["contacts"] = float(contacts)
-    put("contacts_per_min", contacts, minutes, none_done)
-    put("contact_share", float(log.contact[1:].sum()), steps, none_done)
-    put("in_band_share", float(((after >= low) & (after <= high)).sum()), steps, none_done)
-    metrics["turned_back"] = float(episodes(log.turned))
-    metrics["distance_m"] = way
-    put("oysters_per_m", seen, way, no_way)
-    put("steps_per_s", steps, log.wall_s, "no time was measured")
-    metrics["dive_s"] = steps * log.step_s
-    metrics["wall_s"], metrics["cpu_s"] = float(log.wall_s), float(log.cpu_s)
-    return DiveScore(metrics, reasons)
+    measures.ratio("oysters_per_min", seen, minutes, none_done)
+    measures["oysters_seen"] = float(seen)
+    measures.ratio("found_share", float(log.found.sum()), len(log.found), "no live oyster is in the area")
+    measures["covered_share"] = float(log.covered[-1])
+    measures["contacts"] = float(contacts)
+    measures.ratio("contacts_per_min", contacts, minutes, none_done)
+    measures.ratio("contact_share", float(log.contact[1:].sum()), steps, none_done)
+    measures.ratio("in_band_share", float(((after >= low) & (after <= high)).sum()), steps, none_done)
+    measures["turned_back"] = float(episodes(log.turned))
+    measures["distance_m"] = way
+    measures.ratio("oysters_per_m", seen, way, no_way)
+    measures.ratio("steps_per_s", steps, log.wall_s, "no time was measured")
+    measures["dive_s"] = steps * log.step_s
+    measures["wall_s"], measures["cpu_s"] = float(log.wall_s), float(log.cpu_s)
+    return DiveScore(measures.values, measures.reasons)
 
 
 def episodes(marked: NDArray[np.bool_]) -> int:
