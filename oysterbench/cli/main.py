@@ -34,7 +34,6 @@ DEFAULT_METHODS = {"slam": ("gtsam_vi", "dead_reckoning")}
 """On slam-mini, one camera and an inertial unit: gtsam_full has nothing there that gtsam_vi has not, and visual_only,
 which has no scale, cannot be scored as they are."""
 ALIGNMENTS = ("none", "origin", "se3", "posyaw", "sim3")
-FORMATS = ("euroc", "tum", "kitti", "coco", "kalibr", "ply")
 ASSOCIATIONS = ("interpolate", "nearest")
 INTERRUPTED = 130
 COMMANDS = Installed("oysterbench", "oysterbench.commands")
@@ -273,9 +272,27 @@ def info(sequence: Path, as_json: bool) -> None:
     print_rich(table)
 
 
-@main.command(short_help="Export a sequence: EuRoC, TUM RGB-D, KITTI, COCO, Kalibr, PLY.")
+class ExportCommand(click.Command):
+    """Lists the formats that there are, which takes too long for `oysterbench --help`."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        from oysterbench.sequence.export import FORMATS
+
+        with formatter.section("Formats"):
+            formatter.write_dl(list(FORMATS.items()))
+
+
+def _known_format(ctx: click.Context, parameter: click.Parameter, value: str) -> str:
+    from oysterbench.sequence.export import FORMATS
+
+    if value not in FORMATS:
+        raise click.BadParameter(f"{value!r} is not one of {', '.join(FORMATS)}.", ctx, parameter)
+    return value
+
+
+@main.command(cls=ExportCommand, short_help="Export a sequence: EuRoC, TUM RGB-D, KITTI, COCO, Kalibr, PLY.")
 @click.argument("sequence", type=click.Path(path_type=Path))
-@click.option("--format", "form", type=click.Choice(FORMATS), required=True, help="What to write.")
+@click.option("--format", "form", metavar="FORMAT", callback=_known_format, required=True, help="What to write.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, which must not be there yet.")
 @click.option("--truth/--no-truth", default=True, show_default=True, help="With or without what no method may see.")
 @click.option("--json", "as_json", is_flag=True, help="Print the folder and what there is to say as JSON.")
@@ -288,15 +305,6 @@ def export(sequence: Path, form: str, out: Path, truth: bool, as_json: bool) -> 
       oysterbench export mini-01.mcap --format euroc --out for-a-method --no-truth
       oysterbench export mini-01.mcap --format tum --out mini-01-tum
       oysterbench export mini-01.mcap --format coco --out mini-01-coco
-
-    \b
-    Formats:
-      euroc    mav0/ with PNG images, IMU, sensor.yaml files and the state
-      tum      rgb/ and depth/ with their lists, groundtruth.txt, accelerometer.txt
-      kitti    odometry: undistorted image_0/ (and image_1/ of a stereo pair), calib.txt, times.txt, poses
-      coco     images and instances.json, with polygons that give back each mask
-      kalibr   camchain-imucam.yaml and imu.yaml
-      ply      coloured point clouds in the world frame, of depth images and of sonars
     """
     from oysterbench.sequence import open_sequence
     from oysterbench.sequence.export import export_sequence

@@ -8,14 +8,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.keys import build, choice, number
 from oysterbench.recipe.sensors import NamedSensorRecipe, SensorRecipe
-
-if TYPE_CHECKING:
-    from oysterbench.sensors.kind import SensorKind
 
 LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
 """How many coefficients of distortion each lens has."""
@@ -128,15 +125,25 @@ class RigRecipe:
         return tables
 
 
-def sensor_kinds() -> Mapping[str, SensorKind[Any, Any, Any]]:
+class SensorBlock(Protocol):
+    """What a rig's file has to know of a kind of sensor: its recipe, whether each rig has one, and what keys imply."""
+
+    @property
+    def recipe(self) -> type[SensorRecipe]: ...
+    @property
+    def required(self) -> bool: ...
+    def fill_in(self, table: Any) -> Any: ...
+
+
+def sensor_blocks() -> Mapping[str, SensorBlock]:
     """Block -> kind of sensor. Kinds are plug-ins: they stand above recipes, which find them by their package."""
-    kinds: Mapping[str, SensorKind[Any, Any, Any]] = import_module("oysterbench.sensors.registry").sensor_kinds()
+    kinds: Mapping[str, SensorBlock] = import_module("oysterbench.sensors.registry").sensor_kinds()
     return kinds
 
 
 def read_rig(table: Mapping[str, Any], where: str) -> RigRecipe:
     """A rig from the content of its TOML file."""
-    kinds = {block: kind for block, kind in sensor_kinds().items() if block != CameraRecipe.block}
+    kinds = {block: kind for block, kind in sensor_blocks().items() if block != CameraRecipe.block}
     plain = [f.name for f in dataclasses.fields(RigRecipe) if f.name != "sensors"]
     for key in table:
         if key not in (*plain, *kinds):
@@ -162,7 +169,7 @@ def check_rig(rig: RigRecipe, where: str) -> None:
 
     A sensor's name begins its topics: names must be good in ROS 2, and no two sensors share one.
     """
-    seen = {"truth", "tf", "tf_static", *(block for block, kind in sensor_kinds().items() if kind.recipe.single)}
+    seen = {"truth", "tf", "tf_static", *(block for block, kind in sensor_blocks().items() if kind.recipe.single)}
     for sensor in (*rig.camera, *rig.sensors):
         sensor.check(where)
         if not isinstance(sensor, NamedSensorRecipe):

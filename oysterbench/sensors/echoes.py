@@ -26,6 +26,8 @@ BOTTOM_FOOTPRINT_M = 2.0
 THING_FOOTPRINT_M = 0.1
 """Longest stretch of range that one ray stands for, on the bottom and on what lies on it."""
 
+PROBE_ROWS = 48  # of the rays that tell where elevations have to be dense
+EVEN_SHARE = 0.35  # of the rows that are even in elevation; the rest are even in range
 SHORTEST_BINS = 1e-3  # over which a return is spread
 SIDELOBES = 3  # of the pulse's sinc^2 that are kept each side
 
@@ -109,6 +111,29 @@ def bin_middles(recipe: BinnedSonarRecipe) -> Array:
     """(bins,) m: the ranges of the middles of a sonar's bins, as it believes them."""
     step = (recipe.max_range_m - recipe.min_range_m) / recipe.bins
     return np.asarray(recipe.min_range_m + step * (np.arange(recipe.bins) + 0.5))
+
+
+def row_edges(
+    caster: RayCaster, T_map_sonar: Array, axis: RangeAxis, azimuths: Array, highest: float, rows: int
+) -> Array:
+    """Elevations (rows + 1,) rad between which the rows of rays lie, from -highest to highest.
+
+    At grazing incidence a small step in elevation is a large one in range: a few probing rays at some azimuths (rad)
+    tell where, and there the rows lie closer. Each ray stands for the height of its row, so that this changes no
+    expected power.
+    """
+    elevations = np.linspace(-highest, highest, PROBE_ROWS + 1)
+    a, e = (values.ravel() for values in np.meshgrid(azimuths, elevations, indexing="ij"))
+    probes = turn(T_map_sonar[:3, :3], np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e))
+    ranges = caster.cast(T_map_sonar[:3, 3], probes, axis.reach).ranges.astype(float)
+    seen = np.clip(ranges.reshape(len(azimuths), len(elevations)), axis.start / axis.stretch, axis.reach)
+    change = np.abs(np.diff(seen, axis=1)).mean(axis=0)
+    total = change.sum()
+    spent = np.full(PROBE_ROWS, 1.0 / PROBE_ROWS)
+    if total > 0:
+        spent = EVEN_SHARE * spent + (1 - EVEN_SHARE) * change / total
+    reached = np.concatenate([[0.0], np.cumsum(spent)])
+    return np.interp(np.linspace(0.0, reached[-1], rows + 1), reached, elevations)
 
 
 def send(

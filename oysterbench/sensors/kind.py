@@ -38,8 +38,17 @@ XYZ = ("x", "y", "z")
 Row = dict[str, float]
 """The numbers of a message, by their columns, in SI units."""
 
-Export = Callable[[Any, str, File, bool], list[str]]
-"""Writes what a sensor (sequence, its name) measured into a folder, with truth or without; returns notes on it."""
+
+@dataclass(frozen=True)
+class Export:
+    """A format of others that a kind of sensor can be written in.
+
+    summary: one line on it. write: fills a folder with what a sensor (sequence, its name, folder, with truth or
+    without) measured, and returns what the user should know about it.
+    """
+
+    summary: str
+    write: Callable[[Any, str, File, bool], list[str]]
 
 
 class SensedWorld(Protocol):

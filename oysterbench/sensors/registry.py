@@ -10,7 +10,7 @@ from typing import Any
 
 from oysterbench.recipe import RigRecipe, SiteRecipe
 from oysterbench.recipe.sensors import SensorRecipe
-from oysterbench.sensors.kind import SensorKind
+from oysterbench.sensors.kind import Export, SensorKind
 
 AnyKind = SensorKind[Any, Any, Any]
 
@@ -78,6 +78,6 @@ def rig_frames(rig: RigRecipe) -> dict[str, tuple[AnyKind, str]]:
     return {kind.frame(name): (kind, name) for kind, name in names}
 
 
-def export_formats() -> dict[str, AnyKind]:
-    """Format -> the kind of sensor that is written in it."""
-    return {form: kind for kind in sensor_kinds().values() for form in kind.exports}
+def export_formats() -> dict[str, tuple[AnyKind, Export]]:
+    """Format -> the kind of sensor that it is of, and how it is written."""
+    return {form: (kind, export) for kind in sensor_kinds().values() for form, export in kind.exports.items()}

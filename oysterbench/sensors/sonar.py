@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from oysterbench.sensors.panels import Fan, Panel
 
 ROWS = 200  # of rays over the elevations
-PROBE_COLUMNS, PROBE_ROWS = 12, 48  # of the rays that tell where elevations have to be dense
-EVEN_SHARE = 0.35  # of the rows that are even in elevation; the rest are even in range
+PROBE_COLUMNS = 12  # of the rays that tell where elevations have to be dense
 COLUMNS_PER_WIDTH = 1.5  # at least so many columns of rays in a beam's half-power width,
 MOST_PER_WIDTH = 6.0  # and no more than so many where beams lie closer than that
 PATTERN_REACH = 4.0  # half-power widths, each side, within which a beam hears
@@ -180,7 +179,8 @@ class ImagingSonar:
     def _rays(self, T_map_sonar: Array, axis: RangeAxis, generator: np.random.Generator) -> Rays:
         """Rays anywhere in the cells of a grid: even columns, and rows that are denser where the range changes fast."""
         columns = self._columns
-        rows = self._row_edges(T_map_sonar, axis)
+        probes = np.linspace(columns.edges[0], columns.edges[-1], PROBE_COLUMNS)
+        rows = echoes.row_edges(self.caster, T_map_sonar, axis, probes, self._highest, ROWS)
         count = len(columns.edges) - 1
         anywhere = generator.random((2, count, ROWS))
         azimuths = columns.edges[:-1, None] - columns.width * anywhere[0]
@@ -196,26 +196,6 @@ class ImagingSonar:
             columns=np.repeat(np.arange(count), ROWS),
             weights=acoustics.beam_pattern(elevations.ravel(), self._vertical),
         )
-
-    def _row_edges(self, T_map_sonar: Array, axis: RangeAxis) -> Array:
-        """Elevations (ROWS + 1,) between which the rows of rays lie, rad.
-
-        At grazing incidence a small step in elevation is a large one in range: a few probing rays tell where, and there
-        the rows lie closer. Each ray stands for the height of its row, so that this changes no expected power.
-        """
-        azimuths = np.linspace(self._columns.edges[0], self._columns.edges[-1], PROBE_COLUMNS)
-        elevations = np.linspace(-self._highest, self._highest, PROBE_ROWS + 1)
-        a, e = (values.ravel() for values in np.meshgrid(azimuths, elevations, indexing="ij"))
-        probes = echoes.turn(T_map_sonar[:3, :3], np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e))
-        ranges = self.caster.cast(T_map_sonar[:3, 3], probes, axis.reach).ranges.astype(float)
-        seen = np.clip(ranges.reshape(len(azimuths), len(elevations)), axis.start / axis.stretch, axis.reach)
-        change = np.abs(np.diff(seen, axis=1)).mean(axis=0)
-        total = change.sum()
-        spent = np.full(PROBE_ROWS, 1.0 / PROBE_ROWS)
-        if total > 0:
-            spent = EVEN_SHARE * spent + (1 - EVEN_SHARE) * change / total
-        reached = np.concatenate([[0.0], np.cumsum(spent)])
-        return np.interp(np.linspace(0.0, reached[-1], ROWS + 1), reached, elevations)
 
     def _bounces(self, T_map_sonar: Array, rays: Rays, returns: Returns, loss: float) -> list[tuple[Array, Array]]:
         """How much later (N,) m, and how strong (N,), echoes come in that take one more bounce: off the flat surface,

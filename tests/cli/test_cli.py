@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import oysterbench
-from oysterbench.cli.main import FORMATS, main
+from oysterbench.cli.main import main
 from oysterbench.core.trajectory import Trajectory, write_tum
 from tests.helpers.paths import COMMAND, ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
@@ -82,7 +82,7 @@ def test_version():
 
 
 def test_help_loads_no_numpy():
-    code = "import sys; sys.argv = ['oysterbench', '--help']; from oysterbench.cli.main import FORMATS, main\n"
+    code = "import sys; sys.argv = ['oysterbench', '--help']; from oysterbench.cli.main import main\n"
     code += "try: main()\nexcept SystemExit: pass\nassert 'numpy' not in sys.modules and 'rich' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
@@ -316,7 +316,7 @@ def test_render_says_where_the_files_are_and_info_what_is_in_them(recipe, kept_h
     assert "/cam_front/image" in run("info", path).stdout
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.parametrize("form", ("euroc", "tum", "kitti", "coco", "kalibr", "ply"))
 def test_export_writes_a_folder_and_prints_it(dive_file, tmp_path, form):
     result = run("export", dive_file, "--format", form, "--out", tmp_path / "out")
     assert result.returncode == 0, result.stderr
@@ -339,9 +339,8 @@ def test_export_says_what_is_worth_knowing_as_json_too(dive_file, tmp_path):
 
 
 def test_export_offers_every_format_that_there_is():
-    from oysterbench.sequence.export import FORMATS as WRITTEN
+    from oysterbench.sequence.export import FORMATS
 
-    assert set(FORMATS) == set(WRITTEN)
     text = run("export", "--help").stdout
     assert all(re.search(rf"^ +{form} +\w", text, re.M) for form in FORMATS)
 

@@ -6,13 +6,15 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.sensors.registry import export_formats
 from oysterbench.sequence.types import Sequence
 
-FORMATS = {
+_BUILT_IN = {
     "euroc": "EuRoC/ASL: mav0/ with PNG images, IMU, sensor.yaml files and the state; for visual-inertial SLAM",
     "tum": "TUM RGB-D: rgb/ and depth/ with lists, groundtruth.txt, accelerometer.txt",
     "kitti": "KITTI odometry: undistorted image_0/ (image_1/ of a stereo pair), calib.txt, times.txt, poses of image_0",
@@ -20,7 +22,10 @@ FORMATS = {
     "kalibr": "Kalibr calibration: camchain-imucam.yaml and imu.yaml",
     "ply": "point clouds in map as binary PLY: of depth images through the poses, and of sonar clouds",
 }
-"""Formats and what they are; a format is the module of its name, with `write(sequence, folder, truth)`."""
+"""Formats of several sensors, and what they are: each is the module of its name, `write(sequence, folder, truth)`."""
+
+FORMATS = _BUILT_IN | {form: export.summary for form, (_, export) in export_formats().items()}
+"""All formats and what they are, those of single kinds of sensor (`SensorKind.exports`) included."""
 
 Write = Callable[[Sequence, Path, bool], list[str]]
 """Fills a folder, and returns what the user should know about it, a line each."""
@@ -41,7 +46,7 @@ def export_sequence(
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SequenceError(f"{folder} is there already; it was left as it is: delete it or choose another --out")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    write: Write = import_module(f"oysterbench.sequence.export.{form}").write
+    write: Write = import_module(f"{__name__}.{form}").write if form in _BUILT_IN else partial(_write_kind, form)
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
         temporary.chmod(0o755)
@@ -51,3 +56,12 @@ def export_sequence(
         shutil.rmtree(temporary, ignore_errors=True)
         raise
     return folder, notes
+
+
+def _write_kind(form: str, sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+    """Every sensor of the kind that a format is of."""
+    kind, export = export_formats()[form]
+    names = sequence.calibrations(kind)
+    if not names:
+        raise SequenceError(f"{sequence.name} has no {kind.title}; the format {form} needs one")
+    return [note for name in names for note in export.write(sequence, name, folder, truth)]

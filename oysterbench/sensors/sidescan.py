@@ -1,0 +1,286 @@
+"""Side-scan sonar: a fan to port and one to starboard, narrow along the track, that paint the bottom ping by ping."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path as File
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from oysterbench.core.geometry import Array, transform
+from oysterbench.core.ros import IMAGE, Message, echo_image, read_echo_image
+from oysterbench.core.streams import Streams
+from oysterbench.recipe import SiteRecipe
+from oysterbench.recipe.keys import number
+from oysterbench.recipe.sensors import BinnedSonarRecipe
+from oysterbench.sensors import acoustics, echoes
+from oysterbench.sensors.echoes import Rays
+from oysterbench.sensors.kind import Export, Row, SensedWorld, SensorKind, link
+
+if TYPE_CHECKING:
+    from oysterbench.render.rays import RayCaster
+    from oysterbench.sensors.panels import Panel
+
+SIDES = {"port": 90.0, "starboard": -90.0}
+"""Azimuth of each fan's axis, deg to the left of the mount's x."""
+
+COLUMNS, ROWS = 8, 900  # of rays over a fan's main lobe, along the track and over the elevations
+STEEPEST_COSINE = 0.05  # of the elevation, up to which rays are spread so that the beam keeps its width along the track
+SMOOTHING_BINS = 9  # over which the first echo of the bottom is looked for,
+BOTTOM_SHARE = 0.25  # and the share of the ping's median amplitude that it has
+PANEL_PINGS = 240  # that the viewer shows at a time
+
+
+@dataclass(frozen=True, kw_only=True)
+class SidescanRecipe(BinnedSonarRecipe):
+    """A side-scan sonar: x of its mount points along the track; two fans look to its sides, tilted down."""
+
+    block: ClassVar[str] = "sidescan"
+
+    frequency_khz: float = number(50, 3000, 450.0)
+    beam_deg: float = number(0.1, 10, 0.6)  # along the track, at half power
+    vfov_deg: float = number(5, 90, 50.0)  # across it
+    tilt_deg: float = number(0, 80, 30.0)  # of the fans' axes below the horizon
+    bins: int = number(16, 4096, 600)  # of a side
+    max_range_m: float = number(0.5, 200, 15.0)
+    bandwidth_khz: float = number(1, 1000, 30.0)
+    tvg: bool = field(default=True)
+
+
+@dataclass(frozen=True)
+class SidescanCalibration:
+    """A side-scan sonar: slant ranges (bins,) m of a side; widths of a fan along and across the track, and its tilt,
+    rad; frequency, Hz; amplitude of a count; pose, x along the track, y to port."""
+
+    ranges_m: Array
+    beam_rad: float
+    vfov_rad: float
+    tilt_rad: float
+    frequency_hz: float
+    amplitude_step: float
+    T_base_sensor: Array
+
+
+@dataclass(frozen=True)
+class SidescanPing:
+    """One ping: amplitudes (bins,) uint16 of each side, near to far, in counts of `amplitude_step`."""
+
+    stamp_ns: int
+    sensor: str
+    port: NDArray[np.uint16]
+    starboard: NDArray[np.uint16]
+
+    @property
+    def line(self) -> NDArray[np.uint16]:
+        """(2 bins,): as it lies on the bottom, from far on port to far on starboard."""
+        return np.concatenate([self.port[::-1], self.starboard])
+
+
+class SidescanSonar:
+    """A side-scan sonar in a world, over a bottom of a kind of recipe.BOTTOMS.
+
+    Amplitudes are linear; 1 is that of a perfect scatterer (mu = 1, facing the fan) 1 m away that fills a beam. Each
+    ping is sent and heard at one pose.
+    """
+
+    def __init__(self, caster: RayCaster, recipe: SidescanRecipe, site: SiteRecipe, bottom: str = "sand") -> None:
+        self.caster = caster
+        self.recipe = recipe
+        self.site = site
+        self._mu = acoustics.backscatter(bottom)
+        self._along, self._vertical = float(np.radians(recipe.beam_deg)), float(np.radians(recipe.vfov_deg))
+        self._fill = acoustics.aperture(self._along) * acoustics.aperture(self._vertical)
+        mount = acoustics.mount_pose(recipe)
+        self._mounts = {side: mount @ fan_pose(recipe, side) for side in SIDES}
+
+    @property
+    def ranges(self) -> Array:
+        """(bins,) m, slant ranges of the middles of the bins, as the sonar believes them."""
+        return echoes.bin_middles(self.recipe)
+
+    def ping(self, T_map_base: Array, streams: Streams, index: int, stamp_ns: int = 0) -> SidescanPing:
+        """Ping `index`, with the vehicle at T_map_base (4, 4)."""
+        heard = {}
+        for side in SIDES:
+            branch = streams.at("sidescan", self.recipe.name, index, side)
+            power, loss = self.listen(T_map_base, side, branch)
+            heard[side] = echoes.record(power, self.recipe, loss, branch.generator("noise"))
+        return SidescanPing(stamp_ns, self.recipe.name, heard["port"], heard["starboard"])
+
+    def listen(self, T_map_base: Array, side: str, streams: Streams) -> tuple[Array, float]:
+        """Expected power (bins,) that comes back to a side, and the absorption in dB/m; `streams` scatters the rays.
+
+        Each ray ends at the first surface that it meets, so that what lies behind it is in its shadow.
+        """
+        T_map_fan = np.asarray(T_map_base, dtype=float) @ self._mounts[side]
+        medium = echoes.Medium.at(self.site, -float(T_map_fan[2, 3]), self.recipe.frequency_khz)
+        axis = echoes.range_axis(self.recipe, medium.speed)
+        highest = acoustics.first_null(self._vertical)
+        edges = echoes.row_edges(self.caster, T_map_fan, axis, np.zeros(1), highest, ROWS)
+        rays = self._rays(edges, streams.generator("rays"))
+        returns = echoes.send(self.caster, T_map_fan, rays, self._mu, medium.loss, self._fill, axis.reach)
+        power = echoes.add_up(axis, rays.columns, 1, returns.nearest, returns.farthest, returns.powers)
+        return echoes.resolve(power, axis, medium.speed, self.recipe.bandwidth_khz)[0], medium.loss
+
+    def _rays(self, edges: Array, generator: np.random.Generator) -> Rays:
+        """Rays anywhere in the cells of a grid over the main lobe: rows between elevations `edges` (ROWS + 1,) rad.
+
+        The beam of a line array is a slice of space that is as wide along the track at any elevation e: its azimuths
+        are those off the array's broadside over cos(e).
+        """
+        widest = acoustics.first_null(self._along)
+        width, heights = 2 * widest / COLUMNS, np.diff(edges)
+        anywhere = generator.random((2, COLUMNS, ROWS))
+        off = width * (np.arange(COLUMNS)[:, None] + anywhere[0]) - widest
+        elevations = edges[:-1] + heights * anywhere[1]
+        middle_off = np.broadcast_to(width * (np.arange(COLUMNS)[:, None] + 0.5) - widest, off.shape)
+        middle_elevations = np.broadcast_to(edges[:-1] + 0.5 * heights, off.shape)
+        spread = 1.0 / np.maximum(np.cos(middle_elevations), STEEPEST_COSINE)
+        weights = acoustics.beam_pattern(off, self._along) * acoustics.beam_pattern(elevations, self._vertical)
+        return Rays(
+            azimuths=(off * spread).ravel(),
+            elevations=elevations.ravel(),
+            middles=np.stack([(middle_off * spread).ravel(), middle_elevations.ravel()]),
+            widths=(width * spread).ravel(),
+            heights=np.broadcast_to(heights, off.shape).ravel(),
+            columns=np.zeros(off.size, dtype=np.int64),
+            weights=weights.ravel(),
+        )
+
+
+def fan_pose(recipe: SidescanRecipe, side: str) -> Array:
+    """T_mount_fan (4, 4) of a side's fan: x along its axis, out and down, y along the track."""
+    return transform(Rotation.from_euler("ZY", [SIDES[side], recipe.tilt_deg], degrees=True).as_matrix(), np.zeros(3))
+
+
+def first_return(amplitudes: NDArray[np.uint16]) -> int:
+    """Bin of the first echo of the bottom, where the column of water ends: the first from which SMOOTHING_BINS have
+    BOTTOM_SHARE of the median amplitude of the ping; the number of bins where there is none."""
+    window = np.ones(SMOOTHING_BINS) / SMOOTHING_BINS
+    smooth = np.convolve(amplitudes.astype(float), window, mode="valid")
+    strong = smooth >= max(BOTTOM_SHARE * float(np.median(amplitudes)), 1.0)
+    return int(np.argmax(strong)) + SMOOTHING_BINS // 2 if strong.any() else len(amplitudes)
+
+
+def ping_message(ping: SidescanPing) -> Message:
+    """A ping as a picture of 16 bits and one row, from far on port to far on starboard: a waterfall's line."""
+    return Message(f"/{ping.sensor}/ping", ping.stamp_ns, echo_image(ping.stamp_ns, link(ping.sensor), ping.line[None]))
+
+
+def read_ping(data: bytes, sensor: str) -> SidescanPing:
+    """Ping from its message. Raises ValueError where it is no line of two equal sides."""
+    stamp, pixels = read_echo_image(data)
+    if pixels.shape[0] != 1 or pixels.shape[1] % 2:
+        raise ValueError(f"expected {sensor}'s ping as one row of two sides, got {pixels.shape[1]} x {pixels.shape[0]}")
+    port, starboard = np.split(pixels[0], 2)
+    return SidescanPing(stamp, sensor, np.ascontiguousarray(port[::-1]), starboard)
+
+
+def _row(message: Any) -> Row:
+    port, starboard = np.split(np.asarray(message.data).view("<u2"), 2)
+    sides = {"port": port[::-1], "starboard": starboard}
+    first = {f"{side}_first_bin": float(first_return(values)) for side, values in sides.items()}
+    return first | {f"{side}_mean": float(values.mean()) for side, values in sides.items()}
+
+
+def write_waterfall(sequence: Any, name: str, folder: File, truth: bool) -> list[str]:
+    """NAME.png, 16 bits: a line a ping, the first on top, from far on port to far on starboard; NAME.csv: of each line
+    its stamp and, with truth, the pose T_map_sensor."""
+    calibration = sequence.calibration(name)
+    pings = list(sequence.measurements(name))
+    lines = np.stack([ping.line for ping in pings]) if pings else np.zeros((1, 2), dtype=np.uint16)
+    _, data = cv2.imencode(".png", lines)
+    (folder / f"{name}.png").write_bytes(data.tobytes())
+    stamps = np.array([ping.stamp_ns for ping in pings], dtype=np.int64)
+    rows: list[list[Any]] = [[stamp] for stamp in stamps.tolist()]
+    header = ["stamp_ns"]
+    if truth and pings:
+        path = sequence.truth()
+        known = path.at(np.clip(stamps, path.stamps_ns[0], path.stamps_ns[-1]))
+        poses = known.matrices @ calibration.T_base_sensor
+        quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+        rows = [[*row, *p, *q] for row, p, q in zip(rows, poses[:, :3, 3].tolist(), quaternions.tolist(), strict=True)]
+        header += ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    with open(folder / f"{name}.csv", "w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+    ranges = calibration.ranges_m
+    step_mm = 1e3 * float(ranges[1] - ranges[0])
+    return [
+        f"{name}.png: {len(pings)} pings, {len(ranges)} bins of {step_mm:.1f} mm to each side from {ranges[0]:.2f} m"
+    ]
+
+
+class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
+    """The kind."""
+
+    recipe = SidescanRecipe
+    calibration = SidescanCalibration
+    title = "side-scan sonar"
+    rank = 65
+    bulky = True
+    leaves: ClassVar = {"ping": IMAGE}
+    tables: ClassVar = {"ping": _row}
+    exports: ClassVar = {
+        "waterfall": Export(
+            "side-scan sonars as 16-bit PNG, a line a ping, and CSV with stamp and pose", write_waterfall
+        )
+    }
+
+    def calibrate(self, recipe: SidescanRecipe, site: SiteRecipe) -> dict[str, Any]:
+        return {
+            **echoes.calibrate(recipe),
+            "beam_rad": float(np.radians(recipe.beam_deg)),
+            "vfov_rad": float(np.radians(recipe.vfov_deg)),
+            "tilt_rad": float(np.radians(recipe.tilt_deg)),
+            "frequency_hz": 1e3 * recipe.frequency_khz,
+        }
+
+    def measure(
+        self, world: SensedWorld, recipe: SidescanRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
+    ) -> Iterator[SidescanPing]:
+        site, bottom = world.recipe.site, world.recipe.reef.bottom
+        sonar = world.instrument(recipe, lambda: SidescanSonar(world.caster, recipe, site, bottom))
+        for index, body in zip(wanted.tolist(), world.bodies(wanted / recipe.rate_hz), strict=True):
+            yield sonar.ping(body, world.streams, index, int(stamps_ns[index]))
+
+    def encode(self, recipe: SidescanRecipe, measurement: SidescanPing) -> list[Message]:
+        return [ping_message(measurement)]
+
+    def decode(self, name: str, calibration: SidescanCalibration, *data: bytes) -> SidescanPing:
+        return read_ping(*data, name)
+
+    def panels(self, sequence: Any, name: str) -> list[Panel]:
+        from oysterbench.sensors.panels import WIDTH, Panel
+
+        title = f"{name}, slant range to {sequence.calibration(name).ranges_m[-1]:.1f} m, port on the left"
+        frames = partial(_waterfalls, sequence, name)
+        return [Panel(title, WIDTH, PANEL_PINGS, frames, WIDTH * PANEL_PINGS // 4)]
+
+
+def _waterfalls(sequence: Any, name: str, times: NDArray[np.int64]) -> Iterator[bytes]:
+    """The last PANEL_PINGS pings at each moment, the newest on top."""
+    from oysterbench.sensors.panels import WIDTH, blank, coloured, grey_of, jpeg, white_of
+
+    picture = blank(WIDTH, PANEL_PINGS)
+    pings = sequence.measurements(name)
+    ping = next(pings, None)
+    white = None
+    for time in times:
+        while ping is not None and ping.stamp_ns <= time:
+            white = white or white_of(ping.line)
+            line = cv2.resize(grey_of(ping.line, white)[None], (WIDTH, 1), interpolation=cv2.INTER_AREA)
+            picture = np.concatenate([coloured(np.asarray(line)), picture[:-1]])
+            ping = next(pings, None)
+        yield jpeg(picture)
+
+
+KIND = Sidescan()
