@@ -176,7 +176,7 @@ class Altimeter(SensorKind[AltimeterRecipe, AltimeterCalibration, RangeMeasureme
         return [range_message(measurement, recipe.min_range_m, recipe.max_range_m, beam, variance)]
 
     def decode(self, name: str, calibration: AltimeterCalibration, *data: bytes) -> RangeMeasurement:
-        return read_range(*data, name)
+        return read_range(data[0], name)
 
     def strips(self, name: str) -> list[Strip]:
         return [Strip(f"/{name}/range", f"{name} range, m", ("range",))]

@@ -336,7 +336,7 @@ class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
         return dvl_messages(measurement, recipe.min_range_m, recipe.max_range_m, np.radians(recipe.janus_deg))
 
     def decode(self, name: str, calibration: DvlCalibration, *data: bytes) -> DvlMeasurement:
-        return read_dvl(*data, calibration.beam_directions)
+        return read_dvl(data[0], data[1], data[2], calibration.beam_directions)
 
     def strips(self, name: str) -> list[Strip]:
         return [

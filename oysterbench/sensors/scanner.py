@@ -179,7 +179,7 @@ class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
         return scan_messages(measurement)
 
     def decode(self, name: str, calibration: ScannerCalibration, *data: bytes) -> ScanPing:
-        return read_scan(*data, name)
+        return read_scan(data[0], data[1], name)
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:
         from oysterbench.sensors.panels import WIDTH, Panel

@@ -256,7 +256,7 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
         return [ping_message(measurement)]
 
     def decode(self, name: str, calibration: SidescanCalibration, *data: bytes) -> SidescanPing:
-        return read_ping(*data, name)
+        return read_ping(data[0], name)
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:
         from oysterbench.sensors.panels import WIDTH, Panel

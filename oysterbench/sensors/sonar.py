@@ -371,7 +371,7 @@ class Sonar(SensorKind[SonarRecipe, SonarCalibration, tuple[SonarImage, Cloud | 
         return [sonar_message(image), *([] if cloud is None else [cloud_message(cloud)])]
 
     def decode(self, name: str, calibration: SonarCalibration, *data: bytes) -> Any:
-        return read_sonar(*data, name)
+        return read_sonar(data[0], name)
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:
         from oysterbench.sensors.panels import WIDTH, Fan, Panel

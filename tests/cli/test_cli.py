@@ -316,7 +316,7 @@ def test_render_says_where_the_files_are_and_info_what_is_in_them(recipe, kept_h
     assert "/cam_front/image" in run("info", path).stdout
 
 
-@pytest.mark.parametrize("form", ("euroc", "tum", "kitti", "coco", "kalibr", "ply"))
+@pytest.mark.parametrize("form", ["euroc", "tum", "kitti", "coco", "kalibr", "ply"])
 def test_export_writes_a_folder_and_prints_it(dive_file, tmp_path, form):
     result = run("export", dive_file, "--format", form, "--out", tmp_path / "out")
     assert result.returncode == 0, result.stderr
