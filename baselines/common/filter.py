@@ -17,9 +17,13 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.sequence.types import ImuCalibration
+from oysterbench_baselines.common.inertial import Segment
 
 ATTITUDE, VELOCITY, POSITION = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
+FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
+"""m^2 and rad^2 on every covariance of a pose: the first one is exact by definition, and a matrix that is singular
+cannot be inverted."""
 CORE = 15
 """Rows of the error: attitude (rad), velocity (m/s), position (m), both biases (rad/s, m/s^2); then the aiding's."""
 
@@ -88,6 +92,11 @@ class InvariantFilter:
         self.velocity = self.velocity + dt * acceleration
         self.rotation = self.rotation @ rotation_exp(dt * rate)
         self.rate = rate
+
+    def propagate_all(self, segment: Segment) -> None:
+        """On by a segment of inertial measurements."""
+        for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
+            self.propagate(dt, gyro, accel)
 
     def _propagate_covariance(self, dt: float, middle: Array) -> None:
         noise, eye = self.noise, np.eye(3)

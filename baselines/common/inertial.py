@@ -1,4 +1,4 @@
-"""Inertial samples, cut at the stamps of other sensors."""
+"""Inertial samples, cut at the stamps of other sensors, and integrated."""
 
 from __future__ import annotations
 
@@ -81,3 +81,49 @@ def relative_rotation(segment: Segment, gyro_bias: Array) -> Array:
     for step in Rotation.from_rotvec((segment.gyro - gyro_bias) * segment.dt[:, None]).as_matrix():
         rotation = rotation @ step
     return rotation
+
+
+@dataclass(frozen=True)
+class Integral:
+    """Inertial integrals from the first of K stamps to each, in the IMU frame at the first.
+
+    rotation (K, 3, 3): R_0_k. rate (K, 3, 3): integral of R, so that a change db of the gyro bias turns R_0_k by
+    -rate db (rotation vector in frame 0). velocity, position (K, 3): of the specific force. velocity_rate,
+    position_rate (K, 3, 3): minus their derivatives to the accelerometer bias. time (K,) s.
+    """
+
+    time: Array
+    rotation: Array
+    rate: Array
+    velocity: Array
+    position: Array
+    velocity_rate: Array
+    position_rate: Array
+
+
+def integrate(segments: list[Segment], gyro_bias: Array) -> Integral:
+    """Integrals at the K = len(segments) + 1 ends of segments, for a gyro bias and no accelerometer bias."""
+    whole = Segment.join(segments)
+    steps = Rotation.from_rotvec((whole.gyro - gyro_bias) * whole.dt[:, None]).as_matrix()
+    half_steps = Rotation.from_rotvec(0.5 * (whole.gyro - gyro_bias) * whole.dt[:, None]).as_matrix()
+    rotation = np.empty((len(steps) + 1, 3, 3))
+    rotation[0] = np.eye(3)
+    for k, step in enumerate(steps):
+        rotation[k + 1] = rotation[k] @ step
+    middle = rotation[:-1] @ half_steps  # attitude in the middle of the interval: second-order integration
+    dt = whole.dt[:, None, None]
+    force = (middle @ whole.accel[:, :, None])[..., 0]
+    velocity = _cumulate(force * whole.dt[:, None])
+    velocity_rate = _cumulate(middle * dt)
+    position = _cumulate((velocity[:-1] + 0.5 * force * whole.dt[:, None]) * whole.dt[:, None])
+    position_rate = _cumulate((velocity_rate[:-1] + 0.5 * middle * dt) * dt)
+    ends = np.concatenate([[0], np.cumsum([len(s.dt) for s in segments])]).astype(int)
+    time = _cumulate(whole.dt)
+    rate = velocity_rate
+    return Integral(
+        time[ends], rotation[ends], rate[ends], velocity[ends], position[ends], velocity_rate[ends], position_rate[ends]
+    )
+
+
+def _cumulate(steps: Array) -> Array:
+    return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])

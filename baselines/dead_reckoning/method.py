@@ -14,10 +14,10 @@ from oysterbench.core.geometry import Array, invert
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import ImuMeasurement, Sequence
-from oysterbench_baselines.common.aiding import Aiding, AidingSettings, sensors_of
+from oysterbench_baselines.common.aiding import Aiding, AidingSettings, aiding_sensors, sensors_of
+from oysterbench_baselines.common.alignment import StartSettings, start_filter
 from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.common.inertial import SampleBuffer
-from oysterbench_baselines.common.start import StartSettings, start_filter
 
 FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
 """m^2 and rad^2 on every covariance: the first pose is exact by definition, and a matrix that is singular cannot be
@@ -69,7 +69,7 @@ class DeadReckoning:
             InertialNoise.of(calibration, settings.imu_inflation),
             settings.start,
         )
-        aiding, samples = Aiding(sequence, settings.aiding), SampleBuffer()
+        aiding, samples = Aiding(aiding_sensors(sequence, settings.aiding)), SampleBuffer()
         T_imu_base = invert(calibration.T_base_imu)
         stamps: list[int] = []
         poses: list[Array] = []
@@ -87,7 +87,7 @@ class DeadReckoning:
                 poses.append(filter.pose @ T_imu_base)
                 covariances.append(filter.pose_covariance(poses[-1][:3, 3]) + FLOOR)
             else:
-                aiding.add(filter, item)
+                aiding.update(filter, item)
         matrices = np.array(poses)
         positions = matrices[:, :3, 3] - matrices[0, :3, 3]
         quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat()

@@ -19,6 +19,7 @@ from oysterbench_baselines.common.filter import (
     ACCEL_BIAS,
     ATTITUDE,
     CORE,
+    FLOOR,
     GYRO_BIAS,
     POSITION,
     VELOCITY,
@@ -30,9 +31,6 @@ from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, read_state
-
-FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
-"""m^2 and rad^2 on every covariance of a pose: the first pose is exact by definition."""
 
 
 def filter_slopes(state: State, k: int, size: int = CORE) -> dict[int, Array]:
@@ -85,13 +83,7 @@ def set_state(to: InvariantFilter, state: State) -> None:
     to.gyro_bias, to.accel_bias = np.array(state.bias.gyroscope()), np.array(state.bias.accelerometer())
 
 
-def carry(filter: InvariantFilter, segment: Segment) -> None:
-    """The filter's state and covariance after a segment."""
-    for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
-        filter.propagate(dt, gyro, accel)
-
-
-def back(filter: InvariantFilter, segment: Segment) -> None:
+def propagate_back(filter: InvariantFilter, segment: Segment) -> None:
     """The filter's state and covariance before a segment.
 
     The transition backwards is the one forwards with time reversed, but noise only ever adds.
@@ -130,7 +122,9 @@ def discounted(graph: gtsam.NonlinearFactorGraph, times: float, huber: float) ->
 
 def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array, model: Model) -> list[Array]:
     """(6, 6) of the pose of a frame fixed to the IMU at `lever` (3,) in it, at every key frame of a stretch."""
-    graph = discounted(bundle.graph, model.alike(model.settings.alike), model.settings.huber)
+    graph = discounted(
+        bundle.graph, model.rig.correlation(model.settings.noise.correlation), model.settings.noise.huber
+    )
     values, found = bundle.values, []
     marginals = marginal_covariances(graph, values, [X(keyframe.index) for keyframe in keyframes])
     for keyframe in keyframes:
@@ -161,15 +155,7 @@ def covariances_until(
     if covariance is not None:
         filter.covariance = covariance
     for k in range(first, 0, -1):
-        if not keyframes[k].at_rest:
-            back(filter, keyframes[k].segment)
+        if not keyframes[k].stationary:
+            propagate_back(filter, keyframes[k].segment)
         known[k - 1] = filter.pose_covariance((filter.pose @ T_imu_base)[:3, 3]) + FLOOR
     return known
-
-
-def anchored(covariance: Array) -> tuple[Array, Array]:
-    """What is known of a start after a failure, pose (6, 6) and velocity (3, 3): place and heading, but not up."""
-    pose = covariance.copy()
-    pose[3:5, :], pose[:, 3:5] = 0.0, 0.0
-    pose[3, 3] = pose[4, 4] = 0.5**2
-    return pose, np.eye(3) * 2.0**2

@@ -22,16 +22,16 @@ class FixedLagSmoother:
     """Gauss-Newton over the latest variables; older ones are marginalised.
 
     lag: variables whose stamp is earlier than the newest by more than this leave. iterations, tolerance: of an update,
-    which ends when the error falls by less than this share. loose: whether next to nothing holds the whole in place:
-    what is known of a heading to a radian is lost in the rounding of squares beside what is known to a micrometre, so
+    which ends when the error falls by less than this share. weak_gauge: next to nothing holds the whole: what is
+    known of a heading to a radian is lost in the rounding of squares beside what is known to a micrometre, so
     roots are eliminated then (QR), and not squares (Cholesky).
 
     estimate: of all variables in the window. linearised_at: the point at which their factors are linearised; that of a
     variable which nothing marginalised touches is its estimate. factors: all of them, with holes.
     """
 
-    def __init__(self, lag: float, iterations: int, tolerance: float = 1e-3, loose: bool = False) -> None:
-        self._how = (gtsam.EliminateQR,) if loose else ()
+    def __init__(self, lag: float, iterations: int, tolerance: float = 1e-3, weak_gauge: bool = False) -> None:
+        self._how = (gtsam.EliminateQR,) if weak_gauge else ()
         self._lag, self._iterations, self._tolerance = lag, iterations, tolerance
         self.factors = gtsam.NonlinearFactorGraph()
         self.estimate, self.linearised_at = gtsam.Values(), gtsam.Values()

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,29 @@ class Tracks:
 
 
 NO_TRACKS = Tracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
-"""Those of a frame that nobody took."""
+"""Those of a frame that is missing."""
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What a key frame saw: ids (N,) int64, sorted, and rays (N, 2) at depth 1.
+
+    right: rays (N, 2) of a second camera to the same, NaN where it does not see them; None without one.
+    inflation: of the rays' sigma, by tracks that were lost meanwhile.
+    """
+
+    ids: NDArray[np.int64]
+    rays: Array
+    right: Array | None = None
+    inflation: float = 1.0
+
+    def rows(self) -> tuple[NDArray[np.int64], Array, NDArray[np.intp]]:
+        """A row for each ray: ids (M,), rays (M, 2), and the camera (M,), 0 or 1."""
+        if self.right is None:
+            return self.ids, self.rays, np.zeros(len(self.ids), dtype=np.intp)
+        both = np.isfinite(self.right[:, 0])
+        camera = np.repeat([0, 1], [len(self.ids), int(both.sum())])
+        return np.concatenate([self.ids, self.ids[both]]), np.concatenate([self.rays, self.right[both]]), camera
 
 
 def undistort(pixels: Array, calibration: CameraCalibration) -> Array:
@@ -80,7 +102,7 @@ def epipolar_inliers(
     return inliers[int(np.argmax(inliers.sum(axis=1)))]
 
 
-def even_contrast(grey: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
+def even_contrast(grey: NDArray[np.uint8], settings: FrontEndSettings) -> NDArray[np.uint8]:
     """A grey picture (H, W) without its veil of scattered light, and with the same contrast everywhere.
 
     The veil is the mean around a pixel, which takes the slower part of caustics and of a lamp's cone with it; what is
@@ -97,7 +119,7 @@ def even_contrast(grey: NDArray[np.uint8], settings: Settings) -> NDArray[np.uin
 class FrontEnd:
     """Tracks corners through the frames of one camera."""
 
-    def __init__(self, calibration: CameraCalibration, settings: Settings, seed: int = 0) -> None:
+    def __init__(self, calibration: CameraCalibration, settings: FrontEndSettings, seed: int = 0) -> None:
         self.calibration = calibration
         self.settings = settings
         self._focal = float(calibration.matrix[0, 0] + calibration.matrix[1, 1]) / 2
@@ -161,7 +183,7 @@ class FrontEnd:
 
 
 def follow(
-    before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array, settings: Settings
+    before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array, settings: FrontEndSettings
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Where the patches at pixels (N, 2) of one grey image are in another, by Lucas and Kanade, begun at guess (N, 2).
 
@@ -182,7 +204,7 @@ def follow(
     return end.astype(np.float64), good
 
 
-def find_corners(image: NDArray[np.uint8], taken: Array, settings: Settings) -> Array:
+def find_corners(image: NDArray[np.uint8], taken: Array, settings: FrontEndSettings) -> Array:
     """Corners (N, 2) px in a grey image away from those `taken` (M, 2): the best by Shi & Tomasi (1994), spread out.
 
     Every cell of a grid has the same share of the tracks, so that one bright clump does not get them all: turbid water

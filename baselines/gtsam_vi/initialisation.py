@@ -1,258 +1,192 @@
-"""Initialisation in motion: gyro bias, then velocity, gravity, accelerometer bias and structure in closed form.
-
-No visual reconstruction comes first, so nothing depends on a good pair of views or a scene that is not flat:
-1. The gyro bias makes the epipolar planes of many pairs of views meet in one direction each (Kneip & Lynen 2013, the
-   normal epipolar constraint; He et al. 2023 for its use here).
-2. With the rotations known, every camera position is linear in initial velocity, gravity and accelerometer bias, and
-   every view puts two linear constraints on a landmark (Dong-Si & Mourikis 2012). Landmarks are eliminated, gravity is
-   kept at its length, and constraints are weighted by the depths of the last solution.
-The scale is metric from the start. A bundle adjustment with all that free follows, in `estimator.py`.
-"""
+"""Initialisation of the window: when to look for a start, where it is, and whether what is found will do."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.spatial.transform import Rotation
+from gtsam.symbol_shorthand import X
 
-from oysterbench.core.geometry import Array
-from oysterbench_baselines.common.inertial import Segment
-from oysterbench_baselines.gtsam_vi.frontend import homogeneous
-from oysterbench_baselines.gtsam_vi.inertial import Integral, integrate
-
-
-@dataclass(frozen=True)
-class View:
-    """What a key frame saw: ids (N,) int64, sorted, and rays (N, 2) at depth 1.
-
-    right: rays (N, 2) of a second camera to the same, NaN where it does not see them; None without one.
-    spread: how many times the usual sigma the rays' errors have.
-    """
-
-    ids: NDArray[np.int64]
-    rays: Array
-    right: Array | None = None
-    spread: float = 1.0
-
-    def sights(self) -> tuple[NDArray[np.int64], Array, NDArray[np.intp]]:
-        """All of it, a row each: ids (M,), rays (M, 2), and the camera (M,), 0 or 1."""
-        if self.right is None:
-            return self.ids, self.rays, np.zeros(len(self.ids), dtype=np.intp)
-        both = np.isfinite(self.right[:, 0])
-        camera = np.repeat([0, 1], [len(self.ids), int(both.sum())])
-        return np.concatenate([self.ids, self.ids[both]]), np.concatenate([self.rays, self.right[both]]), camera
+from oysterbench_baselines.common.filter import InvariantFilter
+from oysterbench_baselines.gtsam_vi.closed_form import closed_form_start
+from oysterbench_baselines.gtsam_vi.covariance import joint_covariance
+from oysterbench_baselines.gtsam_vi.frontend import Observations
+from oysterbench_baselines.gtsam_vi.graph import Bundle, Model, adjust
+from oysterbench_baselines.gtsam_vi.recovery import Anchor, grown_covariance, unlevelled
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
+from oysterbench_baselines.gtsam_vi.states import (
+    Keyframe,
+    State,
+    backward,
+    predict_constant_velocity,
+    read_state,
+    state_of,
+    states_of,
+)
+from oysterbench_baselines.gtsam_vi.window import Window
 
 
 @dataclass(frozen=True)
 class Start:
-    """States of K key frames in a world with z up, its origin at the first, x of the first pointing along +x.
+    """A window that begins with an adjusted stretch of key frames, whose states are set; info: how it was found."""
 
-    rotations (K, 3, 3) and positions (K, 3) of the IMU, velocities (K, 3) m/s, biases (3,).
-    """
-
-    rotations: Array
-    positions: Array
-    velocities: Array
-    gyro_bias: Array
-    accel_bias: Array
+    stretch: list[Keyframe]
+    bundle: Bundle
+    window: Window
+    info: dict[str, float]
 
 
-def closed_form_start(
-    views: list[View],
-    segments: list[Segment],
-    T_imu_cams: Array,
-    gravity: float,
-    gyro_turn_on: float,
-    accel_turn_on: float,
-    ray_sigma: float,
-) -> Start:
-    """Initial states from K views and the K - 1 inertial segments between them.
+@dataclass(frozen=True)
+class FilterStartSettings:
+    """When a filter that knows its velocity is certain enough of roll and pitch for a window to begin with its state,
+    but not before so many seconds and key frames: one key frame has no landmarks."""
 
-    T_imu_cams (C, 4, 4): of one camera or two. ray_sigma: noise at depth 1.
-    """
-    gyro_bias = estimate_gyro_bias(views, segments, T_imu_cams[0, :3, :3], gyro_turn_on, ray_sigma)
-    integral = integrate(segments, gyro_bias)
-    velocity, down, accel_bias = align(views, integral, T_imu_cams, gravity, accel_turn_on, ray_sigma)
-    time = integral.time[:, None]
-    positions = velocity * time + 0.5 * down * time**2 + integral.position - integral.position_rate @ accel_bias
-    velocities = velocity + down * time + integral.velocity - integral.velocity_rate @ accel_bias
-    level = level_rotation(-down)
-    return Start(level @ integral.rotation, positions @ level.T, velocities @ level.T, gyro_bias, accel_bias)
+    tilt_deg: float = 1.0  # 1 sigma
+    min_s: float = 1.5
+    min_keyframes: int = 4
 
 
-def level_rotation(up: Array) -> Array:
-    """R_world_frame (3, 3) that turns `up` (3,) to +z and keeps the frame's x in the plane y = 0, x > 0."""
-    z = up / np.linalg.norm(up)
-    forward = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 0.0, 1.0])
-    x = forward - z * (z @ forward)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z])
+class Initialiser:
+    """Searches for a start among the key frames from `first` on; the first of them is at `anchor`, where there was a
+    start before that was lost."""
+
+    def __init__(self, model: Model, filter_start: FilterStartSettings | None) -> None:
+        self.model = model
+        self.first = 0
+        self.anchor: Anchor | None = None
+        self._filter_start = filter_start or FilterStartSettings()
+        self._next_attempt_s = 0.0
+
+    def from_observations(self, keyframes: list[Keyframe], final: bool) -> Start | None:
+        """A start from tracks and inertial measurements, if its scale is well determined; `final`: the last chance."""
+        limits = self.model.settings.initialisation
+        stretch = keyframes[self.first :][-limits.max_keyframes :]
+        now = (stretch[-1].stamp_ns - keyframes[0].stamp_ns) * 1e-9
+        too_soon = now < self._next_attempt_s and not final
+        if too_soon or not is_worth_a_try(stretch, self.model.settings):
+            return None
+        self._next_attempt_s = now + limits.retry_s
+        if self.anchor is not None:
+            if stretch[0].index > self.first:
+                self._move_anchor(keyframes, stretch[0])
+            self.model.initial_covariances[stretch[0].index] = unlevelled(self.anchor.covariance)
+        at = None if self.anchor is None else self.anchor.state
+        started = stretch if at is None else stretch[1:]
+        bundle = find_start(self.model, stretch, at, limits.relaxed_scale_sigma if final else limits.scale_sigma)
+        if bundle is None:
+            return None
+        for keyframe in started:
+            keyframe.state = read_state(bundle.values, keyframe.index)
+        try:
+            window = Window(self.model, stretch, bundle, weak_gauge=at is not None)
+        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+            for keyframe in started:
+                keyframe.state = None
+            return None
+        info = {} if is_metric(stretch, self.model.settings) else {"init_scale_sigma": scale_sigma(bundle, stretch)}
+        info |= {"init_error_px": float(np.median(bundle.errors_px)), "init_s": now}
+        return Start(stretch, bundle, window, info)
+
+    def from_filter(self, keyframes: list[Keyframe], filter: InvariantFilter) -> Start | None:
+        """A start from the state of a filter that knows its velocity, once it is level."""
+        limits, settings = self._filter_start, self.model.settings
+        stretch = keyframes[self.first :]
+        elapsed = (stretch[-1].stamp_ns - stretch[0].stamp_ns) * 1e-9
+        tilt = np.sqrt(np.diag(filter.covariance)[:2].max())
+        if len(stretch) < limits.min_keyframes or elapsed < limits.min_s or tilt > np.radians(limits.tilt_deg):
+            return None
+        states = [state_of(filter)]
+        for keyframe in reversed(stretch[1:]):
+            states.insert(0, backward(states[0], keyframe.segment, self.model.imu.gravity))
+        self.model.aiding.initialise(stretch[-1].index, states[-1], filter)
+        for keyframe, before in zip(stretch[1:], states[:-1], strict=True):
+            keyframe.aiding = self.model.aiding.factors(keyframe.index, before)
+        gates = 3 * settings.landmarks.max_innovation_px, settings.landmarks.max_error_px
+        try:
+            bundle = adjust(self.model, stretch, states, gates)
+            window = Window(self.model, stretch, bundle)
+        except RuntimeError:  # GTSAM: the system of equations cannot be solved
+            return None
+        for keyframe in stretch[1:] if self.first else stretch:
+            keyframe.state = read_state(bundle.values, keyframe.index)
+        return Start(stretch, bundle, window, {})
+
+    def _move_anchor(self, keyframes: list[Keyframe], to: Keyframe) -> None:
+        """The search has gone on for longer than the stretch that it looks at: until `to` the velocity is constant."""
+        assert self.anchor is not None
+        start_ns, before = keyframes[self.first].stamp_ns, self.anchor
+        for passed in keyframes[self.first + 1 : to.index + 1]:
+            passed.state = predict_constant_velocity(before.state, (passed.stamp_ns - start_ns) * 1e-9)
+            passed.trusted = False
+        covariance = grown_covariance(before.covariance, (to.stamp_ns - start_ns) * 1e-9, self.model.settings.recovery)
+        self.model.initial_covariances.pop(self.first, None)
+        self.first, self.anchor = to.index, Anchor(to.estimate, covariance)
 
 
-def estimate_gyro_bias(
-    views: list[View], segments: list[Segment], R_imu_cam: Array, turn_on: float, ray_sigma: float, max_pairs: int = 60
-) -> Array:
-    """Gyro bias (3,) rad/s under which pairs of views see epipolar planes with a common line."""
-    integral = integrate(segments, np.zeros(3))
-    pairs = _pairs(views, max_pairs)
-    if not pairs:
-        return np.zeros(3)
-    units = [_unit(homogeneous(view.rays)) @ (integral.rotation[k] @ R_imu_cam).T for k, view in enumerate(views)]
-    rays_i = np.concatenate([units[i][a] for i, _, a, _ in pairs])
-    rays_j = np.concatenate([units[j][b] for _, j, _, b in pairs])
-    shared = np.array([len(a) for _, _, a, _ in pairs])
-    view_i, view_j = (np.repeat([pair[side] for pair in pairs], shared) for side in (0, 1))
-    starts, pair = np.cumsum(shared) - shared, np.repeat(np.arange(len(pairs)), shared)
-    trust = np.ones(len(rays_i))
-
-    def epipolar_planes(bias: Array) -> tuple[Array, Array]:
-        """Normals (M, 3) of the planes through both rays, and per pair of views their scatter (P, 3, 3)."""
-        turns = Rotation.from_rotvec(-(integral.rate @ bias)).as_matrix()
-        before = (turns[view_i] @ rays_i[:, :, None])[..., 0]
-        after = (turns[view_j] @ rays_j[:, :, None])[..., 0]
-        normals = np.cross(before, after)
-        return normals, np.add.reduceat(trust[:, None, None] * normals[:, :, None] * normals[:, None, :], starts)
-
-    def cost(bias: Array) -> float:
-        misfit = np.linalg.eigvalsh(epipolar_planes(bias)[1])[:, 0].sum()
-        return float(misfit / (2 * ray_sigma**2) + bias @ bias / turn_on**2)
-
-    bias = _minimise(cost, np.zeros(3), turn_on)
-    # Once more without the pairs of rays that slide over the scene.
-    normals, scatter = epipolar_planes(bias)
-    direction = np.linalg.eigh(scatter)[1][:, :, 0]
-    errors = np.abs(np.einsum("mi,mi->m", normals, direction[pair]))
-    limits = np.array([max(3 * float(np.median(part)), ray_sigma) for part in np.split(errors, starts[1:])])
-    trust = (errors < limits[pair]).astype(float)
-    return _minimise(cost, bias, turn_on)
+def is_metric(stretch: list[Keyframe], settings: GtsamViSettings) -> bool:
+    """Whether two cameras tell the scale."""
+    return _seen_twice(stretch[-1].observations) >= settings.initialisation.min_tracks
 
 
-def _minimise(cost: Callable[[Array], float], start: Array, scale: float) -> Array:
-    """Minimum by BFGS; the scale brings the variables near one, as its finite differences want."""
-    solution = minimize(lambda x: cost(x * scale), start / scale, method="BFGS", options={"maxiter": 15, "eps": 1e-4})
-    return solution.x * scale
+def is_worth_a_try(stretch: list[Keyframe], settings: GtsamViSettings) -> bool:
+    """Enough tracks, key frames and time; of one camera, time in motion."""
+    metric = is_metric(stretch, settings)
+    if metric:
+        least, least_s = settings.initialisation.stereo_keyframes, settings.initialisation.stereo_s
+    else:
+        least, least_s = settings.initialisation.min_keyframes, settings.initialisation.min_s
+    elapsed = sum(k.segment.duration for k in stretch[1:] if metric or not k.stationary)
+    if len(stretch) < least or elapsed < least_s:
+        return False
+    counts = np.unique(np.concatenate([k.observations.rows()[0] for k in stretch]), return_counts=True)[1]
+    return np.count_nonzero(counts >= settings.landmarks.min_views) >= settings.initialisation.min_tracks
 
 
-def _pairs(
-    views: list[View], max_pairs: int, min_shared: int = 12
-) -> list[tuple[int, int, NDArray[np.intp], NDArray[np.intp]]]:
-    """Pairs of views (i, j, indices in i, indices in j), far apart rather than near, evenly drawn."""
-    found = []
-    for step in (1, 2, 4, 7):
-        for i in range(0, len(views) - step, max(1, step // 2)):
-            _, in_i, in_j = np.intersect1d(views[i].ids, views[i + step].ids, assume_unique=True, return_indices=True)
-            if len(in_i) >= min_shared:
-                found.append((i, i + step, in_i, in_j))
-    stride = max(1, int(np.ceil(len(found) / max_pairs)))
-    return found[::stride]
+def find_start(model: Model, stretch: list[Keyframe], anchor: State | None, max_scale_sigma: float) -> Bundle | None:
+    """The adjusted stretch, its first key frame at the anchor; None where it does not fit or its scale is uncertain."""
+    settings = model.settings
+    start = closed_form_start(
+        [k.observations for k in stretch],
+        [k.segment for k in stretch[1:]],
+        model.rig.T_imu_cams,
+        model.imu.gravity,
+        model.gyro_turn_on,
+        model.accel_turn_on,
+        settings.noise.pixel_sigma_px / model.rig.focal,
+    )
+    try:
+        bundle = adjust(model, stretch, states_of(start, anchor), settings.initialisation.gates_px)
+    except RuntimeError:  # GTSAM: the system of equations cannot be solved
+        return None
+    if len(bundle.landmarks) < settings.initialisation.min_tracks:
+        return None
+    if not np.median(bundle.errors_px) <= settings.initialisation.max_error_px:
+        return None
+    if not is_metric(stretch, settings) and not scale_sigma(bundle, stretch) <= max_scale_sigma:
+        return None
+    return bundle
 
 
-def align(
-    views: list[View], integral: Integral, T_imu_cams: Array, gravity: float, accel_turn_on: float, ray_sigma: float
-) -> tuple[Array, Array, Array]:
-    """Velocity (3,) at the first view, gravity vector (3,) and accelerometer bias (3,), in the first IMU frame.
-
-    Minimises the sum over views of |(I - u u^T)(X - c)|^2 / (sigma d)^2, u the ray, c the camera's position, which is
-    linear in the unknowns, X the landmark, eliminated, d its depth; plus the prior on the bias.
-    """
-    frame, track, camera, directions = _observations(views, integral, T_imu_cams[:, :3, :3])
-    place, derivative = _camera_positions(integral, T_imu_cams[:, :3, 3])
-    centres = place[camera, frame]
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]  # (M, 3, 3)
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(track)) + 1])
-    track_of = np.cumsum(np.concatenate([[0], np.diff(track) != 0]))
-    # Mean specific force points up but for the mean acceleration, which is small next to gravity.
-    force = integral.velocity[-1]
-    down = -gravity * force / np.linalg.norm(force)
-    x = np.concatenate([np.zeros(3), down, np.zeros(3)])
-    depth = np.ones(len(directions))
-    trust = np.ones(len(directions))
-    for _ in range(4):
-        weight = trust / (ray_sigma * depth) ** 2
-        normal, right, landmarks = _normal_equations(across, weight, centres, derivative[frame], starts, track_of)
-        normal[6:, 6:] += np.eye(3) / accel_turn_on**2
-        x = _solve_on_sphere(normal, right, x, gravity)
-        points = landmarks(x)[track_of]
-        offset = points - (derivative[frame] @ x + centres)
-        depth = np.clip(np.einsum("mi,mi->m", offset, directions), 0.3, 30.0)
-        error = np.linalg.norm((across @ offset[:, :, None])[..., 0], axis=1) / (ray_sigma * depth)
-        # Cauchy's weight, by the worst view of a track: one that slides is wrong in all its views.
-        worst = np.maximum.reduceat(error, starts) / max(1.0, float(np.median(error)))
-        trust = (1.0 / (1.0 + (worst / 5.0) ** 2))[track_of]
-    return x[:3], x[3:6], x[6:]
+def _seen_twice(view: Observations) -> int:
+    """Number of tracks that both cameras see."""
+    return 0 if view.right is None else int(np.isfinite(view.right[:, 0]).sum())
 
 
-def _observations(
-    views: list[View], integral: Integral, R_imu_cams: Array
-) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.intp], Array]:
-    """Frame (M,), id (M,), camera (M,), unit direction (M, 3) in the first IMU frame, of all views of tracks that have
-    three, by id."""
-    sights = [view.sights() for view in views]
-    frame = np.concatenate([np.full(len(ids), k) for k, (ids, _, _) in enumerate(sights)])
-    ids, rays, camera = (np.concatenate(part) for part in zip(*sights, strict=True))
-    rotations = integral.rotation[frame] @ R_imu_cams[camera]
-    directions = (rotations @ _unit(homogeneous(rays))[:, :, None])[..., 0]
-    _, inverse, count = np.unique(ids, return_inverse=True, return_counts=True)
-    order = np.argsort(ids, kind="stable")
-    order = order[count[inverse[order]] >= 3]
-    return frame[order], ids[order], camera[order], directions[order]
-
-
-def _camera_positions(integral: Integral, levers: Array) -> tuple[Array, Array]:
-    """c = derivative @ (v, g, b_a) + centre, of cameras at levers (C, 3) in every view: (C, K, 3) and (K, 3, 9)."""
-    k = len(integral.time)
-    derivative = np.zeros((k, 3, 9))
-    derivative[:, :, 0:3] = np.eye(3) * integral.time[:, None, None]
-    derivative[:, :, 3:6] = np.eye(3) * 0.5 * integral.time[:, None, None] ** 2
-    derivative[:, :, 6:9] = -integral.position_rate
-    return np.array([integral.position + integral.rotation @ lever for lever in levers]), derivative
-
-
-def _normal_equations(
-    across: Array,
-    weight: Array,
-    centres: Array,
-    derivative: Array,
-    starts: NDArray[np.intp],
-    track_of: NDArray[np.intp],
-) -> tuple[Array, Array, Callable[[Array], Array]]:
-    """Normal equations (9, 9), (9,) with the landmarks eliminated, and the landmarks as a function of x."""
-    weighted = across * weight[:, None, None]
-    information = np.add.reduceat(weighted, starts)  # (L, 3, 3)
-    information += np.eye(3) * 1e-6 * np.trace(information, axis1=1, axis2=2)[:, None, None]
-    cross = np.add.reduceat(weighted @ derivative, starts)  # (L, 3, 9)
-    constant = np.add.reduceat((weighted @ centres[:, :, None])[..., 0], starts)  # (L, 3)
-    inverse = np.linalg.inv(information)
-    point_rate, point = inverse @ cross, (inverse @ constant[:, :, None])[..., 0]
-    # Residual of a view: across (X - c), X = point + point_rate x, c = centres + derivative x.
-    slope = point_rate[track_of] - derivative
-    offset = point[track_of] - centres
-    normal = np.einsum("mia,mij,mjb->ab", slope, weighted, slope, optimize=True)
-    right = -np.einsum("mia,mij,mj->a", slope, weighted, offset, optimize=True)
-    return normal, right, lambda x: point + point_rate @ x
-
-
-def _solve_on_sphere(normal: Array, right: Array, x: Array, gravity: float) -> Array:
-    """Minimum of x^T N x - 2 r^T x with |x[3:6]| = gravity: Gauss-Newton on the tangent plane of the sphere."""
-    x = x.copy()
-    for _ in range(10):
-        down = x[3:6] / gravity
-        tangent = np.linalg.svd(down[None, :])[2][1:].T  # (3, 2)
-        basis = np.zeros((9, 8))
-        basis[:3, :3] = np.eye(3)
-        basis[3:6, 3:5] = tangent
-        basis[6:, 5:] = np.eye(3)
-        step = basis @ np.linalg.solve(basis.T @ normal @ basis, basis.T @ (right - normal @ x))
-        x += step
-        x[3:6] *= gravity / np.linalg.norm(x[3:6])
-        if np.linalg.norm(step) < 1e-8:
-            break
-    return x
-
-
-def _unit(vectors: Array) -> Array:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+def scale_sigma(bundle: Bundle, keyframes: list[Keyframe]) -> float:
+    """Relative 1-sigma uncertainty of scale: of the longest way from the first key frame, along it."""
+    poses = [bundle.values.atPose3(X(k.index)) for k in keyframes]
+    offsets = np.array([pose.translation() for pose in poses]) - poses[0].translation()
+    far = int(np.argmax(np.linalg.norm(offsets, axis=1)))
+    length = float(np.linalg.norm(offsets[far]))
+    if length < 1e-3:
+        return float("inf")
+    try:
+        covariance = joint_covariance(bundle.graph, bundle.values, [X(keyframes[0].index), X(keyframes[far].index)])
+    except RuntimeError:
+        return float("inf")
+    along = offsets[far] / length
+    # GTSAM states the translation in the axes of the pose itself, after the rotation.
+    slope = np.zeros(12)
+    slope[3:6] = -poses[0].rotation().matrix().T @ along
+    slope[9:12] = poses[far].rotation().matrix().T @ along
+    return float(np.sqrt(slope @ covariance @ slope)) / length

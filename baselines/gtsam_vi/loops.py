@@ -31,7 +31,7 @@ from oysterbench_baselines.gtsam_vi.places import (
     level_pose,
 )
 from oysterbench_baselines.gtsam_vi.posegraph import Drift, PoseGraph
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, make_state
 from oysterbench_baselines.gtsam_vi.verification import Verifier
 
@@ -42,7 +42,7 @@ class LoopCloser:
 
     calibration: CameraCalibration
     model: Model
-    settings: Settings
+    settings: GtsamViSettings
     places: list[Place] = field(default_factory=list)
     loops: list[Loop] = field(default_factory=list)
 
@@ -69,10 +69,10 @@ class LoopCloser:
         begin = time.process_time()
         self._waiting.append((keyframes[-1].index, encode(picture)))
         if keyframes[-1].state is None:
-            self._waiting = self._waiting[-self.settings.init_max_keyframes :]
+            self._waiting = self._waiting[-self.settings.initialisation.max_keyframes :]
             return
         self._settle(keyframes)
-        limit = self.settings.most_places
+        limit = self.settings.recognition.max_places
         for k, stored in self._waiting:
             if keyframes[k].state is None:
                 continue
@@ -102,14 +102,14 @@ class LoopCloser:
             last = keyframes[self.places[-1].keyframe].state.matrix
             moved = np.linalg.norm(pose[:3, 3] - last[:3, 3])
             turned = np.arccos(np.clip((np.trace(last[:3, :3].T @ pose[:3, :3]) - 1) / 2, -1, 1))
-            if moved < settings.place_step_m and turned < np.radians(settings.place_turn_deg):
+            if moved < settings.recognition.step_m and turned < np.radians(settings.recognition.turn_deg):
                 return None
-        ids, rays, points = landmarks_of(self.model, keyframes, k, settings.lag_keyframes)
-        if len(ids) < settings.place_landmarks:
+        ids, rays, points = landmarks_of(self.model, keyframes, k, settings.window.keyframes)
+        if len(ids) < settings.recognition.min_landmarks:
             return None
         level = invert(level_pose(pose))
         local = points @ level[:3, :3].T + level[:3, 3]
-        T_level_cam = level @ pose @ self.model.T_imu_cam
+        T_level_cam = level @ pose @ self.model.rig.T_imu_cam
         plane = fit_ground(local)
         if picture is None:
             picture = decode(coded)
@@ -121,15 +121,15 @@ class LoopCloser:
         settings = self.settings
         while self._settled < len(self.places):
             place = self.places[self._settled]
-            if place.keyframe > len(keyframes) - 1 - settings.lag_keyframes:
+            if place.keyframe > len(keyframes) - 1 - settings.window.keyframes:
                 break
             pose = keyframes[place.keyframe].state.matrix
             level = level_pose(pose)
-            ids, rays, points = landmarks_of(self.model, keyframes, place.keyframe, settings.lag_keyframes)
-            if len(ids) >= settings.place_landmarks:
+            ids, rays, points = landmarks_of(self.model, keyframes, place.keyframe, settings.window.keyframes)
+            if len(ids) >= settings.recognition.min_landmarks:
                 back = invert(level)
                 place.ids, place.rays, place.points = ids, rays, points @ back[:3, :3].T + back[:3, 3]
-                place.T_level_cam = back @ pose @ self.model.T_imu_cam
+                place.T_level_cam = back @ pose @ self.model.rig.T_imu_cam
                 place.plane = fit_ground(place.points)
             self.graph.add(level, self._drift(keyframes, self._settled))
             self._settled += 1
@@ -143,11 +143,13 @@ class LoopCloser:
         distance = float(np.linalg.norm(after.state.matrix[:3, 3] - before.state.matrix[:3, 3]))
         duration = (after.stamp_ns - before.stamp_ns) * 1e-9
         between = keyframes[before.index + 1 : after.index + 1]
-        blind = sum(k.segment.duration for k in between if len(k.view.ids) < settings.place_landmarks)
+        blind = sum(k.segment.duration for k in between if len(k.observations.ids) < settings.recognition.min_landmarks)
         lost = sum(k.segment.duration for k in between if not k.trusted)
-        heading = settings.drift_heading**2 * duration + (settings.unknown_rate * lost) ** 2
-        position = settings.drift_position**2 * (distance + 0.01 * duration)
-        position += (settings.drift_blind * (blind + blind**2)) ** 2 + (settings.unknown_speed * lost) ** 2
+        heading = settings.loops.drift_heading**2 * duration + (settings.recovery.unknown_rate * lost) ** 2
+        position = settings.loops.drift_position**2 * (distance + 0.01 * duration)
+        position += (settings.loops.drift_blind * (blind + blind**2)) ** 2 + (
+            settings.recovery.unknown_speed * lost
+        ) ** 2
         return Drift(heading, position)
 
     def _look(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> bool:
@@ -165,14 +167,16 @@ class LoopCloser:
             loop = self._verify(n, now, anchor, T_odom_now, picture)
             if loop is None:
                 continue
-            if len(loop.ids) < settings.loop_strong and not self._has_neighbour(keyframes, loop):
+            if len(loop.ids) < settings.loops.strong_inliers and not self._has_neighbour(keyframes, loop):
                 self._weak.append(loop)
                 continue
             self.loops.append(loop)
             T = loop.T_first_second @ invert(T_anchor_now)
-            covariance = loop.covariance + np.diag([settings.loop_heading_floor**2] + [settings.loop_floor_m**2] * 3)
+            covariance = loop.covariance + np.diag(
+                [settings.loops.heading_floor**2] + [settings.loops.position_floor_m**2] * 3
+            )
             self.graph.close(n, anchor, T, covariance)
-            certain |= len(loop.ids) >= settings.loop_strong
+            certain |= len(loop.ids) >= settings.loops.strong_inliers
         return certain
 
     def joined(self, keyframes: list[Keyframe]) -> list[Keyframe]:
@@ -205,14 +209,14 @@ class LoopCloser:
         """Whether another loop between neighbours of its places says the same, odometry being certain over so few."""
         settings = self.settings
         level = [level_pose(keyframes[self.places[n].keyframe].state.matrix) for n in (loop.first, loop.second)]
-        for other in [*self._weak, *self.loops][-4 * settings.loop_neighbours * settings.loop_candidates :]:
+        for other in [*self._weak, *self.loops][-4 * settings.loops.neighbours * settings.recognition.candidates :]:
             apart = max(abs(other.first - loop.first), abs(other.second - loop.second))
-            if apart > settings.loop_neighbours or other.second == loop.second:
+            if apart > settings.loops.neighbours or other.second == loop.second:
                 continue
             ends = [level_pose(keyframes[self.places[n].keyframe].state.matrix) for n in (other.first, other.second)]
             predicted = invert(level[0]) @ ends[0] @ other.T_first_second @ invert(ends[1]) @ level[1]
             off = invert(predicted) @ loop.T_first_second
-            if np.linalg.norm(off[:3, 3]) < settings.loop_agree_m and abs(heading_of(off)) < settings.loop_agree_m:
+            if np.linalg.norm(off[:3, 3]) < settings.loops.agree_m and abs(heading_of(off)) < settings.loops.agree_m:
                 return True
         return False
 
@@ -222,21 +226,21 @@ class LoopCloser:
         stamp = keyframes[self.places[now].keyframe].stamp_ns
         votes = self.index.votes(self.places[now].descriptors)[: anchor + 1]
         here = T_odom_now[:3, :3] @ self._centres[now] + T_odom_now[:3, 3]
-        reach = 0.5 * settings.place_view_px * (self.viewer.resolution or 0.0)
+        reach = 0.5 * settings.recognition.view_px * (self.viewer.resolution or 0.0)
         good: list[int] = []
         for n in np.argsort(-votes, kind="stable"):
             n = int(n)
-            if votes[n] <= 0 or len(good) == settings.loop_candidates:
+            if votes[n] <= 0 or len(good) == settings.recognition.candidates:
                 break
             age = (stamp - keyframes[self.places[n].keyframe].stamp_ns) * 1e-9
-            if age < settings.loop_min_s:
+            if age < settings.recognition.min_age_s:
                 continue
             if any(abs(n - other) <= 2 for other in good):
                 continue
             T = self.graph.poses[n]
             apart = np.linalg.norm((T[:3, :3] @ self._centres[n] + T[:3, 3] - here)[:2])
             sigma = self.graph.uncertainty(n, anchor)[1]
-            if apart > 1.5 * reach + settings.loop_prior_sigmas * sigma:
+            if apart > 1.5 * reach + settings.recognition.prior_sigmas * sigma:
                 continue
             good.append(n)
         return good
@@ -245,7 +249,7 @@ class LoopCloser:
         settings, first, second = self.settings, self.places[n], self.places[now]
         self.tried += 1
         T, agree = self.verifier.align(first, second)
-        if agree < settings.align_inliers:
+        if agree < settings.loops.align_inliers:
             return None
         confirmed = self.verifier.confirm(first, second, T, picture)
         if confirmed is None:
@@ -254,9 +258,9 @@ class LoopCloser:
         # By how much it contradicts odometry.
         heading_sigma, sigma = self.graph.uncertainty(n, anchor)
         off = invert(invert(self.graph.poses[n]) @ T_odom_now) @ T
-        if abs(heading_of(off)) > settings.loop_prior_sigmas * (heading_sigma + settings.loop_heading_floor):
+        if abs(heading_of(off)) > settings.recognition.prior_sigmas * (heading_sigma + settings.loops.heading_floor):
             return None
-        if np.linalg.norm(off[:3, 3]) > settings.loop_prior_sigmas * (sigma + settings.loop_floor_m):
+        if np.linalg.norm(off[:3, 3]) > settings.recognition.prior_sigmas * (sigma + settings.loops.position_floor_m):
             return None
         return Loop(n, now, T, covariance, first.ids[index], pixels, rays)
 

@@ -57,17 +57,17 @@ def landmark_map(model: Model, keyframes: list[Keyframe], bundle: Bundle, palett
     values, settings = bundle.values, model.settings
     poses = np.array([values.atPose3(X(keyframe.index)).matrix() for keyframe in keyframes])
     points = np.array([values.atPoint3(L(int(i))) for i in bundle.landmarks]).reshape(-1, 3)
-    sights = [keyframe.view.sights() for keyframe in keyframes]
-    frame = np.repeat(np.arange(len(keyframes)), [len(ids) for ids, _, _ in sights])
-    track, rays, camera = (np.concatenate(part) for part in zip(*sights, strict=True))
+    rows = [keyframe.observations.rows() for keyframe in keyframes]
+    frame = np.repeat(np.arange(len(keyframes)), [len(ids) for ids, _, _ in rows])
+    track, rays, camera = (np.concatenate(part) for part in zip(*rows, strict=True))
     own = np.isin(track, bundle.landmarks)
     frame, rays, camera = frame[own], rays[own], camera[own]
     row = np.searchsorted(bundle.landmarks, track[own])
-    near = model.errors_px(poses[frame], points[row], rays, camera) < settings.max_landmark_error_px
+    near = model.rig.errors_px(poses[frame], points[row], rays, camera) < settings.landmarks.max_error_px
     # A second camera's view is no further key frame.
     views = np.unique(np.column_stack([row, frame])[near], axis=0)
     observations = np.bincount(views[:, 0], minlength=len(points))
-    kept = observations >= settings.min_views
+    kept = observations >= settings.landmarks.min_views
     in_base = poses @ invert(model.imu.T_base_imu)
     path = Trajectory(
         np.array([keyframe.stamp_ns for keyframe in keyframes], dtype=np.int64),

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from oysterbench.core.geometry import Array, invert
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.places import Place, level_pose
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.states import Keyframe
 
 
@@ -47,7 +47,7 @@ class Merger:
         self._parent: dict[int, int] = {}
         self._seen: dict[int, set[int]] = {}
         for keyframe in keyframes:
-            for track in keyframe.view.ids.tolist():
+            for track in keyframe.observations.ids.tolist():
                 self._seen.setdefault(track, set()).add(keyframe.index)
 
     def root(self, track: int) -> int:
@@ -96,17 +96,19 @@ class Ties:
             self.loops.append(loop)
 
 
-def tie(loop: Loop, first: Keyframe, second: Keyframe, settings: Settings) -> gtsam.NonlinearFactor:
+def tie(loop: Loop, first: Keyframe, second: Keyframe, settings: GtsamViSettings) -> gtsam.NonlinearFactor:
     """A loop as a relative pose of its key frames: heading and position as it says, roll and pitch as they are, loosely
     (they are known by gravity)."""
     tilts = [invert(level_pose(k.state.matrix)) @ k.state.matrix for k in (first, second)]
     to_second = loop.T_first_second @ tilts[1]
     of_loop = np.zeros((6, 6))  # rotation, then position, in the first's level axes
-    of_loop[:2, :2] = np.eye(2) * settings.tie_tilt**2
-    of_loop[2:, 2:] = loop.covariance + np.diag([settings.loop_heading_floor**2] + [settings.loop_floor_m**2] * 3)
+    of_loop[:2, :2] = np.eye(2) * settings.loops.tie_tilt**2
+    of_loop[2:, 2:] = loop.covariance + np.diag(
+        [settings.loops.heading_floor**2] + [settings.loops.position_floor_m**2] * 3
+    )
     turn = np.kron(np.eye(2), to_second[:3, :3].T)
     noise = gtsam.noiseModel.Gaussian.Covariance(turn @ of_loop @ turn.T)
-    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(settings.loop_cauchy)
+    cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(settings.loops.cauchy)
     step = gtsam.Pose3(invert(tilts[0]) @ to_second)
     return gtsam.BetweenFactorPose3(
         X(first.index), X(second.index), step, gtsam.noiseModel.Robust.Create(cauchy, noise)
@@ -121,19 +123,19 @@ def join(keyframes: list[Keyframe], places: list[Place], loops: list[Loop], mode
     already is no more than a tie.
     """
     settings = model.settings
-    merger, ties = Merger(keyframes), Ties(settings.tie_places)
+    merger, ties = Merger(keyframes), Ties(settings.loops.tie_places)
     added: dict[int, list[tuple[int, Array]]] = {}
     involved: set[int] = set()
     for loop in loops:
-        if max(merger.views(track) for track in loop.ids.tolist()) >= settings.merge_keyframes:
+        if max(merger.views(track) for track in loop.ids.tolist()) >= settings.loops.merge_keyframes:
             ties.offer(loop)
             continue
         k = places[loop.second].keyframe
-        view = keyframes[k].view
+        view = keyframes[k].observations
         distance, nearest = cKDTree(view.rays).query(loop.rays)
         for track, ray, apart, n in zip(loop.ids.tolist(), loop.rays, distance, nearest, strict=True):
             involved.add(track)
-            if apart * model.focal < settings.merge_px:
+            if apart * model.rig.focal < settings.loops.merge_px:
                 merger.merge(track, int(view.ids[n]))
                 involved.add(int(view.ids[n]))
             elif merger.see(track, k):
@@ -142,7 +144,7 @@ def join(keyframes: list[Keyframe], places: list[Place], loops: list[Loop], mode
     names = {track: root for track in involved if (root := merger.root(track)) in meets}
     joined = []
     for keyframe in keyframes:
-        view = keyframe.view
+        view = keyframe.observations
         ids = np.array([names.get(i, i) for i in view.ids.tolist()], dtype=np.int64)
         more = [(names[i], ray) for i, ray in added.get(keyframe.index, []) if i in names]
         ids = np.concatenate([ids, np.array([i for i, _ in more], dtype=np.int64)])
@@ -150,7 +152,7 @@ def join(keyframes: list[Keyframe], places: list[Place], loops: list[Loop], mode
         right = view.right
         if right is not None:
             right = np.concatenate([right, np.full((len(more), 2), np.nan)])
-        joined.append(replace(keyframe, view=replace(view, ids=ids, rays=rays, right=right)))
+        joined.append(replace(keyframe, observations=replace(view, ids=ids, rays=rays, right=right)))
     for loop in ties.loops:
         first, second = (places[n].keyframe for n in (loop.first, loop.second))
         factor = tie(loop, keyframes[first], keyframes[second], settings)
@@ -170,13 +172,15 @@ def _meeting(
     roots = np.array([merger.root(i) for i in known.tolist()], dtype=np.int64)
     track, rays, rows = [np.empty(0, dtype=np.int64)], [np.empty((0, 2))], [np.empty(0, dtype=np.int64)]
     for n, keyframe in enumerate(keyframes):
-        view = keyframe.view
+        view = keyframe.observations
         own = np.flatnonzero(np.isin(view.ids, known))
         more = added.get(keyframe.index, [])
         track += [roots[np.searchsorted(known, view.ids[own])], np.array([merger.root(i) for i, _ in more], np.int64)]
         rays += [view.rays[own], np.array([ray for _, ray in more]).reshape(-1, 2)]
         rows.append(np.full(len(own) + len(more), n))
     poses = np.array([keyframe.state.matrix for keyframe in keyframes])
-    gate = 3 * model.settings.max_landmark_error_px
-    ids, _ = model.triangulate(np.concatenate(track), np.concatenate(rays), poses[np.concatenate(rows)], gate)
+    gate = 3 * model.settings.landmarks.max_error_px
+    ids, _ = model.rig.triangulate(
+        np.concatenate(track), np.concatenate(rays), poses[np.concatenate(rows)], gate, model.settings.landmarks
+    )
     return set(ids.tolist())

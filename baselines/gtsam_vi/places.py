@@ -19,7 +19,7 @@ from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
 from oysterbench_baselines.gtsam_vi.frontend import distort, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.graph import Model
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.states import Keyframe
 
 GRID = 25
@@ -93,14 +93,14 @@ class Place:
 
 def landmarks_of(model: Model, keyframes: list[Keyframe], k: int, reach: int) -> tuple[NDArray[np.int64], Array, Array]:
     """Ids (L,), rays (L, 2) and points (L, 3) in odom of the landmarks in key frame k, by `reach` frames each way."""
-    view = keyframes[k].view
+    view = keyframes[k].observations
     around = [f for f in keyframes[max(0, k - reach) : k + reach + 1] if f.state is not None]
-    sights = [f.view.sights() for f in around]
-    poses = np.repeat([f.state.matrix for f in around], [len(seen[0]) for seen in sights], axis=0)
-    track, rays, camera = (np.concatenate(part) for part in zip(*sights, strict=True))
+    rows = [f.observations.rows() for f in around]
+    poses = np.repeat([f.state.matrix for f in around], [len(seen[0]) for seen in rows], axis=0)
+    track, rays, camera = (np.concatenate(part) for part in zip(*rows, strict=True))
     own = np.isin(track, view.ids)
-    limit = model.settings.max_landmark_error_px
-    ids, points = model.triangulate(track[own], rays[own], poses[own], limit, camera[own])
+    limit = model.settings.landmarks.max_error_px
+    ids, points = model.rig.triangulate(track[own], rays[own], poses[own], limit, model.settings.landmarks, camera[own])
     _, seen, found = np.intersect1d(view.ids, ids, assume_unique=True, return_indices=True)
     return view.ids[seen], view.rays[seen], points[found]
 
@@ -139,13 +139,16 @@ def project(points: Array, T_level_cam: Array, calibration: CameraCalibration) -
 class GroundViewer:
     """Lays pictures on the ground and describes them. All views have one scale, that of the first."""
 
-    def __init__(self, calibration: CameraCalibration, settings: Settings) -> None:
+    def __init__(self, calibration: CameraCalibration, settings: GtsamViSettings) -> None:
         self.calibration = calibration
         self.settings = settings
         self.resolution: float | None = None  # m per pixel of the ground view
         self._focal = float(calibration.matrix[0, 0] + calibration.matrix[1, 1]) / 2
         self._orb = cv2.ORB.create(
-            nfeatures=settings.place_corners, nlevels=2, edgeThreshold=18, fastThreshold=settings.place_fast_threshold
+            nfeatures=settings.recognition.corners,
+            nlevels=2,
+            edgeThreshold=18,
+            fastThreshold=settings.recognition.fast_threshold,
         )
 
     def view(
@@ -155,10 +158,10 @@ class GroundViewer:
 
         place_points (L, 3): the landmarks around whose middle the view lies.
         """
-        size = self.settings.place_view_px
+        size = self.settings.recognition.view_px
         if self.resolution is None:
             depth = np.median(np.linalg.norm(place_points - T_level_cam[:3, 3], axis=1))
-            self.resolution = float(self.settings.place_coarseness * depth / self._focal)
+            self.resolution = float(self.settings.recognition.coarseness * depth / self._focal)
         centre = np.median(place_points[:, :2], axis=0)
         steps = (np.linspace(0, size - 1, GRID) - (size - 1) / 2) * self.resolution
         # Seen from above: x (ahead) up in the picture, y (left) to the left.
@@ -228,14 +231,14 @@ class Index:
     4 bytes each; a query marks its own in a table and looks all others up in it.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: GtsamViSettings) -> None:
         generator = stream(0, b"", "gtsam_vi", "places")
-        bits = settings.place_word_bits
-        self._bits = np.array([generator.permutation(256)[:bits] for _ in range(settings.place_words)])
+        bits = settings.recognition.word_bits
+        self._bits = np.array([generator.permutation(256)[:bits] for _ in range(settings.recognition.words)])
         self._powers = 1 << np.arange(bits)
         self._none = 1 << bits  # stands for a corner that is not there
         self._places_with = np.zeros((len(self._bits), self._none + 1), dtype=np.int32)
-        self._words = np.empty((8, len(self._bits), settings.place_corners), dtype=np.int32)
+        self._words = np.empty((8, len(self._bits), settings.recognition.corners), dtype=np.int32)
         self.count = 0
 
     def _words_of(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ from gtsam.symbol_shorthand import X
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench_baselines.gtsam_vi.places import heading_of
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 
 LEVEL = 1e-4
 """rad, 1 sigma: roll and pitch of a level pose."""
@@ -31,7 +31,7 @@ class Drift:
 class PoseGraph:
     """Level poses of places in odom, in the order in which they were passed, corrected by loops."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: GtsamViSettings) -> None:
         self.settings = settings
         params = gtsam.ISAM2Params()
         params.setRelinearizeThreshold(1e-3)  # m and rad: robust weights are renewed only then
@@ -79,16 +79,16 @@ class PoseGraph:
         Time and memory grow with the graph and its loops, and neighbouring loops say the same: a large graph takes one
         of several, the fewer the larger it is.
         """
-        if self._passed_by + 1 < len(self.poses) // self.settings.loop_places:
+        if self._passed_by + 1 < len(self.poses) // self.settings.loops.places_per_skip:
             self._passed_by += 1
             return
         self._passed_by = 0
-        cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(self.settings.loop_cauchy)
+        cauchy = gtsam.noiseModel.mEstimator.Cauchy.Create(self.settings.loops.cauchy)
         noise = gtsam.noiseModel.Robust.Create(cauchy, _noise(T_first_second, covariance))
         self._graph.push_back(gtsam.BetweenFactorPose3(X(first), X(second), gtsam.Pose3(T_first_second), noise))
         self._isam.update(self._graph, self._values)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for _ in range(self.settings.loop_iterations):
+        for _ in range(self.settings.loops.iterations):
             self._isam.update()
         values = self._isam.calculateEstimate()
         self.poses = [values.atPose3(X(n)).matrix() for n in range(len(self.poses))]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
-class Settings:
-    """All settings. None depends on the sequence: what does comes from its calibrations."""
+class FrontEndSettings:
+    """Corners, their tracks, and pictures that are missing or stale."""
 
-    # Front end.
     max_tracks: int = 140  # more cost time and gained nothing
     grid: tuple[int, int] = (5, 4)  # columns and rows that share the tracks
     track_spacing_px: float = 18.0  # keeps corners from crowding on the best-lit texture
@@ -22,85 +21,128 @@ class Settings:
     flow_window_px: int = 21  # side of the tracked patch: smaller ones are lost in murk, larger ones slide over relief
     flow_levels: int = 3  # pyramid levels above the image: with the gyroscope's prediction, 80 px of flow
     backward_error_px: float = 0.7  # a track must return to where it came from
-    max_turn_deg: float = 20.0  # of the ray to a landmark: seen from another side, a track is another landmark
-    max_gap_s: float = 0.5  # between pictures; beyond, corners have gone farther than the pyramid reaches
-    missing_periods: float = 1.5  # of the camera, after which a frame is missing, and its pose is given without it
-    coast_s: float = 5.0  # without a picture; then no more poses: the inertial unit alone is decimetres off
-    repeat_speed: float = 0.05  # m/s, and 5 sigmas, at which a picture that repeats the last one is not of now
-    repeat_px: float = 1.0  # of flow by the gyroscope, beyond what its bias does, likewise
     epipolar_error_px: float = 1.5  # of verified tracks, at a known rotation
     epipolar_trials: int = 64  # two-point hypotheses: 1e-6 chance to miss with half of the tracks wrong
+    max_gap_s: float = 0.5  # between pictures; beyond, corners have gone farther than the pyramid reaches
+    missing_periods: float = 1.5  # of the camera, after which a frame is missing, and its pose is given without it
+    max_blind_s: float = 5.0  # without a picture; then no more poses: the inertial unit alone is decimetres off
+    repeat_speed: float = 0.05  # m/s, and 5 sigmas, at which a picture that repeats the last one is not of now
+    repeat_px: float = 1.0  # of flow by the gyroscope, beyond what its bias does, likewise
 
-    # Second camera.
-    stereo_min_base_m: float = 0.01
-    stereo_max_angle_deg: float = 45.0  # between the axes; beyond, patches look too different
-    stereo_stamp_s: float = 1e-3  # frames so near in time were taken together
-    stereo_depths_m: tuple[float, ...] = (1.0, 2.0, 0.5, 5.0)  # tried first
-    stereo_error_px: float = 1.0  # from the epipolar line
 
-    # Key frames.
-    keyframe_parallax_px: float = 22.0  # median flow without its rotational part
-    keyframe_shared: float = 0.55  # share of the last key frame's tracks that must be left
-    keyframe_min_s: float = 0.12  # at least two frames of 20 Hz: a single IMU interval has a singular covariance
-    keyframe_max_s: float = 0.5  # bounds the prediction with the inertial unit alone
-    rest_px: float = 0.35  # flow between key frames below this means: not moving
-    rest_s: float = 0.2  # between the key frames; over less, slow motion looks like rest
-    rest_speed: float = 0.01  # m/s, 1 sigma of the velocity at rest: 0.35 px in 0.2 s at 3 m
+@dataclass(frozen=True)
+class StereoSettings:
+    """The second camera."""
 
-    # Noise models.
+    min_baseline_m: float = 0.01
+    max_angle_deg: float = 45.0  # between the axes; beyond, patches look too different
+    sync_s: float = 1e-3  # frames so near in time were taken together
+    depths_m: tuple[float, ...] = (1.0, 2.0, 0.5, 5.0)  # tried first
+    epipolar_error_px: float = 1.0  # from the epipolar line
+
+
+@dataclass(frozen=True)
+class KeyframeSettings:
+    """When a frame becomes a key frame."""
+
+    parallax_px: float = 22.0  # median flow without its rotational part
+    shared: float = 0.55  # share of the last key frame's tracks that must be left
+    min_s: float = 0.12  # at least two frames of 20 Hz: a single IMU interval has a singular covariance
+    max_s: float = 0.5  # bounds the prediction with the inertial unit alone
+
+
+@dataclass(frozen=True)
+class ZeroVelocitySettings:
+    """When tracks say that the vehicle is at rest, and how firmly."""
+
+    flow_px: float = 0.35  # flow between key frames below this means: not moving
+    min_s: float = 0.2  # between the key frames; over less, slow motion looks like rest
+    sigma: float = 0.01  # m/s, 1 sigma of the velocity at rest: 0.35 px in 0.2 s at 3 m
+
+
+@dataclass(frozen=True)
+class NoiseSettings:
+    """Noise models of observations and of inertial measurements."""
+
     pixel_sigma_px: float = 1.0  # of a tracked corner, drift over the track's life included
-    alike: float = 1.5  # times that sigma, in the covariances of the smoothed path: views of a landmark err alike
-    spread_power: float = 1.0  # of the share of tracks kept a frame: caustics that kill tracks move those they leave
-    max_spread: float = 4.0  # times pixel_sigma_px
+    correlation: float = 1.5  # times that sigma, in covariances of the smoothed path: views of a landmark err alike
+    loss_power: float = 1.0  # of the share of tracks kept a frame: caustics that kill tracks move those they leave
+    max_inflation: float = 4.0  # by lost tracks, times pixel_sigma_px
     huber: float = 1.3  # sigmas; beyond, a residual counts linearly
     imu_inflation: float = 1.25  # on the densities of the data sheet: interpolation, vibration, scale errors
     bias_inflation: float = 2.0  # on the random walks
     integration_sigma: float = 1e-4  # m/s/sqrt(s): error of the integration itself; keeps covariances regular
 
-    # Landmarks.
+
+@dataclass(frozen=True)
+class LandmarkSettings:
+    """Data association and triangulation."""
+
+    max_turn_deg: float = 20.0  # of the ray to a landmark: seen from another side, a track is another landmark
     min_ray_angle_deg: float = 1.5  # between the rays of a new landmark: 2.6 cm of baseline at 1 m
-    max_landmark_error_px: float = 3.0  # of a new landmark in each of its views
+    max_error_px: float = 3.0  # of a new landmark in each of its views
     min_views: int = 3  # key frames: two determine a point, the third checks it; a pair alone takes a caustic for one
-    max_slide_px: float = 8.0  # from where a landmark was predicted: it has slid off its point
+    max_innovation_px: float = 8.0  # from where a landmark was predicted: its track has slid off the point
     max_depth_m: float = 50.0
     min_depth_m: float = 0.1
 
-    # Initialisation.
-    init_min_s: float = 1.5  # shorter windows cannot tell scale from accelerometer bias
-    init_max_keyframes: int = 40  # size of the window that is searched
-    init_min_keyframes: int = 8
-    init_min_tracks: int = 15
-    init_gates_px: tuple[float, ...] = (30.0, 6.0, 3.0)  # of landmarks, from rough states to adjusted ones
-    init_retry_s: float = 0.5
-    init_stereo_s: float = 0.5  # with two cameras the scale is known at once, and this much finds up
-    init_stereo_keyframes: int = 3
-    init_scale_sigma: float = 0.03  # accepted 1-sigma uncertainty of scale
-    init_relaxed_scale_sigma: float = 1.0  # at the end of the sequence: a rough scale beats dead reckoning
-    init_max_error_px: float = 2.0  # median reprojection error of an accepted window
 
-    # Fixed lag.
-    lag_keyframes: int = 12  # about 2 s: as long as a corner lives
-    lag_iterations: int = 4
+@dataclass(frozen=True)
+class InitialisationSettings:
+    """What a start takes, and when it is accepted."""
 
-    # Final smoothing.
-    smoothing_iterations: int = 15
+    min_s: float = 1.5  # shorter windows cannot tell scale from accelerometer bias
+    max_keyframes: int = 40  # size of the window that is searched
+    min_keyframes: int = 8
+    min_tracks: int = 15
+    gates_px: tuple[float, ...] = (30.0, 6.0, 3.0)  # of landmarks, from rough states to adjusted ones
+    retry_s: float = 0.5
+    stereo_s: float = 0.5  # with two cameras the scale is known at once, and this much finds up
+    stereo_keyframes: int = 3
+    scale_sigma: float = 0.03  # accepted 1-sigma uncertainty of scale
+    relaxed_scale_sigma: float = 1.0  # at the end of the sequence: a rough scale beats dead reckoning
+    max_error_px: float = 2.0  # median reprojection error of an accepted window
 
-    # Places.
-    loops: bool = True  # look for places seen before; False leaves odometry
-    place_step_m: float = 0.12  # from one place to the next: a tenth of what a picture shows at 1 m
-    place_turn_deg: float = 10.0  # or turned by this
-    place_landmarks: int = 15  # fewer do not tell the lie of the ground
-    place_corners: int = 500
-    place_fast_threshold: int = 7  # grey levels, low for turbid water; the best corners are taken anyway
-    place_view_px: int = 400  # side of the ground view
-    place_coarseness: float = 2.0  # size of its pixels, in pixels of the picture in the middle of it
-    place_words: int = 8  # words of a descriptor
-    place_word_bits: int = 18  # two descriptors of one corner, 25 bits apart, share a word in 3 cases of 4
 
-    # Loops.
-    loop_min_s: float = 8.0  # since the place was seen; sooner, tracks and window know it all
-    loop_candidates: int = 3  # a place is compared with
-    loop_prior_sigmas: float = 4.0  # of odometry's own uncertainty
+@dataclass(frozen=True)
+class WindowSettings:
+    """The fixed-lag smoother."""
+
+    keyframes: int = 12  # about 2 s: as long as a corner lives
+    iterations: int = 4
+
+
+@dataclass(frozen=True)
+class SmoothingSettings:
+    """The final smoothing."""
+
+    iterations: int = 15
+
+
+@dataclass(frozen=True)
+class RecognitionSettings:
+    """Place recognition: what is kept of a place, and which places are compared."""
+
+    step_m: float = 0.12  # from one place to the next: a tenth of what a picture shows at 1 m
+    turn_deg: float = 10.0  # or turned by this
+    min_landmarks: int = 15  # fewer do not tell the lie of the ground
+    corners: int = 500
+    fast_threshold: int = 7  # grey levels, low for turbid water; the best corners are taken anyway
+    view_px: int = 400  # side of the ground view
+    coarseness: float = 2.0  # size of its pixels, in pixels of the picture in the middle of it
+    words: int = 8  # words of a descriptor
+    word_bits: int = 18  # two descriptors of one corner, 25 bits apart, share a word in 3 cases of 4
+    max_places: int = 300  # beyond, ground that a loop has shown to be known is not kept again
+    min_age_s: float = 8.0  # since the place was seen; sooner, tracks and window know it all
+    candidates: int = 3  # a place is compared with
+    prior_sigmas: float = 4.0  # of odometry's own uncertainty
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """Verification of loops, the pose graph, and what loops add to the final smoothing."""
+
+    enabled: bool = True  # look for places seen before; False leaves odometry
     drift_position: float = 0.012  # m per square root of m
     drift_heading: float = 0.0015  # rad per square root of s
     drift_blind: float = 0.02  # m/s and m/s^2, without tracks
@@ -109,32 +151,53 @@ class Settings:
     align_share: float = 0.05  # of the distance: by how much corners may miss each other on the ground
     align_trials: int = 400
     align_inliers: int = 8
-    loop_window_px: int = 21  # side of the patch by which a landmark is found again
-    loop_levels: int = 2  # of the pyramid above
-    loop_search_px: float = 25.0  # from where the alignment says
-    loop_inliers: int = 10
-    loop_share: float = 0.4  # of the landmarks that should be in the picture
-    loop_again_m: float = 0.02  # m and rad by which the alignment may be off: beyond, landmarks are looked for again
-    loop_strong: int = 30  # landmarks; with fewer, a loop between neighbouring places must say the same
-    loop_neighbours: int = 4  # places
-    loop_agree_m: float = 0.05  # m and rad
-    loop_spread: float = 0.05  # of the picture's height, across the narrow side of where they are
-    loop_pixel_sigma: float = 1.5  # of a landmark found again from another side
-    loop_cauchy: float = 5.0  # sigmas; beyond, a loop loses weight
-    loop_heading_floor: float = 0.002  # rad, 1 sigma: of landmarks and window, added to each loop
-    loop_floor_m: float = 0.01  # likewise
-    loop_iterations: int = 3
-    loop_places: int = 100  # of the pose graph, per each of which one loop more is passed by before one is taken in
-    most_places: int = 300  # beyond, ground that a loop has shown to be known is not kept again
+    flow_window_px: int = 21  # side of the patch by which a landmark is found again
+    flow_levels: int = 2  # of the pyramid above
+    search_px: float = 25.0  # from where the alignment says
+    min_inliers: int = 10
+    min_share: float = 0.4  # of the landmarks that should be in the picture
+    retry_m: float = 0.02  # m and rad by which the alignment may be off: beyond, landmarks are looked for again
+    strong_inliers: int = 30  # with fewer, a loop between neighbouring places must say the same
+    neighbours: int = 4  # places
+    agree_m: float = 0.05  # m and rad
+    min_spread: float = 0.05  # of the picture's height, across the narrow side of where they are
+    pixel_sigma_px: float = 1.5  # of a landmark found again from another side
+    cauchy: float = 5.0  # sigmas; beyond, a loop loses weight
+    heading_floor: float = 0.002  # rad, 1 sigma: of landmarks and window, added to each loop
+    position_floor_m: float = 0.01  # likewise
+    iterations: int = 3
+    places_per_skip: int = 100  # of the pose graph, per each of which one loop more is passed by before one is taken in
     merge_px: float = 1.5  # a landmark found again this near a track is that track
     merge_keyframes: int = 100  # that see one landmark, beyond which later passes are tied to its ground instead
     tie_places: int = 4  # between ties, and between the places that they go to
     tie_tilt: float = 0.01  # rad, 1 sigma: of roll and pitch, which loops do not measure
 
-    # Divergence.
+
+@dataclass(frozen=True)
+class RecoverySettings:
+    """When the estimate has diverged, and what is known of the time until it is found again."""
+
     max_speed: float = 8.0  # m/s; beyond any vehicle meant here
     max_bias_sigmas: float = 8.0  # of the turn-on bias
-    max_lost_share: float = 0.7  # of the landmarks seen, farther than max_slide_px from their prediction
+    max_lost_share: float = 0.7  # of the landmarks seen, farther than max_innovation_px from their prediction
     max_bad_keyframes: int = 3  # with so many lost, one after the other, before the estimator starts anew
     unknown_speed: float = 0.5  # m/s, 1 sigma, that is off while the measurements are not trusted
     unknown_rate: float = 0.2  # rad/s
+
+
+@dataclass(frozen=True)
+class GtsamViSettings:
+    """All settings, by part. None depends on the sequence: what does comes from its calibrations."""
+
+    frontend: FrontEndSettings = field(default_factory=FrontEndSettings)
+    stereo: StereoSettings = field(default_factory=StereoSettings)
+    keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
+    zero_velocity: ZeroVelocitySettings = field(default_factory=ZeroVelocitySettings)
+    noise: NoiseSettings = field(default_factory=NoiseSettings)
+    landmarks: LandmarkSettings = field(default_factory=LandmarkSettings)
+    initialisation: InitialisationSettings = field(default_factory=InitialisationSettings)
+    window: WindowSettings = field(default_factory=WindowSettings)
+    smoothing: SmoothingSettings = field(default_factory=SmoothingSettings)
+    recognition: RecognitionSettings = field(default_factory=RecognitionSettings)
+    loops: LoopSettings = field(default_factory=LoopSettings)
+    recovery: RecoverySettings = field(default_factory=RecoverySettings)

@@ -12,9 +12,13 @@ from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, forwar
 
 def smooth(model: Model, keyframes: list[Keyframe], frames: list[Frame]) -> tuple[Bundle, list[Array]]:
     """The adjusted key frames, and T_odom_imu (4, 4) of every frame; RuntimeError where they cannot be solved for."""
-    gate = model.settings.max_landmark_error_px
+    gate = model.settings.landmarks.max_error_px
     bundle = adjust(
-        model, keyframes, [keyframe.state for keyframe in keyframes], (3 * gate, gate), model.settings.min_views
+        model,
+        keyframes,
+        [keyframe.state for keyframe in keyframes],
+        (3 * gate, gate),
+        model.settings.landmarks.min_views,
     )
     states = [read_state(bundle.values, keyframe.index) for keyframe in keyframes]
     return bundle, between(model, keyframes, states, frames)

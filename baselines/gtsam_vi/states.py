@@ -10,9 +10,11 @@ from gtsam.symbol_shorthand import B, V, X
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, transform
-from oysterbench_baselines.common.inertial import Segment
-from oysterbench_baselines.gtsam_vi.inertial import integrate, preintegrate
-from oysterbench_baselines.gtsam_vi.initialisation import Start, View
+from oysterbench_baselines.common.filter import InvariantFilter
+from oysterbench_baselines.common.inertial import Segment, integrate
+from oysterbench_baselines.gtsam_vi.closed_form import ClosedForm
+from oysterbench_baselines.gtsam_vi.frontend import Observations
+from oysterbench_baselines.gtsam_vi.preintegration import preintegrate
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ class State:
 
 @dataclass
 class Keyframe:
-    """A key frame: its stamp, what it saw, the inertial measurements since the last key frame, its latest estimate;
-    and factors of other sensors, on its states, those of the key frame before it, and what the model shares, or of
+    """A key frame: stamp, what it observed, inertial measurements since the last key frame, its latest estimate; and
+    factors of other sensors, on its states, those of the key frame before it, and what the model shares, or of
     loops, on its state and an earlier one.
 
     trusted: False where the measurements that lead to it have led the estimator astray.
@@ -39,12 +41,18 @@ class Keyframe:
 
     index: int
     stamp_ns: int
-    view: View
+    observations: Observations
     segment: Segment
-    at_rest: bool
+    stationary: bool
     state: State | None = None
     aiding: list[gtsam.NonlinearFactor] = field(default_factory=list)
     trusted: bool = True
+
+    @property
+    def estimate(self) -> State:
+        """Its state, which there is from the start of the window on."""
+        assert self.state is not None
+        return self.state
 
 
 @dataclass
@@ -66,6 +74,11 @@ def make_state(rotation: Array, position: Array, velocity: Array, gyro_bias: Arr
     return State(nav, gtsam.imuBias.ConstantBias(accel_bias, gyro_bias))
 
 
+def state_of(filter: InvariantFilter) -> State:
+    """The state of a filter."""
+    return make_state(filter.rotation, filter.position, filter.velocity, filter.gyro_bias, filter.accel_bias)
+
+
 def insert_state(values: gtsam.Values, index: int, state: State) -> None:
     """Put a state into values under its keys."""
     values.insert(X(index), state.nav.pose())
@@ -78,7 +91,7 @@ def read_state(values: gtsam.Values, index: int) -> State:
     return State(gtsam.NavState(values.atPose3(X(index)), values.atVector(V(index))), values.atConstantBias(B(index)))
 
 
-def states_of(start: Start, anchor: State | None) -> list[State]:
+def states_of(start: ClosedForm, anchor: State | None) -> list[State]:
     """States of a start; with an anchor, moved and turned about z so that the first has its position and heading."""
     turn, shift = np.eye(3), np.zeros(3)
     if anchor is not None:
@@ -91,12 +104,12 @@ def states_of(start: Start, anchor: State | None) -> list[State]:
     ]
 
 
-def hold(state: State) -> State:
+def predict_stationary(state: State) -> State:
     """The same pose, at rest."""
     return State(gtsam.NavState(state.nav.pose(), np.zeros(3)), state.bias)
 
 
-def coast(state: State, time: float) -> State:
+def predict_constant_velocity(state: State, time: float) -> State:
     """The state after a time (s) at the same velocity and attitude."""
     pose = gtsam.Pose3(state.nav.attitude(), state.nav.position() + state.nav.velocity() * time)
     return State(gtsam.NavState(pose, state.nav.velocity()), state.bias)

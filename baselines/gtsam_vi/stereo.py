@@ -9,26 +9,26 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
-from oysterbench.sequence.types import CameraCalibration, ImuMeasurement, Sequence
+from oysterbench.sequence.types import CameraCalibration, Measurement, Sequence
 from oysterbench_baselines.gtsam_vi.frontend import Tracks, distort, follow, homogeneous, undistort
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, StereoSettings
 
 
-def second_camera(sequence: Sequence, first: str, settings: Settings) -> str | None:
+def second_camera(sequence: Sequence, first: str, settings: StereoSettings) -> str | None:
     """A camera beside the first that looks where it looks; None if there is none."""
     T_first_base = invert(sequence.cameras[first].T_base_cam)
     for name, camera in sequence.cameras.items():
         T_first_second = T_first_base @ camera.T_base_cam
         angle = np.degrees(np.arccos(np.clip(T_first_second[2, 2], -1, 1)))
         base = float(np.linalg.norm(T_first_second[:3, 3]))
-        if name != first and settings.stereo_min_base_m < base and angle < settings.stereo_max_angle_deg:
+        if name != first and settings.min_baseline_m < base and angle < settings.max_angle_deg:
             return name
     return None
 
 
 def pairs(
-    stream: Iterator[ImuMeasurement | Image], first: str, second: str | None, tolerance_s: float
-) -> Iterator[ImuMeasurement | tuple[Image, Image | None]]:
+    stream: Iterator[Measurement], first: str, second: str | None, tolerance_s: float
+) -> Iterator[Measurement | tuple[Image, Image | None]]:
     """The stream with each frame of the first camera, and that of the second taken with it where there is one."""
     waiting: Image | None = None  # of the first camera
     other: Image | None = None  # the latest of the second
@@ -37,7 +37,7 @@ def pairs(
         if waiting is not None and item.stamp_ns - waiting.stamp_ns > tolerance:
             yield waiting, None
             waiting = None
-        if isinstance(item, ImuMeasurement):
+        if not isinstance(item, Image):
             yield item
         elif item.camera == first:
             if waiting is not None:  # two of the first camera within the tolerance
@@ -63,7 +63,7 @@ class StereoMatcher:
     that fits those depths: a reef is flat to first order, and inverse depth is linear in the picture of a plane.
     """
 
-    def __init__(self, first: CameraCalibration, second: CameraCalibration, settings: Settings) -> None:
+    def __init__(self, first: CameraCalibration, second: CameraCalibration, settings: GtsamViSettings) -> None:
         self.second = second
         self.settings = settings
         self._T_second_first = invert(second.T_base_cam) @ first.T_base_cam
@@ -81,11 +81,13 @@ class StereoMatcher:
             return found
         best, inverse = np.zeros(len(tracks.ids), dtype=bool), np.zeros(len(tracks.ids))
         for guess in self._guesses(tracks):
-            end, good = follow(first, second, tracks.pixels, self._project(tracks.rays, guess), self.settings)
+            end, good = follow(first, second, tracks.pixels, self._project(tracks.rays, guess), self.settings.frontend)
             rays = undistort(end, self.second)
             depths, error = self._triangulate(tracks.rays, rays)
-            good &= error < self.settings.stereo_error_px
-            good &= (depths > 1 / self.settings.max_depth_m) & (depths < 1 / self.settings.min_depth_m)
+            good &= error < self.settings.stereo.epipolar_error_px
+            good &= (depths > 1 / self.settings.landmarks.max_depth_m) & (
+                depths < 1 / self.settings.landmarks.min_depth_m
+            )
             if good.sum() > best.sum():
                 best, inverse = good, depths
                 found[:] = np.nan
@@ -97,8 +99,8 @@ class StereoMatcher:
     def _guesses(self, tracks: Tracks) -> list[Array]:
         """Inverse depths (N,) to begin at: one set once there is a plane, several while there is none."""
         if self._plane is None:
-            return [np.full(len(tracks.ids), 1 / depth) for depth in self.settings.stereo_depths_m]
-        limits = 1 / self.settings.max_depth_m, 1 / (2 * self.settings.min_depth_m)
+            return [np.full(len(tracks.ids), 1 / depth) for depth in self.settings.stereo.depths_m]
+        limits = 1 / self.settings.landmarks.max_depth_m, 1 / (2 * self.settings.landmarks.min_depth_m)
         on_plane = np.clip(homogeneous(tracks.rays) @ self._plane, *limits)
         return [np.array([self._known.get(int(i), p) for i, p in zip(tracks.ids, on_plane, strict=True)])]
 

@@ -13,16 +13,16 @@ from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
 from oysterbench_baselines.gtsam_vi.frontend import follow, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.places import GRID, Place, heading_of, heading_pose, project, upsample, warp
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 
 
-def match(first: NDArray[np.uint8], second: NDArray[np.uint8], settings: Settings) -> NDArray[np.int64]:
+def match(first: NDArray[np.uint8], second: NDArray[np.uint8], settings: GtsamViSettings) -> NDArray[np.int64]:
     """Pairs (M, 2) of descriptors (N, 32), (N', 32): nearest, clearly nearer than the next (Lowe 2004)."""
     if len(first) < 2 or len(second) < 2:
         return np.empty((0, 2), dtype=np.int64)
     pairs = []
     for best, other in cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(second, first, k=2):
-        if best.distance <= settings.match_bits and best.distance < settings.match_ratio * other.distance:
+        if best.distance <= settings.loops.match_bits and best.distance < settings.loops.match_ratio * other.distance:
             pairs.append((best.trainIdx, best.queryIdx))
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
@@ -121,7 +121,7 @@ def refine(
 class Verifier:
     """Decides whether two places are one."""
 
-    def __init__(self, calibration: CameraCalibration, settings: Settings) -> None:
+    def __init__(self, calibration: CameraCalibration, settings: GtsamViSettings) -> None:
         self.calibration = calibration
         self.settings = settings
         self.focal = float(calibration.matrix[0, 0] + calibration.matrix[1, 1]) / 2
@@ -133,7 +133,9 @@ class Verifier:
         pairs = match(first.descriptors, second.descriptors, settings)
         there, here = first.corners[pairs[:, 0]], second.corners[pairs[:, 1]]
         depth = np.median(np.linalg.norm(second.points - second.T_level_cam[:3, 3], axis=1))
-        T, inliers = align(there, here, settings.align_share * depth, settings.align_trials, self._generator)
+        T, inliers = align(
+            there, here, settings.loops.align_share * depth, settings.loops.align_trials, self._generator
+        )
         return T, int(inliers.sum())
 
     def confirm(
@@ -142,22 +144,22 @@ class Verifier:
         """T_first_second and covariance; indices of the first's landmarks that were found in the second picture, with
         their pixels and rays. None if they do not bear the alignment `T` out."""
         settings = self.settings
-        sigma = settings.loop_pixel_sigma / self.focal
+        sigma = settings.loops.pixel_sigma_px / self.focal
         there = first.pixels
         for _ in range(2):  # the second time from where the first has led
             expected, index, found = self.track(first, there, second, T, picture)
-            if len(index) < settings.loop_inliers:
+            if len(index) < settings.loops.min_inliers:
                 return None
             rays = undistort(found, self.calibration)
             before = T
             T, covariance, inliers = refine(T, first.points[index], rays, second.T_level_cam, sigma, 3 * sigma)
-            if inliers.sum() >= settings.loop_share * len(expected) and _near(before, T, settings.loop_again_m):
+            if inliers.sum() >= settings.loops.min_share * len(expected) and _near(before, T, settings.loops.retry_m):
                 break
         index, found, rays = index[inliers], found[inliers], rays[inliers]
-        if len(index) < max(settings.loop_inliers, settings.loop_share * len(expected)):
+        if len(index) < max(settings.loops.min_inliers, settings.loops.min_share * len(expected)):
             return None
         spread = np.sqrt(np.linalg.eigvalsh(np.cov(found.T))[0]) if len(found) > 2 else 0.0
-        if spread < settings.loop_spread * self.calibration.height:
+        if spread < settings.loops.min_spread * self.calibration.height:
             return None
         return T, covariance, index, found, rays
 
@@ -173,8 +175,8 @@ class Verifier:
         width, height = calibration.width, calibration.height
         T_first_cam = T @ second.T_level_cam
         goal, depth = project(first.points, T_first_cam, calibration)
-        border = settings.flow_window_px
-        inside = (depth > settings.min_depth_m) & (goal > border).all(axis=1)
+        border = settings.frontend.flow_window_px
+        inside = (depth > settings.landmarks.min_depth_m) & (goal > border).all(axis=1)
         inside &= (goal < np.array([width - border, height - border])).all(axis=1)
         expected = np.flatnonzero(inside)
         nothing = np.empty(0, dtype=np.int64), np.empty((0, 2))
@@ -195,9 +197,10 @@ class Verifier:
         expected, start, goal = expected[usable], start[usable], goal[expected][usable]
         if len(expected) < 3:
             return expected, *nothing
-        wide = replace(settings, flow_window_px=settings.loop_window_px, flow_levels=settings.loop_levels)
+        loops = settings.loops
+        wide = replace(settings.frontend, flow_window_px=loops.flow_window_px, flow_levels=loops.flow_levels)
         end, good = follow(warped, picture, start, goal, wide)
-        good &= np.linalg.norm(end - goal, axis=1) < settings.loop_search_px
+        good &= np.linalg.norm(end - goal, axis=1) < settings.loops.search_px
         return expected, expected[good], end[good]
 
 

@@ -20,7 +20,7 @@ from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
 
-class Sight(NamedTuple):
+class Observation(NamedTuple):
     """A landmark seen: by which camera, along which ray (2,) at depth 1, in which key frame; with what noise."""
 
     keyframe: int
@@ -32,13 +32,13 @@ class Sight(NamedTuple):
 class Window:
     """The smoother, started from an adjusted stretch of key frames."""
 
-    def __init__(self, model: Model, keyframes: list[Keyframe], bundle: Bundle, loose: bool = False) -> None:
-        """loose: as of the smoother, where a failure has left little known of the first pose."""
+    def __init__(self, model: Model, keyframes: list[Keyframe], bundle: Bundle, weak_gauge: bool = False) -> None:
+        """weak_gauge: as of the smoother, where a failure has left little known of the first pose."""
         self.model = model
         settings = model.settings
         # The smoother's clock counts key frames: at rest they are seconds apart, in motion a tenth of one.
-        self._smoother = FixedLagSmoother(settings.lag_keyframes, settings.lag_iterations, loose=loose)
-        self._observations: dict[int, list[Sight]] = {}
+        self._smoother = FixedLagSmoother(settings.window.keyframes, settings.window.iterations, weak_gauge=weak_gauge)
+        self._observations: dict[int, list[Observation]] = {}
         self._landmarks = {int(i) for i in bundle.landmarks}
         self._rejected: set[int] = set()
         for keyframe in keyframes:
@@ -51,7 +51,7 @@ class Window:
                 stamps[key(keyframe.index)] = float(keyframe.index)
         for landmark in self._landmarks:
             stamps[L(landmark)] = float(self._observations[landmark][-1].keyframe)
-        stamps |= dict.fromkeys(model.shared(), float(last))
+        stamps |= dict.fromkeys((c.key for c in model.aiding.calibrations()), float(last))
         self._smoother.update(bundle.graph, bundle.values, stamps)
         self._read(keyframes, last)
 
@@ -63,15 +63,15 @@ class Window:
         stamps = {key(k): float(k) for key in (X, V, B)}
         insert_state(values, k, predicted)
         graph.push_back(self.model.inertial(k - 1, k, keyframe.segment, keyframes[-2].state.bias))
-        if keyframe.at_rest:
-            graph.push_back(self.model.rest(k))
+        if keyframe.stationary:
+            graph.push_back(self.model.zero_velocity(k))
         for factor in keyframe.aiding:
             graph.push_back(factor)
-        stamps |= dict.fromkeys(self.model.shared(), float(k))  # they never leave
+        stamps |= dict.fromkeys((c.key for c in self.model.aiding.calibrations()), float(k))  # they never leave
         keyframe.state = predicted
         self._remember(keyframe)
-        self._see_again(keyframe, graph, stamps)
-        self._see_first(keyframes, graph, values, stamps)
+        self._observe_landmarks(keyframe, graph, stamps)
+        self._triangulate_landmarks(keyframes, graph, values, stamps)
         self._smoother.update(graph, values, stamps)
         self._read(keyframes, k)
         self._landmarks = {i for i in self._landmarks if self._observations[i][-1].keyframe > k - self._lag}
@@ -85,37 +85,43 @@ class Window:
 
     @property
     def _lag(self) -> int:
-        return self.model.settings.lag_keyframes
+        return self.model.settings.window.keyframes
 
     def _remember(self, keyframe: Keyframe) -> None:
-        noise = self.model.pixel(keyframe.view.spread)
-        for landmark, ray, camera in zip(*keyframe.view.sights(), strict=True):
-            self._observations.setdefault(int(landmark), []).append(Sight(keyframe.index, int(camera), ray, noise))
+        noise = self.model.rig.pixel_noise(self.model.settings.noise, keyframe.observations.inflation)
+        for landmark, ray, camera in zip(*keyframe.observations.rows(), strict=True):
+            self._observations.setdefault(int(landmark), []).append(
+                Observation(keyframe.index, int(camera), ray, noise)
+            )
 
-    def _see_again(self, keyframe: Keyframe, graph: gtsam.NonlinearFactorGraph, stamps: dict[int, float]) -> None:
+    def _observe_landmarks(
+        self, keyframe: Keyframe, graph: gtsam.NonlinearFactorGraph, stamps: dict[int, float]
+    ) -> None:
         """Views of landmarks in the window; those far from the prediction have slid off their point."""
         settings = self.model.settings
-        ids, rays, cameras = keyframe.view.sights()
+        ids, rays, cameras = keyframe.observations.rows()
         known = [n for n, i in enumerate(ids) if int(i) in self._landmarks]
         if not known:
             self.lost_share = 0.0
             return
         points = np.array([self._points[int(i)] for i in ids[known]])
-        errors = self.model.errors_px(keyframe.state.matrix, points, rays[known], cameras[known])
+        errors = self.model.rig.errors_px(keyframe.state.matrix, points, rays[known], cameras[known])
         # The prediction may be off as a whole, after a long time without tracks: judge against the crowd.
-        limit = settings.max_slide_px + 2.0 * float(np.median(errors))
-        self.lost_share = float(np.mean(errors > settings.max_slide_px))
-        noise = self.model.pixel(keyframe.view.spread)
+        limit = settings.landmarks.max_innovation_px + 2.0 * float(np.median(errors))
+        self.lost_share = float(np.mean(errors > settings.landmarks.max_innovation_px))
+        noise = self.model.rig.pixel_noise(self.model.settings.noise, keyframe.observations.inflation)
         slid = {int(ids[n]) for n, error in zip(known, errors, strict=True) if error > limit}
         self._rejected |= slid
         self._landmarks -= slid
         for n in known:
             landmark = int(ids[n])
             if landmark not in slid:
-                graph.push_back(self.model.projection(keyframe.index, landmark, rays[n], int(cameras[n]), noise))
+                graph.push_back(
+                    self.model.rig.projection_factor(keyframe.index, landmark, rays[n], int(cameras[n]), noise)
+                )
                 stamps[L(landmark)] = float(keyframe.index)
 
-    def _see_first(
+    def _triangulate_landmarks(
         self,
         keyframes: list[Keyframe],
         graph: gtsam.NonlinearFactorGraph,
@@ -126,33 +132,36 @@ class Window:
         last = keyframes[-1].index
         oldest = max(keyframes[0].index, last - self._lag + 1)
         track: list[int] = []
-        sights: list[Sight] = []
-        for i in keyframes[-1].view.ids:
+        observations: list[Observation] = []
+        for i in keyframes[-1].observations.ids:
             landmark = int(i)
             if landmark in self._landmarks or landmark in self._rejected:
                 continue
             seen = [sight for sight in self._observations[landmark] if sight.keyframe >= oldest]
             # A pair of cameras sees a caustic where it lies on the bottom at that instant: only time gives it away.
-            if len({sight.keyframe for sight in seen}) >= self.model.settings.min_views:
+            if len({sight.keyframe for sight in seen}) >= self.model.settings.landmarks.min_views:
                 track += [landmark] * len(seen)
-                sights += seen
+                observations += seen
         if not track:
             return
-        poses = {k: keyframes[k - keyframes[0].index].state.matrix for k in {sight.keyframe for sight in sights}}
-        ids, points = self.model.triangulate(
+        poses = {k: keyframes[k - keyframes[0].index].state.matrix for k in {sight.keyframe for sight in observations}}
+        ids, points = self.model.rig.triangulate(
             np.array(track, dtype=np.int64),
-            np.array([sight.ray for sight in sights]),
-            np.array([poses[sight.keyframe] for sight in sights]),
-            self.model.settings.max_landmark_error_px,
-            np.array([sight.camera for sight in sights]),
+            np.array([sight.ray for sight in observations]),
+            np.array([poses[sight.keyframe] for sight in observations]),
+            self.model.settings.landmarks.max_error_px,
+            self.model.settings.landmarks,
+            np.array([sight.camera for sight in observations]),
         )
         for landmark, point in zip(ids, points, strict=True):
             values.insert(L(int(landmark)), point)
             stamps[L(int(landmark))] = float(last)
             self._landmarks.add(int(landmark))
-        for landmark, sight in zip(track, sights, strict=True):
+        for landmark, sight in zip(track, observations, strict=True):
             if landmark in self._landmarks:
-                graph.push_back(self.model.projection(sight.keyframe, landmark, sight.ray, sight.camera, sight.noise))
+                graph.push_back(
+                    self.model.rig.projection_factor(sight.keyframe, landmark, sight.ray, sight.camera, sight.noise)
+                )
 
     def _read(self, keyframes: list[Keyframe], last: int) -> None:
         """Write the smoother's estimate into the key frames."""

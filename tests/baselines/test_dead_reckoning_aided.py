@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
-from oysterbench_baselines.common.aiding import Aiding
+from oysterbench_baselines.common.aiding import Aiding, AidingSettings, aiding_sensors
 from oysterbench_baselines.common.filter import CORE, InertialNoise, InvariantFilter, rotation_exp
 from oysterbench_baselines.dead_reckoning import DeadReckoning
 from tests.helpers import sensor_dive as dive
@@ -84,13 +84,16 @@ def test_a_start_in_motion_is_no_surer_than_it_errs_from_the_first_second_on(sen
 def test_one_velocity_says_nothing_of_the_misalignment():
     """Nor do many of a vehicle that neither turns nor speeds up, so long as its attitude is as uncertain."""
     sequence = make(0, ("dvl",), 3.0, resting=False)
-    filter, aiding = InvariantFilter(np.eye(3), InertialNoise(1e-4, 1e-3, 1e-5, 1e-4), 9.80665), Aiding(sequence)
+    filter, aiding = (
+        InvariantFilter(np.eye(3), InertialNoise(1e-4, 1e-3, 1e-5, 1e-4), 9.80665),
+        Aiding(aiding_sensors(sequence, AidingSettings())),
+    )
     filter.covariance[:6, :6] = np.diag([0.05**2] * 3 + [1.0] * 3)
     samples = list(sequence.dvl())[:8]
-    prior = np.radians(aiding.settings.dvl_misalignment_sigma_deg)
+    prior = np.radians(AidingSettings().dvl.misalignment_sigma_deg)
     for sample in samples:
-        aiding.add(filter, dataclasses.replace(sample, beam_velocities=samples[0].beam_velocities))
-        at = aiding.rows("dvl")
+        aiding.update(filter, dataclasses.replace(sample, beam_velocities=samples[0].beam_velocities))
+        at = aiding.sensors["dvl"].rows
         left = np.sqrt(np.diag(filter.covariance)[at.start + 1 : at.stop])
         np.testing.assert_allclose(left, prior, rtol=1e-4)
 
@@ -238,14 +241,15 @@ def test_each_sensors_derivative_is_that_of_its_prediction(kind):
     (sample,) = [s for s in sequence._samples[kind] if s.stamp_ns == dive.START_NS + 2 * 10**9]
     seen = []
 
-    def capture(filter, kind, residual, slope, variances):
+    def capture(filter, residual, slope, variances):
         seen.append((residual, slope))
+        return True
 
     def ask(change: Array):
         filter, aiding = moved(base[0], change), base[1]
-        aiding._stamps.pop("magnetometer", None)
-        aiding._update = capture
-        aiding.add(filter, sample)
+        aiding.sensors["magnetometer"]._last_ns = None
+        aiding.sensors[kind].correct = capture
+        aiding.update(filter, sample)
         return seen.pop()
 
     n = len(base[0].covariance)
@@ -269,9 +273,9 @@ def started(sequence: dive.SensorDive) -> tuple[InvariantFilter, Aiding]:
     filter.covariance = np.eye(CORE) * 1e-4
     filter.velocity, filter.position = np.array([0.4, -0.2, 0.1]), np.array([1.0, 2.0, -0.3])
     filter.rate = np.array([0.1, -0.05, 0.2])
-    aiding = Aiding(sequence)
+    aiding = Aiding(aiding_sensors(sequence, AidingSettings()))
     for kind in ALL:
-        aiding.add(filter, sequence._samples[kind][0])
+        aiding.update(filter, sequence._samples[kind][0])
     filter.extra[:4] = [0.01, 0.02, -0.01, 0.03]
     return filter, aiding
 

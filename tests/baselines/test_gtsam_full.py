@@ -14,13 +14,15 @@ from oysterbench.core.geometry import Array, align_yaw
 from oysterbench.core.measurements import ImuMeasurement
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.types import CameraCalibration, Sequence
-from oysterbench_baselines.common.inertial import SampleBuffer, Segment
-from oysterbench_baselines.gtsam_full import GtsamFull, Settings
-from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
-from oysterbench_baselines.gtsam_full.factors import COMPASS_KEY, DEPTH_KEY, FIELD_UNIT
-from oysterbench_baselines.gtsam_full.settings import BesideDvl
-from oysterbench_baselines.gtsam_vi.frontend import undistort
-from oysterbench_baselines.gtsam_vi.settings import Settings as VisualInertialSettings
+from oysterbench_baselines.common.aiding.magnetometer import COMPASS_KEY, FIELD_UNIT
+from oysterbench_baselines.common.aiding.pressure import DEPTH_KEY
+from oysterbench_baselines.common.inertial import SampleBuffer
+from oysterbench_baselines.gtsam_full import GtsamFull, GtsamFullSettings
+from oysterbench_baselines.gtsam_full.method import aided_estimator
+from oysterbench_baselines.gtsam_full.settings import BesideDvlSettings
+from oysterbench_baselines.gtsam_vi.estimator import Estimator
+from oysterbench_baselines.gtsam_vi.frontend import Tracks, undistort
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from tests.helpers import sensor_dive as dive
 from tests.helpers import synthetic_dive
 
@@ -50,33 +52,30 @@ def first_moments(sequence: Sequence) -> tuple[np.ndarray, Array, Array]:
     return stamps, np.array([sample.gyro for sample in samples]), np.array([sample.accel for sample in samples])
 
 
-def estimate(sequence: Sequence, frames: list, settings: Settings | None = None) -> AidedEstimator:
+def estimate(sequence: Sequence, frames: list, settings: GtsamFullSettings | None = None) -> Estimator:
     """Everything behind the front end."""
-    estimator = AidedEstimator(sequence, camera(), settings or Settings(), first_moments(sequence))
+    estimator = aided_estimator(sequence, camera(), settings or GtsamFullSettings(), first_moments(sequence))
     kinds = [kind for kind in ("dvl", "pressure", "magnetometer") if getattr(sequence, f"{kind}_calibration")]
-    samples, since = SampleBuffer(), []
+    samples = SampleBuffer()
     waiting = iter(frames)
     frame = next(waiting, None)
     for item in sequence.stream(*(kinds or ["imu"])):
         while frame is not None and frame[0] < item.stamp_ns:
-            see(estimator, samples, since, frame)
+            see(estimator, samples, frame)
             frame = next(waiting, None)
         if isinstance(item, ImuMeasurement):
             samples.add(item)
             continue
-        since.append(samples.cut(item.stamp_ns))
-        estimator.add_segment(since[-1])
-        estimator.add_sample(item)
+        estimator.propagate(samples.cut(item.stamp_ns))
+        estimator.update(item)
     estimator.finish()
     return estimator
 
 
-def see(estimator: AidedEstimator, samples: SampleBuffer, since: list[Segment], frame) -> None:
+def see(estimator: Estimator, samples: SampleBuffer, frame) -> None:
     stamp, ids, pixels = frame
-    since.append(samples.cut(stamp))
-    estimator.add_segment(since[-1])
-    estimator.add_frame(stamp, Segment.join(since), ids, undistort(pixels, camera()))
-    since.clear()
+    estimator.propagate(samples.cut(stamp))
+    estimator.step(stamp, Tracks(ids, pixels, undistort(pixels, camera())))
 
 
 def errors(sequence: dive.SensorDive, trajectory: Trajectory) -> Array:
@@ -104,7 +103,7 @@ def test_a_minute_without_pictures_is_bridged_and_pictures_are_taken_up_again():
     path = sequence.truth().path_length
     assert error.max() < 0.01 * path
     # The pictures are used again: the window has landmarks that it sees.
-    assert len(estimator._window._landmarks) > 30
+    assert len(estimator.window._landmarks) > 30
     # And in the dark the estimate knows that its heading gets lost.
     heading = np.sqrt(trajectory.covariances[:, 5, 5])
     assert heading[740] > 2 * heading[140]
@@ -157,11 +156,11 @@ def test_a_rig_with_depth_and_no_dvl_starts_from_pictures_and_keeps_its_height()
 def test_without_a_dvl_the_window_has_the_compass_that_the_filter_has():
     sequence = dive.SensorDive(0, dive.rig("pressure", "magnetometer"), dive.survey_path(20.0, resting=False))
     estimator = estimate(sequence, tracks(sequence, 0, (np.inf, np.inf)))
-    assert {COMPASS_KEY, DEPTH_KEY} <= set(estimator.model.shared())
+    assert {COMPASS_KEY, DEPTH_KEY} <= {calibration.key for calibration in estimator.aiding.calibrations()}
     assert "restarts" not in estimator.info
-    _, joint = estimator._window.joint([COMPASS_KEY])
+    _, joint = estimator.window.joint([COMPASS_KEY])
     # What is fixed in odom is known better than before it was looked at from several headings.
-    prior = estimator.settings.aiding.field_sigma / FIELD_UNIT
+    prior = GtsamFullSettings().aiding.magnetometer.field_sigma / FIELD_UNIT
     assert (np.sqrt(np.diag(joint)[:2]) < 0.5 * prior).all()
     trajectory = estimator.smoothed()
     truth = sequence.truth().at(trajectory.stamps_ns)
@@ -208,13 +207,17 @@ def test_an_unknown_camera_and_an_unknown_output_are_refused():
 
 def test_sensors_can_be_left_out():
     sequence = dive.SensorDive(2, dive.rig(*ALL), dive.survey_path(4.0))
-    assert Settings().sensors(sequence) == ["dvl", "pressure", "magnetometer"]
-    assert Settings(dvl=False, compass=False).sensors(sequence) == ["pressure"]
+    assert GtsamFullSettings().sensors(sequence) == ["dvl", "pressure", "magnetometer"]
+    assert GtsamFullSettings(dvl=False, compass=False).sensors(sequence) == ["pressure"]
     aided, unaided = (
-        AidedEstimator(sequence, camera(), Settings(dvl=dvl), first_moments(sequence)) for dvl in (True, False)
+        aided_estimator(sequence, camera(), GtsamFullSettings(dvl=dvl), first_moments(sequence))
+        for dvl in (True, False)
     )
-    assert (aided.model.has_dvl, unaided.model.has_dvl) == (True, False)
+    assert ("dvl" in aided.aiding.sensors, "dvl" in unaided.aiding.sensors) == (True, False)
     # Corners are all that is left then, and count as they do for those who have nothing else.
-    for name, beside in dataclasses.asdict(BesideDvl()).items():
-        assert getattr(aided.settings, name) == beside
-        assert getattr(unaided.settings, name) == getattr(VisualInertialSettings(), name) != beside
+    for name, beside in dataclasses.asdict(BesideDvlSettings()).items():
+        part = "landmarks" if name == "max_innovation_px" else "noise"
+        assert getattr(getattr(aided.settings, part), name) == beside
+        assert (
+            getattr(getattr(unaided.settings, part), name) == getattr(getattr(GtsamViSettings(), part), name) != beside
+        )

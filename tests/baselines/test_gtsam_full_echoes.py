@@ -16,21 +16,21 @@ from oysterbench.recipe import SiteRecipe
 from oysterbench.sensors import acoustics, altimeter
 from oysterbench.sensors.altimeter import AltimeterRecipe
 from oysterbench.sequence.types import AltimeterCalibration
-from oysterbench_baselines.gtsam_full.echoes import (
+from oysterbench_baselines.gtsam_full.ranges import (
     ALTIMETER,
     BEAM,
     ECHO_KEY,
     Echo,
     Ground,
+    RangeSettings,
     altimeter_echo,
     echo_error,
     echo_factor,
     find_ground,
 )
-from oysterbench_baselines.gtsam_full.settings import EchoSettings
 from tests.helpers import sensor_dive as dive
 
-OF = EchoSettings()
+OF = RangeSettings()
 STILL = (np.zeros(3), np.zeros(3))
 DOWN = np.array([0.05, -0.1, -1.0]) / np.linalg.norm([0.05, -0.1, -1.0])
 

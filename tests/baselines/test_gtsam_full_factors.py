@@ -11,19 +11,17 @@ from gtsam.symbol_shorthand import B, V, X
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, invert, transform
-from oysterbench_baselines.common.aiding import dvl_rows
-from oysterbench_baselines.common.inertial import SampleBuffer, Segment
-from oysterbench_baselines.gtsam_full.factors import (
-    DEPTH_KEY,
+from oysterbench_baselines.common.aiding.dvl import (
     DVL_KEY,
     Velocity,
-    depth_error,
-    depth_factor,
-    field_error,
+    beam_rows,
     sum_velocities,
     velocity_error,
     velocity_factor,
 )
+from oysterbench_baselines.common.aiding.magnetometer import field_error
+from oysterbench_baselines.common.aiding.pressure import DEPTH_KEY, depth_error, depth_factor
+from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_vi.states import State, make_state
 from tests.helpers import sensor_dive as dive
 
@@ -124,7 +122,7 @@ def test_without_a_lock_there_is_no_factor():
         beam_valid=np.zeros(4, dtype=bool),
         beam_velocities=np.full(4, np.nan),
     )
-    assert dvl_rows(deaf, 0.001) is None
+    assert beam_rows(deaf, 0.001) is None
     assert sum_velocities([(parts[0][0], deaf)], state, GRAVITY, np.eye(4), 0.001) is None
     assert sum_velocities([(Segment.join([]), None)], state, GRAVITY, np.eye(4), 0.001) is None
 

@@ -15,7 +15,7 @@ from oysterbench.core.measurements import DvlMeasurement, Image, MagneticMeasure
 from oysterbench.core.trajectory import Trajectory
 from oysterbench_baselines.dead_reckoning import DeadReckoning
 from oysterbench_baselines.gtsam_full import GtsamFull
-from oysterbench_baselines.gtsam_full.estimator import AidedEstimator
+from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from tests.baselines.test_gtsam_full import ALL, camera, errors, estimate, tracks
 from tests.helpers import sensor_dive as dive
 
@@ -62,7 +62,7 @@ def answered(sequence: dive.SensorDive, trajectory: Trajectory) -> bool:
 
 
 @pytest.fixture(scope="module")
-def dark_dive() -> tuple[dive.SensorDive, AidedEstimator]:
+def dark_dive() -> tuple[dive.SensorDive, Estimator]:
     """150 s, of which the camera sees nothing from 15 s to 135 s."""
     sequence = make(1, 150.0)
     return sequence, estimate(sequence, tracks(sequence, 1, (15.0, 135.0)))
@@ -74,7 +74,7 @@ def test_two_minutes_in_the_dark_drift_as_a_dvl_does_and_pictures_are_taken_up_a
     assert answered(sequence, trajectory)
     assert off_m(sequence, trajectory).max() < 0.005 * sequence.truth().path_length
     assert "restarts" not in estimator.info
-    assert len(estimator._window._landmarks) > 30
+    assert len(estimator.window._landmarks) > 30
 
 
 def test_the_smoothed_path_bridges_them_as_well(dark_dive):
@@ -106,7 +106,9 @@ def test_ranges_count_only_where_the_dvl_gives_no_velocity():
 
     sequence.change("dvl", during(6.0, 10.0, mute))
     estimator = estimate(sequence, tracks(sequence, 2, NEVER))
-    stamps = [estimator.keyframes[k].stamp_ns for k, echoes in estimator.model.echoes.items() if echoes]
+    stamps = [
+        estimator.keyframes[k].stamp_ns for k, echoes in estimator.aiding.sensors["ranges"].echoes.items() if echoes
+    ]
     elapsed = (np.array(stamps) - dive.START_NS) * 1e-9
     assert len(elapsed) > 3
     assert elapsed.min() > 6.5

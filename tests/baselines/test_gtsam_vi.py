@@ -16,23 +16,25 @@ from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sequence.euroc import EurocSequence
 from oysterbench.sequence.types import Image, ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer
-from oysterbench_baselines.gtsam_vi import GtsamVi, Settings
+from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import undistort
+from oysterbench_baselines.gtsam_vi.frontend import Tracks, undistort
+from oysterbench_baselines.gtsam_vi.settings import InitialisationSettings
 from tests.helpers import synthetic_dive as dive
 from tests.helpers.paths import SHARED_DATA
 
 
-def estimate(measured: dive.Dive, settings: Settings | None = None) -> Estimator:
+def estimate(measured: dive.Dive, settings: GtsamViSettings | None = None) -> Estimator:
     """Everything behind the front end, run on a dive."""
-    estimator = Estimator(measured.camera, measured.inertial, settings or Settings())
+    estimator = Estimator([measured.camera], measured.inertial, settings or GtsamViSettings())
     samples = SampleBuffer()
     for item in measured.stream():
         if isinstance(item, ImuMeasurement):
             samples.add(item)
             continue
         stamp, ids, pixels = item
-        estimator.add_frame(stamp, samples.cut(stamp), ids, undistort(pixels, measured.camera))
+        estimator.propagate(samples.cut(stamp))
+        estimator.step(stamp, Tracks(ids, pixels, undistort(pixels, measured.camera)))
     estimator.finish()
     return estimator
 
@@ -111,7 +113,7 @@ def test_it_starts_anew_after_the_inertial_unit_has_lied():
 def test_a_new_start_may_take_longer_than_the_stretch_that_is_searched(stretch):
     measured = dive.make_dive(4, duration_s=24.0, blind=(8.8, 14.0))
     lie(measured)
-    estimator = estimate(measured, Settings(init_max_keyframes=stretch))
+    estimator = estimate(measured, GtsamViSettings(initialisation=InitialisationSettings(max_keyframes=stretch)))
     assert estimator.info["restarts"] >= 1
     assert estimator.info["initialised"] == 1
     for trajectory in (estimator.online(), estimator.smoothed()):

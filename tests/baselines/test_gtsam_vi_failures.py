@@ -14,7 +14,7 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import Image
 from oysterbench_baselines.common.inertial import SampleBuffer
-from oysterbench_baselines.gtsam_vi import GtsamVi, Settings
+from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
 from tests.baselines.test_gtsam_vi import FlatBottom, position_error
@@ -125,17 +125,21 @@ def test_no_pose_is_given_long_after_the_last_picture():
 
     known = run(Filmed(cut)).alternatives["online"]
     elapsed = (known.stamps_ns[-1] - dive.START_NS) * 1e-9
-    assert BEGIN_S + Settings().coast_s - 0.3 < elapsed < BEGIN_S + Settings().coast_s + 0.1
+    assert (
+        BEGIN_S + GtsamViSettings().frontend.max_blind_s - 0.3
+        < elapsed
+        < BEGIN_S + GtsamViSettings().frontend.max_blind_s + 0.1
+    )
 
 
 def test_a_picture_that_repeats_the_last_one_is_none_of_now_unless_the_vehicle_rests():
-    front_end = FrontEnd(dive.camera_calibration(), Settings())
+    front_end = FrontEnd(dive.camera_calibration(), GtsamViSettings().frontend)
     picture = np.random.default_rng(0).integers(0, 255, size=(480, 640, 3), dtype=np.uint8)
     assert not front_end.repeats(picture)
     front_end.track(picture, np.eye(3))
     assert front_end.repeats(picture.copy())
     assert not front_end.repeats(np.maximum(picture, 1))
-    estimator = Estimator(dive.camera_calibration(), dive.imu_calibration(), Settings())
+    estimator = Estimator([dive.camera_calibration()], dive.imu_calibration(), GtsamViSettings())
     samples = dive.inertial_samples(lambda t: dive.survey_pose(0 * t), dive.imu_calibration(), 1.0, None)
     moving = dive.inertial_samples(dive.survey_pose, dive.imu_calibration(), 1.0, None)
     assert not estimator.has_moved(_joined(samples))

@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.geometry import invert
 from oysterbench.methods import seed_of
 from oysterbench.sequence.types import ImuMeasurement
-from oysterbench_baselines.common.inertial import SampleBuffer, Segment
+from oysterbench_baselines.common.inertial import SampleBuffer, Segment, integrate
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo
+from oysterbench_baselines.gtsam_vi.closed_form import Observations, closed_form_start, level_rotation
 from oysterbench_baselines.gtsam_vi.covariance import discounted, filter_slopes, joint_covariance
 from oysterbench_baselines.gtsam_vi.frontend import (
     FrontEnd,
@@ -26,14 +27,12 @@ from oysterbench_baselines.gtsam_vi.frontend import (
     undistort,
 )
 from oysterbench_baselines.gtsam_vi.graph import nested_dissection
-from oysterbench_baselines.gtsam_vi.inertial import (
-    integrate,
+from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
+from oysterbench_baselines.gtsam_vi.preintegration import (
     preintegrate,
     preintegration_params,
 )
-from oysterbench_baselines.gtsam_vi.initialisation import View, closed_form_start, level_rotation
-from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, NoiseSettings
 from oysterbench_baselines.gtsam_vi.states import insert_state, make_state, read_state
 from tests.baselines.test_gtsam_vi import estimate
 from tests.helpers import synthetic_dive as dive
@@ -47,7 +46,7 @@ def texture(seed: int = 0) -> np.ndarray:
 
 def test_tracks_follow_a_picture_that_a_rotation_warps():
     calibration = dive.camera_calibration()
-    front_end = FrontEnd(calibration, Settings())
+    front_end = FrontEnd(calibration, GtsamViSettings().frontend)
     picture = texture()
     before = front_end.track(picture, np.eye(3))
     turn = Rotation.from_euler("xyz", [0.01, -0.015, 0.02]).as_matrix()  # R_before_now
@@ -66,14 +65,14 @@ def test_a_large_rotation_is_followed_when_the_gyroscope_has_seen_it():
     turn = Rotation.from_euler("y", 0.2).as_matrix()  # 95 px
     homography = calibration.matrix @ turn.T @ np.linalg.inv(calibration.matrix)
     picture = texture()
-    front_end = FrontEnd(calibration, Settings())
+    front_end = FrontEnd(calibration, GtsamViSettings().frontend)
     before = front_end.track(picture, np.eye(3))
     after = front_end.track(cv2.warpPerspective(picture, homography, (640, 480)), turn)
     assert len(np.intersect1d(before.ids, after.ids)) > 0.5 * len(before.ids)
 
 
 def test_a_picture_without_texture_gives_no_tracks():
-    front_end = FrontEnd(dive.camera_calibration(), Settings())
+    front_end = FrontEnd(dive.camera_calibration(), GtsamViSettings().frontend)
     grey = np.full((480, 640, 3), 90, dtype=np.uint8)
     for _ in range(3):
         assert len(front_end.track(grey, np.eye(3)).ids) == 0
@@ -83,8 +82,10 @@ def test_a_veil_of_scattered_light_and_a_lamps_cone_are_taken_away():
     """The same texture with a tenth of its contrast, under a veil that brightens across the picture, looks the same."""
     picture = texture().astype(float)
     veil = 60 + 80 * np.linspace(0, 1, 640)[None, :]
-    clear = even_contrast(np.clip(picture, 0, 255).astype(np.uint8), Settings()).astype(float)
-    murky = even_contrast(np.clip(0.3 * (picture - 110) + veil, 0, 255).astype(np.uint8), Settings()).astype(float)
+    clear = even_contrast(np.clip(picture, 0, 255).astype(np.uint8), GtsamViSettings().frontend).astype(float)
+    murky = even_contrast(
+        np.clip(0.3 * (picture - 110) + veil, 0, 255).astype(np.uint8), GtsamViSettings().frontend
+    ).astype(float)
     inner = (slice(60, -60), slice(60, -60))
     assert np.corrcoef(clear[inner].ravel(), murky[inner].ravel())[0, 1] > 0.98
     assert 0.7 < murky[inner].std() / clear[inner].std() < 1.05
@@ -93,11 +94,14 @@ def test_a_veil_of_scattered_light_and_a_lamps_cone_are_taken_away():
 def test_noise_of_the_sensor_is_not_lifted_to_texture():
     noise = np.random.default_rng(0).normal(size=(480, 640))
     dark = np.clip(20 + noise, 0, 255).astype(np.uint8)
-    assert even_contrast(dark, Settings()).std() < 0.4 * even_contrast(texture(), Settings()).std()
+    assert (
+        even_contrast(dark, GtsamViSettings().frontend).std()
+        < 0.4 * even_contrast(texture(), GtsamViSettings().frontend).std()
+    )
 
 
 def test_the_seed_is_that_of_the_random_samples():
-    first, same, other = (FrontEnd(dive.camera_calibration(), Settings(), seed) for seed in (1, 1, 2))
+    first, same, other = (FrontEnd(dive.camera_calibration(), GtsamViSettings().frontend, seed) for seed in (1, 1, 2))
     draws = [front_end._generator.integers(0, 1 << 30, 4).tolist() for front_end in (first, same, other)]
     assert draws[0] == draws[1] != draws[2]
     assert seed_of(GtsamVi(seed=7)) == seed_of(GtsamViStereo(seed=7)) == 7
@@ -105,7 +109,7 @@ def test_the_seed_is_that_of_the_random_samples():
 
 def test_covariances_of_inertial_factors_are_those_of_many_draws():
     """GTSAM's covariance of rotation, position and velocity against the scatter of noisy integrations of one motion."""
-    calibration, settings = dive.imu_calibration(), Settings(imu_inflation=1.0, integration_sigma=1e-6)
+    calibration, settings = dive.imu_calibration(), NoiseSettings(imu_inflation=1.0, integration_sigma=1e-6)
     samples = dive.inertial_samples(dive.survey_pose, calibration, 0.5, None)
     buffer = SampleBuffer()
     for sample in samples:
@@ -246,7 +250,9 @@ def test_views_discounted_say_as_much_less_and_other_factors_as_much_as_before()
 
 def test_what_is_reported_of_errors_does_not_change_the_estimate():
     measured = dive.make_dive(0, duration_s=8.0)
-    sure, unsure = (estimate(measured, Settings(alike=times)).smoothed() for times in (1.0, 3.0))
+    sure, unsure = (
+        estimate(measured, GtsamViSettings(noise=NoiseSettings(correlation=times))).smoothed() for times in (1.0, 3.0)
+    )
     assert sure.positions.tobytes() == unsure.positions.tobytes()
     ratio = np.sqrt(unsure.covariances[-1].diagonal() / sure.covariances[-1].diagonal())
     assert (ratio[:3] > 1.3).all()
@@ -256,7 +262,7 @@ def test_what_is_reported_of_errors_does_not_change_the_estimate():
 def test_corners_are_spread_over_the_picture():
     picture = texture()
     picture[:, 320:] = (picture[:, 320:].astype(int) - 110) // 4 + 110  # the right half with a quarter of the contrast
-    corners = find_corners(picture, np.empty((0, 2)), Settings())
+    corners = find_corners(picture, np.empty((0, 2)), GtsamViSettings().frontend)
     right = int(np.sum(corners[:, 0] >= 320))
     assert 0.4 * len(corners) < right < 0.6 * len(corners)
 
@@ -302,7 +308,7 @@ def test_our_integrals_agree_with_those_of_gtsam():
         buffer.add(sample)
     segment = buffer.cut(samples[-1].stamp_ns)
     ours = integrate([segment], np.zeros(3))
-    params = preintegration_params(calibration, Settings())
+    params = preintegration_params(calibration, NoiseSettings())
     theirs = preintegrate(segment, gtsam.imuBias.ConstantBias(), params)
     np.testing.assert_allclose(ours.rotation[-1], theirs.deltaRij().matrix(), atol=1e-6)
     np.testing.assert_allclose(ours.velocity[-1], theirs.deltaVij(), atol=1e-5)
@@ -320,7 +326,7 @@ def test_the_closed_form_start_finds_scale_gravity_and_gyro_bias():
         stamp, ids, pixels = item
         pending.append(samples.cut(stamp))
         if frame % 3 == 0:
-            views.append(View(ids, undistort(pixels, measured.camera)))
+            views.append(Observations(ids, undistort(pixels, measured.camera)))
             segments.append(Segment.join(pending))
             stamps.append(stamp)
             pending = []

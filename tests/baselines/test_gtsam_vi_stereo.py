@@ -16,9 +16,9 @@ from oysterbench.evaluate.slam.scoring import score
 from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer
-from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo, Settings
+from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings, GtsamViStereo
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, Tracks, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs
 from tests.helpers import synthetic_dive as dive
 
@@ -26,7 +26,7 @@ from tests.helpers import synthetic_dive as dive
 def estimate(measured: dive.Dive, blind_right: bool = False) -> Estimator:
     """Everything behind the front end, run on the tracks of both cameras."""
     camera = dive.right_calibration()
-    estimator = Estimator(measured.camera, measured.inertial, Settings(), camera)
+    estimator = Estimator([measured.camera, camera], measured.inertial, GtsamViSettings())
     samples, frame = SampleBuffer(), 0
     for item in measured.stream():
         if isinstance(item, ImuMeasurement):
@@ -35,7 +35,8 @@ def estimate(measured: dive.Dive, blind_right: bool = False) -> Estimator:
         stamp, ids, pixels = item
         right = np.full((len(ids), 2), np.nan) if blind_right else undistort(measured.right[frame], camera)
         rays = undistort(pixels, measured.camera)
-        estimator.add_frame(stamp, samples.cut(stamp), ids, rays, lambda right=right: right)
+        estimator.propagate(samples.cut(stamp))
+        estimator.step(stamp, Tracks(ids, pixels, rays), lambda right=right: right)
         frame += 1
     estimator.finish()
     return estimator
@@ -106,9 +107,9 @@ class Bottom:
 
 
 def test_corners_are_found_in_the_second_picture_to_a_fraction_of_a_pixel():
-    first, second, bottom, settings = dive.camera_calibration(), dive.right_calibration(), Bottom(), Settings()
+    first, second, bottom, settings = dive.camera_calibration(), dive.right_calibration(), Bottom(), GtsamViSettings()
     pose = dive.survey_pose(np.array([1.0]))[0]
-    front_end, matcher = FrontEnd(first, settings), StereoMatcher(first, second, settings)
+    front_end, matcher = FrontEnd(first, settings.frontend), StereoMatcher(first, second, settings)
     tracks = front_end.track(bottom.seen(first, pose), np.eye(3))
     T_map_first = pose @ first.T_base_cam
     directions = homogeneous(tracks.rays) @ T_map_first[:3, :3].T
@@ -126,9 +127,9 @@ def test_corners_are_found_in_the_second_picture_to_a_fraction_of_a_pixel():
 
 
 def test_another_picture_has_no_matches():
-    first, second, settings = dive.camera_calibration(), dive.right_calibration(), Settings()
+    first, second, settings = dive.camera_calibration(), dive.right_calibration(), GtsamViSettings()
     pose = dive.survey_pose(np.array([1.0]))[0]
-    front_end, matcher = FrontEnd(first, settings), StereoMatcher(first, second, settings)
+    front_end, matcher = FrontEnd(first, settings.frontend), StereoMatcher(first, second, settings)
     tracks = front_end.track(Bottom(0).seen(first, pose), np.eye(3))
     found = matcher.match(front_end.image, front_end.equalise(Bottom(7).seen(second, pose)), tracks)
     assert np.isfinite(found[:, 0]).mean() < 0.05

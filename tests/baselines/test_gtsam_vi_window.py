@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.geometry import Array
 from oysterbench.sequence import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment
-from oysterbench_baselines.gtsam_vi import Settings
+from oysterbench_baselines.gtsam_vi import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.fixed_lag import FixedLagSmoother
-from oysterbench_baselines.gtsam_vi.frontend import undistort
-from oysterbench_baselines.gtsam_vi.trackbook import TrackBook
+from oysterbench_baselines.gtsam_vi.frontend import Tracks, undistort
+from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation
+from oysterbench_baselines.gtsam_vi.settings import LandmarkSettings, LoopSettings
 from tests.helpers import synthetic_dive as dive
 
 
@@ -82,8 +83,8 @@ def test_heading_is_never_learnt_from_what_cannot_tell_it():
     """Tracks and inertial unit know nothing of heading. Where the start knows next to nothing of it either (1 rad), no
     more is known on the way; with what is marginalised linearised here and the rest there, it soon is to 14 mrad."""
     measured = dive.make_dive(3, duration_s=14.0, most=60, pixel_noise=0.8)
-    estimator = Estimator(measured.camera, measured.inertial, Settings(loops=False))
-    estimator.model.starts[0] = np.diag([1e-8] * 3 + [0.25, 0.25, 1.0]), np.eye(3) * 4.0
+    estimator = Estimator([measured.camera], measured.inertial, GtsamViSettings(loops=LoopSettings(enabled=False)))
+    estimator.model.initial_covariances[0] = np.diag([1e-8] * 3 + [0.25, 0.25, 1.0]), np.eye(3) * 4.0
     samples, known = SampleBuffer(), []
     for item in measured.stream():
         if isinstance(item, ImuMeasurement):
@@ -91,9 +92,10 @@ def test_heading_is_never_learnt_from_what_cannot_tell_it():
             continue
         stamp, ids, pixels = item
         before = len(estimator.keyframes)
-        estimator.add_frame(stamp, samples.cut(stamp), ids, undistort(pixels, measured.camera))
-        if estimator._window is not None and len(estimator.keyframes) > before:
-            known.append(information_on_turn(estimator._window._smoother))
+        estimator.propagate(samples.cut(stamp))
+        estimator.step(stamp, Tracks(ids, pixels, undistort(pixels, measured.camera)))
+        if estimator.window is not None and len(estimator.keyframes) > before:
+            known.append(information_on_turn(estimator.window._smoother))
     assert len(known) >= 20
     assert known[0] == pytest.approx(1.0, abs=0.2)
     assert max(known) < 1.05 * known[0]
@@ -112,11 +114,11 @@ def still(seconds: float, rate: Array) -> Segment:
 
 
 def test_a_track_seen_from_another_side_is_another_landmark():
-    book = TrackBook(Settings(max_turn_deg=20.0), np.eye(3))
+    association = DataAssociation(GtsamViSettings(landmarks=LandmarkSettings(max_turn_deg=20.0)), np.eye(3))
     ids, nothing = np.array([4, 7]), np.zeros(3)
-    first = book.landmarks(ids, np.array([[0.0, 0.0], [0.1, 0.0]]), still(0.1, nothing), nothing)
+    first = association.landmarks(ids, np.array([[0.0, 0.0], [0.1, 0.0]]), still(0.1, nothing), nothing)
     # The ray of the first moves by 22 degrees, that of the second by 6: the vehicle passes the one, not the other.
-    second = book.landmarks(ids, np.array([[0.4, 0.0], [0.2, 0.0]]), still(0.1, nothing), nothing)
+    second = association.landmarks(ids, np.array([[0.4, 0.0], [0.2, 0.0]]), still(0.1, nothing), nothing)
     assert second[0] not in first
     assert second[1] == first[1]
     assert len({*first, *second}) == 3
@@ -124,24 +126,24 @@ def test_a_track_seen_from_another_side_is_another_landmark():
 
 @pytest.mark.parametrize("bias", [0.0, 0.2])
 def test_a_camera_that_turns_on_the_spot_sees_the_same_side(bias):
-    book = TrackBook(Settings(max_turn_deg=20.0), np.eye(3))
+    association = DataAssociation(GtsamViSettings(landmarks=LandmarkSettings(max_turn_deg=20.0)), np.eye(3))
     rate, found = np.array([0.0, 0.5, 0.0]), []
     for k in range(12):
         turned = Rotation.from_rotvec(-rate * 0.1 * k).apply([0.0, 0.0, 1.0])
         seen = np.array([turned[:2] / turned[2]])
         segment = still(0.1 if k else 0.0, rate + bias * np.array([0.0, 1.0, 0.0]))
-        found += book.landmarks(np.array([3]), seen, segment, bias * np.array([0.0, 1.0, 0.0])).tolist()
+        found += association.landmarks(np.array([3]), seen, segment, bias * np.array([0.0, 1.0, 0.0])).tolist()
     assert set(found) == {found[0]}
 
 
 def test_renaming_does_not_count_as_losing():
-    book = TrackBook(Settings(max_turn_deg=5.0), np.eye(3))
+    association = DataAssociation(GtsamViSettings(landmarks=LandmarkSettings(max_turn_deg=5.0)), np.eye(3))
     nothing = np.zeros(3)
     for x in (0.0, 0.2, 0.4):
-        book.landmarks(np.array([1, 2]), np.full((2, 2), x), still(0.1, nothing), nothing)
-    assert book.spread() == 1.0
-    book.landmarks(np.array([2, 3]), np.zeros((2, 2)), still(0.1, nothing), nothing)
-    assert book.spread() == 2.0
+        association.landmarks(np.array([1, 2]), np.full((2, 2), x), still(0.1, nothing), nothing)
+    assert association.inflation() == 1.0
+    association.landmarks(np.array([2, 3]), np.zeros((2, 2)), still(0.1, nothing), nothing)
+    assert association.inflation() == 2.0
 
 
 def test_what_hardly_anything_determines_does_not_end_the_smoothing():

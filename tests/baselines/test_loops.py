@@ -23,11 +23,11 @@ from oysterbench_baselines.gtsam_vi.places import (
     project,
 )
 from oysterbench_baselines.gtsam_vi.posegraph import Drift, PoseGraph
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, LoopSettings
 from oysterbench_baselines.gtsam_vi.verification import Verifier, align, refine, reprojection
 from tests.helpers import synthetic_dive as dive
 
-SETTINGS = Settings()
+SETTINGS = GtsamViSettings()
 CAMERA = dive.camera_calibration()
 TEXEL = 0.01  # m
 
@@ -84,7 +84,7 @@ def test_a_place_is_known_again_from(name):
     true = invert(level_pose(here)) @ level_pose(there)
     verifier = Verifier(CAMERA, SETTINGS)
     T, agree = verifier.align(first, second)
-    assert agree >= SETTINGS.align_inliers
+    assert agree >= SETTINGS.loops.align_inliers
     confirmed = verifier.confirm(first, second, T, picture)
     assert confirmed is not None
     T, covariance, index, pixels, _ = confirmed
@@ -183,7 +183,7 @@ def square(generator: np.random.Generator, laps: int = 2) -> tuple[list[Array], 
     return true, drifted
 
 
-def graph_of(drifted: list[Array], settings: Settings = SETTINGS) -> PoseGraph:
+def graph_of(drifted: list[Array], settings: GtsamViSettings = SETTINGS) -> PoseGraph:
     graph = PoseGraph(settings)
     for pose in drifted:
         graph.add(pose, Drift(0.004**2, 0.008**2))
@@ -243,7 +243,10 @@ def test_a_large_graph_takes_in_one_loop_of_several_and_is_as_right():
     errors = []
     for seed in range(4):
         true, drifted = square(np.random.default_rng(seed))
-        every, few = graph_of(drifted), graph_of(drifted, dataclasses.replace(SETTINGS, loop_places=16))
+        every, few = (
+            graph_of(drifted),
+            graph_of(drifted, dataclasses.replace(SETTINGS, loops=LoopSettings(places_per_skip=16))),
+        )
         for k in range(16):  # of 65 places: every fourth
             for graph in (every, few):
                 graph.close(k, k + 32, invert(true[k]) @ true[k + 32], np.diag([1e-6] + [1e-5] * 3))

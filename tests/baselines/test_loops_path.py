@@ -14,10 +14,10 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import undistort
+from oysterbench_baselines.gtsam_vi.frontend import Tracks, undistort
 from oysterbench_baselines.gtsam_vi.merging import Loop, Merger, Ties, join, tie
 from oysterbench_baselines.gtsam_vi.places import Place, heading_pose, level_pose, project
-from oysterbench_baselines.gtsam_vi.settings import Settings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, LandmarkSettings, LoopSettings
 from tests.helpers import synthetic_dive as dive
 
 GREY = np.zeros((480, 640), dtype=np.uint8)
@@ -67,8 +67,10 @@ class Knowing:
 
 def estimate(measured: dive.Dive, loops: bool, false_m: float = 0.0, **settings: int) -> Estimator:
     # The dive's points, unlike corners of relief, are the same from all sides.
-    chosen = Settings(loops=loops, max_turn_deg=180.0, **settings)
-    estimator = Estimator(measured.camera, measured.inertial, chosen)
+    chosen = GtsamViSettings(
+        landmarks=LandmarkSettings(max_turn_deg=180.0), loops=LoopSettings(enabled=loops, **settings)
+    )
+    estimator = Estimator([measured.camera], measured.inertial, chosen)
     if estimator.loops is not None:
         knowing = Knowing(measured, estimator, false_m)
         estimator.loops.viewer = estimator.loops.index = estimator.loops.verifier = knowing  # type: ignore[assignment]
@@ -78,8 +80,8 @@ def estimate(measured: dive.Dive, loops: bool, false_m: float = 0.0, **settings:
             samples.add(item)
             continue
         stamp, ids, pixels = item
-        estimator.add_frame(stamp, samples.cut(stamp), ids, undistort(pixels, measured.camera))
-        estimator.look(GREY)
+        estimator.propagate(samples.cut(stamp))
+        estimator.step(stamp, Tracks(ids, pixels, undistort(pixels, measured.camera)), image=GREY)
     estimator.finish()
     return estimator
 
@@ -135,16 +137,16 @@ def test_a_place_is_no_loop_with_itself_a_moment_later(closed):
     estimator = closed
     for loop in estimator.loops.loops:
         first, second = (estimator.keyframes[estimator.loops.places[n].keyframe] for n in (loop.first, loop.second))
-        assert (second.stamp_ns - first.stamp_ns) * 1e-9 >= Settings().loop_min_s
+        assert (second.stamp_ns - first.stamp_ns) * 1e-9 >= GtsamViSettings().recognition.min_age_s
 
 
 def test_tracks_of_one_picture_are_never_merged(plain):
     keyframes = plain.keyframes
     merger = Merger(keyframes)
-    one, other = keyframes[20].view.ids[:2].tolist()
+    one, other = keyframes[20].observations.ids[:2].tolist()
     merger.merge(one, other)
     assert merger.root(one) != merger.root(other)
-    late = next(i for i in keyframes[-1].view.ids.tolist() if i not in keyframes[20].view.ids)
+    late = next(i for i in keyframes[-1].observations.ids.tolist() if i not in keyframes[20].observations.ids)
     merger.merge(one, late)
     assert merger.root(one) == merger.root(late)
     assert not merger.see(one, keyframes[-1].index)
@@ -155,13 +157,13 @@ def test_tracks_of_one_picture_are_never_merged(plain):
 def test_what_does_not_meet_in_a_point_stays_apart(plain):
     keyframes, model = plain.keyframes, plain.model
     first, second = keyframes[20], keyframes[-20]
-    ids = first.view.ids[:20]
+    ids = first.observations.ids[:20]
     place = Place(
         first.index,
         np.eye(4),
         np.zeros(3),
         ids,
-        first.view.rays[:20],
+        first.observations.rays[:20],
         np.zeros((20, 3)),
         GREY[:0, :32],
         np.zeros((0, 3)),
@@ -172,18 +174,18 @@ def test_what_does_not_meet_in_a_point_stays_apart(plain):
         np.eye(4),
         np.zeros(3),
         ids,
-        first.view.rays[:20],
+        first.observations.rays[:20],
         np.zeros((20, 3)),
         GREY[:0, :32],
         np.zeros((0, 3)),
         b"",
     )
     # Landmarks of one place said to be where others are in the other.
-    rays = second.view.rays[:20]
+    rays = second.observations.rays[:20]
     loop = Loop(0, 1, np.eye(4), np.eye(4), ids, rays, rays)
     joined = join(keyframes, [place, there], [loop], model)
-    assert np.isin(joined[second.index].view.ids, ids).sum() <= 1
-    assert len(joined[second.index].view.ids) <= len(second.view.ids) + 1
+    assert np.isin(joined[second.index].observations.ids, ids).sum() <= 1
+    assert len(joined[second.index].observations.ids) <= len(second.observations.ids) + 1
 
 
 def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain):
@@ -191,7 +193,7 @@ def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain)
     estimator = estimate(lap_and_a_half, loops=True, merge_keyframes=1)
     joined = estimator.loops.joined(estimator.keyframes)
     for keyframe, before in zip(joined, estimator.keyframes, strict=True):
-        np.testing.assert_array_equal(keyframe.view.ids, before.view.ids)
+        np.testing.assert_array_equal(keyframe.observations.ids, before.observations.ids)
     assert 1 < sum(len(keyframe.aiding) for keyframe in joined) <= len(estimator.loops.places) / 4
     assert not any(keyframe.aiding for keyframe in estimator.keyframes)
     truth = lap_and_a_half.truth
@@ -201,9 +203,9 @@ def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain)
 def test_no_landmark_is_shared_by_more_than_one_pass_beyond_the_limit(lap_and_a_half, closed):
     def most_seen(estimator: Estimator) -> int:
         joined = estimator.loops.joined(estimator.keyframes)
-        return int(np.unique(np.concatenate([k.view.ids for k in joined]), return_counts=True)[1].max())
+        return int(np.unique(np.concatenate([k.observations.ids for k in joined]), return_counts=True)[1].max())
 
-    alone = int(np.unique(np.concatenate([k.view.ids for k in closed.keyframes]), return_counts=True)[1].max())
+    alone = int(np.unique(np.concatenate([k.observations.ids for k in closed.keyframes]), return_counts=True)[1].max())
     assert most_seen(closed) > alone
     assert most_seen(estimate(lap_and_a_half, loops=True, merge_keyframes=alone)) < alone + most_seen(closed) / 2
 
@@ -221,7 +223,7 @@ def test_ties_are_few_and_go_to_the_same_places_pass_after_pass():
 def test_a_tie_measures_heading_and_position_in_level_frames(plain):
     first, second = plain.keyframes[20], plain.keyframes[-1]
     levels = [level_pose(keyframe.state.matrix) for keyframe in (first, second)]
-    settings = Settings(loop_heading_floor=0.0, loop_floor_m=0.0)
+    settings = GtsamViSettings(loops=LoopSettings(heading_floor=0.0, position_floor_m=0.0))
     variances = np.array([0.003, 0.01, 0.02, 0.03]) ** 2
     empty = np.empty((0, 2))
     true = invert(levels[0]) @ levels[1]

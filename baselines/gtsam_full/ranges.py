@@ -9,23 +9,103 @@ differ by in the mean is a variable.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, X
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import DvlMeasurement, RangeMeasurement
 from oysterbench.sequence.types import AltimeterCalibration
-from oysterbench_baselines.common.filter import cross, rotation_exp
-from oysterbench_baselines.gtsam_full.settings import EchoSettings
+from oysterbench_baselines.common.aiding.dvl import Dvl
+from oysterbench_baselines.common.aiding.sensor import AidingSensor, Calibration, GateSettings, python_factor, symbol
+from oysterbench_baselines.common.filter import InvariantFilter, cross, rotation_exp
+from oysterbench_baselines.gtsam_vi.states import Keyframe, State
 
-ECHO_KEY = gtsam.symbol("e", 0)
+ECHO_KEY = symbol("e")
 """By how much ranges are longer than those to the landmarks, m: of altimeters, of DVL beams; (2,)."""
 ALTIMETER, BEAM = 0, 1
+
+
+@dataclass(frozen=True)
+class RangeSettings:
+    """How ranges to the bottom count. The mounts' calibrations and the samples say nothing of noise."""
+
+    enabled: bool = True  # whether altimeters and the ranges of a DVL's beams are used where it gives no velocity
+    sigma: float = 0.02  # m, 1 sigma of a range
+    share: float = 0.01  # and of its length: speed of sound and beam patterns
+    offset_sigma: float = 0.03  # m, of what echoes and corners differ by in the mean: an oyster stands out by as much
+    radius: float = 0.25  # m, about the point met, in which landmarks are its ground; a wide beam has its footprint
+    fewest: int = 6  # landmarks: three make a plane, as many again say how rough it is
+    most: int = 12  # the nearest: more cost time, and say less of the point
+    width: float = 0.03  # m, rms across the longest spread of the landmarks: less is a line
+    steepest: float = 0.5  # cosine of the incidence
+    max_delay_s: float = 0.15  # a range older than this does not count for a key frame
+    silence_s: float = 1.0  # without a DVL's velocity, after which ranges count: it knows a metre ten times better
+
+
+class Ranges(AidingSensor):
+    """Altimeters, and the beams of a DVL. They are for the scale: the filter has no use for them.
+
+    altimeters: their calibrations by name. echoes: by the key frame at which they count.
+    """
+
+    kind = "ranges"
+    measures = (RangeMeasurement, DvlMeasurement)
+
+    def __init__(
+        self,
+        T_imu_base: Array,
+        altimeters: Mapping[str, AltimeterCalibration],
+        dvl: Dvl | None,
+        settings: RangeSettings,
+    ) -> None:
+        super().__init__(GateSettings())
+        self.settings = settings
+        self.echoes: dict[int, list[Echo]] = {}
+        self._T_imu_base, self._altimeters, self._dvl = T_imu_base, altimeters, dvl
+        self._latest: dict[str, RangeMeasurement | DvlMeasurement] = {}  # by sensor
+
+    def update(self, filter: InvariantFilter, sample: RangeMeasurement | DvlMeasurement) -> bool:
+        self._latest["dvl" if isinstance(sample, DvlMeasurement) else sample.sensor] = sample
+        return False
+
+    def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
+        """The ranges that were read a moment ago, as rays in the IMU's frame of the key frame, where no DVL's velocity
+        knows the scale ten times better than they do over relief."""
+        settings, velocity_ns = self.settings, None if self._dvl is None else self._dvl.velocity_ns
+        if velocity_ns is not None and stamp_ns - velocity_ns < settings.silence_s * 1e9:
+            return
+        echoes: list[Echo | None] = []
+        for name, sample in self._latest.items():
+            delay = (stamp_ns - sample.stamp_ns) * 1e-9
+            moved = delay * filter.rate, delay * filter.rotation.T @ filter.velocity
+            if delay > settings.max_delay_s:
+                continue
+            if isinstance(sample, RangeMeasurement):
+                echoes.append(altimeter_echo(sample, self._altimeters[name], self._T_imu_base, moved, settings))
+            elif self._dvl is not None:
+                echoes += beam_echoes(sample, self._dvl.T_imu_dvl, moved, settings)
+        self.echoes[keyframe] = [echo for echo in echoes if echo is not None]
+
+    def calibration(self) -> Calibration:
+        return Calibration(ECHO_KEY, np.zeros(2), np.full(2, self.settings.offset_sigma))
+
+    def landmark_factors(
+        self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
+    ) -> list[gtsam.NonlinearFactor]:
+        if len(ids) < self.settings.fewest:
+            return []
+        tree, factors = cKDTree(points), []
+        for keyframe, state in zip(keyframes, states, strict=True):
+            for echo in self.echoes.get(keyframe.index, ()):
+                ground = find_ground(echo, state.matrix, tree, ids, points, self.settings)
+                if ground is not None:
+                    factors.append(echo_factor(echo, ground, keyframe.index))
+        return factors
 
 
 @dataclass(frozen=True)
@@ -63,29 +143,29 @@ def altimeter_echo(
     mount: AltimeterCalibration,
     T_imu_base: Array,
     moved: tuple[Array, Array],
-    of: EchoSettings,
+    of: RangeSettings,
 ) -> Echo | None:
-    """Of an altimeter; None where nothing answered. moved: see `_carried`."""
+    """Of an altimeter; None where nothing answered. moved: see `_propagated`."""
     if not np.isfinite(sample.range):
         return None
     pose = T_imu_base @ mount.T_base_sensor
     sigma = float(np.hypot(of.sigma, of.share * sample.range))
-    origin, axis = _carried(pose[:3, 3], pose[:3, 0], moved)
+    origin, axis = _propagated(pose[:3, 3], pose[:3, 0], moved)
     return Echo(origin, axis, float(sample.range), sigma, mount.beam_rad / 2, ALTIMETER)
 
 
-def beam_echoes(sample: DvlMeasurement, T_imu_dvl: Array, moved: tuple[Array, Array], of: EchoSettings) -> list[Echo]:
+def beam_echoes(sample: DvlMeasurement, T_imu_dvl: Array, moved: tuple[Array, Array], of: RangeSettings) -> list[Echo]:
     """Of the beams of a DVL that have a range, each for itself."""
     echoes = []
     for direction, length, valid in zip(sample.beam_directions, sample.beam_ranges, sample.beam_valid, strict=True):
         if valid and np.isfinite(length):
-            origin, axis = _carried(T_imu_dvl[:3, 3], T_imu_dvl[:3, :3] @ direction, moved)
+            origin, axis = _propagated(T_imu_dvl[:3, 3], T_imu_dvl[:3, :3] @ direction, moved)
             sigma = float(np.hypot(of.sigma, of.share * length))
             echoes.append(Echo(origin, axis, float(length), sigma, 0.0, BEAM))
     return echoes
 
 
-def _carried(origin: Array, axis: Array, moved: tuple[Array, Array]) -> tuple[Array, Array]:
+def _propagated(origin: Array, axis: Array, moved: tuple[Array, Array]) -> tuple[Array, Array]:
     """A ray of a moment ago in the IMU's frame of now; moved: rotation vector (rad) and way (m), both (3,), since then,
     in that frame."""
     back = rotation_exp(-moved[0])
@@ -93,7 +173,7 @@ def _carried(origin: Array, axis: Array, moved: tuple[Array, Array]) -> tuple[Ar
 
 
 def find_ground(
-    echo: Echo, T_odom_imu: Array, tree: cKDTree, ids: NDArray[np.int64], points: Array, of: EchoSettings
+    echo: Echo, T_odom_imu: Array, tree: cKDTree, ids: NDArray[np.int64], points: Array, of: RangeSettings
 ) -> Ground | None:
     """The plane that an echo meets: through landmarks (M,) at points (M, 3), found by their tree; None where there are
     too few about it, where they are in a line or steep, or all to one side."""
@@ -157,17 +237,12 @@ def echo_error(
 
 def echo_factor(echo: Echo, ground: Ground, keyframe: int) -> gtsam.NonlinearFactor:
     """On the pose of a key frame, the landmarks under it, and the offsets; by Cauchy's loss, as reefs have holes."""
-    keys = [X(keyframe), *(L(int(i)) for i in ground.ids), ECHO_KEY]
+    keys = [symbol("x", keyframe), *(symbol("l", int(i)) for i in ground.ids), ECHO_KEY]
 
-    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        landmarks = np.array([values.atPoint3(key) for key in keys[1:-1]])
-        residual, slopes = echo_error(echo, ground, values.atPose3(keys[0]), landmarks, values.atVector(ECHO_KEY))
-        if jacobians is not None:
-            jacobians[0], jacobians[-1] = np.asfortranarray(slopes[0][None]), np.asfortranarray(slopes[2][None])
-            for n, slope in enumerate(slopes[1], start=1):
-                jacobians[n] = np.asfortranarray(slope[None])
-        return np.array([residual])
+    def evaluate(pose: gtsam.Pose3, *others: Array) -> tuple[Array, list[Array]]:
+        residual, (by_pose, by_landmarks, by_offsets) = echo_error(
+            echo, ground, pose, np.array(others[:-1]), others[-1]
+        )
+        return np.array([residual]), [slope[None] for slope in (by_pose, *by_landmarks, by_offsets)]
 
-    loss = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)
-    noise = gtsam.noiseModel.Robust.Create(loss, gtsam.noiseModel.Isotropic.Sigma(1, ground.sigma))
-    return gtsam.CustomFactor(noise, keys, error)
+    return python_factor(keys, ground.sigma, 1, evaluate, cauchy=1.0)

@@ -1,0 +1,121 @@
+"""Aiding sensors of a rig, each a description of its own, and all of them together as an estimator has them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array, invert
+from oysterbench.sequence.types import Sequence
+from oysterbench_baselines.common.aiding.dvl import Dvl, DvlSettings
+from oysterbench_baselines.common.aiding.magnetometer import Magnetometer, MagnetometerSettings
+from oysterbench_baselines.common.aiding.pressure import Pressure, PressureSettings
+from oysterbench_baselines.common.aiding.sensor import AidingSensor, Calibration, GateSettings
+from oysterbench_baselines.common.filter import InvariantFilter
+from oysterbench_baselines.common.inertial import Segment
+
+if TYPE_CHECKING:
+    import gtsam
+
+    from oysterbench_baselines.gtsam_vi.states import Keyframe, State
+
+KINDS = ("dvl", "pressure", "magnetometer")
+
+
+@dataclass(frozen=True)
+class AidingSettings:
+    """What calibrations do not say of the aiding sensors. sigmas of constants are priors: they are estimated."""
+
+    dvl: DvlSettings = field(default_factory=DvlSettings)
+    pressure: PressureSettings = field(default_factory=PressureSettings)
+    magnetometer: MagnetometerSettings = field(default_factory=MagnetometerSettings)
+    gate: GateSettings = field(default_factory=GateSettings)
+
+
+def sensors_of(sequence: Sequence) -> list[str]:
+    """The aiding sensors that a rig has, as `Sequence.stream` names them."""
+    return [kind for kind in KINDS if getattr(sequence, f"{kind}_calibration") is not None]
+
+
+def aiding_sensors(sequence: Sequence, settings: AidingSettings, kinds: Collection[str] = KINDS) -> list[AidingSensor]:
+    """Those of some kinds that a rig has."""
+    T_imu_base, gravity = invert(sequence.imu_calibration.T_base_imu), sequence.imu_calibration.gravity
+    dvl, pressure, compass = (getattr(sequence, f"{kind}_calibration") if kind in kinds else None for kind in KINDS)
+    sensors = list[AidingSensor]()
+    if dvl is not None:
+        sensors.append(Dvl(T_imu_base @ dvl.T_base_sensor, gravity, settings.dvl, settings.gate))
+    if pressure is not None:
+        mount = T_imu_base @ pressure.T_base_sensor
+        sensors.append(Pressure(mount, gravity, pressure, settings.pressure, settings.gate))
+    if compass is not None:
+        mount = T_imu_base @ compass.T_base_sensor
+        sensors.append(Magnetometer(mount[:3, :3], settings.magnetometer, settings.gate))
+    return sensors
+
+
+class Aiding:
+    """All aiding sensors of an estimator; none at all is a rig of cameras and an inertial unit."""
+
+    def __init__(self, sensors: Iterable[AidingSensor] = ()) -> None:
+        self.sensors = {sensor.kind: sensor for sensor in sensors}
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """Samples refused, in part or as a whole, by kind."""
+        return {kind: self.sensors[kind].refused if kind in self.sensors else 0 for kind in KINDS}
+
+    @property
+    def knows_velocity(self) -> bool:
+        """Whether the filter has ever been given a velocity: without one it is dead reckoning by the inertial unit."""
+        return "dvl" in self.sensors and self.sensors["dvl"].rows is not None
+
+    def update(self, filter: InvariantFilter, sample: Any) -> None:
+        """Correct a filter that has been propagated to the sample's stamp."""
+        for sensor in self.sensors.values():
+            if isinstance(sample, sensor.measures):
+                sensor.update(filter, sample)
+
+    def propagate(self, segment: Segment) -> None:
+        """See `AidingSensor`, likewise below."""
+        for sensor in self.sensors.values():
+            sensor.propagate(segment)
+
+    def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
+        for sensor in self.sensors.values():
+            sensor.add_keyframe(keyframe, stamp_ns, filter, interval_s)
+
+    def forget_intervals(self) -> None:
+        for sensor in self.sensors.values():
+            sensor.forget_intervals()
+
+    def initialise(self, keyframe: int, state: State, filter: InvariantFilter | None) -> None:
+        for sensor in self.sensors.values():
+            sensor.initialise(keyframe, state, filter)
+
+    def calibrations(self) -> list[Calibration]:
+        """Of the sensors that have a part in the graph, by their names."""
+        found = (self.sensors[kind].calibration() for kind in sorted(self.sensors))
+        return [calibration for calibration in found if calibration is not None]
+
+    def shared_states(self) -> dict[int, tuple[slice, Array]]:
+        """Variables that filter and graph share beside the vehicle's state: rows of the filter's error, units (N,), by
+        key."""
+        shared = {}
+        for sensor in self.sensors.values():
+            calibration = sensor.calibration()
+            if calibration is not None and sensor.rows is not None:
+                shared[calibration.key] = sensor.rows, sensor.unit
+        return shared
+
+    def factors(self, keyframe: int, before: State) -> list[gtsam.NonlinearFactor]:
+        return [factor for sensor in self.sensors.values() for factor in sensor.factors(keyframe, before)]
+
+    def landmark_factors(
+        self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
+    ) -> list[gtsam.NonlinearFactor]:
+        sensors = self.sensors.values()
+        return [f for sensor in sensors for f in sensor.landmark_factors(keyframes, states, ids, points)]

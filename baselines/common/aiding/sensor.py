@@ -1,0 +1,152 @@
+"""What an aiding sensor is to an estimator: its update of the filter, and its factors in the graph, side by side.
+
+A factor written in Python costs a hundred times a native one: so a sensor sums up what it measures between two key
+frames, and adds one factor a key frame. GTSAM is imported where a factor is made: a filter alone does not need it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from oysterbench.core.geometry import Array
+from oysterbench_baselines.common.filter import InvariantFilter
+from oysterbench_baselines.common.inertial import Segment
+
+if TYPE_CHECKING:
+    import gtsam
+
+    from oysterbench_baselines.gtsam_vi.states import Keyframe, State
+
+
+@dataclass(frozen=True)
+class GateSettings:
+    """When a measurement is refused."""
+
+    chance: float = 1e-5  # with which a good measurement is refused
+    patience: int = 5  # samples refused in a row, after which it is the filter that is taken to be wrong
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Constants of a sensor, as a variable of the graph: GTSAM key, first value (N,) and 1 sigma (N,) about it."""
+
+    key: int
+    value: Array
+    sigmas: Array
+
+
+class AidingSensor:
+    """A sensor beside camera and inertial unit. All but `update` may stay as they are.
+
+    kind: as `Sequence.stream` names it. measures: types of its samples. suspect: what of the filter is taken to be
+    wrong when the sensor contradicts it for long. unit: the filter's states of the sensor, per unit of the variable in
+    the graph. rows: of these states in the filter's error; None before the first sample. refused: samples.
+    """
+
+    kind: ClassVar[str]
+    measures: ClassVar[tuple[type, ...]]
+    suspect: ClassVar[slice] = slice(0, 0)
+    unit: ClassVar[Array] = np.ones(1)
+
+    def __init__(self, gate: GateSettings) -> None:
+        self.gate = gate
+        self.rows: slice | None = None
+        self.refused = 0
+        self._refused_in_a_row = 0
+
+    def update(self, filter: InvariantFilter, sample: Any) -> bool:
+        """Correct a filter that has been propagated to the sample's stamp; whether any of it was believed.
+
+        What the filter refuses takes no part in the graph either.
+        """
+        raise NotImplementedError
+
+    def correct(self, filter: InvariantFilter, residual: Array, slope: Array, variances: Array) -> bool:
+        """Correct by the rows that are as near to their prediction as their covariance says; whether there were any.
+
+        residual (K,), slope (K, 15 + M) and variances (K,). When all of a sensor is refused time and again it is the
+        filter that is wrong: what the sensor measures is then as uncertain as it is off, and the sample counts.
+        """
+        spread = np.einsum("ki,ij,kj->k", slope, filter.covariance, slope) + variances
+        near = residual**2 <= float(chi2.isf(self.gate.chance, 1)) * spread
+        self.refused += not near.all()
+        self._refused_in_a_row = 0 if near.any() else self._refused_in_a_row + 1
+        if self._refused_in_a_row > self.gate.patience:
+            rows = self.suspect
+            lever = max(float(np.sum(slope[:, rows] ** 2)), 1e-30) / len(residual)
+            filter.covariance[rows, rows] += np.eye(3) * float(np.max(residual**2)) / lever
+            near[:] = True
+        if near.any():
+            filter.update(residual[near], slope[near], np.diag(variances[near]))
+        return bool(near.any())
+
+    def propagate(self, segment: Segment) -> None:
+        """Inertial measurements since the last sample of any sensor, of frames after the first key frame."""
+
+    def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
+        """Keep what was measured for a key frame, `interval_s` after the last one."""
+
+    def forget_intervals(self) -> None:
+        """All that was kept of the time between key frames is in factors now."""
+
+    def initialise(self, keyframe: int, state: State, filter: InvariantFilter | None) -> None:
+        """A graph begins, with `state` at a key frame. filter: where it has known the velocity."""
+
+    def calibration(self) -> Calibration | None:
+        """The sensor's constants; None where it has no part in the graph."""
+        return None
+
+    def factors(self, keyframe: int, before: State) -> list[gtsam.NonlinearFactor]:
+        """Of a key frame and the interval that leads to it; before: the state one key frame earlier, roughly."""
+        return []
+
+    def landmark_factors(
+        self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
+    ) -> list[gtsam.NonlinearFactor]:
+        """Between key frames and landmarks: ids (L,) and points (L, 3) in odom."""
+        return []
+
+
+def symbol(letter: str, index: int = 0) -> int:
+    """Key of a variable, as `gtsam.symbol` makes it."""
+    return (ord(letter) << 56) + index
+
+
+READERS = {ord("x"): "atPose3", ord("b"): "atConstantBias", ord("l"): "atPoint3"}
+"""How variables are read from `gtsam.Values`, by the letter of their key; others are vectors."""
+
+
+def python_factor(
+    keys: list[int],
+    sigmas: float | Array,
+    dimension: int,
+    evaluate: Callable[..., tuple[Array, list[Array]]],
+    **loss: float,
+) -> gtsam.NonlinearFactor:
+    """A factor of error (dimension,) with 1 sigmas: one for all, or (dimension,).
+
+    evaluate(*variables) gives error (K,) and its derivatives (K, d) by each variable's tangent. loss: `huber` or
+    `cauchy`, its threshold in sigmas; squares without.
+    """
+    import gtsam
+
+    readers = [READERS.get(key >> 56, "atVector") for key in keys]
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        residual, slopes = evaluate(*(getattr(values, read)(key) for read, key in zip(readers, keys, strict=True)))
+        if jacobians is not None:
+            for k, slope in enumerate(slopes):
+                jacobians[k] = np.asfortranarray(slope)
+        return residual
+
+    models = gtsam.noiseModel
+    noise = models.Isotropic.Sigma(dimension, sigmas) if isinstance(sigmas, float) else models.Diagonal.Sigmas(sigmas)
+    for name, threshold in loss.items():
+        noise = models.Robust.Create(getattr(models.mEstimator, name.title()).Create(threshold), noise)
+    return gtsam.CustomFactor(noise, keys, error)

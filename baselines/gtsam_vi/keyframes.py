@@ -1,0 +1,100 @@
+"""From tracks to key frames: which landmark a track shows, when a frame is a key frame, and when the vehicle rests."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench_baselines.common.inertial import Segment, relative_rotation
+from oysterbench_baselines.gtsam_vi.cameras import CameraRig
+from oysterbench_baselines.gtsam_vi.frontend import Observations, homogeneous
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
+
+
+class DataAssociation:
+    """Tells which landmark a track shows, and how much tracks are to be trusted.
+
+    A track follows what looks the same from one frame to the next, and a corner of relief goes over into another as it
+    is passed: on an orbit over shells, tracks live for a minute and slide over them by tens of pixels, so smoothly that
+    no single step gives it away. A track that is seen from another side than at first is therefore another landmark.
+    """
+
+    def __init__(self, settings: GtsamViSettings, R_imu_cam: Array) -> None:
+        self._settings, self._R_imu_cam = settings, R_imu_cam
+        self._R_start_imu = np.eye(3)
+        self._first: dict[int, tuple[int, Array]] = {}  # landmark, and direction of its first ray, by track
+        self._count = 0
+        self._ids = np.empty(0, dtype=np.int64)  # of the last frame's tracks
+        self._kept: list[float] = []  # share of the tracks that each frame since the last key frame left
+
+    def landmarks(self, ids: NDArray[np.int64], rays: Array, segment: Segment, gyro_bias: Array) -> NDArray[np.int64]:
+        """Landmarks (N,) of the next frame's tracks, ids (N,) and rays (N, 2); segment: measurements since the last."""
+        self._R_start_imu = self._R_start_imu @ relative_rotation(segment, gyro_bias)
+        if len(ids) == 0:
+            return ids
+        if len(self._ids):
+            self._kept.append(float(np.isin(self._ids, ids).mean()))
+        self._ids = ids
+        directions = homogeneous(rays) @ (self._R_start_imu @ self._R_imu_cam).T
+        directions /= np.linalg.norm(directions, axis=1)[:, None]
+        least = np.cos(np.radians(self._settings.landmarks.max_turn_deg))
+        known, self._first = self._first, {}
+        for track, direction in zip(ids.tolist(), directions, strict=True):
+            first = known.get(track)
+            if first is None or first[1] @ direction < least:
+                first, self._count = (self._count, direction), self._count + 1
+            self._first[track] = first
+        return np.array([self._first[track][0] for track in ids.tolist()], dtype=np.int64)
+
+    def inflation(self) -> float:
+        """How much less certain than usual the tracks since the last call are: where light moves over the bottom, most
+        are lost from frame to frame, and it has moved those that are left."""
+        noise, kept = self._settings.noise, max(float(np.mean(self._kept or [1.0])), 1e-3)
+        self._kept = []
+        return min(kept**-noise.loss_power, noise.max_inflation)
+
+
+def is_keyframe(
+    last: Observations, now: Observations, since: Segment, gyro_bias: Array, rig: CameraRig, settings: GtsamViSettings
+) -> bool:
+    """Enough parallax, enough tracks lost, or enough time since the last key frame."""
+    limits = settings.keyframes
+    if since.duration < limits.min_s:
+        return False
+    if since.duration >= limits.max_s:
+        return True
+    shared, in_last, in_now = np.intersect1d(last.ids, now.ids, assume_unique=True, return_indices=True)
+    if len(shared) < limits.shared * len(last.ids):
+        return True
+    if len(shared) == 0:
+        return False
+    R_imu_cam = rig.T_imu_cam[:3, :3]
+    turn = R_imu_cam.T @ relative_rotation(since, gyro_bias) @ R_imu_cam
+    return parallax(last.rays[in_last], now.rays[in_now], turn) * rig.focal >= limits.parallax_px
+
+
+def parallax(before: Array, after: Array, R_before_after: Array) -> float:
+    """Median flow, at depth 1, between rays (N, 2) and (N, 2) that a rotation does not explain."""
+    turned = homogeneous(before) @ R_before_after
+    flow = after - turned[:, :2] / np.maximum(turned[:, 2:], 0.1)
+    return float(np.median(np.linalg.norm(flow, axis=1)))
+
+
+def is_stationary(
+    before: Observations, after: Observations, duration: float, rig: CameraRig, settings: GtsamViSettings
+) -> bool:
+    """Zero-velocity detection: the picture has not moved in `duration` s.
+
+    Judged by the affine flow that fits all tracks: their own noise averages out in it, and motion in any direction
+    or about any axis shows.
+    """
+    shared, in_before, in_after = np.intersect1d(before.ids, after.ids, assume_unique=True, return_indices=True)
+    if len(shared) < settings.initialisation.min_tracks or duration < settings.zero_velocity.min_s:
+        return False
+    flow = (after.rays[in_after] - before.rays[in_before]) * rig.focal
+    length = np.linalg.norm(flow, axis=1)
+    calm = length <= 3 * np.median(length)
+    places = homogeneous(before.rays[in_before][calm])
+    fit = places @ np.linalg.lstsq(places, flow[calm], rcond=None)[0]
+    return float(np.sqrt(np.mean(np.sum(fit**2, axis=1)))) < settings.zero_velocity.flow_px

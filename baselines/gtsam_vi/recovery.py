@@ -1,0 +1,87 @@
+"""Recovery from failures: when the window has diverged, and what is known of the pose until it is found again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from oysterbench.core.geometry import Array
+from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.settings import RecoverySettings
+from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, predict_constant_velocity
+from oysterbench_baselines.gtsam_vi.window import Window
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Where a path goes on: a state of the IMU, and the covariance (6, 6) of base_link's pose, as of a `Trajectory`."""
+
+    state: State
+    covariance: Array
+
+
+class Recovery:
+    """Watches the window, and remembers the last key frame at which all was well."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        self._bad_keyframes = 0
+        self._good: tuple[int, State] | None = None  # a key frame's index, and its state then
+
+    def accept(self, keyframe: Keyframe) -> None:
+        """All is well at a key frame."""
+        self._good = keyframe.index, keyframe.estimate
+
+    def has_diverged(self, window: Window, keyframe: Keyframe) -> bool:
+        """Speed or biases beyond belief, or most landmarks far from where they were predicted, time and again."""
+        limits, model, state = self._model.settings.recovery, self._model, keyframe.estimate
+        if not np.isfinite(state.matrix).all() or np.linalg.norm(state.nav.velocity()) > limits.max_speed:
+            return True
+        gyro = np.abs(state.bias.gyroscope()).max() / model.gyro_turn_on
+        accel = np.abs(state.bias.accelerometer()).max() / model.accel_turn_on
+        self._bad_keyframes = self._bad_keyframes + 1 if window.lost_share > limits.max_lost_share else 0
+        if max(gyro, accel) > limits.max_bias_sigmas or self._bad_keyframes >= limits.max_bad_keyframes:
+            return True
+        if self._bad_keyframes == 0:
+            self.accept(keyframe)
+        return False
+
+    def distrust(self, keyframes: list[Keyframe]) -> None:
+        """The measurements since the last good key frame take no part in the final smoothing."""
+        assert self._good is not None  # since the window began
+        for keyframe in keyframes[self._good[0] + 1 :]:
+            keyframe.trusted = False
+        self._bad_keyframes = 0
+
+    def predict(self, keyframes: list[Keyframe], frames: list[Frame]) -> Anchor:
+        """The path goes on from the last good key frame at the velocity it had, also for the frames whose poses have
+        been given since; gives what is known of the last key frame."""
+        assert self._good is not None
+        index, state = self._good
+        stamp_ns, limits = keyframes[index].stamp_ns, self._model.settings.recovery
+        covariance = next(frame.covariance for frame in frames if frame.stamp_ns == stamp_ns)
+        assert covariance is not None
+        for keyframe in keyframes[index:]:
+            keyframe.state = predict_constant_velocity(state, (keyframe.stamp_ns - stamp_ns) * 1e-9)
+        for frame in frames:
+            if frame.stamp_ns > stamp_ns:
+                time = (frame.stamp_ns - stamp_ns) * 1e-9
+                frame.online = predict_constant_velocity(state, time).matrix
+                frame.covariance = grown_covariance(covariance, time, limits)
+        time = (keyframes[-1].stamp_ns - stamp_ns) * 1e-9
+        return Anchor(keyframes[-1].estimate, grown_covariance(covariance, time, limits))
+
+
+def grown_covariance(covariance: Array, time: float, settings: RecoverySettings) -> Array:
+    """Covariance (6, 6) of a pose after a time (s) of which nothing is known but what vehicles do."""
+    grown = np.repeat([settings.unknown_speed, settings.unknown_rate], 3) * time
+    return covariance + np.diag(grown**2)
+
+
+def unlevelled(covariance: Array) -> tuple[Array, Array]:
+    """What is known of a start after a failure, pose (6, 6) and velocity (3, 3): place and heading, but not up."""
+    pose = covariance.copy()
+    pose[3:5, :], pose[:, 3:5] = 0.0, 0.0
+    pose[3, 3] = pose[4, 4] = 0.5**2
+    return pose, np.eye(3) * 2.0**2
