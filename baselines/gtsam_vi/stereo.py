@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
-from oysterbench.sequence.types import CameraCalibration, Measurement, Sequence
+from oysterbench.sequence.types import CameraCalibration, Sequence
 from oysterbench_baselines.gtsam_vi.frontend import Tracks, distort, follow, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, StereoSettings
 
@@ -26,9 +27,7 @@ def second_camera(sequence: Sequence, first: str, settings: StereoSettings) -> s
     return None
 
 
-def pairs(
-    stream: Iterator[Measurement], first: str, second: str | None, tolerance_s: float
-) -> Iterator[Measurement | tuple[Image, Image | None]]:
+def pairs(stream: Iterator[Any], first: str, second: str | None, tolerance_s: float) -> Iterator[Any]:
     """The stream with each frame of the first camera, and that of the second taken with it where there is one."""
     waiting: Image | None = None  # of the first camera
     other: Image | None = None  # the latest of the second

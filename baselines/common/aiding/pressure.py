@@ -10,7 +10,7 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import PressureMeasurement
-from oysterbench.sequence.calibration import PressureCalibration
+from oysterbench.sequence.types import PressureCalibration
 from oysterbench_baselines.common.aiding.sensor import AidingSensor, Calibration, GateSettings, python_factor, symbol
 from oysterbench_baselines.common.filter import ATTITUDE, CORE, POSITION, VELOCITY, InvariantFilter, cross
 
