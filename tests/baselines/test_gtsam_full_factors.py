@@ -11,6 +11,8 @@ from gtsam.symbol_shorthand import B, V, X
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, invert, transform
+from oysterbench.sensors.dvl import DvlRecipe
+from oysterbench.sensors.imu import ImuRecipe
 from oysterbench_baselines.common.aiding.dvl import (
     DVL_KEY,
     Velocity,
@@ -35,9 +37,9 @@ def perfect_dive() -> dive.SensorDive:
     vehicle = dive.rig("dvl", beam_noise_m_s=0.0, scale_error=0.0, range_noise_share=0.0)
     silent = dict.fromkeys(("gyro_noise_density", "gyro_turn_on", "gyro_bias_instability", "gyro_step"), 0.0)
     silent |= dict.fromkeys(("accel_noise_density", "accel_turn_on", "accel_bias_instability", "accel_step"), 0.0)
-    unit = dataclasses.replace(vehicle.imu, **silent)
-    log = dataclasses.replace(vehicle.dvl, misalignment_deg=0.0, rate_hz=10.0)
-    return dive.SensorDive(0, dataclasses.replace(vehicle, imu=unit, dvl=log), dive.survey_path(30.0))
+    unit, log = vehicle.of(ImuRecipe)[0], vehicle.of(DvlRecipe)[0]
+    sensors = dataclasses.replace(unit, **silent), dataclasses.replace(log, misalignment_deg=0.0, rate_hz=10.0)
+    return dive.SensorDive(0, dataclasses.replace(vehicle, sensors=sensors), dive.survey_path(30.0))
 
 
 def interval(sequence: dive.SensorDive, seconds: float) -> tuple[list, State]:
