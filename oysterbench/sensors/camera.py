@@ -237,7 +237,11 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
             frame = render_frame(world, recipe, index)
             layers: dict[str, NDArray[Any]] = {}
             if every and index % every == 0:
-                made = {"depth": frame.depth, "class": frame.classes, "instance": frame.instances}
+                made: dict[str, NDArray[Any]] = {
+                    "depth": frame.depth,
+                    "class": frame.classes,
+                    "instance": frame.instances,
+                }
                 made |= render_layers(world, recipe, index)
                 layers = {name: made[name] for name in recipe.layers}
             yield CameraFrame(int(stamps_ns[index]), recipe.name, frame.colour, layers)

@@ -11,7 +11,8 @@ from oysterbench.recipe.sensors import SensorRecipe
 
 def stamps(n: int, rate_hz: float, epoch_ns: int, offset_ms: float = 0.0) -> NDArray[np.int64]:
     """(n,) int64 stamps of samples taken k / rate after the epoch, by a clock that is offset_ms ahead."""
-    return epoch_ns + round(offset_ms * 1e6) + np.rint(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)
+    since_ns: NDArray[np.int64] = np.rint(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)
+    return since_ns + (epoch_ns + round(offset_ms * 1e6))
 
 
 def kept(n: int, recipe: SensorRecipe, streams: Streams) -> NDArray[np.bool_]:
@@ -33,4 +34,4 @@ def kept(n: int, recipe: SensorRecipe, streams: Streams) -> NDArray[np.bool_]:
     ]
     ends = np.cumsum(np.column_stack(lengths[::-1] if starts_lost else lengths).ravel())
     run = np.searchsorted(ends, np.arange(n), side="right")
-    return (run % 2 == 1) == starts_lost
+    return np.asarray((run % 2 == 1) == starts_lost)

@@ -221,7 +221,7 @@ def pulse_kernel(width: float) -> Array:
         place = (offsets + sample) / width
         pulse += np.where(np.abs(place) <= SIDELOBES + 1, np.sinc(place) ** 2, 0.0)
     taps = np.array([np.sum(pulse * np.maximum(1 - np.abs(offsets - k), 0.0)) for k in range(-side, side + 1)])
-    return np.round(taps / taps.sum(), 12)
+    return np.asarray(np.round(taps / taps.sum(), 12))
 
 
 def resolve(power: Array, axis: RangeAxis, true_speed: float, bandwidth_khz: float) -> Array:
@@ -229,12 +229,14 @@ def resolve(power: Array, axis: RangeAxis, true_speed: float, bandwidth_khz: flo
     width = range_resolution(true_speed, bandwidth_khz) * axis.stretch / axis.step
     taps = pulse_kernel(max(round(width, 3), 0.001))
     side = len(taps) // 2
-    smeared, part = taps[side] * power, np.empty_like(power)
+    smeared: Array = taps[side] * power
+    part = np.empty_like(power)
     for k in range(1, side + 1):
         np.multiply(power, taps[side + k], out=part)
         smeared[:, k:] += part[:, :-k]
         smeared[:, :-k] += part[:, k:]
-    return np.maximum(smeared, 0.0, out=smeared)
+    np.maximum(smeared, 0.0, out=smeared)
+    return smeared
 
 
 def record(

@@ -211,7 +211,7 @@ def read_out(truth: Array, recipe: ImuRecipe, which: str, streams: Streams) -> A
 
 def sensitivity(triad: Triad, streams: Streams) -> Array:
     """(3, 3) matrix from truth to reading: errors of scale on the diagonal, of each axis' direction beside it."""
-    matrix = np.radians(triad.misalignment_deg) * streams.generator("misalignment").standard_normal((3, 3))
+    matrix: Array = np.radians(triad.misalignment_deg) * streams.generator("misalignment").standard_normal((3, 3))
     np.fill_diagonal(matrix, 1.0 + triad.scale * streams.generator("scale").standard_normal(3))
     return matrix
 

@@ -68,9 +68,9 @@ def measure(path: Path, recipe: MagnetometerRecipe, site: SiteRecipe, times_s: A
     rotation = path.at(times_s).rotation @ Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix()
     earth = np.einsum("nji,j->ni", rotation, earth_field(site))
     noise = recipe.noise_ut * streams.generator("magnetometer", "noise").standard_normal((len(times_s), 3))
-    field = earth @ np.asarray(recipe.soft_iron).T + MICROTESLA * (np.asarray(recipe.hard_iron_ut) + noise)
+    field: Array = earth @ np.asarray(recipe.soft_iron).T + MICROTESLA * (np.asarray(recipe.hard_iron_ut) + noise)
     step = recipe.step_ut * MICROTESLA
-    return np.rint(field / step) * step if step else field
+    return np.asarray(np.rint(field / step) * step) if step else field
 
 
 def noise_variance(recipe: MagnetometerRecipe) -> float:

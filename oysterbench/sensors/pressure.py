@@ -83,8 +83,8 @@ def measure(
     offset = recipe.offset_m * streams.generator("pressure", "offset").standard_normal()
     noise = recipe.noise_m * streams.generator("pressure", "noise").standard_normal(len(times_s))
     weight = density(site) * GRAVITY
-    pressure = ATMOSPHERE + weight * np.minimum(head + offset + noise, recipe.max_depth_m)
-    return np.rint(pressure / recipe.step_pa) * recipe.step_pa if recipe.step_pa else pressure
+    pressure: Array = ATMOSPHERE + weight * np.minimum(head + offset + noise, recipe.max_depth_m)
+    return np.asarray(np.rint(pressure / recipe.step_pa) * recipe.step_pa) if recipe.step_pa else pressure
 
 
 def tide(site: SiteRecipe, times_s: Array, streams: Streams) -> Array:

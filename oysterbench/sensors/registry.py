@@ -64,9 +64,9 @@ def read_calibrations(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """
     found: dict[str, dict[str, Any]] = {}
     for kind in calibrated_kinds():
-        entries = document[kind.key] if kind.required else document.get(kind.key)
+        entries: Any = document[kind.key] if kind.required else document.get(kind.key)
         if entries or kind.required:
-            by_name = {kind.block: entries} if kind.single else entries
+            by_name: Mapping[str, Any] = {kind.block: entries} if kind.single else entries
             found[kind.block] = {name: kind.read_calibration(entry) for name, entry in by_name.items()}
     return found
 

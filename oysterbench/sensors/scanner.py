@@ -159,7 +159,7 @@ class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
 
     recipe = ScannerRecipe
     calibration = ScannerCalibration
-    title = "scanner"
+    title = "scanning sonar"
     reader = "scans"
     rank = 60
     leaves: ClassVar = {"ping": IMAGE, "head": HEAD}

@@ -267,7 +267,7 @@ class ImagingSonar:
 def beam_azimuths(recipe: SonarRecipe) -> Array:
     """(beams,) rad to the left of the axis: the middles of equal parts of the horizontal aperture, left to right."""
     share = (np.arange(recipe.beams) + 0.5) / recipe.beams
-    return np.radians(recipe.hfov_deg) * (0.5 - share)
+    return np.asarray(np.radians(recipe.hfov_deg) * (0.5 - share))
 
 
 def build_columns(recipe: SonarRecipe) -> Columns:
@@ -338,7 +338,8 @@ class Sonar(SensorKind[SonarRecipe, SonarCalibration, tuple[SonarImage, Cloud | 
 
     recipe = SonarRecipe
     calibration = SonarCalibration
-    title = reader = "sonar"
+    title = "imaging sonar"
+    reader = "sonar"
     rank = 80
     bulky = True
     leaves: ClassVar = {"image": IMAGE}

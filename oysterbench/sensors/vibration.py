@@ -66,7 +66,7 @@ def shaped(n: int, rate_hz: float, psd: Array, rng: np.random.Generator) -> Arra
     from scipy.fft import irfft, next_fast_len
 
     length = next_fast_len(2 * n, real=True)
-    density = folded(np.arange(length // 2 + 1) * (rate_hz / length), rate_hz, psd)
+    density = folded(np.arange(length // 2 + 1, dtype=float) * (rate_hz / length), rate_hz, psd)
     density[0] = 0.0  # what does not oscillate is the bias
     # Of a line, twice its squared modulus over (length * rate) is the density; real and imaginary part share it.
     amplitude = np.sqrt(density * (length * rate_hz / 4))

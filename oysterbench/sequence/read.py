@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -45,6 +45,8 @@ __all__ = [
     "read_attachments",
     "read_messages",
 ]
+
+T = TypeVar("T")
 
 METADATA = "oysterbench"
 CALIBRATION = "calibration.json"
@@ -153,7 +155,7 @@ class McapSequence(Sequence):
             raise SequenceError(f"{self.path} has no truth about oysters: no attachment {OYSTERS}")
         import pandas as pd
 
-        return self._decoded(pd.read_csv, io.BytesIO(self.attachments[OYSTERS]))
+        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[OYSTERS])))
 
     def steering(self) -> pd.DataFrame:
         """What an expert would command at each picture of the front camera, a row each: stamp_ns; yaw and pitch, the
@@ -163,7 +165,7 @@ class McapSequence(Sequence):
             raise SequenceError(f"{self.path} has no truth about steering: no attachment {STEERING}")
         import pandas as pd
 
-        return self._decoded(pd.read_csv, io.BytesIO(self.attachments[STEERING]))
+        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[STEERING])))
 
     def _check(self, name: str, known: Mapping[str, Any], kind: str) -> None:
         if name not in known:
@@ -186,7 +188,7 @@ class McapSequence(Sequence):
         except ValueError as error:  # one topic has more messages than another
             raise SequenceError(damaged(self.path, f"{', '.join(names)}: {error}")) from None
 
-    def _decoded(self, read: Callable[..., Any], *arguments: Any) -> Any:
+    def _decoded(self, read: Callable[..., T], *arguments: Any) -> T:
         try:
             return read(*arguments)
         except DAMAGE as error:

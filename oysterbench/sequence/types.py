@@ -224,7 +224,8 @@ class SensorsOnly(Sequence):
     def frame(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> pd.DataFrame:
         if topic not in (name for name, _, _ in self._contents):
             self._hidden(f"frame({topic!r})")
-        return self._iterators["frame"](topic, start_ns, end_ns)
+        table: pd.DataFrame = self._iterators["frame"](topic, start_ns, end_ns)
+        return table
 
     @property
     def duration_s(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping
-from typing import IO
+from typing import IO, Any
 
 from mcap.writer import CompressionType, Writer
 
@@ -25,7 +25,7 @@ class SequenceWriter:
     def __init__(self, output: IO[bytes], types: Mapping[str, str], compress: bool = True) -> None:
         """types: topic -> message type, in the order in which the channels are registered."""
         compression = CompressionType.ZSTD if compress else CompressionType.NONE
-        self._writer = Writer(output, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True)
+        self._writer: Any = Writer(output, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True)
         # The name of the library in the header must not change the bytes with its patch releases.
         self._writer.start(profile="ros2", library="oysterbench")
         schemas: dict[str, int] = {}

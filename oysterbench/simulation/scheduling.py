@@ -15,7 +15,8 @@ from collections import Counter
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from importlib import import_module
+from typing import Any, TypeVar
 
 from oysterbench.core.errors import OysterbenchError
 
@@ -95,12 +96,11 @@ def run_on_cluster(task: Callable[[J], bytes], jobs: Sequence[J], address: str) 
     lost, and when a job kills its workers again and again.
     """
     try:
-        from distributed import Client, KilledWorker, as_completed
-        from distributed.comm import CommClosedError
+        dask: Any = import_module("distributed")  # which is not typed
     except ImportError:
         raise OysterbenchError("--scheduler needs Dask: pip install 'oysterbench[cluster]'") from None
     try:
-        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        client = dask.Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise OysterbenchError(
             f"--scheduler {address}: no Dask scheduler answers ({error}); expected an address as `dask scheduler` "
@@ -109,7 +109,7 @@ def run_on_cluster(task: Callable[[J], bytes], jobs: Sequence[J], address: str) 
     deaths: Counter[str] = Counter()
     with client:
         pending: dict[str, J] = {}
-        done = as_completed(loop=client.loop)
+        done = dask.as_completed(loop=client.loop)
         queue = iter(jobs)
 
         def submit(job: J) -> None:
@@ -130,7 +130,7 @@ def run_on_cluster(task: Callable[[J], bytes], jobs: Sequence[J], address: str) 
                 job = pending.pop(str(future.key))
                 try:
                     data = future.result()
-                except KilledWorker:
+                except dask.KilledWorker:
                     deaths[repr(job)] += 1
                     if deaths[repr(job)] >= DEATHS:
                         raise OysterbenchError(
@@ -141,7 +141,7 @@ def run_on_cluster(task: Callable[[J], bytes], jobs: Sequence[J], address: str) 
                     continue
                 future.release()
                 yield job, data
-        except (CommClosedError, CancelledError, OSError, TimeoutError) as error:
+        except (dask.comm.CommClosedError, CancelledError, OSError, TimeoutError) as error:
             raise OysterbenchError(
                 f"the scheduler {address} was lost ({error}); the frames that were finished are kept: run the same "
                 "command again when it is back"

@@ -13,9 +13,9 @@ from rosbags.typesys import Stores, get_typestore
 
 import oysterbench
 from oysterbench.core.ros import EPOCH_NS, stamp_of
-from oysterbench.recipe import parse_split
+from oysterbench.recipe import RigRecipe, parse_split
 from oysterbench.sensors.camera import LAYERS
-from oysterbench.sensors.registry import rig_frames
+from oysterbench.sensors.registry import rig_frames, sensor_kinds
 from oysterbench.sequence.truth import rig_topics
 from tests.helpers import hand_made_dive as dive
 from tests.helpers.paths import ROOT
@@ -39,6 +39,17 @@ rate_hz = 5.0
 [pressure]
 [magnetometer]
 """
+
+
+def rig_of_every_kind() -> RigRecipe:
+    """With one sensor of each kind that there is a file of, named after its block."""
+    kinds = [kind for kind in sensor_kinds().values() if not kind.required]
+    blocks = [
+        f"[{kind.block}]" if kind.single else f'[[{kind.block}]]\nname = "{kind.block}_1"\nrate_hz = 5.0'
+        for kind in kinds
+    ]
+    source = TINY_RIG + "\n".join(blocks) + '\n[[sonar]]\nname = "second"\nrate_hz = 1.0\ncloud = true\n'
+    return parse_split(TINY_SPLIT, "tiny.toml", rig_source=source).rig
 
 
 def same(a, b) -> bool:
@@ -217,7 +228,11 @@ def test_a_rig_has_the_topics_and_frames_of_its_sensors():
 
 def test_the_readme_names_every_topic():
     readme = (ROOT / "README.md").read_text()
-    rig = parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + EVERY_SENSOR).rig
+    rig = rig_of_every_kind()
+    assert {sensor.block for sensor in (*rig.sensors, *rig.camera)} == set(sensor_kinds())
+    names = "|".join(sensor.name for sensor in (*rig.sensors, *rig.camera) if not sensor.single)
     for topic in set(rig_topics(rig)) - {"/tf_static"}:
-        name = re.sub("^/(cam_front|fls|plain|msis|alt)/", "/NAME/", topic)
+        name = re.sub(f"^/({names})/", "/NAME/", topic)
         assert f"`{name}`" in readme or name.rsplit("/")[-1] in LAYERS, topic
+    for kind in sensor_kinds().values():
+        assert re.search(rf"^\| .*{kind.title.removesuffix(' sensor')}.* \|", readme, re.M), kind.title

@@ -82,7 +82,7 @@ def test_a_stream_of_no_name_is_of_all_cameras(sequence):
 def test_an_unknown_sensor_is_named_with_what_there_is(sequence):
     with pytest.raises(SequenceError, match=r"no sensor 'fsl'; its sensors: imu, .*fls, msis, .*dvl"):
         list(sequence.stream("fsl"))
-    with pytest.raises(SequenceError, match="no sonar 'msis'; sonars: fls"):
+    with pytest.raises(SequenceError, match="no imaging sonar 'msis'; imaging sonars: fls"):
         list(sequence.sonar("msis"))
     with pytest.raises(SequenceError, match="no altimeter 'x'; altimeters: alt"):
         list(sequence.ranges("x"))

@@ -14,7 +14,7 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.sensors.registry import export_formats
 from oysterbench.sequence.types import Sequence
 
-_BUILT_IN = {
+SHARED_FORMATS = {
     "euroc": "EuRoC/ASL: mav0/ with PNG images, IMU, sensor.yaml files and the state; for visual-inertial SLAM",
     "tum": "TUM RGB-D: rgb/ and depth/ with lists, groundtruth.txt, accelerometer.txt",
     "kitti": "KITTI odometry: undistorted image_0/ (image_1/ of a stereo pair), calib.txt, times.txt, poses of image_0",
@@ -24,7 +24,7 @@ _BUILT_IN = {
 }
 """Formats of several sensors, and what they are: each is the module of its name, `write(sequence, folder, truth)`."""
 
-FORMATS = _BUILT_IN | {form: export.summary for form, (_, export) in export_formats().items()}
+FORMATS = SHARED_FORMATS | {form: export.summary for form, (_, export) in export_formats().items()}
 """All formats and what they are, those of single kinds of sensor (`SensorKind.exports`) included."""
 
 Write = Callable[[Sequence, Path, bool], list[str]]
@@ -46,7 +46,7 @@ def export_sequence(
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SequenceError(f"{folder} is there already; it was left as it is: delete it or choose another --out")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    write: Write = import_module(f"{__name__}.{form}").write if form in _BUILT_IN else partial(_write_kind, form)
+    write: Write = import_module(f"{__name__}.{form}").write if form in SHARED_FORMATS else partial(_write_kind, form)
     temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
     try:
         temporary.chmod(0o755)

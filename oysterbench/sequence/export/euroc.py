@@ -118,4 +118,4 @@ def _velocities(sequence: Sequence, arm: Array, rotations: Array) -> Array:
     table = sequence.frame(TRUTH)
     velocity = table[["velocity_x", "velocity_y", "velocity_z"]].to_numpy()
     rate = table[["rate_x", "rate_y", "rate_z"]].to_numpy()
-    return np.einsum("nij,nj->ni", rotations, velocity + np.cross(rate, arm))
+    return np.asarray(np.einsum("nij,nj->ni", rotations, velocity + np.cross(rate, arm)))

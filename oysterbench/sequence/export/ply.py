@@ -166,4 +166,4 @@ def _spans(path: Trajectory, stamp_ns: int) -> bool:
 
 def _in_map(path: Trajectory, stamp_ns: int, T_base_sensor: Array, points: Array) -> Array:
     (pose,) = sensor_poses(path.at(np.array([stamp_ns], dtype=np.int64)), T_base_sensor)
-    return points @ pose[:3, :3].T + pose[:3, 3]
+    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])

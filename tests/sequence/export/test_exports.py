@@ -16,7 +16,7 @@ import oysterbench
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import invert
 from oysterbench.core.trajectory import read_trajectory
-from oysterbench.sequence.export import FORMATS, export_sequence
+from oysterbench.sequence.export import SHARED_FORMATS, export_sequence
 from oysterbench.sequence.types import imu_arrays
 from tests.helpers import hand_made_dive as dive
 
@@ -35,7 +35,7 @@ def sequence(dive_file):
 def folders(sequence, tmp_path_factory):
     """Every format, written once."""
     root = tmp_path_factory.mktemp("exports")
-    return {form: export_sequence(sequence, form, root / form)[0] for form in FORMATS}
+    return {form: export_sequence(sequence, form, root / form)[0] for form in SHARED_FORMATS}
 
 
 def png(path):
