@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from oysterbench_baselines.learning.trained import device_option, seed_option
+
 if TYPE_CHECKING:
     from oysterbench.annotations import LabelledImage, LabelledSet
 
@@ -25,7 +27,6 @@ side_option = click.option(
 clip_option = click.option(
     "--clip", "clips", multiple=True, metavar="NAME", help="Only targets of this clip; repeatable: waters of one kind."
 )
-seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 
 
 @click.command("cut", short_help="Make rendered images look like real ones, without pairs.")
@@ -38,7 +39,7 @@ seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show
 @click.option("--size", default="small", show_default=True, help="small, for a processor; full, as published.")
 @click.option("--steps", type=click.IntRange(min=1), help="In place of the size's own.")
 @seed_option
-@click.option("--device", default="cpu", show_default=True, help="auto, cpu, cuda or cuda:N.")
+@device_option("cpu")
 def train_command(
     sources: tuple[str, ...],
     target: str,
@@ -62,22 +63,22 @@ def train_command(
     Leaves checkpoint.pt, losses.csv, losses.png and samples/, sheets of some twenty stages. May be
     interrupted, even killed: the same command goes on from the last checkpoint, to the same weights.
     """
-    from oysterbench.cli.labelled import open_data
+    from oysterbench.cli.labelled import open_all, open_data
     from oysterbench.cli.render import frames_bar
     from oysterbench.simulation.gallery import write_picture
     from oysterbench_baselines.cut.settings import settings_of
     from oysterbench_baselines.cut.sheets import sample_sheet, write_curves
-    from oysterbench_baselines.cut.training import Trainer, curves, train
+    from oysterbench_baselines.cut.training import curves, train
     from oysterbench_baselines.cut.translation import generator_of, translate
     from oysterbench_baselines.learning.checkpoint import Checkpoint
     from oysterbench_baselines.learning.loop import pick_device
 
     settings = settings_of(method, size, steps)
-    rendered, real = opened(sources), targets(open_data(target), side, clips)
+    rendered, real = open_all(sources), targets(open_data(target), side, clips)
     samples = [rendered[k * len(rendered) // SAMPLES] for k in range(min(SAMPLES, len(rendered)))]
     beside = [image.pixels for image in real]
 
-    def keep(trainer: Trainer, checkpoint: Checkpoint) -> None:
+    def keep(checkpoint: Checkpoint) -> None:
         write_curves(checkpoint, out)
         last = max((int(path.stem) for path in (out / "samples").glob("*.png")), default=0)
         if not checkpoint.finished and checkpoint.step < last + settings.steps / SHEETS:
@@ -87,16 +88,7 @@ def train_command(
         write_picture(out / "samples" / f"{checkpoint.step:06d}.png", sample_sheet(samples, found, beside))
 
     with frames_bar(f"training {method} on {len(rendered)} and {len(real)} images", "steps") as bar:
-        checkpoint = train(
-            rendered,
-            real,
-            settings,
-            out / "checkpoint.pt",
-            seed,
-            pick_device(device),
-            lambda done, total, losses: bar(done, total),
-            keep,
-        )
+        checkpoint = train(rendered, real, settings, out / "checkpoint.pt", seed, pick_device(device), bar, keep)
     last = curves(checkpoint)[-100:].mean(axis=0)
     click.echo(
         f"{checkpoint.step} steps, looks {last[1]:.3f}, content {last[2]:.3f} over the last 100, "
@@ -117,10 +109,11 @@ def cut_command(checkpoint: Path, sources: tuple[str, ...], out: Path) -> None:
     Example:
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
     """
+    from oysterbench.cli.labelled import open_all
     from oysterbench_baselines.cut.translation import load_generator, translated
 
     generator, settings = load_generator(checkpoint)
-    _write(opened(sources), lambda images: translated(generator, settings, images), out)
+    _write(open_all(sources), lambda images: translated(generator, settings, images), out)
 
 
 def _recolour(name: str) -> click.Command:
@@ -134,11 +127,11 @@ def _recolour(name: str) -> click.Command:
     def command(
         sources: tuple[str, ...], target: str, side: str | None, clips: tuple[str, ...], seed: int, out: Path
     ) -> None:
-        from oysterbench.cli.labelled import open_data
+        from oysterbench.cli.labelled import open_all, open_data
         from oysterbench_baselines.cut.colour import TRANSFERS, recoloured
 
         models = targets(open_data(target), side, clips)
-        _write(opened(sources), lambda images: recoloured(images, models, TRANSFERS[name], seed), out)
+        _write(open_all(sources), lambda images: recoloured(images, models, TRANSFERS[name], seed), out)
 
     command.help = f"""Give labelled images the colours of real ones ({name}): a clip, then one of its images, drawn for
     each. No edge moves; the control that a learnt translation has to beat.
@@ -152,15 +145,6 @@ def _recolour(name: str) -> click.Command:
 
 histogram_command = _recolour("histogram")
 reinhard_command = _recolour("reinhard")
-
-
-def opened(names: tuple[str, ...]) -> LabelledSet:
-    """The labelled images of all these splits or paths, as one set."""
-    from oysterbench.annotations import joined
-    from oysterbench.cli.labelled import open_data
-
-    sets = [open_data(name) for name in names]
-    return sets[0] if len(sets) == 1 else joined(sets, "+".join(one.name for one in sets))
 
 
 def targets(labelled: LabelledSet, side: str | None, clips: tuple[str, ...]) -> LabelledSet:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,8 @@ from oysterbench_baselines.cut.networks import Discriminator, Generator, Project
 from oysterbench_baselines.cut.pictures import Picture, draw_crop, read_pictures
 from oysterbench_baselines.cut.settings import CutSettings
 from oysterbench_baselines.learning.batches import initial_seed
-from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint, versions
-from oysterbench_baselines.learning.loop import be_deterministic
+from oysterbench_baselines.learning.checkpoint import Checkpoint
+from oysterbench_baselines.learning.loop import Progress, Trainer, be_deterministic, run_training, weights_of
 
 BETAS = (0.5, 0.999)  # of Adam
 KEEP_S = 60.0
@@ -30,17 +29,15 @@ TERMS = ("discriminator", "looks", "content", "identity")
 """What is kept of each step: the discriminator's loss, and the generator's: to look real, to stay what it was, and to
 leave real pictures alone (0 where that is not asked for)."""
 
-Progress = Callable[[int, int, Mapping[str, float]], None]
-Keep = Callable[["Trainer", Checkpoint], None]
-
 
 @dataclass
-class Trainer:
-    """The networks and their optimisers; `step` is one turn of both."""
+class Adversaries:
+    """Generator, discriminator and projections with their optimisers. pictures: of source and target."""
 
     settings: CutSettings
     streams: Streams
     device: torch.device
+    pictures: Sequence[Sequence[Picture]] = ()
 
     def __post_init__(self) -> None:
         torch.manual_seed(initial_seed(self.streams))
@@ -59,7 +56,12 @@ class Trainer:
             "projections": self.projections,
         }
 
-    def step(self, source: torch.Tensor, target: torch.Tensor, number: int) -> list[float]:
+    def step(self, number: int) -> list[float]:
+        """One turn of both on the crops of a step."""
+        given, wanted = draw_pair(self.pictures, self.settings.crop, self.streams, number)
+        return self.turn(given.to(self.device), wanted.to(self.device), number)
+
+    def turn(self, source: torch.Tensor, target: torch.Tensor, number: int) -> list[float]:
         """One turn on pictures (1, 3, h, w); the losses, by `TERMS`. Raises MethodError where one is not finite."""
         for optimiser in self.optimisers.values():
             optimiser.param_groups[0]["lr"] = self.settings.rate(number)
@@ -116,13 +118,10 @@ class Trainer:
         chosen = self.streams.generator("places", *name).permutation(count)[: self.settings.patches]
         return torch.from_numpy(chosen).to(self.device)
 
-    def state(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Of the networks, on the processor, and of their optimisers."""
-        weights = {
-            key: {name: value.detach().cpu() for name, value in part.state_dict().items()}
-            for key, part in self.parts().items()
-        }
-        return weights, {key: optimiser.state_dict() for key, optimiser in self.optimisers.items()}
+    def state(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        """See `Trainer`. All that is random is drawn by the number of a step."""
+        weights = {key: weights_of(part) for key, part in self.parts().items()}
+        return weights, {key: optimiser.state_dict() for key, optimiser in self.optimisers.items()}, {}
 
     def load(self, checkpoint: Checkpoint) -> None:
         """Go on from a checkpoint."""
@@ -138,8 +137,8 @@ def train(
     path: Path,
     seed: int = 0,
     device: torch.device | None = None,
-    progress: Progress = lambda done, total, losses: None,
-    keep: Keep = lambda trainer, checkpoint: None,
+    progress: Progress = lambda done, total: None,
+    keep: Callable[[Checkpoint], None] = lambda checkpoint: None,
     keep_s: float = KEEP_S,
 ) -> Checkpoint:
     """Learn to make pictures of `source` look like those of `target`, or go on where `path` was left.
@@ -149,46 +148,14 @@ def train(
     """
     device = device or torch.device("cpu")
     be_deterministic(settings.threads, device)
-    identity = {
-        "settings": plain(settings),
-        "source": source.digest(),
-        "target": target.digest(),
-        "seed": seed,
-        "device": device.type,
-    }
-    known = read_checkpoint(path) if path.is_file() else None
-    if known is not None and known.identity != identity:
-        differing = [key for key in identity if known.identity.get(key) != identity[key]]
-        raise MethodError(
-            f"{path}: holds another training: {', '.join(differing) or 'its kind'} differ; --out goes elsewhere"
-        )
-    if known is not None and known.finished:
-        return known
-    pictures = [read_pictures(side, settings.crop, settings.scale) for side in (source, target)]
-    streams = Streams(seed).at("cut")
-    trainer = Trainer(settings, streams, device)
-    state = known or Checkpoint(identity, plain(settings), {}, {}, {}, 0, False, [], 0.0, versions())
-    if known is not None:
-        trainer.load(known)
-    kept, cpu, before = time.monotonic(), time.process_time(), state.seconds
+    sides = {"source": source.digest(), "target": target.digest()}
+    identity = {"settings": plain(settings), **sides, "seed": seed, "device": device.type}
 
-    def write(finished: bool) -> None:
-        state.weights, state.optimiser = trainer.state()
-        state.finished, state.seconds = finished, before + time.process_time() - cpu
-        state.write(path)
-        keep(trainer, state)
+    def begin() -> Trainer:
+        pictures = [read_pictures(side, settings.crop, settings.scale) for side in (source, target)]
+        return Adversaries(settings, Streams(seed).at("cut"), device, pictures)
 
-    for number in range(state.step, settings.steps):
-        given, wanted = draw_pair(pictures, settings.crop, streams, number)
-        losses = trainer.step(given.to(device), wanted.to(device), number)
-        state.losses.extend(losses)
-        state.step = number + 1
-        progress(state.step, settings.steps, dict(zip(TERMS, losses, strict=True)))
-        if time.monotonic() - kept >= keep_s and state.step < settings.steps:
-            write(finished=False)
-            kept = time.monotonic()
-    write(finished=True)
-    return state
+    return run_training(begin, plain(settings), identity, settings.steps, path, progress, keep, keep_s)
 
 
 def draw_pair(

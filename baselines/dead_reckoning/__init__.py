@@ -1,5 +1,5 @@
 """Inertial dead reckoning: the floor that every other method should beat."""
 
-from oysterbench_baselines.dead_reckoning.method import DeadReckoning, Settings
+from oysterbench_baselines.dead_reckoning.method import DeadReckoning, DeadReckoningSettings
 
-__all__ = ["DeadReckoning", "Settings"]
+__all__ = ["DeadReckoning", "DeadReckoningSettings"]

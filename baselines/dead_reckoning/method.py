@@ -25,7 +25,7 @@ inverted."""
 
 
 @dataclass(frozen=True)
-class Settings:
+class DeadReckoningSettings:
     """imu_inflation: on the white densities of the data sheet; vibration and steps of the reading come on top."""
 
     imu_inflation: float = 1.1
@@ -39,8 +39,8 @@ class DeadReckoning:
     name = "dead_reckoning"
     track = "slam"
 
-    def __init__(self, settings: Settings | None = None) -> None:
-        self.settings = settings or Settings()
+    def __init__(self, settings: DeadReckoningSettings | None = None) -> None:
+        self.settings = settings or DeadReckoningSettings()
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of the inertial samples, each from what came before it.

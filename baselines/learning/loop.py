@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 
@@ -17,10 +17,26 @@ from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoin
 KEEP_S = 30.0
 """Between two checkpoints: what a kill costs at most."""
 
-Progress = Callable[[int, int, float], None]
-"""Called with the steps done, the steps wanted, and the loss."""
+Progress = Callable[[int, int], None]
+"""Called with the steps done and the steps wanted."""
 Loss = Callable[..., torch.Tensor]
 """Called with the network and the tensors of a batch; what is to become small."""
+
+
+class Trainer(Protocol):
+    """What is trained: networks, their optimisers, and one step of them."""
+
+    def step(self, number: int) -> list[float]:
+        """Take a step; its losses. Raises MethodError where one is not finite any more."""
+        ...
+
+    def state(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        """Of the networks, on the processor, of their optimisers, and of torch's generators, as a checkpoint has it."""
+        ...
+
+    def load(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -62,6 +78,86 @@ def be_deterministic(threads: int, device: torch.device) -> None:
     torch.backends.cudnn.benchmark = False
 
 
+def run_training(
+    make: Callable[[], Trainer],
+    network: Mapping[str, Any],
+    identity: Mapping[str, Any],
+    steps: int,
+    path: Path,
+    progress: Progress = lambda done, total: None,
+    keep: Callable[[Checkpoint], None] = lambda checkpoint: None,
+    keep_s: float | None = None,
+) -> Checkpoint:
+    """Train, or go on where `path` was left; the finished checkpoint, which is at `path` as well.
+
+    network: what a checkpoint says of it; keep: called whenever a checkpoint has been written, every `keep_s` seconds.
+    Raises MethodError where `path` holds a training of another identity.
+    """
+    known = read_checkpoint(path) if path.is_file() else None
+    if known is not None and known.identity != dict(identity):
+        raise MethodError(
+            f"{path}: {_difference(known.identity, identity)}; remove it to train anew, or choose another --out"
+        )
+    if known is not None and known.finished:
+        return known
+    trainer = make()
+    state = known or Checkpoint(dict(identity), dict(network), {}, {}, {}, 0, False, [], 0.0, versions())
+    if known is not None:
+        trainer.load(known)
+    kept, cpu, before = time.monotonic(), time.process_time(), state.seconds
+    while not state.finished:
+        if state.step < steps:
+            state.losses += trainer.step(state.step)
+            state.step += 1
+            progress(state.step, steps)
+        state.finished = state.step >= steps
+        if state.finished or time.monotonic() - kept >= (KEEP_S if keep_s is None else keep_s):
+            state.weights, state.optimiser, state.random = trainer.state()
+            state.seconds = before + time.process_time() - cpu
+            state.write(path)
+            keep(state)
+            kept = time.monotonic()
+    return state
+
+
+@dataclass
+class Fitting:
+    """One network, trained by AdamW on batches by their numbers."""
+
+    model: torch.nn.Module
+    batch: Callable[[int], tuple[torch.Tensor, ...]]
+    loss: Loss
+    settings: FitSettings
+    device: torch.device
+
+    def __post_init__(self) -> None:
+        rate, decay = self.settings.learning_rate, self.settings.weight_decay
+        self.optimiser = torch.optim.AdamW(self.model.parameters(), lr=rate, weight_decay=decay)
+        self.model.train()
+
+    def step(self, number: int) -> list[float]:
+        tensors = [part.to(self.device) for part in self.batch(number)]
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.settings.rate(number)
+        self.optimiser.zero_grad(set_to_none=True)
+        found = self.loss(self.model, *tensors)
+        value = float(found.detach())
+        if not math.isfinite(value):
+            raise MethodError(f"the loss is {value} after {number} steps; a lower learning rate may help")
+        found.backward()
+        torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        self.optimiser.step()
+        return [value]
+
+    def state(self) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+        return weights_of(self.model), self.optimiser.state_dict(), _random()
+
+    def load(self, checkpoint: Checkpoint) -> None:
+        self.model.load_state_dict(checkpoint.weights)
+        self.optimiser.load_state_dict(checkpoint.optimiser)
+        _set_random(checkpoint.random)
+
+
 def fit(
     make: Callable[[], torch.nn.Module],
     network: Mapping[str, Any],
@@ -72,57 +168,25 @@ def fit(
     path: Path,
     device: torch.device,
     first_seed: int,
-    progress: Progress = lambda done, total, loss: None,
+    progress: Progress = lambda done, total: None,
 ) -> Checkpoint:
-    """Train, or go on where `path` was left; the finished checkpoint, which is at `path` as well.
+    """Train a network by AdamW, or go on where `path` was left (`run_training`).
 
-    make: the network, its weights drawn from torch's generator; network: what a checkpoint says of it; batch: the
-    tensors of a step; loss: of the network on them. Raises MethodError where `path` holds a training of another
-    identity, or where the loss is not finite any more.
+    make: the network, its weights drawn from torch's generator; batch: the tensors of a step; loss: of the network on
+    them.
     """
     be_deterministic(settings.threads, device)
-    known = read_checkpoint(path) if path.is_file() else None
-    if known is not None and known.identity != dict(identity):
-        raise MethodError(f"{path}: {_difference(known.identity, identity)}; --again trains anew, --out goes elsewhere")
-    if known is not None and known.finished:
-        return known
-    torch.manual_seed(first_seed)
-    model = make().to(device)
-    optimiser = torch.optim.AdamW(model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
-    state = known or Checkpoint(dict(identity), dict(network), {}, {}, {}, 0, False, [], 0.0, versions())
-    if known is not None:
-        model.load_state_dict(known.weights)
-        optimiser.load_state_dict(known.optimiser)
-        _set_random(known.random)
-    model.train()
-    kept, cpu, before = time.monotonic(), time.process_time(), state.seconds
 
-    def keep(finished: bool) -> None:
-        state.weights = {key: value.detach().cpu() for key, value in model.state_dict().items()}
-        state.optimiser, state.random, state.finished = optimiser.state_dict(), _random(), finished
-        state.seconds = before + time.process_time() - cpu
-        state.write(path)
+    def begin() -> Trainer:
+        torch.manual_seed(first_seed)
+        return Fitting(make().to(device), batch, loss, settings, device)
 
-    for step in range(state.step, settings.steps):
-        tensors = [part.to(device) for part in batch(step)]
-        for group in optimiser.param_groups:
-            group["lr"] = settings.rate(step)
-        optimiser.zero_grad(set_to_none=True)
-        found = loss(model, *tensors)
-        value = float(found.detach())
-        if not math.isfinite(value):
-            raise MethodError(f"the loss is {value} after {step} steps; a lower learning rate may help")
-        found.backward()
-        torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-        optimiser.step()
-        state.losses.append(value)
-        state.step = step + 1
-        progress(state.step, settings.steps, value)
-        if time.monotonic() - kept >= KEEP_S and state.step < settings.steps:
-            keep(finished=False)
-            kept = time.monotonic()
-    keep(finished=True)
-    return state
+    return run_training(begin, network, identity, settings.steps, path, progress)
+
+
+def weights_of(model: torch.nn.Module) -> dict[str, torch.Tensor]:
+    """Of a network, on the processor."""
+    return {key: value.detach().cpu() for key, value in model.state_dict().items()}
 
 
 def _random() -> dict[str, Any]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-if TYPE_CHECKING:
-    from oysterbench.annotations import LabelledSet
+from oysterbench_baselines.learning.trained import device_option
 
 
 @click.command("sim2real", short_help="What rendered images are worth on real ones.")
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     "steps, a quarter of each batch stays synthetic).",
 )
 @click.option("--hold-out", multiple=True, metavar="CLIP", help="Test on this training clip instead; repeatable.")
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda or cuda:N.")
+@device_option("auto")
 @click.option("--only-table", is_flag=True, help="Train nothing; sum up what is finished.")
 def command(
     real: str,
@@ -59,27 +58,28 @@ def command(
 
     For each number of real images and each seed: real only, and real + each synthetic set; and each synthetic set
     alone. Translated images are a folder with images/ and masks/, and instances/ where they are known. Each training
-    is a folder with its checkpoint, its answers and results.json. May be interrupted, even killed: the same command
+    is a folder with its checkpoint, its predictions and results.json. May be interrupted, even killed: the same command
     goes on from there; started twice, both share the work. Training images that nearly are test images are named, and
     left out.
     """
-    from oysterbench.annotations import joined
-    from oysterbench.cli.labelled import open_data
+    from oysterbench.cli.labelled import open_all, open_data
+    from oysterbench.cli.outputs import print_rich
     from oysterbench.cli.render import frames_bar
     from oysterbench.core.files import home
+    from oysterbench.report.renderers import terminal_table
     from oysterbench_baselines.sim2real.experiment import run
-    from oysterbench_baselines.sim2real.settings import SCHEDULES, Settings
+    from oysterbench_baselines.sim2real.settings import SCHEDULES, ExperimentSettings
 
-    parts: dict[str, list[LabelledSet]] = {}
+    parts: dict[str, list[str]] = {}
     for text in names:
         name, equals, place = text.partition("=")
         if not equals or not name.replace("-", "").replace("_", "").isalnum() or name == "real":
             raise click.UsageError(f"--synthetic: expected NAME=SPLIT or NAME=PATH, and a name but real, got {text!r}")
-        parts.setdefault(name, []).append(open_data(place))
-    sets = {name: one[0] if len(one) == 1 else joined(one, name) for name, one in parts.items()}
+        parts.setdefault(name, []).append(place)
+    sets = {name: open_all(places, name=name) for name, places in parts.items()}
     if schedule not in SCHEDULES:
         raise click.UsageError(f"--schedule: expected one of {', '.join(SCHEDULES)}, got {schedule!r}")
-    settings = Settings(sizes=_sizes(sizes), seeds=seeds, schedule=SCHEDULES[schedule])
+    settings = ExperimentSettings(sizes=_sizes(sizes), seeds=seeds, schedule=SCHEDULES[schedule])
     if steps is not None:
         settings = dataclasses.replace(settings, fit=dataclasses.replace(settings.fit, steps=steps))
     run(
@@ -91,8 +91,8 @@ def command(
         device=device,
         train=not only_table,
         bar=frames_bar,
-        say=lambda text: click.echo(text, err=True),
-        show=click.echo,
+        echo=partial(click.echo, err=True),
+        show=lambda table: print_rich(terminal_table(table)),
     )
 
 

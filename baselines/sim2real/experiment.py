@@ -7,18 +7,18 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from oysterbench.annotations import LabelledSet
-from oysterbench.core.files import write_atomically
+from oysterbench.core.files import locked, write_atomically
+from oysterbench.report.renderers import markdown_table
+from oysterbench.report.table import Table
 from oysterbench.results.records import ResultRecord, write_results
 from oysterbench_baselines.sim2real.data import Real, real_data
-from oysterbench_baselines.sim2real.locking import alone
-from oysterbench_baselines.sim2real.report import HEADINGS, lines, markdown, report
+from oysterbench_baselines.sim2real.report import report, table_of
 from oysterbench_baselines.sim2real.scoring import WHOLE, score
-from oysterbench_baselines.sim2real.settings import Settings, cells_of
-from oysterbench_baselines.sim2real.table import Row, table
-from oysterbench_baselines.sim2real.trivial import TRIVIAL, answers, settings_of
-from oysterbench_baselines.sim2real.work import RESULT, Bench, finished, known_records, records_of, run_cell
+from oysterbench_baselines.sim2real.settings import ExperimentSettings, cells_of
+from oysterbench_baselines.sim2real.table import VariantRow, variants
+from oysterbench_baselines.sim2real.trivial import TRIVIAL, predictions, settings_of
+from oysterbench_baselines.sim2real.work import LOCK, RESULT, Bench, finished, known_records, records_of, run_cell
 
-Say = Callable[[str], None]
 Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 """A progress bar by its title and unit."""
 
@@ -26,21 +26,21 @@ Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 def run(
     labelled: LabelledSet,
     synthetic: Mapping[str, LabelledSet],
-    settings: Settings,
+    settings: ExperimentSettings,
     out: Path,
     hold_out: tuple[str, ...],
     device: str,
     train: bool,
     bar: Bar,
-    say: Say,
-    show: Say,
-) -> list[Row]:
+    echo: Callable[[str], None],
+    show: Callable[[Table], None],
+) -> list[VariantRow]:
     """Run all cells that are not finished, and write table.md, report.html and results.json into `out`."""
     with bar("looking for near duplicates", "images") as progress:
         real = real_data(labelled, hold_out, settings.alike, progress)
     remarks = list(_remarks(labelled, real))
     for remark in remarks:
-        say(remark)
+        echo(remark)
     bench = Bench(real, synthetic, settings, device)
     cells = [cell for cell in cells_of(tuple(synthetic), settings) if (cell.size or 0) <= len(real.train)]
     records = _trivial(bench, out / "cells")
@@ -51,25 +51,25 @@ def run(
             progress(0, total)
             for cell in left:
                 folder = out / "cells" / cell.folder
-                with alone(folder) as mine:
+                with locked(folder / LOCK, wait=False) as mine:
                     if mine:
-                        found = run_cell(bench, cell, folder, lambda at, begin=before: progress(begin + at, total))
-                        say(f"{folder.name}: {_said(found)}")
+                        found = run_cell(bench, cell, folder, lambda at, _, begin=before: progress(begin + at, total))
+                        echo(f"{folder.name}: {_summary(found)}")
                 before += settings.fit_of(cell).steps
                 progress(before, total)
     for cell in cells:  # also what others have finished meanwhile
         records += finished(bench, cell, out / "cells" / cell.folder) or []
-    rows = table(records, settings.block)
+    rows = variants(records, settings.block)
     write_results(out / RESULT, records)
-    write_atomically(out / "table.md", markdown(rows).encode())
+    write_atomically(out / "table.md", markdown_table(table_of(rows)).encode())
     write_atomically(out / "report.html", report(rows, remarks).encode())
-    show(_aligned([HEADINGS, *lines(rows)]))
+    show(table_of(rows))
     missing = sum(not (out / "cells" / cell.folder / RESULT).is_file() for cell in cells)
-    say(
+    echo(
         f"{len(cells) - missing} of {len(cells)} trainings are finished"
         + ("; the same command goes on" * bool(missing))
     )
-    say(f"written: {out / 'report.html'}")
+    echo(f"written: {out / 'report.html'}")
     return rows
 
 
@@ -80,7 +80,7 @@ def _trivial(bench: Bench, cells: Path) -> list[ResultRecord]:
         identity = {"method": kind.name, "settings": settings_of(method), "test": bench.test_digest}
         known = known_records(folder, identity)
         if known is None:
-            known = records_of(score(bench.truth, answers(method, bench.truth)), kind.name, bench, None, identity)
+            known = records_of(score(bench.truth, predictions(method, bench.truth)), kind.name, bench, None, identity)
             write_results(folder / RESULT, known)
         records += known
     return records
@@ -99,12 +99,7 @@ def _remarks(labelled: LabelledSet, real: Real) -> Iterator[str]:
         )
 
 
-def _said(records: list[ResultRecord]) -> str:
+def _summary(records: list[ResultRecord]) -> str:
     whole = next(record for record in records if record.sequence == WHOLE)
     clips = ", ".join(f"{r.sequence} {r.metrics['iou']:.3f}" for r in records if r is not whole)
     return f"IoU {whole.metrics['iou']:.3f} ({clips}), AP {whole.metrics['ap_mask']:.3f}"
-
-
-def _aligned(rows: list[tuple[str, ...]]) -> str:
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)

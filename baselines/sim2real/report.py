@@ -1,56 +1,54 @@
-"""The table as text and as a page."""
+"""The table of all trainings, and the page that shows it with its plot."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 
-from oysterbench.core.page import page
+from oysterbench.core.html import render
 from oysterbench.evaluate.statistics import Interval
+from oysterbench.report.renderers import html_table
+from oysterbench.report.table import Column, Estimate, Table, TableRow
 from oysterbench_baselines.sim2real.plot import plot
-from oysterbench_baselines.sim2real.table import Row
+from oysterbench_baselines.sim2real.table import VariantRow
 
-HEADINGS = ("training", "real images", "seeds", "IoU", "gain in IoU", "of clips", "AP", "AP50", "count MAE")
+TITLE = "What rendered images are worth"
+
+COLUMNS = (
+    Column("training", "training"),
+    Column("real_images", "real images", kind="number"),
+    Column("seeds", "seeds", kind="number"),
+    Column("iou", "IoU", kind="estimate", digits=3, better="higher"),
+    Column("gain", "gain in IoU", kind="estimate", digits=3, signed=True),
+    Column("clips", "of clips"),
+    Column("ap_mask", "AP", kind="number", digits=3, better="higher"),
+    Column("ap50_mask", "AP50", kind="number", digits=3, better="higher"),
+    Column("count_mae", "count MAE", kind="number", digits=1, better="lower"),
+)
 
 
-def lines(rows: Sequence[Row]) -> list[tuple[str, ...]]:
-    """The cells of the table, a tuple for each row, under `HEADINGS`."""
-    return [
+def table_of(rows: Sequence[VariantRow], remarks: Sequence[str] = ()) -> Table:
+    """A row for each kind of training; remarks: that stand below."""
+    return Table(TITLE, COLUMNS, tuple(map(_row, rows)), tuple(remarks))
+
+
+def _row(row: VariantRow) -> TableRow:
+    unknown = Interval(float("nan"), float("nan"), "")
+    return TableRow(
         (
             row.variant,
-            str(row.images) if row.seeds else "",
-            str(len(row.seeds)) if row.seeds else "",
-            f"{row.iou:.3f}{_bracket(row.interval)}",
-            "" if row.gain is None else f"{row.gain:+.3f}{_bracket(row.gain_interval, '+')}",
+            row.images if row.seeds else None,
+            len(row.seeds) or None,
+            Estimate(row.iou, row.interval),
+            None if row.gain is None else Estimate(row.gain, row.gain_interval or unknown),
             ", ".join(f"{clip} {value:.3f}" for clip, value in row.by_clip.items()),
-            f"{row.means['ap_mask']:.3f}",
-            f"{row.means['ap50_mask']:.3f}",
-            f"{row.means['count_mae']:.1f}",
+            *(row.means[column.key] for column in COLUMNS[-3:]),
         )
-        for row in rows
-    ]
+    )
 
 
-def _bracket(interval: Interval | None, sign: str = "") -> str:
-    return f" [{interval.low:{sign}.3f}, {interval.high:{sign}.3f}]" if interval is not None and interval.known else ""
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """For a README."""
-    text = ["| " + " | ".join(HEADINGS) + " |", "|" + "---|" * len(HEADINGS)]
-    return "\n".join(text + ["| " + " | ".join(cells) + " |" for cells in lines(rows)]) + "\n"
-
-
-def report(rows: Sequence[Row], remarks: Sequence[str]) -> str:
+def report(rows: Sequence[VariantRow], remarks: Sequence[str]) -> str:
     """An HTML page."""
-    head = "".join(f"<th>{escape(word)}</th>" for word in HEADINGS)
-    body = "".join(
-        "<tr>" + "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell, tag in zip(cells, ("th", *["td"] * 8), strict=True))
-        for cells in lines(rows)
-    )
-    said = "".join(f"<p>{escape(remark)}</p>" for remark in remarks)
-    return page(
-        "What rendered images are worth",
-        f'<h1>What rendered images are worth</h1>{said}<div class="card">{plot(rows)}</div>'
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>',
-    )
+    from markupsafe import Markup
+
+    context = {"title": TITLE, "table": Markup(html_table(table_of(rows, remarks))), "plot": Markup(plot(rows))}
+    return render("sim2real.html", context, "oysterbench_baselines.sim2real")

@@ -1,4 +1,4 @@
-"""What answers to the test images are worth: a line per image, a record per clip and one of all."""
+"""How good predictions on the test images are: a line per image, a record per clip and one of all."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """To one image: mask (H, W) bool; labels (H, W) int32 of oysters one by one, and the score of label k + 1."""
+class Prediction:
+    """Of one image: mask (H, W) bool; labels (H, W) int32 of oysters one by one, and the score of label k + 1."""
 
     mask: NDArray[np.bool_]
     labels: NDArray[np.int32]
@@ -64,17 +64,17 @@ class Score:
     images: tuple[Mapping[str, Any], ...]
 
 
-def score(truth: Truth, answers: Iterable[Answer]) -> Score:
-    """Score answers, one for each image of the truth, in its order."""
+def score(truth: Truth, predictions: Iterable[Prediction]) -> Score:
+    """Score predictions, one for each image of the truth, in its order."""
     masks = {clip: ClipScorer() for clip in dict.fromkeys(truth.clips)}
     oysters = {clip: DetectionScorer() for clip in masks}
     images: list[dict[str, Any]] = []
-    for clip, mask, instances, answer in zip(truth.clips, truth.masks, truth.instances, answers, strict=True):
-        found = masks[clip].add(mask, EstimateImage(mask.name, oyster=answer.mask))
-        scores = {k + 1: float(value) for k, value in enumerate(answer.scores)}
-        oysters[clip].add(instances, from_planes(mask.name, answer.labels, scores=scores))
+    for clip, mask, instances, prediction in zip(truth.clips, truth.masks, truth.instances, predictions, strict=True):
+        found = masks[clip].add(mask, EstimateImage(mask.name, oyster=prediction.mask))
+        scores = {k + 1: float(value) for k, value in enumerate(prediction.scores)}
+        oysters[clip].add(instances, from_planes(mask.name, prediction.labels, scores=scores))
         tally = {key: found.tally[f"{key}_px"] for key in ("true_positive", "false_positive", "false_negative")}
-        counts = {"oysters": sum(not one.crowd for one in instances.instances), "found": len(answer.scores)}
+        counts = {"oysters": sum(not one.crowd for one in instances.instances), "found": len(prediction.scores)}
         images.append({"name": mask.name, "clip": clip, **tally, **counts})
     of_masks = {clip: scorer.result() for clip, scorer in masks.items()}
     of_oysters = {clip: scorer.result() for clip, scorer in oysters.items()}

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from oysterbench.annotations.duplicates import ALIKE
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.loop import FitSettings
-from oysterbench_baselines.unet.network import NetworkSettings
+from oysterbench_baselines.unet.network import UNetworkSettings
 
 ALL = 0
 """Size that stands for all real training images."""
@@ -33,7 +33,7 @@ SCHEDULES = {"tuned": Schedule(1 / 6, 2e-3, 0), "mixed": Schedule(1 / 2, 5e-3, 2
 
 
 @dataclass(frozen=True)
-class Settings:
+class ExperimentSettings:
     """sizes:       numbers of real training images; `ALL` for all
     seeds:       trainings of each kind; seed k draws the real images, the weights and the crops
     batch:       crops of a step
@@ -48,7 +48,7 @@ class Settings:
     schedule: Schedule = SCHEDULES["tuned"]
     block: int = 8
     alike: float = ALIKE
-    network: NetworkSettings = field(default_factory=lambda: NetworkSettings(base=8, scale=0.2))
+    network: UNetworkSettings = field(default_factory=lambda: UNetworkSettings(base=8, scale=0.2))
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=56))
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1200, warm_up=20, threads=1))
 
@@ -87,7 +87,7 @@ class Cell:
         return f"{self.synthetic or REAL}-real-{size}-seed-{self.seed}"
 
 
-def cells_of(synthetic: tuple[str, ...], settings: Settings) -> list[Cell]:
+def cells_of(synthetic: tuple[str, ...], settings: ExperimentSettings) -> list[Cell]:
     """The trainings, seed by seed, so that an interrupted experiment has something of everything."""
     found = []
     for seed in range(settings.seeds):

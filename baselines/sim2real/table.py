@@ -18,8 +18,8 @@ MEANS = ("ap_mask", "ap50_mask", "count_mae", "count_bias", "boundary_iou", "pre
 
 
 @dataclass(frozen=True)
-class Row:
-    """One kind of training, or a trivial answer.
+class VariantRow:
+    """One kind of training, or a trivial method.
 
     size:     real images that were asked for: None for none, 0 for all; images: how many that were
     iou:      over all test pixels, mean of the seeds, with its interval over blocks of neighbouring test images
@@ -42,10 +42,10 @@ class Row:
     gain_interval: Interval | None = None
 
 
-def table(records: Sequence[ResultRecord], block: int) -> list[Row]:
+def variants(records: Sequence[ResultRecord], block: int) -> list[VariantRow]:
     """Rows of all cells in the records, trivial ones first. block: neighbouring images that are resampled together.
 
-    Seeds are trainings on other real images; the interval is over what is tested on, as another dive would change it,
+    Seeds are trainings on other real images; the interval is over what is tested on, as another survey would change it,
     and its width is that of the mean of these seeds. A gain is over the seeds that both rows have.
     """
     groups: dict[tuple[str, int | None], list[ResultRecord]] = {}
@@ -74,12 +74,12 @@ def _row(
     whole: Mapping[int, ResultRecord],
     block: int,
     gain: tuple[float, Interval] | None,
-) -> Row:
+) -> VariantRow:
     sums = np.array([_sums(record, block) for _, record in sorted(whole.items())])
     each = _ratios(sums.sum(axis=1))
     clips = dict.fromkeys(record.sequence for record in group if record.sequence != WHOLE)
     first = next(iter(whole.values()))
-    return Row(
+    return VariantRow(
         variant,
         size,
         int(first.method_settings.get("real_images", 0)),

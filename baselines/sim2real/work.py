@@ -1,11 +1,11 @@
-"""One cell: train, answer, score, and leave what came of it in a folder of its own."""
+"""One cell: train, prediction, score, and leave what came of it in a folder of its own."""
 
 from __future__ import annotations
 
 import dataclasses
 import io
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,25 +13,24 @@ import numpy as np
 
 from oysterbench.annotations import LabelledSet
 from oysterbench.core.errors import ResultError
-from oysterbench.core.files import write_atomically
+from oysterbench.core.files import locked, write_atomically
 from oysterbench.core.streams import Streams
 from oysterbench.results.records import ResultRecord, read_results, write_results
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
 from oysterbench_baselines.learning.checkpoint import Checkpoint
-from oysterbench_baselines.learning.loop import fit, pick_device
+from oysterbench_baselines.learning.loop import Progress, fit, pick_device
 from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.samples import Floats, LabelledDataset
 from oysterbench_baselines.sim2real.data import Real, drawn
-from oysterbench_baselines.sim2real.locking import alone
-from oysterbench_baselines.sim2real.scoring import EVALUATORS, WHOLE, Answer, Score, Truth, score
-from oysterbench_baselines.sim2real.settings import Cell, Settings
+from oysterbench_baselines.sim2real.scoring import EVALUATORS, WHOLE, Prediction, Score, Truth, score
+from oysterbench_baselines.sim2real.settings import Cell, ExperimentSettings
 from oysterbench_baselines.unet.instances import find_instances
-from oysterbench_baselines.unet.model import Model, described, enlarged, probability
+from oysterbench_baselines.unet.model import UNetModel, described, enlarged, probability
 from oysterbench_baselines.unet.training import new_network
 
-RESULT, ANSWERS, CHECKPOINT = "results.json", "answers.npz", "checkpoint.pt"
+RESULT, PREDICTIONS, CHECKPOINT, LOCK = "results.json", "predictions.npz", "checkpoint.pt", ".lock"
 STEP = 0.1
-"""Of a logit, to which answers are kept: 2.5 % of a probability at most."""
+"""Of a logit, to which predictions are kept: 2.5 % of a probability at most."""
 
 
 @dataclasses.dataclass
@@ -40,7 +39,7 @@ class Bench:
 
     real: Real
     synthetic: Mapping[str, LabelledSet]
-    settings: Settings
+    settings: ExperimentSettings
     device: str = "auto"
 
     def __post_init__(self) -> None:
@@ -94,18 +93,18 @@ class Bench:
             self._drawn[size, seed] = drawn(self.real.train, size, seed).digest()
         return self._drawn[size, seed]
 
-    def train(self, cell: Cell, folder: Path, progress: Callable[[int], None]) -> Model:
+    def train(self, cell: Cell, folder: Path, progress: Progress) -> UNetModel:
         """The trained network of a cell, from its checkpoint where there is one."""
-        return Model.of(self._trained(cell, folder, progress), pick_device(self.device))
+        return UNetModel.of(self._trained(cell, folder, progress), pick_device(self.device))
 
-    def _trained(self, cell: Cell, folder: Path, progress: Callable[[int], None]) -> Checkpoint:
+    def _trained(self, cell: Cell, folder: Path, progress: Progress) -> Checkpoint:
         settings = self.settings
         streams = Streams(cell.seed).at("sim2real")
         begun = None
         if cell.begun is not None:
             beside = folder.parent / cell.begun.folder
-            with alone(beside, wait=True):  # another process may be at it
-                begun = self._trained(cell.begun, beside, lambda done: None)
+            with locked(beside / LOCK):  # another process may be at it
+                begun = self._trained(cell.begun, beside, lambda done, total: None)
         images = self._images(cell)
         return fit(
             lambda: new_network(settings.network, begun),
@@ -117,7 +116,7 @@ class Bench:
             folder / CHECKPOINT,
             pick_device(self.device),
             initial_seed(streams),
-            lambda done, total, loss: progress(done),
+            progress,
         )
 
     def _images(self, cell: Cell) -> Mixture:
@@ -136,7 +135,7 @@ class Bench:
             return self.settings.batch
         return self.settings.schedule.kept if cell.synthetic else 0
 
-    def answers(self, model: Model) -> Iterator[Floats]:
+    def predictions(self, model: UNetModel) -> Iterator[Floats]:
         """(2, h, w) logits of each test image, at the working scale, to `STEP`."""
         for pixels in self.truth.pixels:
             yield np.clip(np.round(model.small_logits(pixels) / STEP), -127, 127).astype(np.int8)
@@ -153,17 +152,17 @@ class Subset(LabelledDataset):
         return self._whole.sample(self._places[index])
 
 
-def run_cell(bench: Bench, cell: Cell, folder: Path, progress: Callable[[int], None]) -> list[ResultRecord]:
+def run_cell(bench: Bench, cell: Cell, folder: Path, progress: Progress) -> list[ResultRecord]:
     """The records of a cell: those in its folder, or new ones. Raises ResultError where these are of something else."""
     known = finished(bench, cell, folder)
     if known is not None:
         return known
     model = bench.train(cell, folder, progress)
-    kept = dict(zip(_names(bench.truth), bench.answers(model), strict=True))
+    kept = dict(zip(_names(bench.truth), bench.predictions(model), strict=True))
     data = io.BytesIO()
     np.savez_compressed(data, **kept)
-    write_atomically(folder / ANSWERS, data.getvalue())
-    found = score(bench.truth, (read_answer(kept[name], mask.classes.shape) for name, mask in _pairs(bench.truth)))
+    write_atomically(folder / PREDICTIONS, data.getvalue())
+    found = score(bench.truth, (read_prediction(kept[name], mask.classes.shape) for name, mask in _pairs(bench.truth)))
     records = records_of(found, cell.variant, bench, cell, bench.identity(cell))
     write_results(folder / RESULT, records)
     return records
@@ -186,11 +185,11 @@ def known_records(folder: Path, identity: Mapping[str, Any]) -> list[ResultRecor
     return records
 
 
-def read_answer(kept: Any, shape: tuple[int, ...]) -> Answer:
+def read_prediction(kept: Any, shape: tuple[int, ...]) -> Prediction:
     """What kept logits (2, h, w) say at the native size (H, W)."""
     oyster, core = probability(enlarged(kept.astype(np.float32) * STEP, *shape))
     found = find_instances(oyster, core)
-    return Answer(oyster > 0.5, found.labels, found.scores)
+    return Prediction(oyster > 0.5, found.labels, found.scores)
 
 
 def records_of(

@@ -1,4 +1,5 @@
-"""Augmentation of a lesson: mirrored with its commands, moved a little, in other water and with other colours."""
+"""Augmentation of a training example: mirrored with its commands, moved a little, in other water and with other
+colours."""
 
 from __future__ import annotations
 
@@ -32,14 +33,14 @@ def augmented(
     pixels: NDArray[np.uint8],
     senses: Floats,
     looked: NDArray[np.uint8],
-    worth: Floats,
+    action_values: Floats,
     settings: SteeringAugmentation,
     rng: np.random.Generator,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Of a lesson, pixels (h, w, 3), senses (SENSES,), looked (memory.SHAPE) and worth (Y, P): the same, pixels
-    standardised."""
+    """Of a training example, pixels (h, w, 3), senses (SENSES,), looked (memory.SHAPE) and action_values (Y, P): the
+    same, pixels standardised."""
     if rng.random() < settings.flip:
-        pixels, looked, worth = mirrored(pixels, looked, worth)
+        pixels, looked, action_values = mirrored(pixels, looked, action_values)
     shift = np.column_stack([np.eye(2), rng.uniform(-settings.move, settings.move, 2)])
     size = (pixels.shape[1], pixels.shape[0])
     moved = cv2.warpAffine(np.ascontiguousarray(pixels), shift, size, borderMode=cv2.BORDER_REFLECT_101)
@@ -47,15 +48,15 @@ def augmented(
     mean, contrast = statistics(hazy)
     shown = recoloured(standardised(hazy, mean, contrast), contrast, settings.colours, rng)
     told = senses + rng.normal(0, settings.senses, senses.shape)
-    return shown, told.astype(np.float32), looked.astype(np.float32), worth
+    return shown, told.astype(np.float32), looked.astype(np.float32), action_values
 
 
 def mirrored(
-    pixels: NDArray[np.uint8], looked: NDArray[np.uint8], worth: Floats
+    pixels: NDArray[np.uint8], looked: NDArray[np.uint8], action_values: Floats
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8], Floats]:
-    """A picture (h, w, 3), the map of what was looked at, and what commands (Y, P) are worth, as a mirror shows them:
+    """A picture (h, w, 3), the map of what was looked at, and the values of commands (Y, P), as a mirror shows them:
     left is right."""
-    return pixels[:, ::-1], looked[:, ::-1], worth[::-1]
+    return pixels[:, ::-1], looked[:, ::-1], action_values[::-1]
 
 
 def _hazed(pixels: NDArray[np.uint8], share: float, rng: np.random.Generator) -> NDArray[np.uint8]:

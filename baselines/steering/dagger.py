@@ -1,8 +1,9 @@
-"""DAgger (Ross, Gordon & Bagnell 2011, algorithm 3.1): the policy dives, the expert says what it would have done, and
-both what was known and what is new are learnt from. So lessons are of places to which the policy's own mistakes lead.
+"""DAgger (Ross, Gordon & Bagnell 2011, algorithm 3.1): the policy is rolled out, the expert says what it would have
+done, and both what was known and what is new are learnt from. So training examples are of places to which the policy's
+own mistakes lead.
 
-Everything is kept beside the checkpoint: a finished dive is a file, a finished round a checkpoint, and what was killed
-goes on from these.
+Everything is kept beside the checkpoint: a finished rollout is a file, a finished round a checkpoint, and what was
+killed goes on from these.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from oysterbench.recipe import SplitRecipe
 from oysterbench.sequence import open_sequence
 from oysterbench.simulation.scheduling import run_here, run_in_processes
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
-from oysterbench_baselines.steering.lessons import Lessons, joined, recipe_of, senses_of, small
+from oysterbench_baselines.steering.examples import TrainingExamples, joined, recipe_of, senses_of, small
 from oysterbench_baselines.steering.memory import Memory
-from oysterbench_baselines.steering.network import NetworkSettings
-from oysterbench_baselines.steering.training import Settings, train
+from oysterbench_baselines.steering.network import SteeringNetworkSettings
+from oysterbench_baselines.steering.training import SteeringSettings, train
 
 Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
 """Given a title and what is counted: what is to be told how many are done, of how many (`cli_render.frames_bar`)."""
@@ -43,9 +44,9 @@ def silent(title: str, unit: str) -> Iterator[Callable[[int, int], None]]:
 
 @dataclass(frozen=True)
 class Rounds:
-    """rounds: how many. seconds: of a dive; None: the task's own. beta: share of the commands that are the expert's in
-    the first round, squared in the second, and so on. steps, learning_rate: of each round's training, which begins with
-    the weights of the one before."""
+    """rounds: how many. seconds: of a rollout; None: the task's own. beta: share of the commands that are the expert's
+    in the first round, squared in the second, and so on. steps, learning_rate: of each round's training, which begins
+    with the weights of the one before."""
 
     rounds: int = 0
     seconds: float | None = None
@@ -60,7 +61,7 @@ class Rounds:
 
 @dataclass(frozen=True)
 class Reef:
-    """Where a dive takes place: a sequence of a split."""
+    """Where a rollout takes place: a sequence of a split."""
 
     split: SplitRecipe
     name: str
@@ -72,17 +73,17 @@ def reef_of(path: Path) -> Reef:
 
 
 def learn_rounds(
-    lessons: Lessons,
+    examples: TrainingExamples,
     reefs: Sequence[Reef],
     path: Path,
-    settings: Settings,
+    settings: SteeringSettings,
     plan: Rounds,
     seed: int,
     workers: int = 1,
     bar: Bar = silent,
 ) -> Checkpoint:
-    """Train on lessons, then dive over the reefs and train further, round by round; the last round's training, which
-    is at `path` as well.
+    """Train on examples, then roll out over the reefs and train further, round by round; the last round's training,
+    which is at `path` as well.
 
     bar: what is told of the progress. Raises MethodError where `path` or a file beside it is of another training,
     LabelError for reefs whose truth is not to be had.
@@ -91,10 +92,12 @@ def learn_rounds(
         if reef.split.hidden:
             raise LabelError(f"{reef.split.name}: expected reefs to learn on, got those of a hidden split")
     folder = path.with_suffix(".rounds")
-    known: dict[str, Any] = {"lessons": lessons.digest()}
-    if path.is_file() and read_checkpoint(path).identity.get("data", {}).get("lessons") != known["lessons"]:
-        raise MethodError(f"{path}: holds a training on other lessons; --again trains anew, --out goes elsewhere")
-    parts = [lessons]
+    known: dict[str, Any] = {"examples": examples.digest()}
+    if path.is_file() and read_checkpoint(path).identity.get("data", {}).get("examples") != known["examples"]:
+        raise MethodError(
+            f"{path}: holds a training on other examples; remove it to train anew, or choose another --out"
+        )
+    parts = [examples]
     checkpoint = _trained(parts, folder / "round-0.pt", settings, seed, None, known, bar)
     fit = dataclasses.replace(settings.fit, steps=plan.steps, learning_rate=plan.learning_rate)
     for number in range(1, plan.rounds + 1):
@@ -107,58 +110,68 @@ def learn_rounds(
 
 
 def _trained(
-    parts: Sequence[Lessons],
+    parts: Sequence[TrainingExamples],
     path: Path,
-    settings: Settings,
+    settings: SteeringSettings,
     seed: int,
     begun: Checkpoint | None,
     known: Mapping[str, Any],
     bar: Bar,
 ) -> Checkpoint:
-    lessons = joined(parts)
-    with bar(f"{path.stem}: training on {len(lessons)} views", "steps") as told:
-        return train(lessons, path, settings, seed, lambda done, total, loss: told(done, total), begun, known)
+    examples = joined(parts)
+    with bar(f"{path.stem}: training on {len(examples)} views", "steps") as told:
+        return train(examples, path, settings, seed, told, begun, known)
 
 
 def collect(
     reefs: Sequence[Reef],
     policy: Checkpoint,
     folder: Path,
-    network: NetworkSettings,
+    network: SteeringNetworkSettings,
     plan: Rounds,
     number: int,
     workers: int = 1,
     bar: Bar = silent,
-) -> list[Lessons]:
-    """The lessons of a round's dives, one over each reef; those whose files are there already are read."""
+) -> list[TrainingExamples]:
+    """The examples of a round's rollouts, one over each reef; those whose files are there already are read."""
     place = folder / f"round-{number}"
     made_by = {reef.name: _made_by(reef, policy, network, plan, number) for reef in reefs}
-    found = {reef.name: read_dive(place / f"{reef.name}.npz", reef, made_by[reef.name]) for reef in reefs}
+    found = {reef.name: read_rollout(place / f"{reef.name}.npz", reef, made_by[reef.name]) for reef in reefs}
     missing = [reef for reef in reefs if found[reef.name] is None]
     task = partial(
-        dive, checkpoint=folder / f"round-{number - 1}.pt", network=network, plan=plan, number=number, made_by=made_by
+        rollout,
+        checkpoint=folder / f"round-{number - 1}.pt",
+        network=network,
+        plan=plan,
+        number=number,
+        made_by=made_by,
     )
     several = workers > 1 and len(missing) > 1
-    with bar(f"round-{number}: diving", "dives") as told:
+    with bar(f"round-{number}: rolling out", "rollouts") as told:
         for reef, data in run_in_processes(task, missing, workers, warm_up) if several else run_here(task, missing):
             write_atomically(place / f"{reef.name}.npz", data)
-            found[reef.name] = read_dive(place / f"{reef.name}.npz", reef, made_by[reef.name])
+            found[reef.name] = read_rollout(place / f"{reef.name}.npz", reef, made_by[reef.name])
             told(sum(one is not None for one in found.values()), len(reefs))
     return [one for one in found.values() if one is not None]
 
 
-def _made_by(reef: Reef, policy: Checkpoint, network: NetworkSettings, plan: Rounds, number: int) -> str:
-    """All that decides a dive, as text."""
+def _made_by(reef: Reef, policy: Checkpoint, network: SteeringNetworkSettings, plan: Rounds, number: int) -> str:
+    """All that decides a rollout, as text."""
     size = (network.width, network.height)
     return json.dumps(
         [digest(policy), reef.split.digest(), reef.name, number, plan.mixture(number), plan.seconds, size]
     )
 
 
-def dive(
-    reef: Reef, checkpoint: Path, network: NetworkSettings, plan: Rounds, number: int, made_by: Mapping[str, str]
+def rollout(
+    reef: Reef,
+    checkpoint: Path,
+    network: SteeringNetworkSettings,
+    plan: Rounds,
+    number: int,
+    made_by: Mapping[str, str],
 ) -> bytes:
-    """A dive of the policy, as a file: small pictures, senses, and what the expert holds the commands to be worth."""
+    """A rollout of the policy, as a file: small pictures, senses, and the expert's values of the commands."""
     from oysterbench.exploration.rollout import explore
     from oysterbench_baselines.steering.method import SteeringNet
 
@@ -181,25 +194,25 @@ def dive(
         pixels=np.stack([small(view.pixels, network) for view, _ in taught]),
         senses=np.stack([senses_of(view.state, task) for view, _ in taught]),
         looked=np.stack([memory.look(view.state, view.time_s) for view, _ in taught]),
-        worth=np.stack([worth for _, worth in taught]).astype(np.float32),
+        action_values=np.stack([action_values for _, action_values in taught]).astype(np.float32),
     )
     return data.getvalue()
 
 
-def read_dive(path: Path, reef: Reef, made_by: str) -> Lessons | None:
-    """The lessons of a dive's file; none where there is no such file, or one of another policy."""
+def read_rollout(path: Path, reef: Reef, made_by: str) -> TrainingExamples | None:
+    """The examples of a rollout's file; none where there is no such file, or one of another policy."""
     if not path.is_file() or reef.split.steering is None:
         return None
     with np.load(path) as held:
         if str(held["made_by"]) != made_by:
             return None
-        return Lessons(
+        return TrainingExamples(
             reef.split.steering,
             held["pixels"],
             held["senses"],
             held["looked"],
-            held["worth"],
-            np.ones(len(held["worth"]), dtype=bool),
+            held["action_values"],
+            np.ones(len(held["action_values"]), dtype=bool),
         )
 
 
@@ -212,5 +225,5 @@ def digest(checkpoint: Checkpoint) -> str:
 
 
 def warm_up() -> None:
-    """Of a process that dives: what it needs is imported."""
+    """Of a process that rolls out: what it needs is imported."""
     import oysterbench.exploration  # noqa: F401

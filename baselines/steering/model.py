@@ -16,37 +16,37 @@ from oysterbench.methods.steering import VehicleState
 from oysterbench.recipe import SteeringRecipe
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
 from oysterbench_baselines.learning.samples import standardised, statistics
-from oysterbench_baselines.steering.lessons import Floats, Lessons, check_classes, senses_of, small
-from oysterbench_baselines.steering.network import NetworkSettings, SteeringNetwork
+from oysterbench_baselines.steering.examples import Floats, TrainingExamples, check_classes, senses_of, small
+from oysterbench_baselines.steering.network import SteeringNetwork, SteeringNetworkSettings
 
 AT_ONCE = 64
 """Views that are looked at together, where there are many."""
 
 
 @dataclass
-class Model:
+class SteeringModel:
     """A network with its weights, ready to answer. yaw_deg, pitch_deg: turns of its classes."""
 
     network: SteeringNetwork
-    settings: NetworkSettings
+    settings: SteeringNetworkSettings
     yaw_deg: tuple[float, ...]
     pitch_deg: tuple[float, ...]
 
     @classmethod
-    def of(cls, checkpoint: Checkpoint) -> Model:
+    def of(cls, checkpoint: Checkpoint) -> SteeringModel:
         """From a training. Raises MethodError where it is of another network."""
         known = dict(checkpoint.network)
         if known.pop("kind", None) != "steering":
             found = checkpoint.network.get("kind")
             raise MethodError(f"expected the checkpoint of `oysterbench train steering`, got one of {found!r}")
         yaw, pitch = tuple(known.pop("yaw_deg")), tuple(known.pop("pitch_deg"))
-        settings = NetworkSettings(**{**known, "channels": tuple(known["channels"])})
+        settings = SteeringNetworkSettings(**{**known, "channels": tuple(known["channels"])})
         network = SteeringNetwork(settings, len(yaw), len(pitch))
         network.load_state_dict(checkpoint.weights)
         return cls(network.channels_last().eval(), settings, yaw, pitch)
 
     @classmethod
-    def read(cls, path: Path) -> Model:
+    def read(cls, path: Path) -> SteeringModel:
         """From a file."""
         return cls.of(read_checkpoint(path))
 
@@ -63,11 +63,11 @@ class Model:
         yaw, pitch = self._probabilities(shown[None], senses_of(state, task)[None], looked[None])
         return yaw[0], pitch[0]
 
-    def answers(self, lessons: Lessons) -> tuple[Floats, Floats]:
-        """(N, Y) and (N, P) of the classes at the pictures of lessons."""
-        self.check(lessons.task)
-        shown = (lessons.pixels, lessons.senses, lessons.looked)
-        parts = [self._probabilities(*(part[chosen] for part in shown)) for chosen in _parts(len(lessons))]
+    def predictions(self, examples: TrainingExamples) -> tuple[Floats, Floats]:
+        """(N, Y) and (N, P) of the classes at the pictures of examples."""
+        self.check(examples.task)
+        shown = (examples.pixels, examples.senses, examples.looked)
+        parts = [self._probabilities(*(part[chosen] for part in shown)) for chosen in _parts(len(examples))]
         yaw, pitch = (np.concatenate(part) for part in zip(*parts, strict=True))
         return yaw, pitch
 
@@ -90,7 +90,7 @@ class Model:
         return yaw.numpy(), pitch.numpy()
 
 
-def described(settings: NetworkSettings, task: SteeringRecipe) -> dict[str, Any]:
+def described(settings: SteeringNetworkSettings, task: SteeringRecipe) -> dict[str, Any]:
     """What a checkpoint says of the network."""
     plain = {**asdict(settings), "channels": list(settings.channels)}
     return {"kind": "steering", **plain, "yaw_deg": list(task.yaw_deg), "pitch_deg": list(task.pitch_deg)}

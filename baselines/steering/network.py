@@ -10,13 +10,13 @@ from torch import nn
 from oysterbench_baselines.steering.memory import SHAPE
 
 SENSES = 2
-"""What the network is told beside the picture (`lessons.senses_of`)."""
+"""What the network is told beside the picture (`examples.senses_of`)."""
 MAP_CHANNELS = (8, 16)
 """Of the two levels that read the map of what was looked at, each half the size of the one before."""
 
 
 @dataclass(frozen=True)
-class NetworkSettings:
+class SteeringNetworkSettings:
     """width, height: px, at which pictures are looked at. channels: of the levels, each half the size of the one
     before. groups: of channels that are normalised together. columns: channels that are kept place by place, as where
     in the picture a patch lies is what steering is about; hidden: units between them and the answers. dropout: of
@@ -50,7 +50,7 @@ class SteeringNetwork(nn.Module):
     """Pixels (B, 3, height, width), standardised, senses (B, SENSES) and the map of what was looked at (B, 1,
     *memory.SHAPE) to logits of yaw (B, Y) and pitch (B, P)."""
 
-    def __init__(self, settings: NetworkSettings, yaw: int, pitch: int) -> None:
+    def __init__(self, settings: SteeringNetworkSettings, yaw: int, pitch: int) -> None:
         super().__init__()
         levels = zip((3, *settings.channels), settings.channels, strict=False)
         self.levels = nn.Sequential(*(Level(inputs, outputs, settings.groups) for inputs, outputs in levels))

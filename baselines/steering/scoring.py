@@ -1,4 +1,4 @@
-"""How good a network is on lessons that it has not seen: what a training says at its end."""
+"""How good a network is on examples that it has not seen: what a training says at its end."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from oysterbench.evaluate.steering.labels import regrets, skill, within_one
-from oysterbench_baselines.steering.lessons import Lessons
-from oysterbench_baselines.steering.model import Model
+from oysterbench_baselines.steering.examples import TrainingExamples
+from oysterbench_baselines.steering.model import SteeringModel
 
 
 @dataclass(frozen=True)
@@ -29,16 +29,16 @@ class Score:
         )
 
 
-def score(model: Model, lessons: Lessons) -> Score:
+def score(model: SteeringModel, examples: TrainingExamples) -> Score:
     """Of the likeliest classes."""
-    commanded = np.stack([answer.argmax(axis=1) for answer in model.answers(lessons)], axis=1)
-    worth = lessons.worth.astype(float)
-    flat = worth.reshape(len(worth), -1).argmax(axis=1)
-    truth = np.stack(np.unravel_index(flat, worth.shape[1:]), axis=1)
+    commanded = np.stack([answer.argmax(axis=1) for answer in model.predictions(examples)], axis=1)
+    action_values = examples.action_values.astype(float)
+    flat = action_values.reshape(len(action_values), -1).argmax(axis=1)
+    truth = np.stack(np.unravel_index(flat, action_values.shape[1:]), axis=1)
     return Score(
-        len(lessons),
-        float(regrets(worth, commanded).mean()),
-        skill(worth, commanded),
+        len(examples),
+        float(regrets(action_values, commanded).mean()),
+        skill(action_values, commanded),
         within_one(truth[:, 0], commanded[:, 0]),
         within_one(truth[:, 1], commanded[:, 1]),
     )

@@ -36,7 +36,7 @@ class Nothing:
 
 
 @dataclass(frozen=True)
-class Settings:
+class ColourSettings:
     """surround: of the picture's width, the sigma over which the water's and the lamps' light is taken to be even, and
     the bottom of one colour; smooth: the same, of the patches that are called oyster; times: the mean colour difference
     at which the probability is a half; steepness: of the probability over mean colour differences. Chosen on seg-mini.
@@ -53,8 +53,8 @@ class Colour:
 
     name, track = "colour", "segmentation"
 
-    def __init__(self, settings: Settings | None = None) -> None:
-        self.settings = settings or Settings()
+    def __init__(self, settings: ColourSettings | None = None) -> None:
+        self.settings = settings or ColourSettings()
 
     def as_dict(self) -> dict[str, Any]:
         """The settings, for the record."""
@@ -66,13 +66,13 @@ class Colour:
             yield Segmentation(image.name, probability=probability(image.pixels, self.settings))
 
 
-def probability(pixels: NDArray[np.uint8], settings: Settings) -> NDArray[np.float32]:
+def probability(pixels: NDArray[np.uint8], settings: ColourSettings) -> NDArray[np.float32]:
     """(H, W) of a picture (H, W, 3) uint8 RGB: a logistic function of the colour difference."""
     steps = settings.steepness * (colour_difference(pixels, settings) - settings.times)
     return np.asarray(1 / (1 + np.exp(-steps)), dtype=np.float32)
 
 
-def colour_difference(pixels: NDArray[np.uint8], settings: Settings) -> NDArray[np.float32]:
+def colour_difference(pixels: NDArray[np.uint8], settings: ColourSettings) -> NDArray[np.float32]:
     """(H, W): distance in CIE L*a*b* (1976) of each pixel's colour from its surround's, smoothed, by the picture's
     mean; 0 where the picture is of one colour."""
     width = pixels.shape[1]

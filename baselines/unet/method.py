@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oysterbench.core.errors import MethodError
-from oysterbench.core.files import home
 from oysterbench.methods.images import Detections, Picture, Segmentation
+from oysterbench_baselines.learning.trained import on_torch, trained
 
 if TYPE_CHECKING:
-    from oysterbench_baselines.unet.model import Model
-
-CHECKPOINT = "OYSTERBENCH_UNET"
-"""Environment variable that names the checkpoint."""
+    from oysterbench_baselines.unet.model import UNetModel
 
 
 class UNet:
@@ -55,23 +49,10 @@ class UNetInstances(UNet):
             yield Detections(image.name, found.scores, numbers=found.labels)
 
 
-def default_checkpoint() -> Path:
-    """Where `oysterbench train unet` leaves its checkpoint, and where the method looks for it."""
-    return Path(os.environ.get(CHECKPOINT) or home() / "models" / "unet.pt")
-
-
-def load_model(checkpoint: str, device: str) -> Model:
+def load_model(checkpoint: str, device: str) -> UNetModel:
     """The trained network. Raises MethodError, with what to type, where there is none."""
-    path = Path(checkpoint) if checkpoint else default_checkpoint()
-    if not path.is_file():
-        raise MethodError(
-            f"unet: no checkpoint at {path}: it is trained on your machine, by `oysterbench train unet --data "
-            f"seg-train`; one elsewhere is named by unet[checkpoint=PATH] or by {CHECKPOINT}"
-        )
-    try:
+    path = trained("unet", checkpoint, "seg-train")
+    with on_torch("unet"):
         from oysterbench_baselines.learning.loop import pick_device
-        from oysterbench_baselines.unet.model import Model
-    except ModuleNotFoundError as error:
-        raise MethodError(f"unet: {error}; it runs on PyTorch: pip install 'oysterbench[learn]'") from None
-
-    return Model.read(path, pick_device(device))
+        from oysterbench_baselines.unet.model import UNetModel
+    return UNetModel.read(path, pick_device(device))

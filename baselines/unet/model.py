@@ -15,7 +15,7 @@ from torch.nn import functional
 from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
 from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics
-from oysterbench_baselines.unet.network import NetworkSettings, UNetwork
+from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings
 
 LARGEST_TILE = 768
 """px at the working scale: larger pictures are looked at in parts, so that memory does not grow with them."""
@@ -24,26 +24,26 @@ MARGIN = 64
 
 
 @dataclass
-class Model:
+class UNetModel:
     """A network with its weights, ready to answer."""
 
     network: UNetwork
-    settings: NetworkSettings
+    settings: UNetworkSettings
     device: torch.device
 
     @classmethod
-    def of(cls, checkpoint: Checkpoint, device: torch.device | None = None) -> Model:
+    def of(cls, checkpoint: Checkpoint, device: torch.device | None = None) -> UNetModel:
         """From a training. Raises MethodError where it is of another network."""
         if checkpoint.network.get("kind") != "unet":
             raise MethodError(f"expected the checkpoint of a unet, got one of {checkpoint.network.get('kind')!r}")
-        settings = NetworkSettings(**{key: value for key, value in checkpoint.network.items() if key != "kind"})
+        settings = UNetworkSettings(**{key: value for key, value in checkpoint.network.items() if key != "kind"})
         network = UNetwork(settings)
         network.load_state_dict(checkpoint.weights)
         device = device or torch.device("cpu")
         return cls(network.to(device=device, memory_format=torch.channels_last).eval(), settings, device)
 
     @classmethod
-    def read(cls, path: Path, device: torch.device | None = None) -> Model:
+    def read(cls, path: Path, device: torch.device | None = None) -> UNetModel:
         """From a file."""
         return cls.of(read_checkpoint(path), device)
 
@@ -75,7 +75,7 @@ class Model:
         return np.asarray(found.float().cpu().numpy(), dtype=np.float32)
 
 
-def described(settings: NetworkSettings) -> dict[str, Any]:
+def described(settings: UNetworkSettings) -> dict[str, Any]:
     """What a checkpoint says of the network."""
     return {"kind": "unet", **asdict(settings)}
 

@@ -12,7 +12,7 @@ OUTPUTS = ("oyster", "core")
 
 
 @dataclass(frozen=True)
-class NetworkSettings:
+class UNetworkSettings:
     """depth: levels, each half the size of the one before; base: channels of the first, doubled from level to level;
     groups: of channels that are normalised together. scale: of an image, at which it is looked at."""
 
@@ -44,7 +44,7 @@ class Block(nn.Sequential):
 class UNetwork(nn.Module):
     """(B, 3, h, w) standardised pixels to (B, 2, h, w) logits (`OUTPUTS`); h and w are multiples of 2^(depth - 1)."""
 
-    def __init__(self, settings: NetworkSettings) -> None:
+    def __init__(self, settings: UNetworkSettings) -> None:
         super().__init__()
         widths = [settings.base * 2**level for level in range(settings.depth)]
         self.down = nn.ModuleList(

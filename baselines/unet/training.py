@@ -20,27 +20,27 @@ from oysterbench_baselines.learning.loop import FitSettings, Progress, fit
 from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.unet.model import described
-from oysterbench_baselines.unet.network import NetworkSettings, UNetwork
+from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings
 
 
 @dataclass(frozen=True)
-class Settings:
+class UNetSettings:
     """batch: crops of one step. The defaults take 16 minutes of a processor's core, half of that on two."""
 
     batch: int = 8
-    network: NetworkSettings = field(default_factory=NetworkSettings)
+    network: UNetworkSettings = field(default_factory=UNetworkSettings)
     augmentation: Augmentation = field(default_factory=Augmentation)
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=2000))
 
 
-def identity(settings: Settings, data: Mapping[str, Any], seed: int, device: torch.device) -> dict[str, Any]:
+def identity(settings: UNetSettings, data: Mapping[str, Any], seed: int, device: torch.device) -> dict[str, Any]:
     """What decides the weights, as plain values. data: digests of the data, by what they are for."""
     plain = dataclasses.asdict(settings)
     plain["augmentation"]["zoom"] = list(settings.augmentation.zoom)
     return {"method": "unet", "settings": plain, "data": dict(data), "seed": seed, "device": device.type}
 
 
-def new_network(settings: NetworkSettings, begun: Checkpoint | None = None) -> UNetwork:
+def new_network(settings: UNetworkSettings, begun: Checkpoint | None = None) -> UNetwork:
     """With weights drawn from torch's generator, or with those of a training that it goes on from."""
     network: UNetwork = UNetwork(settings).to(memory_format=torch.channels_last)
     if begun is not None:
@@ -51,10 +51,10 @@ def new_network(settings: NetworkSettings, begun: Checkpoint | None = None) -> U
 def train(
     labelled: LabelledSet,
     path: Path,
-    settings: Settings,
+    settings: UNetSettings,
     seed: int,
     device: torch.device,
-    progress: Progress = lambda done, total, loss: None,
+    progress: Progress = lambda done, total: None,
     loading: Any = lambda done, total: None,
 ) -> Checkpoint:
     """Train on a set, or go on where `path` was left. loading: is told how many images have been read."""

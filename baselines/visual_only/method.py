@@ -18,7 +18,7 @@ from oysterbench.methods import Estimate
 from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.visual_only.lens import Lens
 from oysterbench_baselines.visual_only.odometry import Frame, MatchRight, Odometry
-from oysterbench_baselines.visual_only.settings import Settings
+from oysterbench_baselines.visual_only.settings import VisualOnlySettings
 from oysterbench_baselines.visual_only.tracks import Tracker, Tracks, follow
 from oysterbench_baselines.visual_only.views import homogeneous
 
@@ -32,10 +32,12 @@ class VisualOnly:
     name = "visual_only"
     track = "slam"
 
-    def __init__(self, camera: str | None = None, stereo: bool = True, settings: Settings | None = None) -> None:
+    def __init__(
+        self, camera: str | None = None, stereo: bool = True, settings: VisualOnlySettings | None = None
+    ) -> None:
         self.camera = camera
         self.stereo = stereo
-        self.settings = settings or Settings()
+        self.settings = settings or VisualOnlySettings()
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base at the frames that could be located; odom is base_link at the first of them."""
@@ -86,7 +88,7 @@ def poses_of_base(poses: dict[int, Array], T_base_cam: Array) -> Trajectory:
     return Trajectory(np.array(list(poses), dtype=np.int64), T_odom_base[:, :3, 3].copy(), quaternions)
 
 
-def overlapping(sequence: Sequence, left: str, settings: Settings) -> str | None:
+def overlapping(sequence: Sequence, left: str, settings: VisualOnlySettings) -> str | None:
     """A camera that sees much of what `left` sees, from beside it; None if there is none."""
     T_base_left = sequence.cameras[left].T_base_cam
     for name, camera in sequence.cameras.items():
@@ -99,7 +101,7 @@ def overlapping(sequence: Sequence, left: str, settings: Settings) -> str | None
 
 
 def frames_of(
-    sequence: Sequence, left: str, right: str | None, settings: Settings
+    sequence: Sequence, left: str, right: str | None, settings: VisualOnlySettings
 ) -> Iterator[tuple[Image, Image | None]]:
     """Frames of `left` in time order, each with that of `right` at its stamp where there is one."""
     if right is None:
@@ -118,7 +120,7 @@ def frames_of(
 class Pair:
     """Finds the corners of the left image in the right one."""
 
-    def __init__(self, left: Lens, right: Lens, T_left_right: Array, settings: Settings) -> None:
+    def __init__(self, left: Lens, right: Lens, T_left_right: Array, settings: VisualOnlySettings) -> None:
         self.left, self.right, self.settings = left, right, settings
         self.T_right_left = invert(T_left_right)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
-from oysterbench_baselines.visual_only.settings import Settings
+from oysterbench_baselines.visual_only.settings import VisualOnlySettings
 from oysterbench_baselines.visual_only.views import (
     point_from_views,
     pose_from_points,
@@ -87,7 +87,7 @@ class Odometry:
     the map its scale; without one the median depth at the start is taken as `start_depth_m`.
     """
 
-    def __init__(self, settings: Settings, focal_px: float, T_left_right: Array | None = None) -> None:
+    def __init__(self, settings: VisualOnlySettings, focal_px: float, T_left_right: Array | None = None) -> None:
         self.settings = settings
         self.T_left_right = T_left_right
         self.poses: dict[int, Array] = {}  # stamp, ns -> T_map_cam

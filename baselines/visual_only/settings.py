@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Settings:
+class VisualOnlySettings:
     """Pixels are those of the image; errors of rays are turned into them by the focal length."""
 
     # Corners and their tracks.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
-from oysterbench_baselines.visual_only.settings import Settings
+from oysterbench_baselines.visual_only.settings import VisualOnlySettings
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Tracks:
 
 
 def follow(
-    before: NDArray[np.uint8], after: NDArray[np.uint8], start: Array, guess: Array, settings: Settings
+    before: NDArray[np.uint8], after: NDArray[np.uint8], start: Array, guess: Array, settings: VisualOnlySettings
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Pixels (N, 2) of `start` (N, 2) in another image, and which of them (N,) were found there.
 
@@ -48,7 +48,7 @@ def follow(
 class Tracker:
     """Follows corners through the frames of one camera, and finds new ones where there are few."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: VisualOnlySettings) -> None:
         self.settings = settings
         self.image: NDArray[np.uint8] | None = None
         self.tracks = Tracks(np.empty(0, dtype=np.int64), np.empty((0, 2)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def open_data(name: str) -> LabelledSet:
-    """The labelled images of a split, of a recipe (.toml), or at a path (`labelled.opening.KINDS`)."""
+    """The labelled images of a split, of a recipe (.toml), or at a path (`annotations.opening.KINDS`)."""
     from oysterbench.annotations import open_labelled
     from oysterbench.recipe import load_split, split_names
 
@@ -27,3 +28,11 @@ def open_data(name: str) -> LabelledSet:
     split = load_split(name)
     files = render_files(split)
     return sequence_set(split.name, files.values(), {key: conditions(split, key) for key in files})
+
+
+def open_all(names: Sequence[str], side: str | None = None, name: str = "") -> LabelledSet:
+    """The same of several, as one set; side: only the images of this split of each."""
+    from oysterbench.annotations import joined
+
+    sets = [open_data(one) if side is None else open_data(one).of_split(side) for one in names]
+    return sets[0] if len(sets) == 1 else joined(sets, name or "+".join(one.name for one in sets))

@@ -47,10 +47,15 @@ def appearing(path: str | os.PathLike[str], prefix: str | None = None) -> Iterat
 
 
 @contextlib.contextmanager
-def locked(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Hold a lock file while the block runs; waits for another holder. The system frees it when a process dies."""
+def locked(path: str | os.PathLike[str], wait: bool = True) -> Iterator[bool]:
+    """Hold a lock file while the block runs; whether it is held: another holder is waited for, or prevents it. The
+    system frees it when a process dies."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with open(path, "w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            yield False
+            return
+        yield True

@@ -21,7 +21,7 @@ from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.core.streams import Streams  # noqa: E402
 from oysterbench_baselines.cut.command import cut_command, reinhard_command, targets, train_command  # noqa: E402
 from oysterbench_baselines.cut.sheets import sample_sheet, write_curves  # noqa: E402
-from oysterbench_baselines.cut.training import TERMS, Trainer, curves, train  # noqa: E402
+from oysterbench_baselines.cut.training import TERMS, Adversaries, curves, train  # noqa: E402
 from oysterbench_baselines.cut.translation import load_generator, translate  # noqa: E402
 from tests.baselines.test_cut_parts import TINY, labelled, reef  # noqa: E402
 
@@ -62,7 +62,7 @@ def test_a_training_that_was_stopped_at_every_step_is_the_same(tmp_path, method)
     class Stop(Exception):
         pass
 
-    def stop(trainer, checkpoint):
+    def stop(checkpoint):
         if not checkpoint.finished:
             raise Stop
 
@@ -76,7 +76,7 @@ def test_a_training_that_was_stopped_at_every_step_is_the_same(tmp_path, method)
 
 
 def killed(path):
-    def kill(trainer, checkpoint):
+    def kill(checkpoint):
         if checkpoint.step == 3:
             os.kill(os.getpid(), signal.SIGKILL)
 
@@ -98,16 +98,16 @@ def test_a_finished_training_is_not_done_again(tmp_path):
     learn(path, SETTINGS["fastcut"])
     before = path.stat().st_mtime_ns
     steps = []
-    learn(path, SETTINGS["fastcut"], progress=lambda done, total, losses: steps.append(done))
+    learn(path, SETTINGS["fastcut"], progress=lambda done, total: steps.append(done))
     assert not steps
     assert path.stat().st_mtime_ns == before
 
 
 def test_another_training_is_not_gone_on_with(tmp_path):
     learn(tmp_path / "a.pt", SETTINGS["fastcut"])
-    with pytest.raises(MethodError, match="another training: settings differ"):
+    with pytest.raises(MethodError, match="holds a training with scale = "):
         learn(tmp_path / "a.pt", SETTINGS["cut"])
-    with pytest.raises(MethodError, match="another training: target differ"):
+    with pytest.raises(MethodError, match="holds a training with target = "):
         train(SOURCE, labelled(21, "real"), SETTINGS["fastcut"], tmp_path / "a.pt", seed=3)
 
 
@@ -125,7 +125,7 @@ def test_patches_find_themselves_again_and_colours_come_nearer(tmp_path):
 
 def test_a_mirrored_translation_is_held_to_the_places_of_its_original():
     """By their pixels, which mirror exactly: the loss is that of the same picture, not mirrored."""
-    trainer = Trainer(replace(TINY, layers=("pixels",)), Streams(0), torch.device("cpu"))
+    trainer = Adversaries(replace(TINY, layers=("pixels",)), Streams(0), torch.device("cpu"))
     picture, translated = (torch.from_numpy(reef(k)[0].transpose(2, 0, 1)[None].copy()) / 127.5 - 1 for k in (0, 1))
     plain = float(trainer._content(translated, picture, ("a", 0)).detach())
     assert float(trainer._content(translated.flip(3), picture, ("a", 0), mirrored=True).detach()) == pytest.approx(
@@ -135,12 +135,12 @@ def test_a_mirrored_translation_is_held_to_the_places_of_its_original():
 
 
 def test_a_loss_that_is_not_finite_stops_the_training_by_name():
-    trainer = Trainer(SETTINGS["fastcut"], Streams(0), torch.device("cpu"))
+    trainer = Adversaries(SETTINGS["fastcut"], Streams(0), torch.device("cpu"))
     with torch.no_grad():
         next(trainer.discriminator.parameters()).fill_(float("nan"))
     picture = torch.zeros(1, 3, 32, 32)
     with pytest.raises(MethodError, match=r"not finite after 0 steps \(discriminator nan"):
-        trainer.step(picture, picture + 0.1, 0)
+        trainer.turn(picture, picture + 0.1, 0)
 
 
 def test_a_checkpoint_of_something_else_is_refused(tmp_path):

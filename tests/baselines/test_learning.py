@@ -141,7 +141,7 @@ def test_training_twice_with_a_seed_gives_the_same_weights_and_another_seed_othe
 def test_a_finished_training_is_read_and_not_done_again(labelled, tmp_path):
     one = train(labelled, tmp_path / "a.pt", SMALL, 3, CPU)
     steps = []
-    again = train(labelled, tmp_path / "a.pt", SMALL, 3, CPU, lambda done, total, loss: steps.append(done))
+    again = train(labelled, tmp_path / "a.pt", SMALL, 3, CPU, lambda done, total: steps.append(done))
     assert steps == []
     assert same(one, again)
 
@@ -204,7 +204,7 @@ from oysterbench_baselines.learning import loop
 from oysterbench_baselines.unet.training import train
 loop.KEEP_S = 0.0
 train(open_labelled(sys.argv[1]), Path(sys.argv[2]), SMALL, 3, torch.device("cpu"),
-      lambda done, total, loss: print(done, flush=True))
+      lambda done, total: print(done, flush=True))
 """
 
 
@@ -224,7 +224,7 @@ def test_a_training_that_is_killed_goes_on_to_the_same_weights(labelled, tmp_pat
     assert not left.finished
     assert 6 <= left.step < 12
     steps = []
-    found = train(labelled, path, SMALL, 3, CPU, lambda done, total, loss: steps.append(done))
+    found = train(labelled, path, SMALL, 3, CPU, lambda done, total: steps.append(done))
     assert steps == list(range(left.step + 1, 13))
     assert same(found, wanted)
     assert found.losses == wanted.losses

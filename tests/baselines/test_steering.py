@@ -22,29 +22,29 @@ from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E
 from oysterbench_baselines.learning.loop import FitSettings  # noqa: E402
 from oysterbench_baselines.steering import SteeringNet  # noqa: E402
 from oysterbench_baselines.steering.augment import SteeringAugmentation, augmented, mirrored  # noqa: E402
-from oysterbench_baselines.steering.lessons import Lessons, joined, senses_of, small, worth_of  # noqa: E402
+from oysterbench_baselines.steering.examples import TrainingExamples, action_values_of, joined, senses_of, small  # noqa: E402
 from oysterbench_baselines.steering.memory import SHAPE, Memory  # noqa: E402
-from oysterbench_baselines.steering.model import Model, as_planes  # noqa: E402
-from oysterbench_baselines.steering.network import NetworkSettings, SteeringNetwork  # noqa: E402
+from oysterbench_baselines.steering.model import SteeringModel, as_planes  # noqa: E402
+from oysterbench_baselines.steering.network import SteeringNetwork, SteeringNetworkSettings  # noqa: E402
 from oysterbench_baselines.steering.scoring import score  # noqa: E402
-from oysterbench_baselines.steering.training import Settings, cost, losses_of, make_batch, train  # noqa: E402
+from oysterbench_baselines.steering.training import SteeringSettings, cost, losses_of, make_batch, train  # noqa: E402
 
 TASK = SteeringRecipe(
     yaw_deg=(30.0, 20.0, 10.0, 0.0, -10.0, -20.0, -30.0),
     pitch_deg=(-24.0, -16.0, -8.0, 0.0, 8.0, 16.0, 24.0),
     altitude_m=(0.5, 1.4),
 )
-NETWORK = NetworkSettings(width=32, height=24, channels=(8, 16), columns=8, hidden=32, dropout=0.0)
+NETWORK = SteeringNetworkSettings(width=32, height=24, channels=(8, 16), columns=8, hidden=32, dropout=0.0)
 STILL = SteeringAugmentation(
     flip=0.0, move=0.0, haze=0.0, senses=0.0, colours=Augmentation(gain=0, shift=0, tint=0, noise=0, grey=0, blur=0)
 )
-SMALL = Settings(batch=8, network=NETWORK, fit=FitSettings(steps=12, warm_up=2, threads=1))
+SMALL = SteeringSettings(batch=8, network=NETWORK, fit=FitSettings(steps=12, warm_up=2, threads=1))
 
 
-def toy(count: int, first: int = 0) -> Lessons:
+def toy(count: int, first: int = 0) -> TrainingExamples:
     """A light patch on dark ground: best is the turn of yaw towards it, and the turn of pitch that the altitude asks
     for; each class away from these loses 2 oysters."""
-    pixels, senses, looked, worth = [], [], [], []
+    pixels, senses, looked, action_values = [], [], [], []
     for k in range(first, first + count):
         rng = stream(k, b"", "toy")
         yaw, altitude = int(rng.integers(7)), float(rng.uniform(0.2, 1.7))
@@ -56,13 +56,13 @@ def toy(count: int, first: int = 0) -> Lessons:
         senses.append(senses_of(VehicleState(0.3, 0.0, 3.0, altitude), TASK))
         looked.append(rng.integers(0, 2, SHAPE).astype(np.uint8))
         y, p = np.ogrid[:7, :7]
-        worth.append(10.0 - 2 * np.abs(y - yaw) - 2 * np.abs(p - pitch))
-    return Lessons(
+        action_values.append(10.0 - 2 * np.abs(y - yaw) - 2 * np.abs(p - pitch))
+    return TrainingExamples(
         TASK,
         np.stack(pixels),
         np.stack(senses),
         np.stack(looked),
-        np.stack(worth).astype(np.float32),
+        np.stack(action_values).astype(np.float32),
         np.zeros(count, bool),
     )
 
@@ -88,17 +88,17 @@ def checkpoint(tmp_path_factory):
 
 
 def test_it_turns_to_what_it_was_shown_and_keeps_its_altitude(checkpoint):
-    found = score(Model.read(checkpoint), toy(60, first=1000))
+    found = score(SteeringModel.read(checkpoint), toy(60, first=1000))
     assert found.yaw > 0.9
     assert found.pitch > 0.9
     assert found.skill > 0.8
 
 
 def test_no_side_is_preferred_a_picture_and_its_mirror_image_are_answered_alike(checkpoint):
-    model, lessons = Model.read(checkpoint), toy(8, first=2000)
-    there = dataclasses.replace(lessons, pixels=lessons.pixels[:, :, ::-1], looked=lessons.looked[:, :, ::-1])
-    yaw, pitch = model.answers(lessons)
-    other_yaw, other_pitch = model.answers(there)
+    model, examples = SteeringModel.read(checkpoint), toy(8, first=2000)
+    there = dataclasses.replace(examples, pixels=examples.pixels[:, :, ::-1], looked=examples.looked[:, :, ::-1])
+    yaw, pitch = model.predictions(examples)
+    other_yaw, other_pitch = model.predictions(there)
     assert np.allclose(other_yaw[:, ::-1], yaw, atol=1e-6)
     assert np.allclose(other_pitch, pitch, atol=1e-6)
     assert np.allclose(yaw.sum(axis=1), 1, atol=1e-5)
@@ -141,9 +141,9 @@ def test_the_method_answers_view_by_view_as_the_network_does(checkpoint):
 
 def test_the_network_has_a_row_of_logits_for_each_axis_and_as_many_weights_as_its_page_says():
     page = (Path(steering.__file__).parent / "README.md").read_text()
-    weights = sum(p.numel() for p in SteeringNetwork(NetworkSettings(), 7, 7).parameters())
+    weights = sum(p.numel() for p in SteeringNetwork(SteeringNetworkSettings(), 7, 7).parameters())
     assert f"{weights:_}".replace("_", " ") in page
-    network = SteeringNetwork(NetworkSettings(), 7, 5)
+    network = SteeringNetwork(SteeringNetworkSettings(), 7, 5)
     yaw, pitch = network(torch.zeros(2, 3, 72, 96), torch.zeros(2, 2), torch.zeros(2, 1, *SHAPE))
     assert yaw.shape == (2, 7)
     assert pitch.shape == (2, 5)
@@ -184,7 +184,7 @@ def test_the_map_turns_and_moves_with_the_vehicle():
 def test_commands_that_are_as_good_are_as_right_and_a_miss_costs_what_it_loses():
     logits = torch.tensor([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 5.0]])
     lost = torch.tensor([[0.0, 0.0, 3.0]]).repeat(3, 1)
-    settings = Settings(temperature=0.2)
+    settings = SteeringSettings(temperature=0.2)
     left, middle, right = (float(cost(logits[k : k + 1], lost[k : k + 1], settings)) for k in range(3))
     assert left == pytest.approx(middle)
     assert right > left + 2
@@ -195,15 +195,15 @@ def test_the_cost_is_that_of_its_formula():
     target = np.exp([-2.0, 0.0, -1.0]) / np.exp([-2.0, 0.0, -1.0]).sum()
     said = np.exp([1.0, 0.0, -1.0]) / np.exp([1.0, 0.0, -1.0]).sum()
     wanted = -(target * np.log(said)).sum()
-    assert float(cost(logits, lost, Settings(temperature=2.0))) == pytest.approx(wanted, rel=1e-5)
+    assert float(cost(logits, lost, SteeringSettings(temperature=2.0))) == pytest.approx(wanted, rel=1e-5)
 
 
 def test_a_turn_loses_what_the_best_command_with_it_loses_in_medians_of_its_axis():
-    worth = np.array([[[28.0, 24.0, 0.0], [20.0, 26.0, 0.0], [22.0, 22.0, 0.0]]], np.float32)
-    yaw, pitch = losses_of(worth)
+    action_values = np.array([[[28.0, 24.0, 0.0], [20.0, 26.0, 0.0], [22.0, 22.0, 0.0]]], np.float32)
+    yaw, pitch = losses_of(action_values)
     assert yaw == pytest.approx(np.array([[0, 1, 3]]))  # 0, 2, 6 oysters
     assert pitch == pytest.approx(np.array([[0, 1, 14]]))  # 0, 2, 28
-    assert losses_of(100 * worth)[0] == pytest.approx(yaw)
+    assert losses_of(100 * action_values)[0] == pytest.approx(yaw)
     assert not losses_of(np.zeros((1, 3, 2), np.float32))[0].any()
 
 
@@ -211,12 +211,12 @@ def test_a_turn_loses_what_the_best_command_with_it_loses_in_medians_of_its_axis
 
 
 def test_a_mirrored_picture_has_its_commands_mirrored_and_twice_is_as_it_was():
-    known, _, map_known, worth_known = toy(1)[0]
-    pixels, looked, worth = mirrored(known, map_known, worth_known)
+    known, _, map_known, values_known = toy(1)[0]
+    pixels, looked, action_values = mirrored(known, map_known, values_known)
     assert np.array_equal(pixels, known[:, ::-1])
-    yaw, pitch = np.unravel_index(worth_known.argmax(), (7, 7))
-    assert np.unravel_index(worth.argmax(), (7, 7)) == (6 - yaw, pitch)
-    for again, first in zip(mirrored(pixels, looked, worth), (known, map_known, worth_known), strict=True):
+    yaw, pitch = np.unravel_index(values_known.argmax(), (7, 7))
+    assert np.unravel_index(action_values.argmax(), (7, 7)) == (6 - yaw, pitch)
+    for again, first in zip(mirrored(pixels, looked, action_values), (known, map_known, values_known), strict=True):
         assert np.array_equal(again, first)
 
 
@@ -230,64 +230,64 @@ def test_what_is_not_changed_is_what_the_method_would_see():
 
 def test_classes_that_are_not_symmetric_are_never_mirrored():
     lopsided = dataclasses.replace(TASK, yaw_deg=(30.0, 20.0, 10.0, 0.0, -10.0, -20.0, -40.0))
-    lessons = dataclasses.replace(toy(5), task=lopsided)
+    examples = dataclasses.replace(toy(5), task=lopsided)
     always = dataclasses.replace(STILL, flip=1.0)
     for task, mirror in ((TASK, True), (lopsided, False)):
         settings = dataclasses.replace(SMALL, augmentation=always)
-        *_, yaw, _ = make_batch(dataclasses.replace(lessons, task=task), settings, Streams(0), 0)
-        known, _ = losses_of(lessons.worth)
+        *_, yaw, _ = make_batch(dataclasses.replace(examples, task=task), settings, Streams(0), 0)
+        known, _ = losses_of(examples.action_values)
         known = known[:, ::-1] if mirror else known
         assert all(any(np.allclose(row, one) for one in known) for row in yaw.numpy())
 
 
 def test_dives_are_as_much_of_a_batch_as_is_asked_for_however_few_there_are():
     one = toy(40)
-    few = dataclasses.replace(one, dived=np.arange(40) < 2)
+    few = dataclasses.replace(one, from_rollout=np.arange(40) < 2)
     settings = dataclasses.replace(SMALL, batch=64, augmentation=STILL)
 
-    def dived(lessons, share):
-        _, told, *_ = make_batch(lessons, dataclasses.replace(settings, dived=share), Streams(0), 0)
+    def from_rollout(examples, share):
+        _, told, *_ = make_batch(examples, dataclasses.replace(settings, from_rollout=share), Streams(0), 0)
         return np.isin(told[:, 0].numpy(), one.senses[:2, 0]).mean()
 
-    assert dived(few, 1.0) == 1
-    assert 0.35 < dived(few, 0.5) < 0.65
-    assert dived(few, 0.0) == 0
-    assert 0 < dived(one, 1.0) < 0.2  # where there are none, of what there is
+    assert from_rollout(few, 1.0) == 1
+    assert 0.35 < from_rollout(few, 0.5) < 0.65
+    assert from_rollout(few, 0.0) == 0
+    assert 0 < from_rollout(one, 1.0) < 0.2  # where there are none, of what there is
 
 
 # It repeats
 
 
 def test_training_twice_with_a_seed_gives_the_same_weights_and_another_seed_others(tmp_path):
-    lessons = toy(20)
-    one, again = (train(lessons, tmp_path / f"{k}.pt", SMALL, 3) for k in range(2))
-    other = train(lessons, tmp_path / "other.pt", SMALL, 4)
+    examples = toy(20)
+    one, again = (train(examples, tmp_path / f"{k}.pt", SMALL, 3) for k in range(2))
+    other = train(examples, tmp_path / "other.pt", SMALL, 4)
     assert same(one, again)
     assert one.losses == again.losses
     assert not same(one, other)
 
 
 def test_a_training_that_is_stopped_goes_on_to_the_same_weights(tmp_path, monkeypatch):
-    lessons = toy(20)
+    examples = toy(20)
     settings = dataclasses.replace(SMALL, network=dataclasses.replace(NETWORK, dropout=0.5))
-    wanted = train(lessons, tmp_path / "whole.pt", settings, 3)
+    wanted = train(examples, tmp_path / "whole.pt", settings, 3)
     monkeypatch.setattr(loop, "KEEP_S", 0.0)
 
-    def stop(done, total, loss):
+    def stop(done, total):
         if done == 7:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(lessons, tmp_path / "stopped.pt", settings, 3, stop)
+        train(examples, tmp_path / "stopped.pt", settings, 3, stop)
     assert read_checkpoint(tmp_path / "stopped.pt").step == 6
-    found = train(lessons, tmp_path / "stopped.pt", settings, 3)
+    found = train(examples, tmp_path / "stopped.pt", settings, 3)
     assert same(found, wanted)
     assert found.losses == wanted.losses
 
 
 def test_a_training_on_other_lessons_is_not_gone_on_with(tmp_path):
     train(toy(20), tmp_path / "a.pt", SMALL, 3)
-    with pytest.raises(MethodError, match="holds a training with lessons = "):
+    with pytest.raises(MethodError, match="holds a training with examples = "):
         train(toy(20, first=7), tmp_path / "a.pt", SMALL, 3)
 
 
@@ -295,7 +295,7 @@ def test_a_training_on_other_lessons_is_not_gone_on_with(tmp_path):
 
 
 def test_without_a_training_one_line_says_how_to_make_one(home):
-    with pytest.raises(MethodError, match=r"no trained weights at .*models/steering\.pt: type `oysterbench train "):
+    with pytest.raises(MethodError, match=r"no trained weights at .*models/steering\.pt: `oysterbench train steering "):
         list(SteeringNet().run(Dive([])))
 
 
@@ -326,9 +326,11 @@ def test_labels_of_other_classes_and_no_views_are_refused(tmp_path):
     import pandas as pd
 
     with pytest.raises(LabelError, match="expected a value for each of 7 x 7 commands, got 2 of them"):
-        worth_of(pd.DataFrame({"value_0_0": [1.0], "value_0_1": [2.0]}), TASK, "a.mcap")
+        action_values_of(pd.DataFrame({"value_0_0": [1.0], "value_0_1": [2.0]}), TASK, "a.mcap")
     one = toy(1)
-    empty = Lessons(TASK, one.pixels[:0], one.senses[:0], one.looked[:0], one.worth[:0], one.dived[:0])
+    empty = TrainingExamples(
+        TASK, one.pixels[:0], one.senses[:0], one.looked[:0], one.action_values[:0], one.from_rollout[:0]
+    )
     with pytest.raises(LabelError, match="expected views to train on, got none"):
         train(empty, tmp_path / "a.pt", SMALL, 0)
 

@@ -17,8 +17,8 @@ from oysterbench.methods.images import Picture  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.unet import UNet, UNetInstances, model  # noqa: E402
 from oysterbench_baselines.unet.instances import find_instances  # noqa: E402
-from oysterbench_baselines.unet.model import Model, enlarged  # noqa: E402
-from oysterbench_baselines.unet.network import NetworkSettings, UNetwork  # noqa: E402
+from oysterbench_baselines.unet.model import UNetModel, enlarged  # noqa: E402
+from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
 from tests.helpers.labelled_folders import image  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
@@ -54,21 +54,21 @@ def test_oysters_one_by_one_have_scores_and_lie_apart(checkpoint):
 
 
 def test_the_network_keeps_the_size_and_has_two_answers():
-    network = UNetwork(NetworkSettings(depth=4, base=4))
+    network = UNetwork(UNetworkSettings(depth=4, base=4))
     assert network(torch.zeros(2, 3, 32, 48)).shape == (2, 2, 32, 48)
-    assert sum(p.numel() for p in UNetwork(NetworkSettings()).parameters()) == 482_754
+    assert sum(p.numel() for p in UNetwork(UNetworkSettings()).parameters()) == 482_754
 
 
 @pytest.mark.parametrize("size", [(64, 80), (61, 83), (5, 7)])
 def test_pictures_of_any_size_are_answered_at_their_size(size, checkpoint):
     pixels = np.random.default_rng(0).integers(0, 255, (*size, 3), dtype=np.uint8)
-    assert Model.read(checkpoint).logits(pixels).shape == (2, *size)
+    assert UNetModel.read(checkpoint).logits(pixels).shape == (2, *size)
 
 
 def test_a_large_picture_in_parts_is_answered_everywhere_and_almost_as_the_whole(checkpoint, monkeypatch):
     """Parts are normalised each by itself, so that they differ a little from the whole; the seams do not show."""
     one = image(7, height=192, width=256)
-    found = Model.read(checkpoint)
+    found = UNetModel.read(checkpoint)
     whole = found.logits(one.pixels)[0]
     monkeypatch.setattr(model, "LARGEST_TILE", 64)
     monkeypatch.setattr(model, "MARGIN", 16)
@@ -130,7 +130,7 @@ def test_specks_are_no_oysters_and_nothing_gives_nothing():
 def test_without_a_training_one_line_says_how_to_make_one(home):
     with pytest.raises(
         MethodError,
-        match=r"no checkpoint at .*models/unet\.pt: it is trained on your machine, by "
+        match=r"no trained weights at .*models/unet\.pt: "
         r"`oysterbench train unet --data seg-train`",
     ):
         list(UNet().run([]))

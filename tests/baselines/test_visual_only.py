@@ -19,7 +19,7 @@ from oysterbench_baselines.visual_only import VisualOnly
 from oysterbench_baselines.visual_only.lens import Lens
 from oysterbench_baselines.visual_only.method import poses_of_base
 from oysterbench_baselines.visual_only.odometry import Frame, Odometry
-from oysterbench_baselines.visual_only.settings import Settings
+from oysterbench_baselines.visual_only.settings import VisualOnlySettings
 from oysterbench_baselines.visual_only.views import point_from_views, pose_from_points, ray_angle
 from tests.helpers import synthetic_dive as dive
 
@@ -166,7 +166,7 @@ def test_an_unknown_camera_is_named():
 def test_tracks_with_noise_and_outliers_give_the_path_of_the_camera(seed):
     made = dive.make_dive(seed=seed, duration_s=7.0, outliers=0.02)
     lens = Lens(made.camera)
-    odometry = Odometry(Settings(), lens.focal_px)
+    odometry = Odometry(VisualOnlySettings(), lens.focal_px)
     for stamp, (ids, pixels) in zip(made.stamps_ns, made.tracks, strict=True):
         odometry.add(Frame(int(stamp), ids, lens.rays(pixels)))
     true = made.truth.matrices @ made.camera.T_base_cam

@@ -7,13 +7,13 @@ from pathlib import Path
 from oysterbench.annotations import LabelledSet, open_labelled, write_folder
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.loop import FitSettings
-from oysterbench_baselines.unet.network import NetworkSettings
-from oysterbench_baselines.unet.training import Settings
+from oysterbench_baselines.unet.network import UNetworkSettings
+from oysterbench_baselines.unet.training import UNetSettings
 from tests.helpers.labelled_folders import image
 
-SMALL = Settings(
+SMALL = UNetSettings(
     batch=4,
-    network=NetworkSettings(depth=3, base=4, groups=2, scale=0.5),
+    network=UNetworkSettings(depth=3, base=4, groups=2, scale=0.5),
     augmentation=Augmentation(crop=24),
     fit=FitSettings(steps=12, warm_up=2, threads=1),
 )

@@ -1,4 +1,5 @@
-"""Lessons from sequence files and from dives: what DAgger collects, and that it goes on where it was stopped."""
+"""Training examples from sequence files and from dives: what DAgger collects, and that it goes on where it was
+stopped."""
 
 from __future__ import annotations
 
@@ -17,14 +18,14 @@ from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E
 from oysterbench_baselines.learning.loop import FitSettings  # noqa: E402
 from oysterbench_baselines.steering import dagger  # noqa: E402
 from oysterbench_baselines.steering.dagger import Reef, Rounds, collect, learn_rounds, reef_of  # noqa: E402
-from oysterbench_baselines.steering.lessons import files_of, joined, read_all, read_lessons, senses_of, small  # noqa: E402
+from oysterbench_baselines.steering.examples import files_of, joined, read_all, read_examples, senses_of, small  # noqa: E402
 from oysterbench_baselines.steering.memory import Memory  # noqa: E402
-from oysterbench_baselines.steering.network import NetworkSettings  # noqa: E402
-from oysterbench_baselines.steering.training import Settings, train  # noqa: E402
+from oysterbench_baselines.steering.network import SteeringNetworkSettings  # noqa: E402
+from oysterbench_baselines.steering.training import SteeringSettings, train  # noqa: E402
 from tests.helpers.exploring_made import made_split  # noqa: E402
 
-NETWORK = NetworkSettings(width=32, height=24, channels=(8, 16), columns=8, hidden=32)
-SETTINGS = Settings(batch=4, network=NETWORK, fit=FitSettings(steps=4, warm_up=1, threads=1))
+NETWORK = SteeringNetworkSettings(width=32, height=24, channels=(8, 16), columns=8, hidden=32)
+SETTINGS = SteeringSettings(batch=4, network=NETWORK, fit=FitSettings(steps=4, warm_up=1, threads=1))
 PLAN = Rounds(rounds=2, seconds=3.0, steps=3)
 SPLIT = made_split()
 REEFS = [Reef(SPLIT, "one"), Reef(SPLIT, "two")]
@@ -37,7 +38,7 @@ def files(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def lessons(files):
+def examples(files):
     return read_all(files, NETWORK)
 
 
@@ -50,7 +51,7 @@ def equal(one, other) -> bool:
 
 def test_lessons_are_the_pictures_of_a_file_with_the_labels_of_their_moment(files):
     sequence = oysterbench.open(files[0])
-    table, found = sequence.steering(), read_lessons(files[0], NETWORK)
+    table, found = sequence.steering(), read_examples(files[0], NETWORK)
     images = list(sequence.images("cam_front"))
     assert len(found) == len(table) == len(images) == 10
     assert found.task == SPLIT.steering
@@ -58,16 +59,16 @@ def test_lessons_are_the_pictures_of_a_file_with_the_labels_of_their_moment(file
     for k, row in enumerate(table.itertuples()):
         assert images[k].stamp_ns == row.stamp_ns
         state = VehicleState(row.heading_rad, row.pitch_rad, row.depth_m, row.altitude_m)
-        pixels, senses, looked, worth = found[k]
+        pixels, senses, looked, action_values = found[k]
         assert np.array_equal(pixels, small(images[k].pixels, NETWORK))
         assert np.array_equal(senses, senses_of(state, SPLIT.steering))
         assert np.array_equal(looked, memory.look(state, 2.0 * k))
-        assert worth[row.yaw, row.pitch] == worth.max()
-        assert worth[2, 5] == np.float32(row.value_2_5)
+        assert action_values[row.yaw, row.pitch] == action_values.max()
+        assert action_values[2, 5] == np.float32(row.value_2_5)
 
 
-def test_several_files_are_one_after_the_other_and_a_folder_is_its_files(files, lessons):
-    assert equal(lessons, joined([read_lessons(path, NETWORK) for path in files]))
+def test_several_files_are_one_after_the_other_and_a_folder_is_its_files(files, examples):
+    assert equal(examples, joined([read_examples(path, NETWORK) for path in files]))
     assert files_of(str(files[0].parent)) == files
     assert files_of(str(files[0])) == files[:1]
     assert reef_of(files[1]) == REEFS[1]
@@ -79,23 +80,23 @@ def test_data_of_another_kind_is_named(tiny_file, tmp_path):
     with pytest.raises(LabelError, match="slam-mini: expected a split of the track steering, got one of slam"):
         files_of("slam-mini")
     with pytest.raises(SequenceError, match="has no truth about steering"):
-        read_lessons(tiny_file, NETWORK)
+        read_examples(tiny_file, NETWORK)
 
 
 # From dives
 
 
 @pytest.fixture(scope="module")
-def policy(lessons, tmp_path_factory):
+def policy(examples, tmp_path_factory):
     """The folder of a training before any dive."""
     folder = tmp_path_factory.mktemp("policy")
-    train(lessons, folder / "round-0.pt", SETTINGS, 0)
+    train(examples, folder / "round-0.pt", SETTINGS, 0)
     return folder
 
 
 @pytest.fixture(scope="module")
 def dives(policy):
-    """The lessons of a first round, one dive after the other."""
+    """The examples of a first round, one dive after the other."""
     return collect(REEFS, read_checkpoint(policy / "round-0.pt"), policy, NETWORK, PLAN, 1)
 
 
@@ -103,8 +104,8 @@ def test_each_view_of_a_dive_is_a_lesson(dives):
     assert [len(one) for one in dives] == [3, 3]
     for one in dives:
         assert one.pixels.shape == (3, 24, 32, 3)
-        assert one.worth.shape == (3, 7, 7)
-        assert np.isfinite(one.worth).all()
+        assert one.action_values.shape == (3, 7, 7)
+        assert np.isfinite(one.action_values).all()
         assert one.looked.reshape(3, -1).any(axis=1).all()
     assert not equal(*dives)
 
@@ -115,15 +116,15 @@ def test_dives_in_two_processes_are_those_in_one(policy, dives, tmp_path):
     assert all(equal(one, other) for one, other in zip(dives, again, strict=True))
 
 
-def test_finished_dives_are_read_and_those_of_another_policy_are_done_again(policy, dives, lessons, monkeypatch):
+def test_finished_dives_are_read_and_those_of_another_policy_are_done_again(policy, dives, examples, monkeypatch):
     done = []
-    original = dagger.dive
+    original = dagger.rollout
 
     def counted(reef, **options):
         done.append(reef.name)
         return original(reef, **options)
 
-    monkeypatch.setattr(dagger, "dive", counted)
+    monkeypatch.setattr(dagger, "rollout", counted)
     known = read_checkpoint(policy / "round-0.pt")
     again = collect(REEFS, known, policy, NETWORK, PLAN, 1)
     assert done == []
@@ -135,11 +136,11 @@ def test_finished_dives_are_read_and_those_of_another_policy_are_done_again(poli
     assert done == ["two", "one", "two"]
 
 
-def test_rounds_that_are_stopped_go_on_to_the_same_weights(lessons, tmp_path, monkeypatch):
-    wanted = learn_rounds(lessons, REEFS, tmp_path / "whole.pt", SETTINGS, PLAN, 0)
+def test_rounds_that_are_stopped_go_on_to_the_same_weights(examples, tmp_path, monkeypatch):
+    wanted = learn_rounds(examples, REEFS, tmp_path / "whole.pt", SETTINGS, PLAN, 0)
     assert read_checkpoint(tmp_path / "whole.pt").losses == wanted.losses
-    assert set(wanted.identity["data"]) == {"lessons", "round 1", "round 2", "begun"}
-    original, done = dagger.dive, []
+    assert set(wanted.identity["data"]) == {"examples", "round 1", "round 2", "begun"}
+    original, done = dagger.rollout, []
 
     def stopped(reef, **options):
         done.append(reef.name)
@@ -147,25 +148,25 @@ def test_rounds_that_are_stopped_go_on_to_the_same_weights(lessons, tmp_path, mo
             raise KeyboardInterrupt
         return original(reef, **options)
 
-    monkeypatch.setattr(dagger, "dive", stopped)
+    monkeypatch.setattr(dagger, "rollout", stopped)
     with pytest.raises(KeyboardInterrupt):
-        learn_rounds(lessons, REEFS, tmp_path / "stopped.pt", SETTINGS, PLAN, 0)
+        learn_rounds(examples, REEFS, tmp_path / "stopped.pt", SETTINGS, PLAN, 0)
     assert not (tmp_path / "stopped.pt").exists()
-    found = learn_rounds(lessons, REEFS, tmp_path / "stopped.pt", SETTINGS, PLAN, 0)
+    found = learn_rounds(examples, REEFS, tmp_path / "stopped.pt", SETTINGS, PLAN, 0)
     assert done == ["one", "two", "one", "two", "two"]
     assert all(torch.equal(value, found.weights[key]) for key, value in wanted.weights.items())
 
 
-def test_nobody_learns_on_a_hidden_split(lessons, tmp_path):
+def test_nobody_learns_on_a_hidden_split(examples, tmp_path):
     hidden = Reef(dataclasses.replace(SPLIT, hidden=True), "one")
     with pytest.raises(LabelError, match="expected reefs to learn on, got those of a hidden split"):
-        learn_rounds(lessons, [hidden], tmp_path / "a.pt", SETTINGS, PLAN, 0)
+        learn_rounds(examples, [hidden], tmp_path / "a.pt", SETTINGS, PLAN, 0)
 
 
-def test_rounds_do_not_take_the_place_of_another_training(lessons, files, tmp_path):
-    train(read_lessons(files[0], NETWORK), tmp_path / "a.pt", SETTINGS, 0)
-    with pytest.raises(MethodError, match="holds a training on other lessons; --again trains anew"):
-        learn_rounds(lessons, REEFS, tmp_path / "a.pt", SETTINGS, PLAN, 0)
+def test_rounds_do_not_take_the_place_of_another_training(examples, files, tmp_path):
+    train(read_examples(files[0], NETWORK), tmp_path / "a.pt", SETTINGS, 0)
+    with pytest.raises(MethodError, match="holds a training on other examples; remove it to train anew"):
+        learn_rounds(examples, REEFS, tmp_path / "a.pt", SETTINGS, PLAN, 0)
 
 
 def test_the_command_trains_and_says_how_good_it_is(files, home):

@@ -1,4 +1,4 @@
-"""Lessons: views with what each command would be worth, as an expert sees it, read from sequences."""
+"""Training examples: views with the value of each command, as an expert sees it, read from sequences."""
 
 from __future__ import annotations
 
@@ -18,55 +18,56 @@ from oysterbench.recipe import SplitRecipe, SteeringRecipe, load_split, parse_sp
 from oysterbench.sequence import open_sequence
 from oysterbench.sequence.read import read_attachments
 from oysterbench_baselines.steering.memory import Memory
-from oysterbench_baselines.steering.network import SENSES, NetworkSettings
+from oysterbench_baselines.steering.network import SENSES, SteeringNetworkSettings
 
 Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Lessons:
+class TrainingExamples:
     """N views of one task.
 
     pixels: (N, h, w, 3) uint8 RGB, at the network's size; senses: (N, SENSES) float32
     looked: (N, *memory.SHAPE) uint8, where the vehicle had looked when it was there
-    worth: (N, Y, P) float32, oysters that the expert's best plan gains which begins with classes of yaw and pitch
-    dived: (N,) bool, whether it was in a dive that the view was met, and not on the way of a sequence
+    action_values: (N, Y, P) float32, oysters that the expert's best plan gains which begins with classes of yaw and
+        pitch
+    from_rollout: (N,) bool, whether the view was met in a rollout, and not on the trajectory of a sequence
     """
 
     task: SteeringRecipe
     pixels: NDArray[np.uint8]
     senses: Floats
     looked: NDArray[np.uint8]
-    worth: Floats
-    dived: NDArray[np.bool_]
+    action_values: Floats
+    from_rollout: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.pixels)
 
     def __getitem__(self, n: int) -> tuple[NDArray[np.uint8], Floats, NDArray[np.uint8], Floats]:
-        """Pixels, senses, looked and worth of a view."""
-        return self.pixels[n], self.senses[n], self.looked[n], self.worth[n]
+        """Pixels, senses, looked and action_values of a view."""
+        return self.pixels[n], self.senses[n], self.looked[n], self.action_values[n]
 
     def digest(self) -> str:
         """SHA-256 over all of it."""
         found = hashlib.sha256(repr((self.task.yaw_deg, self.task.pitch_deg)).encode())
-        for part in (self.pixels, self.senses, self.looked, self.worth, self.dived):
+        for part in (self.pixels, self.senses, self.looked, self.action_values, self.from_rollout):
             found.update(str(part.shape).encode() + np.ascontiguousarray(part).tobytes())
         return found.hexdigest()
 
 
-def joined(parts: Sequence[Lessons]) -> Lessons:
+def joined(parts: Sequence[TrainingExamples]) -> TrainingExamples:
     """All of them, in their order. Raises MethodError where their classes differ."""
     task = parts[0].task
     for part in parts:
         check_classes(part.task, task.yaw_deg, task.pitch_deg, "the data")
-    return Lessons(
+    return TrainingExamples(
         task,
         np.concatenate([part.pixels for part in parts]),
         np.concatenate([part.senses for part in parts]),
         np.concatenate([part.looked for part in parts]),
-        np.concatenate([part.worth for part in parts]),
-        np.concatenate([part.dived for part in parts]),
+        np.concatenate([part.action_values for part in parts]),
+        np.concatenate([part.from_rollout for part in parts]),
     )
 
 
@@ -86,7 +87,7 @@ def degrees(values: Sequence[float]) -> str:
     return ", ".join(f"{value:g}" for value in values)
 
 
-def small(pixels: NDArray[np.uint8], settings: NetworkSettings) -> NDArray[np.uint8]:
+def small(pixels: NDArray[np.uint8], settings: SteeringNetworkSettings) -> NDArray[np.uint8]:
     """A picture (H, W, 3) at the network's size, each pixel the mean of those that it covers."""
     size = (settings.width, settings.height)
     return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
@@ -102,8 +103,8 @@ def senses_of(state: VehicleState, task: SteeringRecipe) -> Floats:
     return np.clip(np.array(found, dtype=np.float32), -3, 3)
 
 
-def worth_of(table: pd.DataFrame, task: SteeringRecipe, where: str) -> Floats:
-    """(N, Y, P) worth of the commands in a table of labels. Raises LabelError where the table is of other classes."""
+def action_values_of(table: pd.DataFrame, task: SteeringRecipe, where: str) -> Floats:
+    """(N, Y, P) values of the commands in a table of labels. Raises LabelError where the table is of other classes."""
     names = [f"value_{y}_{p}" for y in range(len(task.yaw_deg)) for p in range(len(task.pitch_deg))]
     found = {name for name in table.columns if name.startswith("value_")}
     if found != set(names):
@@ -114,7 +115,7 @@ def worth_of(table: pd.DataFrame, task: SteeringRecipe, where: str) -> Floats:
     return table[names].to_numpy(np.float32).reshape(len(table), len(task.yaw_deg), len(task.pitch_deg))
 
 
-def read_lessons(path: Path, settings: NetworkSettings) -> Lessons:
+def read_examples(path: Path, settings: SteeringNetworkSettings) -> TrainingExamples:
     """The labelled pictures of a sequence file."""
     sequence = open_sequence(path)
     table = sequence.steering()
@@ -133,9 +134,9 @@ def read_lessons(path: Path, settings: NetworkSettings) -> Lessons:
         kept.append(row.Index)
     if not kept:
         raise LabelError(f"{path}: expected pictures with labels of steering, got none")
-    worth = worth_of(table, task, str(path))
-    return Lessons(
-        task, np.stack(pixels), np.stack(senses), np.stack(looked), worth[kept], np.zeros(len(kept), dtype=bool)
+    action_values = action_values_of(table, task, str(path))
+    return TrainingExamples(
+        task, np.stack(pixels), np.stack(senses), np.stack(looked), action_values[kept], np.zeros(len(kept), dtype=bool)
     )
 
 
@@ -176,11 +177,13 @@ def files_of(name: str) -> list[Path]:
     return found
 
 
-def read_all(paths: Iterable[Path], settings: NetworkSettings, progress=lambda done, total: None) -> Lessons:
+def read_all(
+    paths: Iterable[Path], settings: SteeringNetworkSettings, progress=lambda done, total: None
+) -> TrainingExamples:
     """The labelled pictures of several files, in their order."""
     paths = list(paths)
     parts = []
     for done, path in enumerate(paths, start=1):
-        parts.append(read_lessons(path, settings))
+        parts.append(read_examples(path, settings))
         progress(done, len(paths))
     return joined(parts)

@@ -1,0 +1,81 @@
+"""Trainings as commands make them and methods use them: where they are kept, and the options they have in common."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from oysterbench.core.errors import MethodError
+from oysterbench.core.files import home
+
+if TYPE_CHECKING:
+    from oysterbench_baselines.learning.checkpoint import Checkpoint
+
+LAST = 50
+"""Steps whose mean loss is told of at the end."""
+
+seed_option = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+
+
+def device_option(default: str) -> Callable[[Any], Any]:
+    """Where a training runs."""
+    return click.option("--device", default=default, show_default=True, help="auto, cpu, cuda or cuda:N.")
+
+
+def training_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options of a training that leaves one checkpoint for a method."""
+    number = click.IntRange(min=1)
+    file = click.Path(path_type=Path, dir_okay=False)
+    for option in (
+        click.option("--again", is_flag=True, help="Begin anew where a checkpoint is there already."),
+        click.option("--threads", type=number, default=2, show_default=True, help="Part of what repeats it."),
+        click.option("--steps", type=number, default=2000, show_default=True, help="Of the optimiser."),
+        seed_option,
+        click.option("--out", type=file, help="Checkpoint.  [default: under the home]"),
+        click.option("--data", "names", multiple=True, required=True, metavar="SPLIT|PATH", help="Repeatable."),
+    ):
+        command = option(command)
+    return command
+
+
+def checkpoint_path(name: str, checkpoint: str = "") -> Path:
+    """Of a method's training: the one that is meant, that which OYSTERBENCH_<NAME> names, or which `oysterbench train
+    NAME` leaves."""
+    return Path(checkpoint or os.environ.get(f"OYSTERBENCH_{name.upper()}") or home() / "models" / f"{name}.pt")
+
+
+def trained(name: str, checkpoint: str, data: str) -> Path:
+    """The same, where it is there. Raises MethodError, with what to type, where it is not. data: a split to train
+    on."""
+    path = checkpoint_path(name, checkpoint)
+    if not path.is_file():
+        raise MethodError(
+            f"{name}: no trained weights at {path}: `oysterbench train {name} --data {data}` trains it on your "
+            f"machine; others are named by {name}[checkpoint=PATH] or by OYSTERBENCH_{name.upper()}"
+        )
+    return path
+
+
+@contextmanager
+def on_torch(name: str) -> Iterator[None]:
+    """A block that imports torch. Raises MethodError where it is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise MethodError(f"{name}: {error}; it runs on PyTorch: pip install 'oysterbench[learn]'") from None
+
+
+def tell_end(checkpoint: Checkpoint, path: Path) -> None:
+    """What a training command says at its end: steps, loss and time on stderr, the checkpoint's path on stdout."""
+    last = checkpoint.losses[-LAST:]
+    click.echo(
+        f"{checkpoint.step} steps, loss {sum(last) / len(last):.3f} over the last {len(last)}, "
+        f"{checkpoint.seconds:.0f} s of a processor",
+        err=True,
+    )
+    click.echo(path)
