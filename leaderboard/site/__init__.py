@@ -1,1 +1,1 @@
-"""The pages of the board, their twins for programs, and the static export."""
+"""The pages of the board, their representations for programs, and the static export."""

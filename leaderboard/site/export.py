@@ -1,4 +1,4 @@
-"""The whole site as files, for any web host or none: pages, twins, records, curves; links work from a folder."""
+"""The whole site as files, for any web host or none: pages, their other forms, records; links work from a folder."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from oysterbench_leaderboard.site.pages.method import method_page
 from oysterbench_leaderboard.site.pages.prose import about_page, submit_page
 from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.paths import board_path, data_path, method_path, record_path, slug, split_path
+from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.site.twins import twin
 
 MARK = ".oysterbench-board"
 """A file that says that a folder was written here, and may be replaced."""
@@ -83,8 +83,8 @@ def files(site: Site, progress: Progress = lambda done, of: None) -> Iterator[tu
     for k, one in enumerate(work):
         page = replace(one.make(), path=one.path, query={})
         yield file_of(one.path), render.page_html(page, FileLinks(one.path, there)).encode()
-        for suffix in render.TWINS:
-            yield file_of(one.path, suffix), twin(page, suffix)
+        for suffix in render.REPRESENTATIONS:
+            yield file_of(one.path, suffix), represent(page, suffix)
         progress(k + 1, len(work))
     for digest in digests:
         yield f"records/{digest}/record.json", site.store.data(digest)

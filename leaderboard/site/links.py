@@ -17,7 +17,7 @@ class Links(Protocol):
     static: bool
 
     def page(self, path: str, query: Query | None = None, suffix: str = "") -> str:
-        """A link to a page, or to its twin with that suffix (".json"); empty where it cannot be had."""
+        """A link to a page, or to its representation with that suffix (".json"); empty where it cannot be had."""
 
     def asset(self, name: str) -> str:
         """A link to a file of style or script."""
@@ -80,7 +80,7 @@ def pair_path(a: str, b: str) -> str:
 
 
 def file_of(path: str, suffix: str = "") -> str:
-    """The file of a page, or of its twin, in an exported folder."""
+    """The file of a page, or of its representation, in an exported folder."""
     name = path.strip("/")
     if suffix:
         return f"{name or 'index'}{suffix}"

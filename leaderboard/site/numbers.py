@@ -1,22 +1,17 @@
-"""Numbers as tables show them: with as many digits as they are worth, all of a column alike, units in the heading."""
+"""Numbers as pages show them: columns of metrics, intervals, counts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from dataclasses import replace
 
 from oysterbench.evaluate import statistics
-from oysterbench.evaluate.metrics import find_metric
-from oysterbench.report import columns
-from oysterbench_leaderboard.site.page import Bar, Cell, Column
+from oysterbench.evaluate.statistics import Interval
+from oysterbench.report.columns import metric_column
+from oysterbench.report.table import Bar, Column
 
 ARROWS = {"lower": "\N{DOWNWARDS ARROW}", "higher": "\N{UPWARDS ARROW}", "": ""}
 LEVEL = f"{100 * statistics.LEVEL:.0f} %"
-ABSENT = columns.ABSENT
-MINUS = "\N{MINUS SIGN}"
-
-UNITS = {"x": "\N{MULTIPLICATION SIGN} real time", "% false": "%"}
-"""Unit in a terminal's narrow column -> unit on a page."""
 
 
 def track_name(track: str) -> str:
@@ -24,49 +19,21 @@ def track_name(track: str) -> str:
     return "SLAM" if track == "slam" else track.capitalize()
 
 
-def heading(key: str, sort: bool = False) -> Column:
-    """The column of a metric."""
-    metric, shown = find_metric(key), columns.find_column(key)
-    text = metric.heading if metric is not None and metric.heading else shown.heading
-    unit = metric.unit if metric is not None and metric.unit else shown.unit
-    if shown.unit.lower() in text.lower() and unit == shown.unit:
-        unit = ""
-    return Column(
-        key,
-        text,
-        UNITS.get(unit, unit),
-        number=True,
-        about=metric.definition if metric is not None else "",
-        better=metric.better if metric is not None else "",
-        sort=key if sort else "",
-    )
+def text(key: str, value: float | None) -> str:
+    """One value of a metric as shown."""
+    return metric_column(key).text(finite(value))
 
 
-def texts(key: str, values: Sequence[float | None]) -> list[str]:
-    """The values of a column as shown."""
-    known = [None if value is None or not math.isfinite(value) else value for value in values]
-    return [text.replace("-", MINUS) for text in columns.find_column(key).texts(known)]
+def difference_column(key: str) -> Column:
+    """The column of a metric's differences, with their signs."""
+    return replace(metric_column(key), key="difference", signed=True, cut=False, sort="")
 
 
-def cells(key: str, values: Sequence[float | None]) -> list[Cell]:
-    """A column: what is shown, and the values with every digit."""
-    return [Cell(text, finite(value)) for text, value in zip(texts(key, values), values, strict=True)]
-
-
-def interval(key: str, low: float | None, high: float | None) -> str:
-    """Both ends, or a dash."""
-    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
-        return ABSENT
-    return " to ".join(texts(key, [low, high]))
-
-
-def signed(key: str, difference: float | None, beside: Sequence[Cell] = ()) -> str:
-    """A difference, with its sign, and with as many decimals as the cells that it is the difference of."""
-    if difference is None or not math.isfinite(difference):
-        return ABSENT
-    column = columns.find_column(key)
-    decimals = max((len(cell.text.partition(".")[2]) for cell in beside), default=column.decimals)
-    return f"{difference * column.factor:+.{decimals}f}".replace("-", MINUS)
+def interval(low: float | None, high: float | None) -> Interval:
+    """From both ends, where there are."""
+    if low is None or high is None:
+        return Interval(math.nan, math.nan, "too few sequences")
+    return Interval(low, high)
 
 
 def unit(of: Column) -> str:

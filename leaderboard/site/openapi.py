@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from oysterbench.version import VERSION
-from oysterbench_leaderboard.site.render import TWINS
+from oysterbench_leaderboard.site.render import REPRESENTATIONS
 from oysterbench_leaderboard.site.routes import FILES, PATTERNS, ROUTES, Route
 
 PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", type(None): "null", dict: "object"}
@@ -40,7 +40,7 @@ def describe(root: str = "", static: bool = False) -> dict[str, Any]:
                 continue
         bare = "/index" if route.path == "/" else route.path
         paths[route.path] = {"get": _operation(route, "", {"text/html": {"schema": {"type": "string"}}})}
-        for suffix, (_, media) in TWINS.items():
+        for suffix, (_, media) in REPRESENTATIONS.items():
             schema = _answer(route, schemas) if suffix == ".json" else {"type": "string"}
             content = {media.partition(";")[0]: {"schema": schema}}
             paths[f"{bare}{suffix}"] = {"get": _operation(route, suffix, content)}
@@ -54,7 +54,7 @@ def describe(root: str = "", static: bool = False) -> dict[str, Any]:
         "info": {
             "title": "oysterbench leaderboard",
             "version": VERSION,
-            "description": "Every page has twins: its address with .json, .csv or .tex behind it.",
+            "description": "Every page has other representations: its address with .json, .csv or .tex behind it.",
             "license": {"name": "CC BY 4.0", "url": "https://creativecommons.org/licenses/by/4.0/"},
         },
         "servers": [{"url": "." if static else root or "/"}],
@@ -70,7 +70,7 @@ def _operation(route: Route, suffix: str, content: dict[str, Any]) -> dict[str, 
         explode = {"style": "form", "explode": True} if listed else {}
         about = {"name": one.name, "in": "query", "description": one.about, "required": one.required}
         parameters.append({**about, **explode, "schema": dict(one.schema)})
-    summary = route.summary if not suffix else f"{route.summary} As {TWINS[suffix][0]}."
+    summary = route.summary if not suffix else f"{route.summary} As {REPRESENTATIONS[suffix][0]}."
     return _get(_name(route.path, suffix), summary, parameters, content)
 
 

@@ -9,7 +9,7 @@ import re
 from oysterbench_leaderboard.board import BoardInfo
 
 SLUG = "[a-z0-9][a-z0-9_+~-]{0,79}"
-"""Pattern of a slug: lower case, as some file systems do not tell cases apart; no dot, which parts a twin's suffix."""
+"""Pattern of a slug: lower case, as some file systems do not tell cases apart; no dot, which begins a suffix."""
 
 _PLAIN = re.compile("[a-z0-9][a-z0-9_+-]{0,59}")
 

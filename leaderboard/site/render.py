@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -16,15 +16,15 @@ from oysterbench.core.page import STYLE
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.links import Links, ServerLinks
-from oysterbench_leaderboard.site.page import Column, Page
+from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.paths import slug
 
-TWINS = {
+REPRESENTATIONS = {
     ".json": ("JSON", "application/json"),
     ".csv": ("CSV", "text/csv; charset=utf-8"),
     ".tex": ("LaTeX", "application/x-tex; charset=utf-8"),
 }
-"""Suffix of a twin -> its name and media type."""
+"""Suffix of a representation of a page -> its name and media type."""
 
 ASSETS = {
     "style.css": "text/css",
@@ -39,7 +39,11 @@ ASSETS = {
 def environment(*folders: str | os.PathLike[str]) -> Environment:
     """The templates of the site, and those of more folders, which may extend `base.html`. Always escaped; a name that
     is not given is an error."""
-    loaders = [FileSystemLoader(folders), PackageLoader("oysterbench_leaderboard.site", "templates")]
+    loaders = [
+        FileSystemLoader(folders),
+        PackageLoader("oysterbench_leaderboard.site"),
+        PackageLoader("oysterbench.report"),
+    ]
     made = Environment(
         loader=ChoiceLoader(loaders if folders else loaders[1:]),
         autoescape=True,
@@ -48,15 +52,14 @@ def environment(*folders: str | os.PathLike[str]) -> Environment:
         lstrip_blocks=True,
         auto_reload=False,
     )
-    made.globals |= {"VERSION": VERSION, "unit": numbers.unit, "TWINS": TWINS}
-    made.filters |= {"px": px, "slug": slug, "shown": shown}
+    made.globals |= {
+        "VERSION": VERSION,
+        "unit": numbers.unit,
+        "ARROWS": numbers.ARROWS,
+        "REPRESENTATIONS": REPRESENTATIONS,
+    }
+    made.filters |= {"px": px, "slug": slug}
     return made
-
-
-def shown(columns: Sequence[Column]) -> list[tuple[int, Column, bool]]:
-    """The columns that a page shows: their numbers, and whether their cells head the lines."""
-    heads = ("method", "sequence", "split")
-    return [(i, column, column.key in heads and i < 2) for i, column in enumerate(columns) if not column.hidden]
 
 
 def px(value: float) -> str:
@@ -67,9 +70,9 @@ def px(value: float) -> str:
 def html(template: str, links: Links, context: Mapping[str, Any], env: Environment | None = None) -> str:
     """A template that extends `base.html`, filled in.
 
-    context: `title` at least; `path` of the page, for the navigation; `twins`, whether it has any.
+    context: `title` at least; `path` of the page, for the navigation; `representations`, whether it has any.
     """
-    given = {"path": "", "query": {}, "twins": False, **context}
+    given = {"path": "", "query": {}, "representations": False, **context}
     return (
         (env or environment())
         .get_template(template)
@@ -79,7 +82,13 @@ def html(template: str, links: Links, context: Mapping[str, Any], env: Environme
 
 def page_html(page: Page, links: Links) -> str:
     """A page as HTML."""
-    context = {"title": page.title, "path": page.path, "query": page.query, "tables": page.tables, "twins": True}
+    context = {
+        "title": page.title,
+        "path": page.path,
+        "query": page.query,
+        "tables": page.tables,
+        "representations": True,
+    }
     return html(page.template, links, {**context, **page.context})
 
 

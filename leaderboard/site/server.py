@@ -30,9 +30,9 @@ from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.cache import Kept, PageCache
 from oysterbench_leaderboard.site.openapi import describe
 from oysterbench_leaderboard.site.page import PageError
+from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.routes import PATTERNS, ROUTES, Route
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.site.twins import twin
 
 LOG = logging.getLogger("uvicorn.error")
 
@@ -102,7 +102,7 @@ class Pages:
         return self._revision
 
     async def get(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
-        """A page, or its twin. Many who ask for the same at once wait for one making of it."""
+        """A page, or its representation. Many who ask for the same at once wait for one making of it."""
         revision = await self.revision()
         key = (route.path, tuple(sorted(given.items())), asked, suffix)
         if (kept := self.cache.get(revision, key)) is not None:
@@ -120,10 +120,10 @@ class Pages:
         return await anyio.to_thread.run_sync(self.make, route, given, asked, suffix, limiter=self._makers)
 
     def make(self, route: Route, given: dict[str, str], asked: Any, suffix: str) -> Kept:
-        """A page, or its twin, as bytes."""
+        """A page, or its representation, as bytes."""
         page = route.make(self.site, given, asked)
         if suffix:
-            return Kept.of(twin(page, suffix), render.TWINS[suffix][1])
+            return Kept.of(represent(page, suffix), render.REPRESENTATIONS[suffix][1])
         return Kept.of(render.page_html(page, self.links).encode(), HTML)
 
     def error(self, request: Request, status: int, message: str, hints: dict[str, str]) -> Response:
@@ -217,7 +217,7 @@ def application(
     return Starlette(
         routes=[
             *more,
-            *(page_route(route, suffix) for route in ROUTES for suffix in ("", *render.TWINS)),
+            *(page_route(route, suffix) for route in ROUTES for suffix in ("", *render.REPRESENTATIONS)),
             HttpRoute(_pattern("/records/{digest}/record", ".json"), record),
             HttpRoute(_pattern("/records/{digest}/curves", ".json"), curves),
             HttpRoute("/openapi.json", openapi),

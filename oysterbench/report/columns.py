@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from oysterbench.evaluate.metric import Metric
 from oysterbench.evaluate.metrics import TRACKS, find_metric
+from oysterbench.report.table import Column as TableColumn
 
 ABSENT = "\N{EN DASH}"
 """Stands where there is no value."""
@@ -62,3 +63,27 @@ ERROR_OF_TRACK = {name: track.beside for name, track in TRACKS.items()}
 """Track -> the metric that is shown beside the one that ranks, over conditions and over runs."""
 
 COLUMNS = OF_TRACK["slam"]
+
+
+UNITS = {"x": "\N{MULTIPLICATION SIGN} real time"}
+"""Unit of a metric -> the same where there is room."""
+
+
+def metric_column(key: str, sort: bool = False) -> TableColumn:
+    """The column of a metric; sort: whether an address may ask for the order of its values."""
+    metric = find_metric(key) or Metric("No definition is known to this version.", key)
+    unit = metric.unit or ("%" if metric.factor == 100.0 else "")
+    return TableColumn(
+        key,
+        metric.heading or key,
+        UNITS.get(unit, unit),
+        "number",
+        "\n".join(filter(None, metric.narrow)),
+        metric.digits,
+        metric.small,
+        metric.factor,
+        cut=key == "coverage",
+        better=metric.better,
+        about=metric.definition,
+        sort=key if sort else "",
+    )

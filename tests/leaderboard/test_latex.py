@@ -1,4 +1,4 @@
-"""LaTeX twins, read by a strict reader: columns, braces, commands, and names as they were."""
+"""Tables in LaTeX, read by a strict reader: columns, braces, commands, and names as they were."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import open_index
 from oysterbench_leaderboard.latex import escape, needs
 from oysterbench_leaderboard.site.export import _work
+from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.site.twins import tex_text
 from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.tables import board_table, history_table, literature_tables
 from tests.helpers.latex import Wrong, needed, read, shown
@@ -59,13 +59,13 @@ def as_read(text: str) -> str:
     return " ".join(text.split())
 
 
-def test_every_twin_of_the_site_is_whole_latex(site):
+def test_every_page_of_the_site_is_whole_latex(site):
     work = [one for one in _work(site) if not one.path.startswith("/compare")]
     pairs = [one for one in _work(site) if one.path.startswith("/compare")]
     assert len(work) > 60
     for one in work + pairs[::17]:
         page = one.make()
-        found = read(tex_text(page))
+        found = read(represent(page, ".tex").decode())
         assert len(found) == len(page.tables), one.path
         for made, table in zip(found, page.tables, strict=True):
             columns = [i for i, column in enumerate(table.columns) if not column.hidden]
@@ -73,14 +73,14 @@ def test_every_twin_of_the_site_is_whole_latex(site):
             assert made.caption == as_read(table.title), one.path
             assert set(made.label) <= set("abcdefghijklmnopqrstuvwxyz0123456789-:")
             units = any(table.columns[i].unit for i in columns)
-            assert len(made.rows) == 1 + units + len(table.lines), one.path
+            assert len(made.rows) == 1 + units + len(table.rows), one.path
 
 
 def test_names_are_on_paper_what_they_are(site):
     info = site.index.find_board("slam", "slam-val")
     rows = site.index.page(info.id, Query(size=100)).rows
     page = next(one for one in _work(site) if one.path == "/boards/slam/slam-val").make()
-    cells = [row[1] for row in read(tex_text(page))[0].rows[2:]]
+    cells = [row[1] for row in read(represent(page, ".tex").decode())[0].rows[2:]]
     assert cells == [as_read(f"{row.method} ({row.team})") for row in rows]
     assert set(NAMES) <= {row.method for row in rows}
 
@@ -105,7 +105,7 @@ def test_the_engines_of_tex_set_all_of_it(site, engine, tmp_path):
         pytest.skip(f"there is no {engine} here")
     wanted = []
     for one in _work(site):
-        written = tex_text(one.make())
+        written = represent(one.make(), ".tex").decode()
         if read(written) and (engine == "lualatex" or "lualatex" not in needed(written)):
             wanted.append(written)
     assert len(wanted) > 30

@@ -1,4 +1,4 @@
-"""What pages say, and their twins, with no server in between."""
+"""What pages say, and their other representations, with no server in between."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from oysterbench_leaderboard.site.pages.method import method_page
 from oysterbench_leaderboard.site.pages.prose import about_page, submit_page
 from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.paths import slug
+from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.site.twins import csv_text, tex_text
 from oysterbench_leaderboard.store import RecordStore
 from tests.helpers.records_made import NASTY, records_made
 from tests.helpers.site_made import LITERATURE, Reading, make_site
@@ -115,14 +115,14 @@ def test_no_name_becomes_markup_and_no_script_stands_in_a_page(pages):
 def test_ranks_are_those_of_the_index_and_ties_are_marked(site):
     rows = site.index.page(site.index.find_board("slam", "slam-val").id, Query()).rows
     table = board_page(site, "slam", "slam-val").table
-    shown = [line.cells[0].text for line in table.lines]
+    shown = [texts[0] for texts in table.texts]
     assert [text.lstrip("=") for text in shown] == [str(row.rank) for row in rows]
     assert shown[:2] == ["=1", "=1"]
     for text, row in zip(shown, rows, strict=True):
         assert text.startswith("=") == (sum(other.rank == row.rank for other in rows) > 1)
-    assert [line.cells[1].text for line in method_page(site, "cod").table.lines] == ["=1 of 8"]
+    assert [texts[1] for texts in method_page(site, "cod").table.texts] == ["=1 of 8"]
     # On a page of one row nothing else tells of the tie.
-    assert board_page(site, "slam", "slam-val", None, Query(size=1)).table.lines[0].cells[0].text == "=1"
+    assert board_page(site, "slam", "slam-val", None, Query(size=1)).table.texts[0][0] == "=1"
     assert [card[0].text for cards in home_page(site).context["cards"].values() for c in cards for card in c.leaders][
         :2
     ] == ["=1", "=1"]
@@ -131,7 +131,7 @@ def test_ranks_are_those_of_the_index_and_ties_are_marked(site):
 def test_a_board_is_sorted_filtered_and_paged_as_asked(site):
     def methods(**asked):
         page = board_page(site, "slam", "slam-val", None, parse_query({k: [v] for k, v in asked.items()}))
-        return [line.cells[1].text for line in page.table.lines]
+        return [texts[1] for texts in page.table.texts]
 
     everyone = methods()
     assert methods(q="HARBOUR") == [m for m in everyone if m in ("cod", "gap", "eel")]
@@ -184,17 +184,17 @@ def test_coverage_stands_beside_errors_and_the_interval_beside_the_score(site):
 
 def test_the_value_over_the_whole_data_set_stands_beside_the_mean_that_ranks(site, digests):
     page = board_page(site, "detection", "seg-val")
-    shown = {c.key: cell for c, cell in zip(page.table.columns, page.table.lines[0].cells, strict=True) if not c.hidden}
+    shown = {c.key: cell for c, cell in zip(page.table.columns, page.table.rows[0].cells, strict=True) if not c.hidden}
     row = site.index.row(digests["boxes"])
-    assert (shown["data_set"].text, shown["data_set"].value) == ("0.210", 0.21)
+    assert shown["data_set"].value == 0.21
     assert shown["ap_mask"].value == row.score != 0.21
     said = Reading(html(page)).text
     assert f"{find_metric('ap_mask').heading} ranks by its mean over sequences; 'data set' is of all" in said
     record = record_page(site, digests["boxes"])
-    means = {line.cells[8].text: line for line in record.tables[1].lines}
-    assert [cell.text for cell in means["ap_mask"].cells[6:8]] == ["0.210", "0.180 to 0.250"]
-    assert [cell.text for cell in means["pq"].cells[6:8]] == ["\N{EN DASH}"] * 2
-    assert len(record.table.lines) == 6
+    means = {texts[8]: texts for texts in record.tables[1].texts}
+    assert means["ap_mask"][6:8] == ("0.210", "0.180 to 0.250")
+    assert means["pq"][6:8] == ("\N{EN DASH}",) * 2
+    assert len(record.table.rows) == 6
     weighed = board_page(site, "segmentation", "seg-val")  # the mean by pixels is the value over the data set
     assert site.index.row(digests["unet"]).data_set == 0.7
     assert all(column.hidden for column in weighed.table.columns if column.key == "data_set")
@@ -202,15 +202,15 @@ def test_the_value_over_the_whole_data_set_stands_beside_the_mean_that_ranks(sit
 
 def test_steering_ranks_by_skill_and_draws_no_bar_of_what_is_below_zero(site, digests):
     page = board_page(site, "steering", "steer-val")
-    assert [(line.cells[0].text, line.cells[1].text) for line in page.table.lines] == [
+    assert [texts[:2] for texts in page.table.texts] == [
         ("1", "steer"),
         ("2", "straight"),
     ]
     keys = [column.key for column in page.table.columns if not column.hidden]
     assert keys[2] == "skill"
     assert "regret_oysters" in keys
-    last = page.table.lines[1].cells
-    assert last[2].text.startswith("\N{MINUS SIGN}0.")
+    last = page.table.rows[1].cells
+    assert page.table.texts[1][2].startswith("\N{MINUS SIGN}0.")
     assert last[3].bar is None
     assert "steer is better by Skill." in Reading(html(compare_page(site, "straight", "steer"))).text
     failed = standing.filled(standing.named(site.record(digests["steer"]), "steer")[1:], ("dive-01",), ())
@@ -232,11 +232,11 @@ def test_a_superseded_record_leads_to_the_one_in_its_place_and_back(site, digest
 
 def test_a_record_page_shows_each_sequence_and_what_was_not_answered(site, digests):
     table = record_page(site, digests["gap"]).table
-    assert [line.cells[0].text for line in table.lines] == [f"val-0{i}" for i in range(1, 9)]
-    last = table.lines[-1]
+    assert [texts[0] for texts in table.texts] == [f"val-0{i}" for i in range(1, 9)]
+    last = table.rows[-1]
     assert last.cells[0].mark == "not answered"
     assert last.cells[1].value == 0.0
-    failed = record_page(site, digests["eel"]).table.lines[-1]
+    failed = record_page(site, digests["eel"]).table.rows[-1]
     assert failed.kind == "failed"
     assert failed.cells[1].value == 0.0
     assert failed.cells[2].value is None  # a failed run has no error
@@ -245,9 +245,9 @@ def test_a_record_page_shows_each_sequence_and_what_was_not_answered(site, diges
 def test_the_means_of_a_record_page_are_those_of_its_board(site, digests):
     for name in ("carp2", "gap", "eel", "unet"):
         page, row = record_page(site, digests[name]), site.index.row(digests[name])
-        mean = next(line for line in page.tables[1].lines if line.cells[8].text == page.context["info"].metric)
+        mean = next(line for line in page.tables[1].rows if line.cells[8].value == page.context["info"].metric)
         assert mean.cells[2].value == pytest.approx(row.score, abs=1e-12)
-        assert [cell.value for cell in mean.cells[9:11]] == pytest.approx([row.low, row.high], abs=1e-9)
+        assert [mean.cells[3].value.low, mean.cells[3].value.high] == pytest.approx([row.low, row.high], abs=1e-9)
 
 
 def test_paths_are_drawn_over_the_truth_with_what_is_missing_left_out(site, digests):
@@ -356,14 +356,14 @@ def test_a_hidden_split_shows_neither_recipe_nor_seed(site):
 
 def test_csv_runs_nothing_in_a_spreadsheet_and_has_every_digit(site, pages):
     for page in pages.values():
-        for line in csv.reader(io.StringIO(csv_text(page.tables))):
+        for line in csv.reader(io.StringIO(represent(page, ".csv").decode())):
             for field in line:
                 number = re.fullmatch(r"-?[0-9.]+(e[+-]?\d+)?", field)
                 assert number or not field.lstrip().startswith(("=", "+", "-", "@", "\t", "\r")), field
-    rows = list(csv.DictReader(io.StringIO(csv_text(board_page(site, "slam", "slam-val").tables))))
+    rows = list(csv.DictReader(io.StringIO(represent(board_page(site, "slam", "slam-val"), ".csv").decode())))
     first = site.index.row(rows[0]["record"])
     assert float(rows[0]["score"]) == first.score
-    assert rows[0]["low"] == repr(first.low)
+    assert rows[0]["interval_low"] == repr(first.low)
     assert rows[-2]["method"] == NASTY[2][0]
     assert any(row["method"] == f"'{NASTY[1][0]}" and row["team"] == f"'{NASTY[1][1]}" for row in rows)
 
@@ -371,14 +371,14 @@ def test_csv_runs_nothing_in_a_spreadsheet_and_has_every_digit(site, pages):
 def test_tex_holds_no_command_that_is_not_ours(pages):
     ours = r"begin|end|centering|caption|label|toprule|midrule|bottomrule|textbackslash|textasciitilde|textasciicircum"
     ours += r"|textless|textgreater|textbar|textsuperscript|downarrow|uparrow|times"
-    ours += r"|resizebox|ifdim|width|linewidth|else|fi"
+    ours += r"|textbf|resizebox|ifdim|width|linewidth|else|fi"
     for name, page in pages.items():
-        for line in tex_text(page).split("\n"):
+        for line in represent(page, ".tex").decode().split("\n"):
             code = re.split(r"(?<!\\)%", line)[0]
             rest = re.sub(rf"\\(?:{ours})(?![a-zA-Z])|\\[&%$#_{{}},\\]", "", code)
             assert "\\" not in rest, (name, line)
             assert not re.search(r"[#^~]", rest), (name, line)
-        assert tex_text(page).count("\\begin{tabular}") == len(page.tables)
+        assert represent(page, ".tex").decode().count("\\begin{tabular}") == len(page.tables)
 
 
 def test_a_name_has_one_slug_that_is_safe_in_addresses_and_files():

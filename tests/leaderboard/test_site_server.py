@@ -107,7 +107,7 @@ def test_what_is_not_there_is_told_with_what_to_do(client, address):
     assert "root:" not in answer.text
 
 
-def test_twins_of_what_is_not_there_say_so_in_their_own_form(client):
+def test_representations_of_what_is_not_there_say_so_in_their_own_form(client):
     answer = client.get("/methods/whale.json")
     assert answer.status == 404
     assert answer.json()["error"] == "no record of a method 'whale'"

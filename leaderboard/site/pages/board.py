@@ -8,13 +8,14 @@ from itertools import pairwise
 from typing import Any, get_args
 
 from oysterbench.evaluate.metrics import find_metric
-from oysterbench.report.columns import STANDING_OF_TRACK
+from oysterbench.report.columns import STANDING_OF_TRACK, metric_column
+from oysterbench.report.table import Cell, Column, Table, TableRow, interval_column
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, State
 from oysterbench_leaderboard.record import TIERS as ALL_TIERS
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.links import Query as Asked
-from oysterbench_leaderboard.site.page import Cell, Column, Later, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.page import Later, Page, PageError
 from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.pages.ranks import RANK, TIERS, UNRANKED, rank_cells, state_mark
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
@@ -24,6 +25,9 @@ from oysterbench_leaderboard.tables import DATA_SET, has_data_set, learnt_on
 MOST_ROWS = 1000
 LONGEST_TEXT = 100
 """Rows of a page and characters to look for, at most."""
+
+HIDDEN = ("place", "team", "sequences", "runs", "state", "record", "supersedes", "url")
+"""Columns in CSV and JSON alone."""
 
 MOST_SHOWN = 5
 """Metrics beside the one that ranks, on the page; CSV and JSON have all of them."""
@@ -120,7 +124,7 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         "info": info,
         "paired": PAIRED,
         "name": name,
-        "metric": numbers.heading(info.metric),
+        "metric": metric_column(info.metric),
         "found": found,
         "asked": asked_by(query),
         "sorting": _sorting(table, query),
@@ -175,70 +179,45 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     whole = has_data_set(info, rows)
     keys = [info.metric, *(key for key in info.columns if key != info.metric)]
     shown = {column.key for column in STANDING_OF_TRACK.get(info.track, ())[:MOST_SHOWN]}
+    metric = metric_column(info.metric, sort=True)
     columns = (
-        Column(
-            "rank",
-            "Rank",
-            number=True,
-            sort="rank",
-            about=RANK,
-        ),
+        Column("rank", "Rank", kind="number", sort="rank", about=RANK),
         Column("method", "Method", sort="method"),
-        numbers.heading(info.metric, sort=True),
-        Column("interval", "Interval", numbers.LEVEL, number=True, about="Of the mean, by bootstrap over sequences."),
+        metric,
+        interval_column(metric, "interval", "Interval", numbers.LEVEL),
         replace(
-            numbers.heading(info.metric),
+            metric,
             key="data_set",
             unit="data set",
             about="Over all sequences at once, and not a mean of them: it does not rank.",
             sort="data_set",
             hidden=not whole,
         ),
-        *(replace(numbers.heading(key, sort=True), hidden=key not in shown) for key in keys[1:]),
-        Column("failures", "Failed", "runs", number=True, about="Runs that failed, and sequences not answered."),
+        *(replace(metric_column(key, sort=True), hidden=key not in shown) for key in keys[1:]),
+        Column("failures", "Failed", "runs", "number", about="Runs that failed, and sequences not answered."),
         Column("tier", "Tier", about="Who vouches for the numbers."),
         Column("created", "Date", "UTC", sort="created"),
         *(
-            Column(key, number=number, hidden=True)
-            for key, number in (
-                ("place", True),
-                ("team", False),
-                ("low", True),
-                ("high", True),
-                ("sequences", True),
-                ("runs", True),
-                ("state", False),
-                ("record", False),
-                ("supersedes", False),
-                ("url", False),
-            )
+            Column(key, kind="number" if key in ("place", "sequences", "runs") else "text", hidden=True)
+            for key in HIDDEN
         ),
     )
-    values = {key: numbers.cells(key, [row.metrics.get(key) for row in rows]) for key in keys[1:]}
-    scores = numbers.cells(info.metric, [row.score for row in rows])
-    of_data_set = numbers.cells(info.metric, [row.data_set for row in rows])
-    ranks = rank_cells(rows)
     lines = []
-    for i, row in enumerate(rows):
-        interval = numbers.interval(info.metric, row.low, row.high)
+    for row, rank in zip(rows, rank_cells(rows), strict=True):
+        interval = numbers.interval(row.low, row.high)
         lines.append(
-            Line(
+            TableRow(
                 (
-                    ranks[i],
-                    Cell(
-                        row.method,
-                        path=record_path(row.digest),
-                        small=row.team,
-                        mark=state_mark(row),
-                    ),
-                    scores[i],
+                    rank,
+                    Cell(row.method, path=record_path(row.digest), small=row.team, mark=state_mark(row)),
+                    row.score,
                     Cell(interval, bar=numbers.bar(row.low, row.score, row.high), kind="soft"),
-                    of_data_set[i],
-                    *(values[key][i] for key in keys[1:]),
-                    Cell(f"{row.failures} of {row.runs}", row.failures, kind="warn" if row.failures else ""),
+                    row.data_set,
+                    *(row.metrics.get(key) for key in keys[1:]),
+                    Cell(row.failures, f"{row.failures} of {row.runs}", kind="warn" if row.failures else ""),
                     Cell(row.tier, about=TIERS.get(row.tier, "")),
-                    Cell(row.created[:10], row.created),
-                    *_hidden(row),
+                    Cell(row.created, row.created[:10]),
+                    *(row.digest if key == "record" else getattr(row, key) for key in HIDDEN),
                 ),
                 row.state if row.state != "current" else "",
                 row.digest,
@@ -252,34 +231,16 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     return Table(title, columns, tuple(lines), _notes(info, rows), f"{slug(info.track)}-{slug(info.split)}")
 
 
-def _hidden(row: Row) -> list[Cell]:
-    def number(value: float | None) -> Cell:
-        return Cell("", "" if value is None else value)
-
-    return [
-        number(row.place),
-        Cell(row.team),
-        number(row.low),
-        number(row.high),
-        number(row.sequences),
-        number(row.runs),
-        Cell(row.state),
-        Cell(row.digest),
-        Cell(row.supersedes),
-        Cell(row.url),
-    ]
-
-
 def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
     metric = find_metric(info.metric)
     mean = (
-        f"{numbers.heading(info.metric).text} is that of all pixels of {len(info.sequences)} sequences together"
+        f"{metric_column(info.metric).heading} is that of all pixels of {len(info.sequences)} sequences together"
         if metric is not None and metric.weight
         else f"Means over {numbers.count(len(info.sequences), 'sequence')}, each the mean of its runs"
     )
     notes = [f"{mean}; what failed or was not answered scores 0. Errors are of what was answered: mind the coverage."]
     if has_data_set(info, rows):
-        notes.append(DATA_SET.format(numbers.heading(info.metric).text))
+        notes.append(DATA_SET.format(metric_column(info.metric).heading))
     if warning := learnt_on(info.split):
         notes.append(warning)
     if any(row.rank is not None for row in rows):

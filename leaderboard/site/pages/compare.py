@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import asdict, dataclass, replace
+from typing import Literal
 
 from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Comparison, compare
-from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
+from oysterbench.report.table import Cell, Column, Table, TableRow
 from oysterbench.results.comparison import Board, Entry, Pair, as_plain, remarks
 from oysterbench.results.comparison import boards as boards_of
 from oysterbench.results.records import ResultRecord, plain
@@ -19,7 +20,7 @@ from oysterbench_leaderboard.board import BoardInfo, Row
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.site import numbers, standing
 from oysterbench_leaderboard.site.charts import drawings
-from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.paths import board_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
 
@@ -53,12 +54,13 @@ def compare_page(site: Site, a: str, b: str) -> Page:
         raise PageError(f"these two records may not be compared: {why[0]}", 409, hints)
     board = _board(info, sides)
     of_a, of_b = (_entry(board, side.label) for side in sides)
-    metric = numbers.heading(info.metric)
+    metric = metric_column(info.metric)
+    signed = numbers.difference_column(info.metric)
     whole = next(pair.comparison for pair in _pairs(board, sides) if not pair.condition)
     tables = (
         _sequences(board, info, sides),
         _metrics(board, sides),
-        *([strata] if (strata := _strata(board, sides)).lines else []),
+        *([strata] if (strata := _strata(board, sides)).rows else []),
     )
     context = {
         "sides": sides,
@@ -67,12 +69,10 @@ def compare_page(site: Site, a: str, b: str) -> Page:
         "metric": metric,
         "verdict": verdict(sides, whole, info.metric),
         "whole": whole,
-        "difference": numbers.signed(info.metric, whole.difference),
-        "interval": _signed_interval(info.metric, whole),
+        "difference": signed.text(whole.difference),
+        "interval": signed.text(whole.interval),
         "drawings": drawings({side.label: curves_of(site, side.record) for side in sides}),
-        "means": [
-            numbers.texts(info.metric, [entry.summary(info.metric, info.sequences).mean])[0] for entry in (of_a, of_b)
-        ],
+        "means": [metric.text(entry.summary(info.metric, info.sequences).mean) for entry in (of_a, of_b)],
     }
     title = f"{sides[0].label} against {sides[1].label} on {info.split}"
     data = {
@@ -172,25 +172,18 @@ def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:
         return f"Which of the two is better cannot be said: {whole.interval.reason}."
     if whole.verdict == "not significantly different":
         return f"{a} and {b} are not significantly different."
-    name = numbers.heading(metric).text
+    name = metric_column(metric).heading
     return f"{a if whole.verdict == 'better' else b} is better by {name}."
 
 
-def _signed_interval(key: str, comparison: Comparison, beside: Sequence[Cell] = ()) -> str:
-    if not comparison.interval.known:
-        return numbers.ABSENT
-    ends = (comparison.interval.low, comparison.interval.high)
-    return " to ".join(numbers.signed(key, end, beside) for end in ends)
-
-
-def _compared_cells(key: str, comparison: Comparison, means: Sequence[Cell] = ()) -> tuple[Cell, ...]:
+def _compared_cells(key: str, comparison: Comparison) -> tuple[Cell, ...]:
     """Difference of the means, interval, won / tied / lost, verdict."""
-    known = comparison.interval.known
+    known, signed = comparison.interval.known, numbers.difference_column(key)
     kind = {"better": "best", "worse": "warn"}.get(comparison.verdict, "") if known else ""
     return (
-        Cell(numbers.signed(key, comparison.difference, means), numbers.finite(comparison.difference)),
-        Cell(_signed_interval(key, comparison, means), about=comparison.interval.reason, kind="soft"),
-        Cell(f"{comparison.wins} / {comparison.ties} / {comparison.losses}", comparison.wins),
+        Cell(numbers.finite(comparison.difference), signed.text(comparison.difference)),
+        Cell(comparison.interval, signed.text(comparison.interval), kind="soft"),
+        Cell(comparison.wins, f"{comparison.wins} / {comparison.ties} / {comparison.losses}"),
         Cell(comparison.verdict if known else "too few to tell", kind=kind),
     )
 
@@ -198,58 +191,35 @@ def _compared_cells(key: str, comparison: Comparison, means: Sequence[Cell] = ()
 def _compared_columns(sides: Sequence[Side]) -> tuple[Column, ...]:
     a, b = (side.label for side in sides)
     return (
-        Column("difference", "Difference", "first less second", number=True, about=f"{a} less {b}"),
-        Column("interval", "Interval", numbers.LEVEL, number=True, about="By bootstrap of the paired differences."),
-        Column("won", "Sequences", "won / tied / lost", number=True),
+        Column("difference", "Difference", "first less second", "number", about=f"{a} less {b}"),
+        Column("interval", "Interval", numbers.LEVEL, "interval", about="By bootstrap of the paired differences."),
+        Column("won", "Sequences", "won / tied / lost", "number"),
         Column("verdict", "The first is"),
     )
 
 
 def _sequences(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
     """The ranking metric of both on each sequence, and coverage beside it."""
-    metric = numbers.heading(info.metric)
     keys = (info.metric, *(["coverage"] if any("coverage" in result.metrics for result in board.given) else []))
     known = [key for key in STRATA if any(key in r.conditions for r in board.given)]
+    means = {key: [standing.means(_entry(board, side.label).records, key) for side in sides] for key in keys}
+    difference = numbers.difference_column(info.metric)
     columns = [Column("sequence", "Sequence")]
-    values: dict[str, list[Cell]] = {}
     for key in keys:
-        found = [standing.means(_entry(board, side.label).records, key) for side in sides]
-        both = numbers.cells(key, [means.get(name) for means in found for name in info.sequences])
-        for i, side in enumerate(sides):
-            values[f"{key}_{'ab'[i]}"] = both[i * len(info.sequences) : (i + 1) * len(info.sequences)]
-            heading = numbers.heading(key)
-            columns.append(
-                Column(
-                    f"{key}_{'ab'[i]}",
-                    side.label,
-                    f"{heading.text} {heading.unit}".strip(),
-                    True,
-                    heading.about,
-                    heading.better,
-                )
-            )
-    columns.append(Column("difference", "Difference", metric.text, number=True))
+        metric = metric_column(key)
+        for letter, side in zip("ab", sides, strict=True):
+            unit = f"{metric.heading} {metric.unit}".strip()
+            columns.append(replace(metric, key=f"{key}_{letter}", heading=side.label, unit=unit))
+    columns.append(replace(difference, heading="Difference", unit=difference.heading, better="", about=""))
     columns += [Column(key, CONDITIONS[key].name.capitalize()) for key in known]
-    a, b = (standing.means(_entry(board, side.label).records, info.metric) for side in sides)
     lines = []
-    for i, name in enumerate(info.sequences):
-        difference = a[name] - b[name] if name in a and name in b else None
-        gain = 0 if difference is None else difference * (1 if metric.better == "higher" else -1)
+    for name in info.sequences:
+        a, b = (of.get(name) for of in means[info.metric])
+        gain = None if a is None or b is None else a - b
+        kind = "" if not gain else "best" if (gain > 0) == (difference.better == "higher") else "warn"
+        values = (of.get(name) for key in keys for of in means[key])
         conditions = board.conditions(name)
-        lines.append(
-            Line(
-                (
-                    Cell(name),
-                    *(values[column.key][i] for column in columns if column.key in values),
-                    Cell(
-                        numbers.signed(info.metric, difference),
-                        numbers.finite(difference),
-                        kind="best" if gain > 0 else "warn" if gain < 0 else "",
-                    ),
-                    *(Cell(str(conditions.get(key, numbers.ABSENT))) for key in known),
-                )
-            )
-        )
+        lines.append(TableRow((name, *values, Cell(gain, kind=kind), *(conditions.get(key) for key in known))))
     title = f"{sides[0].label} and {sides[1].label} by sequence"
     notes = ("Means over the runs of each sequence; what failed or was not answered scores 0.",)
     return Table(title, tuple(columns), tuple(lines), notes, "sequences")
@@ -262,31 +232,28 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
     columns = (
         Column("metric", "Metric"),
         Column("unit", "Unit"),
-        Column("a", sides[0].label, "mean", number=True),
-        Column("b", sides[1].label, "mean", number=True),
+        Column("a", sides[0].label, "mean", "number"),
+        Column("b", sides[1].label, "mean", "number"),
         *_compared_columns(sides),
-        Column("shared", "On", "sequences", number=True, about="Those on which both have a value."),
+        Column("shared", "On", "sequences", "number", about="Those on which both have a value."),
         Column("key", hidden=True),
     )
     lines = []
     for key in keys:
-        heading = numbers.heading(key)
-        if not heading.better or key not in board.keys:
+        metric = metric_column(key)
+        if not metric.better or key not in board.keys:
             continue
         comparison = _compared(a, b, key, board.sequences)
-        means = numbers.cells(key, [entry.summary(key, board.sequences).mean for entry in (a, b)])
-        lines.append(
-            Line(
-                (
-                    Cell(heading.text, about=heading.about),
-                    Cell(numbers.unit(heading), heading.unit),
-                    *means,
-                    *_compared_cells(key, comparison, means),
-                    Cell(str(comparison.sequences), comparison.sequences),
-                    Cell(key),
-                )
-            )
+        means = [numbers.finite(entry.summary(key, board.sequences).mean) for entry in (a, b)]
+        cells = (
+            Cell(metric.heading, about=metric.about),
+            Cell(metric.unit, numbers.unit(metric)),
+            *map(Cell, means, metric.texts(means)),
+            *_compared_cells(key, comparison),
+            comparison.sequences,
+            key,
         )
+        lines.append(TableRow(cells))
     notes = ("Errors are compared on the sequences that both have a value of: read them beside coverage.",)
     return Table(f"{sides[0].label} against {sides[1].label}", columns, tuple(lines), notes, "metrics")
 
@@ -296,17 +263,13 @@ def _strata(board: Board, sides: Sequence[Side]) -> Table:
     columns: tuple[Column, ...] = (
         Column("condition", "Condition"),
         Column("class", "Class"),
-        Column("sequences", "Sequences", number=True),
+        Column("sequences", "Sequences", kind="number"),
         *_compared_columns(sides),
     )
-    lines: list[Line] = []
+    lines = []
     for pair in _pairs(board, sides):
         if pair.condition:
-            lead: tuple[Any, ...] = (
-                Cell(CONDITIONS[pair.condition].name),
-                Cell(pair.value),
-                Cell(str(pair.comparison.sequences), pair.comparison.sequences),
-            )
-            lines.append(Line((*lead, *_compared_cells(board.metric, pair.comparison))))
-    metric = numbers.heading(board.metric).text
+            lead = (CONDITIONS[pair.condition].name, pair.value, pair.comparison.sequences)
+            lines.append(TableRow((*lead, *_compared_cells(board.metric, pair.comparison))))
+    metric = metric_column(board.metric).heading
     return Table(f"{metric} by class of conditions", columns, tuple(lines), name="conditions")

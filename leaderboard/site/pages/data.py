@@ -7,11 +7,11 @@ from dataclasses import asdict
 from typing import Any
 
 from oysterbench.evaluate.conditions import CONDITIONS
+from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo
-from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.datasets import Conditions, DataSet, all_data_sets, conditions_of
-from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.paths import board_path, data_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
 
@@ -23,10 +23,10 @@ def data_page(site: Site) -> Page:
     columns = (
         Column("split", "Data set"),
         Column("track", "Made for"),
-        Column("sequences", "Sequences", number=True),
-        Column("duration_s", "Duration", "min", number=True),
+        Column("sequences", "Sequences", kind="number"),
+        Column("duration_s", "Duration", "min", "number", digits=1, factor=1 / 60),
         Column("truth", "Truth"),
-        Column("records", "Records", "current", number=True),
+        Column("records", "Records", "current", "number"),
         Column("rig", "Rig"),
         Column("summary", "What it is"),
         Column("version", hidden=True),
@@ -39,17 +39,16 @@ def data_page(site: Site) -> Page:
             entries[info.split] = entries.get(info.split, 0) + info.entries
     lines = []
     for name, found in sorted(all_data_sets(site).items(), key=lambda item: (item[1].track, item[0])):
-        duration = found.duration_s
         lines.append(
-            Line(
+            TableRow(
                 (
                     Cell(name, path=data_path(name), small=found.version),
                     Cell(found.track),
-                    Cell(str(len(found.sequences)), len(found.sequences)),
-                    Cell(numbers.ABSENT, "") if duration is None else Cell(f"{duration / 60:.1f}", duration),
+                    len(found.sequences),
+                    found.duration_s,
                     Cell("kept back" if found.hidden else "public"),
-                    Cell(str(entries.get(name, 0)), entries.get(name, 0)),
-                    Cell(found.rig or numbers.ABSENT),
+                    entries.get(name, 0),
+                    Cell(found.rig, found.rig or ABSENT),
                     Cell(found.summary or "known from records alone", kind="wrap"),
                     Cell(found.version),
                     Cell(found.digest),
@@ -101,12 +100,7 @@ def conditions_table(found: DataSet, like: Mapping[str, Conditions]) -> Table:
     )
     lines = []
     for name in found.sequences:
-        cells, values = [], like.get(name, {})
-        for key in keys:
-            value = values.get(key)
-            text = numbers.ABSENT if value is None or value == "" else _text(key, value)
-            cells.append(Cell(text, value if value is not None else ""))
-        lines.append(Line((Cell(name), *cells)))
+        lines.append(TableRow((name, *(like.get(name, {}).get(key) or None for key in keys))))
     notes = () if keys else ("What the sequences are like is not known here.",)
     return Table(f"Sequences of {found.name}", columns, tuple(lines), notes, "sequences")
 
@@ -114,10 +108,5 @@ def conditions_table(found: DataSet, like: Mapping[str, Conditions]) -> Table:
 def _column(key: str, like: Mapping[str, Conditions]) -> Column:
     about = CONDITIONS[key]
     number = not any(isinstance(values.get(key), str) for values in like.values())
-    return Column(key, about.name[:1].upper() + about.name[1:], about.unit, number)
-
-
-def _text(key: str, value: float | str) -> str:
-    if isinstance(value, str):
-        return value
-    return f"{value:.{DECIMALS[key]}f}" if key in DECIMALS else f"{value:g}"
+    heading = about.name[:1].upper() + about.name[1:]
+    return Column(key, heading, about.unit, "number" if number else "text", digits=DECIMALS.get(key))

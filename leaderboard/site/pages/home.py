@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+from oysterbench.report.columns import metric_column
+from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, Query, Row
 from oysterbench_leaderboard.site import numbers
-from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
+from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.pages.ranks import rank_cells
 from oysterbench_leaderboard.site.paths import board_path, record_path, split_path
 from oysterbench_leaderboard.site.site import Site
@@ -37,24 +39,28 @@ def home_page(site: Site) -> Page:
         rows = site.index.page(info.id, Query(size=LEADERS)).rows
         path = split_path(info.track, info.split)
         ranks = rank_cells(rows)
-        scores = numbers.texts(info.metric, [row.score for row in rows])
-        metric = numbers.heading(info.metric)
+        metric = metric_column(info.metric)
+        scores = metric.texts([row.score for row in rows])
         card = Card(
-            info, path, metric.text, numbers.count(info.entries, "record"), tuple(zip(ranks, rows, scores, strict=True))
+            info,
+            path,
+            metric.heading,
+            numbers.count(info.entries, "record"),
+            tuple(zip(ranks, rows, scores, strict=True)),
         )
         cards.setdefault(numbers.track_name(info.track), []).append(card)
         first = rows[0] if rows else None
         lines.append(
-            Line(
+            TableRow(
                 (
                     Cell(info.track),
                     Cell(info.split, path=path),
                     Cell(info.evaluator_version),
-                    Cell(str(info.entries), info.entries),
-                    Cell(first.method, path=record_path(first.digest)) if first else Cell(numbers.ABSENT, ""),
-                    Cell(scores[0] if first else numbers.ABSENT, first.score if first else ""),
-                    Cell(metric.text, info.metric),
-                    Cell(info.updated[:10], info.updated),
+                    Cell(info.entries),
+                    Cell(first.method, path=record_path(first.digest)) if first else Cell("", ABSENT),
+                    Cell(first.score, scores[0]) if first else Cell("", ABSENT),
+                    Cell(info.metric, metric.heading),
+                    Cell(info.updated, info.updated[:10]),
                     Cell(info.id),
                 )
             )
@@ -64,9 +70,9 @@ def home_page(site: Site) -> Page:
         Column("track", "Track"),
         Column("split", "Split"),
         Column("evaluator", "Evaluator"),
-        Column("records", "Records", number=True),
+        Column("records", "Records", kind="number"),
         Column("leader", "Leader"),
-        Column("value", "Value", number=True),
+        Column("value", "Value", kind="number"),
         Column("metric", "Metric"),
         Column("updated", "Updated", "UTC"),
         Column("board", "Board", hidden=True),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
+from oysterbench.report.table import Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.site import numbers
-from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
+from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.site import Site
 
 
@@ -16,7 +17,7 @@ def literature_page(site: Site) -> Page:
     columns = (
         Column("method", "Method"),
         Column("metric", "Metric, as its source defines it"),
-        Column("value", "Value", number=True),
+        Column("value", "Value", kind="number"),
         Column("data", "Measured on"),
         Column("source", "Source"),
         Column("note", "Note"),
@@ -25,8 +26,8 @@ def literature_page(site: Site) -> Page:
     )
     tables = []
     for track in tracks:
-        lines = tuple(
-            Line(
+        rows = tuple(
+            TableRow(
                 (
                     Cell(one.method),
                     Cell(one.metric, kind="wrap"),
@@ -42,9 +43,9 @@ def literature_page(site: Site) -> Page:
             if one.track == track
         )
         name = numbers.track_name(track)
-        tables.append(Table(f"{name}: reported by others, on other data", columns, lines, name="literature"))
+        tables.append(Table(f"{name}: reported by others, on other data", columns, rows, name="literature"))
     every = Table(
-        "Reported by others, on other data", columns, tuple(line for t in tables for line in t.lines), name="literature"
+        "Reported by others, on other data", columns, tuple(row for t in tables for row in t.rows), name="literature"
     )
     return Page(
         "/literature",

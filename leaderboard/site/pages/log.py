@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 
+from oysterbench.report.columns import metric_column
+from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import Row
-from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.history import MOST, Event, events
-from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
+from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.paths import board_path, record_path
 from oysterbench_leaderboard.site.site import Site
 
@@ -22,8 +23,8 @@ def log_page(site: Site) -> Page:
         Column("action", "What"),
         Column("method", "Method"),
         Column("split", "Split"),
-        Column("score_before", "Score", "before", number=True),
-        Column("score_after", "Score", "after", number=True),
+        Column("score_before", "Score", "before", "number"),
+        Column("score_after", "Score", "after", "number"),
         Column("by", "Record", "that took its place"),
         Column("reason", "Why"),
         Column("record", hidden=True),
@@ -32,20 +33,18 @@ def log_page(site: Site) -> Page:
     lines = []
     for event in found:
         info = boards[event.record.board]
-        before, after = (
-            numbers.cells(info.metric, [row.score if row else None])[0] for row in (event.record, event.by)
-        )
+        scores = [row.score if row else None for row in (event.record, event.by)]
+        shown = metric_column(info.metric).texts(scores)
         lines.append(
-            Line(
+            TableRow(
                 (
-                    Cell(event.created[:10], event.created),
+                    Cell(event.created, event.created[:10]),
                     Cell(event.action, kind="warn" if event.action == "withdrawn" else ""),
                     Cell(event.record.method, path=record_path(event.record.digest), small=event.record.team),
                     Cell(info.split, path=board_path(info), small=info.evaluator_version),
-                    before,
-                    after,
+                    *map(Cell, scores, shown),
                     _link(event.by),
-                    Cell(event.reason or numbers.ABSENT, event.reason, kind="wrap"),
+                    Cell(event.reason, event.reason or ABSENT, kind="wrap"),
                     Cell(event.record.digest),
                 )
             )
@@ -60,12 +59,12 @@ def log_page(site: Site) -> Page:
 
 def _left_out(problems: Mapping[str, str]) -> Table:
     columns = (Column("file", "File"), Column("why", "Why"))
-    lines = tuple(Line((Cell(name), Cell(why, kind="wrap"))) for name, why in problems.items())
+    lines = tuple(TableRow((Cell(name), Cell(why, kind="wrap"))) for name, why in problems.items())
     return Table("Files that are on no board", columns, lines, name="left-out")
 
 
 def _link(row: Row | None) -> Cell:
-    return Cell("") if row is None else Cell(row.digest[:8], row.digest, path=record_path(row.digest))
+    return Cell("") if row is None else Cell(row.digest, row.digest[:8], path=record_path(row.digest))
 
 
 def _plain(event: Event) -> dict[str, object]:

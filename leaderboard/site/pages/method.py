@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 
 from oysterbench.core.errors import ResultError
+from oysterbench.report.columns import metric_column
+from oysterbench.report.table import Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, Row
 from oysterbench_leaderboard.site import numbers
-from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, PageError, Table
+from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells, state_mark
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site
@@ -52,12 +54,12 @@ def method_page(site: Site, slug: str) -> Page:
 def _table(site: Site, boards: dict[str, BoardInfo], rows: list[Row], title: str, name: str) -> Table:
     columns = (
         Column("board", "Board"),
-        Column("rank", "Rank", "of records", number=True),
+        Column("rank", "Rank", "of records", "number"),
         Column("metric", "Metric"),
-        Column("value", "Value", number=True),
-        Column("interval", "Interval", numbers.LEVEL, number=True),
-        Column("coverage", "Coverage", "%", number=True),
-        Column("failures", "Failed", "runs", number=True),
+        Column("value", "Value", kind="number"),
+        Column("interval", "Interval", numbers.LEVEL, "interval"),
+        metric_column("coverage"),
+        Column("failures", "Failed", "runs", "number"),
         Column("evaluator", "Evaluator"),
         Column("team", "Team"),
         Column("tier", "Tier"),
@@ -69,25 +71,27 @@ def _table(site: Site, boards: dict[str, BoardInfo], rows: list[Row], title: str
     for row in rows:
         info = boards[row.board]
         rank = rank_cells([row])[0]
-        score = numbers.cells(info.metric, [row.score])[0]
+        metric = metric_column(info.metric)
+        interval = numbers.interval(row.low, row.high)
         lines.append(
-            Line(
+            TableRow(
                 (
                     Cell(info.split, path=board_path(info), small=info.track),
                     rank if row.place is None else replace(rank, text=f"{rank.text} of {info.entries}"),
-                    Cell(numbers.heading(info.metric).text, info.metric),
-                    score,
+                    Cell(info.metric, metric.heading),
+                    Cell(row.score, metric.text(row.score)),
                     Cell(
-                        numbers.interval(info.metric, row.low, row.high),
+                        interval,
+                        metric.text(interval),
                         bar=numbers.bar(row.low, row.score, row.high),
                         kind="soft",
                     ),
-                    numbers.cells("coverage", [row.coverage])[0],
-                    Cell(f"{row.failures} of {row.runs}", row.failures, kind="warn" if row.failures else ""),
+                    row.coverage,
+                    Cell(row.failures, f"{row.failures} of {row.runs}", kind="warn" if row.failures else ""),
                     Cell(info.evaluator_version),
                     Cell(row.team),
                     Cell(row.tier, about=TIERS.get(row.tier, "")),
-                    Cell(row.created[:10], row.created, path=record_path(row.digest), mark=state_mark(row)),
+                    Cell(row.created, row.created[:10], path=record_path(row.digest), mark=state_mark(row)),
                     Cell(row.digest),
                     Cell(row.state),
                 ),

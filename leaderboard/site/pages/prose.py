@@ -6,11 +6,13 @@ from dataclasses import asdict
 
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import LEAST_SEQUENCES, RESAMPLES
-from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
+from oysterbench.report.renderers import json_rows
+from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.site import datasets, numbers
-from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
+from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.pages.ranks import TIERS
 from oysterbench_leaderboard.site.paths import data_path
 from oysterbench_leaderboard.site.site import Site
@@ -39,9 +41,9 @@ def submit_page(site: Site) -> Page:
         for track in TRACKS_OF.get(found.track, ()):
             if name.endswith(("-val", "-test")):
                 lines.append(
-                    Line(
+                    TableRow(
                         (
-                            Cell(numbers.track_name(track), track),
+                            Cell(track, numbers.track_name(track)),
                             Cell(name, path=data_path(name)),
                             Cell("kept back" if found.hidden else "public"),
                             Cell(FORMS[track], kind="wrap"),
@@ -52,8 +54,7 @@ def submit_page(site: Site) -> Page:
         f"{numbers.track_name(track)} cannot be sent: {reason.replace('`', '')}." for track, reason in ELSEWHERE.items()
     )
     table = Table("What is compared on", columns, tuple(lines), notes, "submit")
-    keys = [column.key for column in columns]
-    splits = [dict(zip(keys, (cell.plain for cell in line.cells), strict=True)) for line in lines]
+    splits = json_rows(table)
     data = plain({"form": site.form or None, "splits": splits, "elsewhere": ELSEWHERE})
     context = {"form": site.form, "tiers": TIERS}
     return Page("/submit", "How to submit", "submit.html", context, (table,), data)
@@ -76,14 +77,14 @@ def about_page(site: Site) -> Page:
             metric = find_metric(key)
             if metric is None:
                 continue
-            heading = numbers.heading(key)
+            heading = metric_column(key)
             lines.append(
-                Line(
+                TableRow(
                     (
-                        Cell(numbers.track_name(track), track),
-                        Cell(heading.text, mark="ranks" if key == PRIMARY[track] else ""),
-                        Cell(heading.unit or numbers.ABSENT, heading.unit),
-                        Cell(metric.better or "describes", metric.better),
+                        Cell(track, numbers.track_name(track)),
+                        Cell(heading.heading, mark="ranks" if key == PRIMARY[track] else ""),
+                        Cell(heading.unit, heading.unit or ABSENT),
+                        Cell(metric.better, metric.better or "describes"),
                         Cell(metric.definition, kind="wrap"),
                         Cell(key),
                     )

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from oysterbench.report.table import ABSENT, Cell
 from oysterbench_leaderboard.board import Row
-from oysterbench_leaderboard.site import numbers
-from oysterbench_leaderboard.site.page import Cell
 
 TIERS = {
     "baseline": "Run and scored by us, from this project's own tree.",
@@ -26,12 +25,12 @@ def rank_cells(rows: Sequence[Row]) -> list[Cell]:
     cells = []
     for row in rows:
         if row.place is None:
-            cells.append(Cell(numbers.ABSENT, "", about=row.state))
+            cells.append(Cell("", ABSENT, about=row.state))
         elif row.rank is None:
-            cells.append(Cell(f"({row.place})", row.place, about=UNRANKED.capitalize(), kind="rank"))
+            cells.append(Cell(row.place, f"({row.place})", about=UNRANKED.capitalize(), kind="rank"))
         else:
             shown = f"={row.rank}" if row.tied else str(row.rank)
-            cells.append(Cell(shown, row.rank, about=TIED if row.tied else "", kind="rank"))
+            cells.append(Cell(row.rank, shown, about=TIED if row.tied else "", kind="rank"))
     return cells
 
 

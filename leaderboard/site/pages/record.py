@@ -10,7 +10,8 @@ from typing import Any
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Summary
-from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
+from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow, Value, interval_column
 from oysterbench.report.tables import failures_and_notes
 from oysterbench.results.records import ResultRecord, plain
 from oysterbench.results.standings import PRIMARY
@@ -19,7 +20,7 @@ from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.site import numbers, standing
 from oysterbench_leaderboard.site.charts import drawings
 from oysterbench_leaderboard.site.history import successor
-from oysterbench_leaderboard.site.page import Cell, Column, Line, Page, Table
+from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
@@ -45,12 +46,12 @@ def record_page(site: Site, digest: str) -> Page:
     record = site.record(row.digest)
     info = next(info for info in site.index.boards() if info.id == row.board)
     results = standing.filled(standing.named(record, record.method), info.sequences, ())
-    rank = rank_cells([row])[0]
+    rank, metric = rank_cells([row])[0], metric_column(info.metric)
     name = f"{row.method} on {info.split}"
     tables = (
         sequences_table(results, info.sequences, f"{name}, by sequence"),
         metrics_table(results, f"{name}: means over {numbers.count(len(info.sequences), 'sequence')}", record.data_set),
-        *([strata] if (strata := strata_table(results, f"{name}, by conditions")).lines else []),
+        *([strata] if (strata := strata_table(results, f"{name}, by conditions")).rows else []),
     )
     notes = _notes(site, row)
     context = {
@@ -63,12 +64,12 @@ def record_page(site: Site, digest: str) -> Page:
         "method": method_path(record.method),
         "rank": rank,
         "tied": row.rank is not None and row.tied,
-        "score": numbers.texts(info.metric, [row.score])[0],
-        "metric": numbers.heading(info.metric),
-        "interval": numbers.interval(info.metric, row.low, row.high),
+        "score": metric.text(row.score),
+        "metric": metric,
+        "interval": metric.text(numbers.interval(row.low, row.high)),
         "bar": numbers.bar(row.low, row.score, row.high),
-        "data_set": numbers.texts(info.metric, [row.data_set])[0] if has_data_set(info, [row]) else "",
-        "coverage": numbers.texts("coverage", [row.coverage])[0],
+        "data_set": metric.text(row.data_set) if has_data_set(info, [row]) else "",
+        "coverage": numbers.text("coverage", row.coverage),
         "tier_about": TIERS.get(row.tier, ""),
         "notes": notes,
         "rivals": rivals(site, info, row),
@@ -133,31 +134,24 @@ def sequences_table(results: Sequence[ResultRecord], sequences: Sequence[str], t
     known = [key for key in STRATA if any(key in result.conditions for result in results)]
     columns = (
         Column("sequence", "Sequence"),
-        *(numbers.heading(key) for key in keys),
-        Column("failures", "Failed", "runs", number=True),
+        *(metric_column(key) for key in keys),
+        Column("failures", "Failed", "runs", "number"),
         *(Column(key, CONDITIONS[key].name.capitalize()) for key in known),
     )
-    values = {}
-    for key in keys:
-        means = standing.means(results, key)
-        values[key] = numbers.cells(key, [means.get(name) for name in sequences])
+    means = {key: standing.means(results, key) for key in keys}
     lines = []
-    for i, name in enumerate(sequences):
+    for name in sequences:
         runs = [result for result in results if result.sequence == name]
         failed = sum(result.failure is not None for result in runs)
         answered = any(result.failure != standing.NOT_ANSWERED for result in runs)
-        said = f"{failed} of {len(runs)}" if answered else numbers.ABSENT
-        lines.append(
-            Line(
-                (
-                    Cell(name, mark="" if answered else "not answered"),
-                    *(values[key][i] for key in keys),
-                    Cell(said, failed, kind="warn" if failed else ""),
-                    *(Cell(str(runs[0].conditions.get(key, numbers.ABSENT))) for key in known),
-                ),
-                "failed" if failed == len(runs) else "",
-            )
+        counted = f"{failed} of {len(runs)}" if answered else ABSENT
+        cells = (
+            Cell(name, mark="" if answered else "not answered"),
+            *(means[key].get(name) for key in keys),
+            Cell(failed, counted, kind="warn" if failed else ""),
+            *(runs[0].conditions.get(key) for key in known),
         )
+        lines.append(TableRow(cells, "failed" if failed == len(runs) else ""))
     notes = ("Means over the runs of each sequence; a failed run scores 0 and has no errors.",)
     return Table(title, columns, tuple(lines), notes, "sequences")
 
@@ -170,14 +164,13 @@ def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping
     columns = (
         Column("metric", "Metric"),
         Column("unit", "Unit"),
-        Column("mean", "Mean", number=True),
-        Column("interval", "Interval", numbers.LEVEL, number=True),
-        Column("spread", "Sequences", "from, to", number=True),
-        Column("sequences", "Sequences", "with a value", number=True),
-        Column("data_set", "Data set", "all at once", number=True, hidden=not data_set),
-        Column("data_set_interval", "Interval", numbers.LEVEL, number=True, hidden=not data_set),
+        Column("mean", "Mean", kind="number"),
+        Column("interval", "Interval", numbers.LEVEL, "interval"),
+        Column("spread", "Sequences", "from, to", "interval"),
+        Column("sequences", "Sequences", "with a value", "number"),
+        Column("data_set", "Data set", "all at once", "number", hidden=not data_set),
+        Column("data_set_interval", "Interval", numbers.LEVEL, "interval", hidden=not data_set),
         Column("key", hidden=True),
-        *(Column(key, number=True, hidden=True) for key in ("interval_low", "interval_high", "lowest", "highest")),
     )
     known = data_set or {}
     of = standing.entry(results)
@@ -187,7 +180,7 @@ def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping
             continue
         summary = of.summary(key, [result.sequence for result in results])
         at_once = _number(known.get("metrics"), key), _interval(known.get("intervals"), key)
-        lines.append(Line(_summary_cells(key, summary, *at_once)))
+        lines.append(TableRow(_summary_cells(key, summary, *at_once)))
     notes = (DATA_SET.format("A record"),) if data_set and not _weighed(results) else ()
     return Table(title, columns, tuple(lines), notes, "metrics")
 
@@ -212,55 +205,42 @@ def _interval(intervals: Any, key: str) -> tuple[float | None, float | None]:
 def _summary_cells(
     key: str, summary: Summary, data_set: float | None, of_data_set: tuple[float | None, float | None]
 ) -> tuple[Cell, ...]:
-    heading = numbers.heading(key)
-    low, high = (summary.interval.low, summary.interval.high) if summary.interval.known else (None, None)
-    ends = [numbers.finite(value) for value in (low, high, summary.low, summary.high)]
+    metric = metric_column(key)
+
+    def shown(value: Value, kind: str = "") -> Cell:
+        return Cell(value, metric.text(value), kind)
+
     return (
-        Cell(heading.text, about=heading.about),
-        Cell(numbers.unit(heading) or numbers.ABSENT, heading.unit),
-        numbers.cells(key, [summary.mean])[0],
-        Cell(numbers.interval(key, low, high), about=summary.interval.reason, kind="soft"),
-        Cell(numbers.interval(key, summary.low, summary.high), kind="soft"),
-        Cell(f"{summary.sequences} of {summary.of_sequences}", summary.sequences),
-        numbers.cells(key, [data_set])[0],
-        Cell(numbers.interval(key, *of_data_set), kind="soft"),
+        Cell(metric.heading, about=metric.about),
+        Cell(metric.unit, numbers.unit(metric) or ABSENT),
+        shown(numbers.finite(summary.mean)),
+        shown(summary.interval, "soft"),
+        shown(numbers.interval(summary.low, summary.high), "soft"),
+        Cell(summary.sequences, f"{summary.sequences} of {summary.of_sequences}"),
+        shown(data_set),
+        shown(numbers.interval(*of_data_set), "soft"),
         Cell(key),
-        *(Cell("", "" if value is None else value) for value in ends),
     )
 
 
 def strata_table(results: Sequence[ResultRecord], title: str) -> Table:
     """The ranking metric within each class of conditions, where there are several."""
     board = standing.board(results)
-    metric = numbers.heading(board.metric)
+    metric = metric_column(board.metric)
     columns = (
         Column("condition", "Condition"),
         Column("class", "Class"),
-        Column("sequences", "Sequences", number=True),
+        Column("sequences", "Sequences", kind="number"),
         metric,
-        Column("interval", "Interval", numbers.LEVEL, number=True),
+        interval_column(metric, "interval", "Interval", numbers.LEVEL),
     )
     lines = []
     for condition in STRATA:
         for value, _, summary in board.strata(condition):
             known = summary.interval.known
-            low, high = (summary.interval.low, summary.interval.high) if known else (None, None)
-            lines.append(
-                Line(
-                    (
-                        Cell(CONDITIONS[condition].name),
-                        Cell(value),
-                        Cell(str(summary.of_sequences), summary.of_sequences),
-                        numbers.cells(board.metric, [summary.mean])[0],
-                        Cell(
-                            numbers.interval(board.metric, low, high),
-                            about=summary.interval.reason,
-                            bar=numbers.bar(low, summary.mean, high),
-                            kind="soft",
-                        ),
-                    )
-                )
-            )
+            bar = numbers.bar(summary.interval.low, summary.mean, summary.interval.high) if known else None
+            cells = (CONDITIONS[condition].name, value, summary.of_sequences, summary.mean)
+            lines.append(TableRow((*cells, Cell(summary.interval, kind="soft", bar=bar))))
     notes = ("An interval needs several sequences of a class; a dash stands where there are too few.",) if lines else ()
     return Table(title, columns, tuple(lines), notes, "conditions")
 

@@ -1,0 +1,18 @@
+"""A page in other representations: JSON, CSV, LaTeX, made of the same tables and values as its HTML."""
+
+from __future__ import annotations
+
+import orjson
+
+from oysterbench.report.renderers import csv_text, latex_text
+from oysterbench_leaderboard.site.page import Page
+
+
+def represent(page: Page, suffix: str) -> bytes:
+    """A page as JSON (what it is about, and all that it holds), as CSV (its first table), or as LaTeX (all tables)."""
+    if suffix == ".json":
+        about = {"path": page.path, "title": page.title}
+        return orjson.dumps({**about, **page.data}, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+    if suffix == ".csv":
+        return csv_text(page.tables[0]).encode() if page.tables else b""
+    return latex_text(page.tables, page.title).encode()
