@@ -67,7 +67,7 @@ class LabelledViews:
         """SHA-256 of stamps, classes and values."""
         found = hashlib.sha256(self.table["stamp_ns"].to_numpy(dtype="<i8").tobytes())
         found.update(self.labels.classes.astype("<i8").tobytes())
-        found.update(self.labels.worth.astype("<f8").tobytes())
+        found.update(self.labels.action_values.astype("<f8").tobytes())
         return found.hexdigest()
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.core.geometry import Array, transform
 from oysterbench.core.streams import Streams
-from oysterbench.evaluate.steering import DiveLog
+from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.exploration.references import reference
 from oysterbench.methods.piloting import commands
 from oysterbench.methods.steering import SteeringMethod, View
@@ -46,7 +46,7 @@ def explore(
     progress: Progress | None = None,
     teacher: bool = False,
     mixture: float = 0.0,
-) -> tuple[DiveLog, list[Lesson]]:
+) -> tuple[RolloutLog, list[Lesson]]:
     """A dive of a pilot (one of REFERENCES, or a method) over the reef of a sequence.
 
     seconds: of the dive, if not the task's. start: number of the place where it begins; the same for every pilot.
@@ -181,13 +181,13 @@ class Dive:
         self._look()
         self.progress(self.done, self.steps)
 
-    def log(self, pilot: str) -> DiveLog:
+    def log(self, pilot: str) -> RolloutLog:
         """The dive so far."""
         states = np.array(self._states)
         wall, cpu = (
             now - then for now, then in zip((time.perf_counter(), time.process_time()), self._began, strict=True)
         )
-        return DiveLog(
+        return RolloutLog(
             reef=self.reef,
             pilot=pilot,
             step_s=self.site.task.step_s,

@@ -16,30 +16,30 @@ from typing import Any
 import numpy as np
 
 from oysterbench.core.errors import OysterbenchError, ResultError
-from oysterbench.evaluate.steering import DiveLog
+from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.methods.finding import find_method, versions_of
 
 FORMAT = "oysterbench-dive/1"
 ARRAYS = ("states", "altitude", "commands", "seen", "contact", "turned", "covered", "oysters", "found")
 
 
-def packed(log: DiveLog) -> bytes:
+def packed(log: RolloutLog) -> bytes:
     """A dive as .npz."""
-    plain = {f.name: getattr(log, f.name) for f in fields(DiveLog) if f.name not in ARRAYS}
+    plain = {f.name: getattr(log, f.name) for f in fields(RolloutLog) if f.name not in ARRAYS}
     stream = io.BytesIO()
     head = np.array(json.dumps({"format": FORMAT, **plain}))
     np.savez_compressed(stream, head=head, **{key: getattr(log, key) for key in ARRAYS})
     return stream.getvalue()
 
 
-def unpacked(data: bytes, where: str = "dive") -> DiveLog:
+def unpacked(data: bytes, where: str = "dive") -> RolloutLog:
     """A dive from what `packed` gave. Raises ResultError naming `where`."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as held:
             head = json.loads(str(held["head"]))
             if head.pop("format") != FORMAT:
                 raise ValueError(f"expected {FORMAT}")
-            return DiveLog(**head, **{key: held[key] for key in ARRAYS})
+            return RolloutLog(**head, **{key: held[key] for key in ARRAYS})
     except Exception as error:  # numpy, zipfile and json each have their own
         raise ResultError(
             f"{where}: not a dive as this version keeps it ({type(error).__name__}: {error}); delete it, or dive anew "
@@ -82,7 +82,7 @@ def steering_source() -> str:
     return whole.hexdigest()
 
 
-def read_dive(path: Path) -> DiveLog | None:
+def read_dive(path: Path) -> RolloutLog | None:
     """The dive in a file; None where there is none yet."""
     try:
         data = path.read_bytes()

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from oysterbench.evaluate.statistics import LEVEL, Comparison, compare
 from oysterbench.evaluate.steering.dataset import Whole, over_sequences
-from oysterbench.evaluate.steering.dives import Place, place_between
+from oysterbench.evaluate.steering.rollouts import NormalisedScore, normalised_score
 from oysterbench.report.columns import ABSENT, OF_TRACK, Column, find_column
 from oysterbench.report.steering import DiveRun, PictureRun
 from oysterbench.report.tables import MINUS, Heading, Line, Table, interval_text
@@ -105,19 +105,19 @@ def _difference(column: Column, found: Comparison) -> tuple[str, ...]:
     )
 
 
-def places(runs: Sequence[DiveRun]) -> dict[str, Place]:
+def places(runs: Sequence[DiveRun]) -> dict[str, NormalisedScore]:
     """Where each pilot stands between LOWER and UPPER, by oysters per minute; none where one of these is not there."""
     pilots = {name: samples(records, "oysters_per_min") for name, records in _pilots(runs).items()}
     if LOWER not in pilots or UPPER not in pilots:
         return {}
     return {
-        name: place_between(sample, pilots[LOWER], pilots[UPPER])
+        name: normalised_score(sample, pilots[LOWER], pilots[UPPER])
         for name, sample in pilots.items()
         if name not in (LOWER, UPPER)
     }
 
 
-def places_table(found: Mapping[str, Place]) -> Table:
+def places_table(found: Mapping[str, NormalisedScore]) -> Table:
     """A line per pilot."""
     column = Column("place", "place", "", decimals=2, small=0.0)
     lines = []

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
-from oysterbench.evaluate.steering import DiveLog
-from oysterbench.evaluate.steering.dives import episodes, seen_so_far
+from oysterbench.evaluate.steering import RolloutLog
+from oysterbench.evaluate.steering.rollouts import episodes, seen_so_far
 from oysterbench.report.drawing import INK, SOFT, Drawing
 from oysterbench.report.plots import nice_ticks
 
@@ -28,7 +28,7 @@ def colours_of(pilots: Sequence[str]) -> dict[str, str]:
     return {pilot: OWN.get(pilot) or OTHERS[methods.index(pilot) % len(OTHERS)] for pilot in pilots}
 
 
-def dives_figure(reef: str, logs: Mapping[str, DiveLog], colours: Mapping[str, str]) -> Drawing:
+def dives_figure(reef: str, logs: Mapping[str, RolloutLog], colours: Mapping[str, str]) -> Drawing:
     """Dives of pilots, at least one, over one reef."""
     rows = math.ceil(len(logs) / PER_ROW)
     columns = math.ceil(len(logs) / rows)
@@ -57,12 +57,12 @@ def dives_figure(reef: str, logs: Mapping[str, DiveLog], colours: Mapping[str, s
     return sheet
 
 
-def _span(log: DiveLog) -> float:
+def _span(log: RolloutLog) -> float:
     """Metres that a panel shows: the area and a little around."""
     return 2 * log.half_m * 1.04
 
 
-def _from_above(sheet: Drawing, left: float, top: float, pilot: str, log: DiveLog, colour: str) -> None:
+def _from_above(sheet: Drawing, left: float, top: float, pilot: str, log: RolloutLog, colour: str) -> None:
     per_m = PANEL / _span(log)
     middle = (left + PANEL / 2, top + PANEL / 2)
 
@@ -121,7 +121,7 @@ def _legend(sheet: Drawing, x: float, y: float) -> None:
 
 
 def _over_time(
-    sheet: Drawing, top: float, width: float, logs: Mapping[str, DiveLog], colours: Mapping[str, str]
+    sheet: Drawing, top: float, width: float, logs: Mapping[str, RolloutLog], colours: Mapping[str, str]
 ) -> None:
     """Curves, each named at its end; names that would meet are moved apart."""
     room = max(100.0, 8.6 * max(map(len, logs)) + 14.0)

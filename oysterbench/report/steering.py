@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from oysterbench.evaluate.steering import Commands, DiveLog, Labels, PictureScore
+from oysterbench.evaluate.steering import Commands, Labels, PictureScore, RolloutLog
 from oysterbench.results.records import ResultRecord
 
 
@@ -30,10 +30,10 @@ class DiveRun:
     """A dive of a pilot over a reef; without a log where it failed."""
 
     record: ResultRecord
-    log: DiveLog | None = None
+    log: RolloutLog | None = None
 
     @property
-    def result(self) -> DiveLog | None:
+    def result(self) -> RolloutLog | None:
         """What there is to draw."""
         return self.log
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from oysterbench.core.files import write_atomically
-from oysterbench.evaluate.steering import DiveLog
+from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.evaluate.steering.dataset import Whole
 from oysterbench.exploration.labelled_views import LabelledViews
 from oysterbench.report.confusion import confusion_figure
@@ -54,7 +54,7 @@ def dive_figures(runs: Sequence[DiveRun], folder: Path) -> Figures:
     split = runs[0].record.split
     made = [_kept(folder / "pilots.png", ladder_figure(split, values, colours), "Pilots over all reefs")]
     for reef in reefs:
-        logs: dict[str, DiveLog] = {
+        logs: dict[str, RolloutLog] = {
             run.record.method: run.log for run in runs if run.record.sequence == reef and run.log is not None
         }
         if logs:

@@ -61,7 +61,7 @@ def samples_of(dives: Sequence[LabelledViews], runs: Sequence[PictureRun], count
                         view,
                         *bow_pixels(dive, view),
                         (yaw, pitch),
-                        dive.labels.worth[k],
+                        dive.labels.action_values[k],
                         {name: (int(classes[k, 0]), int(classes[k, 1])) for name, classes in commands.items()},
                     )
                 )

@@ -17,7 +17,7 @@ from typing import Any
 
 from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.core.files import write_atomically
-from oysterbench.evaluate.steering import EVALUATOR, DiveLog, score_dive
+from oysterbench.evaluate.steering import EVALUATOR, RolloutLog, score_rollout
 from oysterbench.exploration.rollout_store import (
     dive_file,
     method_identity,
@@ -41,7 +41,7 @@ REFERENCES = ("expert", "lawnmower", "random")
 
 FAILED = b"failed: "  # begins what a dive gives in which the pilot failed; the file of a finished one begins otherwise
 
-Explore = Callable[..., tuple[DiveLog, Any]]
+Explore = Callable[..., tuple[RolloutLog, Any]]
 """`oysterbench.exploration.explore`."""
 
 
@@ -109,7 +109,7 @@ def run_dives(
     jobs = [DiveJob(reef, pilot) for reef in reefs for pilot in pilots]
     identities = {pilot: _pilot(pilot) for pilot in pilots}
     files = {job: dive_file(folder, job.reef, job.pilot, _identity(loop, job, identities[job.pilot])) for job in jobs}
-    found: dict[DiveJob, DiveLog | str] = {}
+    found: dict[DiveJob, RolloutLog | str] = {}
     for job in jobs:
         kept = None if again else read_dive(files[job])
         if kept is not None:
@@ -179,7 +179,7 @@ def _identity(loop: Loop, job: DiveJob, pilot: Mapping[str, Any]) -> dict[str, A
     }
 
 
-def _run(loop: Loop, job: DiveJob, made: DiveLog | str, pilot: Mapping[str, Any]) -> DiveRun:
+def _run(loop: Loop, job: DiveJob, made: RolloutLog | str, pilot: Mapping[str, Any]) -> DiveRun:
     split = loop.split
     about: dict[str, Any] = {
         "track": TRACK,
@@ -196,6 +196,6 @@ def _run(loop: Loop, job: DiveJob, made: DiveLog | str, pilot: Mapping[str, Any]
     if isinstance(made, str):
         return DiveRun(ResultRecord(**about, failure=made))
     assert split.steering is not None
-    score = score_dive(made, split.steering)
+    score = score_rollout(made, split.steering)
     about["truth_digest"] = hashlib.sha256(made.oysters.round(6).tobytes()).hexdigest()
     return DiveRun(ResultRecord(**about, metrics=score.metrics, reasons=score.reasons), made)

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from oysterbench.cli import steering as cli_steering
 from oysterbench.cli.main import main
-from oysterbench.evaluate.steering.metrics import DIVES, PICTURES
+from oysterbench.evaluate.steering.metrics import PICTURES, ROLLOUTS
 from tests.helpers.exploring_made import REEF, RIG, SPLIT, label_table, made_explore, write_labelled
 from tests.helpers.paths import ROOT
 
@@ -200,7 +200,7 @@ def test_options_of_other_tracks_are_refused_on_it(options):
 
 def test_the_page_names_every_metric_and_option():
     text = PAGE.read_text()
-    for key in (*PICTURES, *DIVES):
+    for key in (*PICTURES, *ROLLOUTS):
         assert f"`{key}`" in text, key
     for name, _ in cli_steering.OPTIONS.values():
         assert f"`{name}" in text, name

@@ -11,10 +11,10 @@ import pytest
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.evaluate.statistics import resample_counts
-from oysterbench.evaluate.steering import Commands, Labels, labels, place_between, score_dive, score_pictures
+from oysterbench.evaluate.steering import Commands, Labels, labels, normalised_score, score_pictures, score_rollout
 from oysterbench.evaluate.steering.dataset import over_sequences
-from oysterbench.evaluate.steering.dives import episodes, seen_so_far
-from oysterbench.evaluate.steering.metrics import DIVES, PICTURES
+from oysterbench.evaluate.steering.metrics import PICTURES, ROLLOUTS
+from oysterbench.evaluate.steering.rollouts import episodes, seen_so_far
 from tests.helpers.exploring_made import PITCH, YAW, made_log, made_split
 
 TASK = made_split().steering
@@ -65,11 +65,16 @@ def test_every_score_of_pictures_is_what_a_loop_finds(seed):
                 f1.append(0.0 if not both else 2 / (len(of_own) / both + len(of_true) / both))
         assert metrics[f"{axis}_macro_f1"] == pytest.approx(sum(f1) / len(f1))
         assert metrics[f"{axis}_balanced_accuracy"] == pytest.approx(sum(recalls) / len(recalls))
-    lost = [truth.worth[i].max() - truth.worth[i][tuple(commands.classes[i])] for i in range(60)]
+    lost = [truth.action_values[i].max() - truth.action_values[i][tuple(commands.classes[i])] for i in range(60)]
     assert metrics["regret_oysters"] == pytest.approx(sum(lost) / 60)
     joint = sum(tuple(a) == tuple(b) for a, b in zip(truth.classes.tolist(), commands.classes.tolist(), strict=True))
     assert metrics["joint_accuracy"] == pytest.approx(joint / 60)
-    drawn = [truth.worth[i].max() - truth.worth[i][y, p] for i in range(60) for y in range(7) for p in range(7)]
+    drawn = [
+        truth.action_values[i].max() - truth.action_values[i][y, p]
+        for i in range(60)
+        for y in range(7)
+        for p in range(7)
+    ]
     assert metrics["skill"] == pytest.approx(1 - sum(lost) / (sum(drawn) / 49))
     assert metrics["pictures"] == 60
 
@@ -107,21 +112,21 @@ def test_over_no_pictures_nothing_has_a_value_and_everything_a_reason():
 
 def test_the_expert_has_a_skill_of_one_and_all_commands_together_one_of_none():
     truth, _ = made(30, 3)
-    assert labels.skill(truth.worth, truth.classes) == 1.0
-    every = [labels.skill(truth.worth, np.tile([y, p], (30, 1))) for y in range(7) for p in range(7)]
+    assert labels.skill(truth.action_values, truth.classes) == 1.0
+    every = [labels.skill(truth.action_values, np.tile([y, p], (30, 1))) for y in range(7) for p in range(7)]
     assert np.mean(every) == pytest.approx(0.0, abs=1e-12)
-    worst = truth.worth.reshape(30, -1).argmin(axis=1)
-    assert labels.skill(truth.worth, np.column_stack(np.unravel_index(worst, (7, 7)))) < 0
+    worst = truth.action_values.reshape(30, -1).argmin(axis=1)
+    assert labels.skill(truth.action_values, np.column_stack(np.unravel_index(worst, (7, 7)))) < 0
 
 
 def test_of_commands_that_are_worth_the_same_any_is_right():
     truth, _ = made(5, 4)
-    worth = truth.worth.copy()
+    worth = truth.action_values.copy()
     worth[:, 6, 6] = worth.reshape(5, -1).max(axis=1)
     other = np.full((5, 2), 6)
     assert labels.skill(worth, other) == 1.0
     alike = score_pictures(
-        replace(truth, worth=np.ones((5, 7, 7))),
+        replace(truth, action_values=np.ones((5, 7, 7))),
         Commands(other, labels.one_hot(other[:, 0], 7), np.eye(7)[other[:, 1]]),
     )
     assert math.isnan(alike.metrics["skill"])
@@ -168,8 +173,8 @@ def test_several_sequences_together_are_scored_as_one_and_resampled_whole():
 
 
 def _ratio(parts, counts, top, bottom) -> float:
-    tops = sum(n * top(truth.worth, made.classes).sum() for (truth, made), n in zip(parts, counts, strict=True))
-    return tops / sum(n * bottom(truth.worth).sum() for (truth, _), n in zip(parts, counts, strict=True))
+    tops = sum(n * top(truth.action_values, made.classes).sum() for (truth, made), n in zip(parts, counts, strict=True))
+    return tops / sum(n * bottom(truth.action_values).sum() for (truth, _), n in zip(parts, counts, strict=True))
 
 
 def test_a_macro_f1_of_resamples_is_that_of_their_pictures():
@@ -190,7 +195,7 @@ def test_a_dive_is_measured_step_by_step():
     turned[[5, 6]] = True
     altitude = np.full(13, 1.0)
     altitude[0], altitude[4], altitude[9] = 9.0, 0.49, 1.41
-    metrics = score_dive(replace(log, contact=contact, turned=turned, altitude=altitude), TASK).metrics
+    metrics = score_rollout(replace(log, contact=contact, turned=turned, altitude=altitude), TASK).metrics
     assert metrics["oysters_per_min"] == 5 / (12 / 60)
     assert metrics["oysters_seen"] == 5
     assert metrics["found_share"] == 5 / 50
@@ -210,7 +215,7 @@ def test_a_dive_is_measured_step_by_step():
 
 
 def test_a_dive_without_commands_or_oysters_has_reasons_in_place_of_numbers():
-    score = score_dive(made_log("reef", "mine", 0, [0], oysters=0), TASK)
+    score = score_rollout(made_log("reef", "mine", 0, [0], oysters=0), TASK)
     for key in ("oysters_per_min", "found_share", "contacts_per_min", "in_band_share", "oysters_per_m", "steps_per_s"):
         if key != "steps_per_s":
             assert math.isnan(score.metrics[key])
@@ -230,14 +235,14 @@ def test_a_place_is_the_ratio_of_mean_differences_with_the_interval_of_its_resam
     low = {name: [float(value)] for name, value in zip(reefs, generator.uniform(5, 15, 10), strict=True)}
     high = {name: [low[name][0] + float(gain)] for name, gain in zip(reefs, generator.uniform(5, 30, 10), strict=True)}
     own = {name: [low[name][0] + 0.4 * (high[name][0] - low[name][0])] for name in reefs}
-    exact = place_between(own, low, high)
+    exact = normalised_score(own, low, high)
     assert exact.value == pytest.approx(0.4)
     assert exact.interval.low == pytest.approx(0.4)  # the same share on every reef is the same in every resample
     assert exact.interval.high == pytest.approx(0.4)
-    assert place_between(low, low, high).value == 0
-    assert place_between(high, low, high).value == 1
+    assert normalised_score(low, low, high).value == 0
+    assert normalised_score(high, low, high).value == 1
     noisy = {name: [value[0] + float(generator.normal(0, 2))] for name, value in own.items()}
-    found = place_between(noisy, low, high)
+    found = normalised_score(noisy, low, high)
     assert found.interval.low < found.value < found.interval.high
     assert found.interval.high - found.interval.low > 0.01
     chosen = np.random.default_rng(9).integers(0, 10, (2000, 10))
@@ -250,9 +255,9 @@ def test_a_place_is_the_ratio_of_mean_differences_with_the_interval_of_its_resam
 
 def test_a_place_needs_reefs_in_common_and_an_upper_pilot_that_is_above():
     one, two = {"a": [1.0]}, {"b": [2.0]}
-    assert place_between(one, one, two).reason == "no reef in common"
-    assert "not above" in place_between(one, one, one).reason
-    alone = place_between({"a": [3.0]}, {"a": [1.0]}, {"a": [5.0]})
+    assert normalised_score(one, one, two).reason == "no reef in common"
+    assert "not above" in normalised_score(one, one, one).reason
+    alone = normalised_score({"a": [3.0]}, {"a": [1.0]}, {"a": [5.0]})
     assert alone.value == 0.5
     assert "1 reef:" in alone.interval.reason
 
@@ -260,8 +265,8 @@ def test_a_place_needs_reefs_in_common_and_an_upper_pilot_that_is_above():
 def test_every_metric_is_defined_and_every_definition_measured():
     truth, commands = made(9)
     assert set(score_pictures(truth, commands).metrics) == set(PICTURES) - COST
-    assert set(score_dive(made_log("reef", "mine", 3, [1]), TASK).metrics) - COST == set(DIVES)
-    for key, metric in {**PICTURES, **DIVES}.items():
+    assert set(score_rollout(made_log("reef", "mine", 3, [1]), TASK).metrics) - COST == set(ROLLOUTS)
+    for key, metric in {**PICTURES, **ROLLOUTS}.items():
         assert find_metric(key) is metric
         assert metric.heading
         assert metric.definition.endswith(".")

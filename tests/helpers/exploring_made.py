@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from oysterbench.core.ros import EPOCH_NS
-from oysterbench.evaluate.steering import DiveLog
+from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.methods.piloting import commands
 from oysterbench.methods.steering import VehicleState, View
 from oysterbench.recipe import SplitRecipe, parse_split
@@ -132,14 +132,14 @@ def write_labelled(path: Path, name: str, table: pd.DataFrame | None, pictures: 
     return path
 
 
-def made_log(reef: str, pilot: str, steps: int, gains: list[int], oysters: int = 40, half_m: float = 3.0) -> DiveLog:
+def made_log(reef: str, pilot: str, steps: int, gains: list[int], oysters: int = 40, half_m: float = 3.0) -> RolloutLog:
     """A dive in which `gains` oysters are seen at each moment, to which zeros are added; the way is a circle."""
     seen = np.array((gains + [0] * (steps + 1))[: steps + 1], dtype=np.int64)
     angle = np.arange(steps + 1) * 0.2
     states = np.column_stack([np.cos(angle), np.sin(angle), np.full(steps + 1, -2.0), angle + np.pi / 2, 0 * angle])
     generator = np.random.default_rng(oysters)
     found = np.arange(oysters) < seen.sum()
-    return DiveLog(
+    return RolloutLog(
         reef=reef,
         pilot=pilot,
         step_s=1.0,

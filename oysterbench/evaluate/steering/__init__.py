@@ -1,8 +1,8 @@
-"""Steering over a reef: classes of commands against those of an expert, and dives in a closed loop."""
+"""Steering over a reef: classes of commands against those of an expert, and rollouts in a closed loop."""
 
-from oysterbench.evaluate.steering.dives import DiveScore, Place, place_between, score_dive
-from oysterbench.evaluate.steering.log import DiveLog
+from oysterbench.evaluate.steering.log import RolloutLog
 from oysterbench.evaluate.steering.pictures import Commands, Labels, PictureScore, score_pictures
+from oysterbench.evaluate.steering.rollouts import NormalisedScore, RolloutScore, normalised_score, score_rollout
 
 EVALUATOR = "navigation 1"
 """Name and version of this evaluator; the version rises whenever a number may change."""
@@ -10,12 +10,12 @@ EVALUATOR = "navigation 1"
 __all__ = [
     "EVALUATOR",
     "Commands",
-    "DiveLog",
-    "DiveScore",
     "Labels",
+    "NormalisedScore",
     "PictureScore",
-    "Place",
-    "place_between",
-    "score_dive",
+    "RolloutLog",
+    "RolloutScore",
+    "normalised_score",
     "score_pictures",
+    "score_rollout",
 ]

@@ -53,7 +53,11 @@ _F1 = tuple(f"{axis}_macro_f1" for axis in AXES)
 def _together(parts: Sequence[tuple[Labels, Commands]]) -> tuple[Labels, Commands]:
     truths, commands = zip(*parts, strict=True)
     return (
-        Labels(np.concatenate([t.classes for t in truths]), np.concatenate([t.worth for t in truths]), truths[0].task),
+        Labels(
+            np.concatenate([t.classes for t in truths]),
+            np.concatenate([t.action_values for t in truths]),
+            truths[0].task,
+        ),
         Commands(
             np.concatenate([c.classes for c in commands]),
             np.concatenate([c.yaw_probability for c in commands]),
@@ -65,8 +69,8 @@ def _together(parts: Sequence[tuple[Labels, Commands]]) -> tuple[Labels, Command
 def _sums(parts: Sequence[tuple[Labels, Commands]]) -> dict[str, tuple[Array, Array]]:
     """Metric -> numerators and denominators (n,) of the sequences; of skill, those of what it lacks to 1."""
     pictures = np.array([len(truth.classes) for truth, _ in parts], dtype=float)
-    regret = np.array([labels.regrets(truth.worth, made.classes).sum() for truth, made in parts])
-    chance = np.array([labels.chance_regrets(truth.worth).sum() for truth, _ in parts])
+    regret = np.array([labels.regrets(truth.action_values, made.classes).sum() for truth, made in parts])
+    chance = np.array([labels.chance_regrets(truth.action_values).sum() for truth, _ in parts])
     found = {"skill": (regret, chance), "regret_oysters": (regret, pictures)}
     for k, axis in enumerate(AXES):
         right = [float((truth.classes[:, k] == made.classes[:, k]).sum()) for truth, made in parts]

@@ -1,8 +1,8 @@
 """Commands of a policy against an expert's, picture by picture: classes that lie in a row, and what a miss costs.
 
 Pure functions over arrays of N pictures. Classes are numbers from 0 to C - 1 in the order of the recipe, so that
-neighbours are alike; worth (N, Y, P) is what the expert's best plan would gain, in oysters, if it began with class y
-of yaw and p of pitch.
+neighbours are alike; action_values (N, Y, P) are what the expert's best plan would gain, in oysters, if it began with
+class y of yaw and p of pitch.
 
 What is empty: over no pictures nothing has a value, which is NaN. A class that is neither true nor commanded in any
 picture is left out of macro F1; one that is commanded and never true, or true and never commanded, is in it with 0. A
@@ -72,24 +72,24 @@ def one_hot(commanded: Classes, classes: int) -> Array:
     return np.eye(classes)[commanded]
 
 
-def regrets(worth: Array, commanded: Classes) -> Array:
+def regrets(action_values: Array, commanded: Classes) -> Array:
     """(N,) what each command (N, 2) loses against the best one, in oysters: at least 0."""
-    best: Array = worth.max(axis=(1, 2))
-    return best - worth[np.arange(len(worth)), commanded[:, 0], commanded[:, 1]]
+    best: Array = action_values.max(axis=(1, 2))
+    return best - action_values[np.arange(len(action_values)), commanded[:, 0], commanded[:, 1]]
 
 
-def chance_regrets(worth: Array) -> Array:
+def chance_regrets(action_values: Array) -> Array:
     """(N,) what a command drawn evenly from all pairs of classes loses on average."""
-    return np.asarray(worth.max(axis=(1, 2)) - worth.mean(axis=(1, 2)))
+    return np.asarray(action_values.max(axis=(1, 2)) - action_values.mean(axis=(1, 2)))
 
 
-def skill(worth: Array, commanded: Classes) -> float:
+def skill(action_values: Array, commanded: Classes) -> float:
     """1 - regret / regret of commands drawn evenly: 1 of the expert's own, 0 of chance, below 0 of worse than that.
 
     NaN where it makes no difference what is commanded in any picture.
     """
-    chance = math.fsum(chance_regrets(worth))
-    return 1.0 - math.fsum(regrets(worth, commanded)) / chance if chance > 0 else math.nan
+    chance = math.fsum(chance_regrets(action_values))
+    return 1.0 - math.fsum(regrets(action_values, commanded)) / chance if chance > 0 else math.nan
 
 
 def _mean(values: Array | NDArray[np.bool_]) -> float:

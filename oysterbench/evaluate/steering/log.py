@@ -1,4 +1,4 @@
-"""What a closed loop leaves to be measured: a dive of a pilot over a reef."""
+"""What a closed loop leaves to be measured: a rollout of a policy over a reef."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class DiveLog:
-    """A dive of K commands, step by step; the first of K + 1 moments is before the first command.
+class RolloutLog:
+    """A rollout of K commands, step by step; the first of K + 1 moments is before the first command.
 
-    reef: the sequence's name; pilot: who steered. step_s: between two moments, s. states (K + 1, 5) float64: x, y, z m
-    in `map`, heading rad (from east, counter-clockwise), pitch rad (bow down positive). altitude (K + 1,): over the
-    bottom, m. commands (K, 2) int: classes of yaw and pitch. seen (K + 1,) int: live oysters seen for the first time.
+    reef: the sequence's name; pilot: the policy that steered. step_s: between two moments, s. states (K + 1, 5)
+    float64: x, y, z m in `map`, heading rad (from east, counter-clockwise), pitch rad (bow down positive).
+    altitude (K + 1,): over the bottom, m.
+    commands (K, 2) int: classes of yaw and pitch. seen (K + 1,) int: live oysters seen for the first time.
     contact (K + 1,) bool: the hull would have touched something and was held above it. turned (K + 1,) bool: turned
     back at the fence. covered (K + 1,): share of the area within the fence whose bottom has been seen so far.
     half_m: the area is within -half_m and half_m in x and y. oysters (N, 3): x, y, z m of the live oysters within it;
-    found (N,) bool: seen in this dive. wall_s, cpu_s: what rendering, steering and moving took.
+    found (N,) bool: seen in this rollout. wall_s, cpu_s: what rendering, steering and moving took.
     """
 
     reef: str

@@ -81,11 +81,11 @@ PICTURES: dict[str, Metric] = {
 }
 """Metrics of the track steering, over labelled pictures, by their key."""
 
-DIVES: dict[str, Metric] = {
+ROLLOUTS: dict[str, Metric] = {
     "oysters_per_min": Metric(
-        "Live oysters of the dive's area that were seen, each once, by the length of the dive; those in the first view "
-        "included. An oyster is seen when it is near enough for the water, and large enough in the picture, for the "
-        "task's limits. A failed dive counts 0.",
+        "Live oysters of the rollout's area that were seen, each once, by the length of the rollout; those in the "
+        "first view included. An oyster is seen when it is near enough for the water, and large enough in the picture, "
+        "for the task's limits. A failed rollout counts 0.",
         "Oysters",
         unit=PER_MIN,
         better="higher",
@@ -93,7 +93,7 @@ DIVES: dict[str, Metric] = {
     ),
     "oysters_seen": Metric("Those oysters.", "Seen", better="higher"),
     "found_share": Metric(
-        "Those oysters by all live ones of the area (0 to 1): what can be found in a dive.",
+        "Those oysters by all live ones of the area (0 to 1): what can be found in a rollout.",
         "Found",
         better="higher",
         column=Column("found", "%", digits=1, small=0.0, factor=100.0),
@@ -110,7 +110,7 @@ DIVES: dict[str, Metric] = {
         better="lower",
     ),
     "contacts_per_min": Metric(
-        "The same by the length of the dive.",
+        "The same by the length of the rollout.",
         "Contacts",
         unit=PER_MIN,
         better="lower",
@@ -137,16 +137,16 @@ DIVES: dict[str, Metric] = {
     ),
     "oysters_per_m": Metric("Oysters seen by that length.", "Oysters", unit="per m", better="higher"),
     "steps_per_s": Metric(
-        "Commands by the wall time of the dive: steering, moving, and, for a policy, rendering what it sees; the "
+        "Commands by the wall time of the rollout: steering, moving, and, for a policy, rendering what it sees; the "
         "references are shown no picture.",
         "Steps",
         unit="per s",
         better="higher",
         column=Column("speed", "steps/s", digits=1, small=0.0),
     ),
-    "dive_s": Metric("Length of the dive.", "Dive", unit="s"),
+    "dive_s": Metric("Length of the rollout.", "Rollout", unit="s"),
 }
-"""Metrics of a dive in a closed loop by their key."""
+"""Metrics of a rollout in a closed loop by their key."""
 
 TABLE = (
     "skill",
@@ -166,5 +166,5 @@ EXPLORATION_TABLE = (
     "steps_per_s",
 )
 EXPLORATION = TrackMetrics(
-    DIVES, EXPLORATION_TABLE, EXPLORATION_TABLE[1:], beside="contacts_per_min", failed={"oysters_per_min": 0.0}
+    ROLLOUTS, EXPLORATION_TABLE, EXPLORATION_TABLE[1:], beside="contacts_per_min", failed={"oysters_per_min": 0.0}
 )

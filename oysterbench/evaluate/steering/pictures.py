@@ -20,33 +20,31 @@ NO_PICTURES = "no picture was answered"
 
 @dataclass(frozen=True)
 class Labels:
-    """What the expert commands: classes (N, 2) int64 of yaw and pitch; worth (N, Y, P) of every pair, in oysters.
+    """What the expert commands: classes (N, 2) int64 of yaw, pitch; action_values (N, Y, P) of each pair in oysters.
 
     Raises LabelError where they do not fit the task, or a number is not finite.
     """
 
     classes: NDArray[np.int64]
-    worth: Array
+    action_values: Array
     task: SteeringRecipe
     where: str = "labels"
 
     def __post_init__(self) -> None:
         n, sizes = len(self.classes), (len(self.task.yaw_deg), len(self.task.pitch_deg))
-        if self.worth.shape != (n, *sizes):
+        if self.action_values.shape != (n, *sizes):
             raise LabelError(
-                f"{self.where}: expected the worth of {n} pictures for {sizes[0]} x {sizes[1]} classes, got the shape "
-                f"{self.worth.shape}"
+                f"{self.where}: expected the action values of {n} pictures for {sizes[0]} x {sizes[1]} classes, got "
+                f"the shape {self.action_values.shape}"
             )
         if ((self.classes < 0) | (self.classes >= sizes)).any():
             raise LabelError(
                 f"{self.where}: expected classes of yaw from 0 to {sizes[0] - 1} and of pitch from 0 to "
                 f"{sizes[1] - 1}, got {self.classes.min(axis=0).tolist()} to {self.classes.max(axis=0).tolist()}"
             )
-        if not np.isfinite(self.worth).all():
-            k = int(np.flatnonzero(~np.isfinite(self.worth).all(axis=(1, 2)))[0])
-            raise LabelError(
-                f"{self.where}: picture {k + 1}: expected finite numbers, what each command is worth, got another"
-            )
+        if not np.isfinite(self.action_values).all():
+            k = int(np.flatnonzero(~np.isfinite(self.action_values).all(axis=(1, 2)))[0])
+            raise LabelError(f"{self.where}: picture {k + 1}: expected finite action values, got another")
 
 
 @dataclass(frozen=True)
@@ -74,8 +72,8 @@ class PictureScore:
 def score_pictures(truth: Labels, commands: Commands) -> PictureScore:
     """Score the commands of N pictures."""
     n, task = len(truth.classes), truth.task
-    metrics: dict[str, float] = {"skill": labels.skill(truth.worth, commands.classes)}
-    metrics["regret_oysters"] = float(labels.regrets(truth.worth, commands.classes).mean()) if n else math.nan
+    metrics: dict[str, float] = {"skill": labels.skill(truth.action_values, commands.classes)}
+    metrics["regret_oysters"] = float(labels.regrets(truth.action_values, commands.classes).mean()) if n else math.nan
     counts = []
     for k, (axis, degrees) in enumerate(zip(AXES, (task.yaw_deg, task.pitch_deg), strict=True)):
         true, commanded = truth.classes[:, k], commands.classes[:, k]

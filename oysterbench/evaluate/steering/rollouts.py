@@ -1,4 +1,4 @@
-"""Dives in a closed loop, measured, and pilots set against each other over the same reefs."""
+"""Rollouts of policies in a closed loop, measured, and policies compared over the same reefs."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from oysterbench.evaluate.statistics import (
     sequence_means,
     too_few,
 )
-from oysterbench.evaluate.steering.log import DiveLog
+from oysterbench.evaluate.steering.log import RolloutLog
 from oysterbench.recipe.steering import SteeringRecipe
 
 
 @dataclass(frozen=True)
-class DiveScore:
-    """Values by keys of `metrics.DIVES`; NaN where there is none, with the reason in `reasons`."""
+class RolloutScore:
+    """Values by keys of `metrics.ROLLOUTS`; NaN where there is none, with the reason in `reasons`."""
 
     metrics: Mapping[str, float]
     reasons: Mapping[str, str]
 
 
 @dataclass(frozen=True)
-class Place:
-    """Where a pilot stands between two others: 0 where it is as good as the lower, 1 as the upper; it may lie beyond.
+class NormalisedScore:
+    """Where a policy stands between two others: 0 where it is as good as the lower, 1 as the upper; it may lie beyond.
 
     NaN, with the reason, where the two are not apart.
     """
@@ -44,17 +44,17 @@ class Place:
     reason: str = ""
 
 
-def score_dive(log: DiveLog, task: SteeringRecipe) -> DiveScore:
-    """Measure a dive."""
+def score_rollout(log: RolloutLog, task: SteeringRecipe) -> RolloutScore:
+    """Measure a rollout."""
     measures = Measures()
     steps = len(log.commands)
     minutes = steps * log.step_s / 60.0
-    none_done, no_way = "no command was carried out", "the vehicle did not move"
+    none_done, not_moved = "no command was carried out", "the vehicle did not move"
     seen = int(log.seen.sum())
     contacts = episodes(log.contact)
     after = log.altitude[1:]
     low, high = task.altitude_m
-    way = float(np.linalg.norm(np.diff(log.states[:, :3], axis=0), axis=1).sum())
+    path_length_m = float(np.linalg.norm(np.diff(log.states[:, :3], axis=0), axis=1).sum())
     measures.ratio("oysters_per_min", seen, minutes, none_done)
     measures["oysters_seen"] = float(seen)
     measures.ratio("found_share", float(log.found.sum()), len(log.found), "no live oyster is in the area")
@@ -64,12 +64,12 @@ def score_dive(log: DiveLog, task: SteeringRecipe) -> DiveScore:
     measures.ratio("contact_share", float(log.contact[1:].sum()), steps, none_done)
     measures.ratio("in_band_share", float(((after >= low) & (after <= high)).sum()), steps, none_done)
     measures["turned_back"] = float(episodes(log.turned))
-    measures["distance_m"] = way
-    measures.ratio("oysters_per_m", seen, way, no_way)
+    measures["distance_m"] = path_length_m
+    measures.ratio("oysters_per_m", seen, path_length_m, not_moved)
     measures.ratio("steps_per_s", steps, log.wall_s, "no time was measured")
     measures["dive_s"] = steps * log.step_s
     measures["wall_s"], measures["cpu_s"] = float(log.wall_s), float(log.cpu_s)
-    return DiveScore(measures.values, measures.reasons)
+    return RolloutScore(measures.values, measures.reasons)
 
 
 def episodes(marked: NDArray[np.bool_]) -> int:
@@ -77,33 +77,33 @@ def episodes(marked: NDArray[np.bool_]) -> int:
     return int((np.diff(np.concatenate([[False], marked]).astype(int)) == 1).sum())
 
 
-def seen_so_far(log: DiveLog) -> tuple[Array, Array]:
+def seen_so_far(log: RolloutLog) -> tuple[Array, Array]:
     """Time in s (K + 1,) and live oysters seen until then (K + 1,)."""
     return np.arange(len(log.seen), dtype=float) * log.step_s, np.cumsum(log.seen).astype(float)
 
 
-def place_between(pilot: Sample, lower: Sample, upper: Sample) -> Place:
-    """(pilot - lower) / (upper - lower), each the mean over the reefs that all three have dived over.
+def normalised_score(policy: Sample, lower: Sample, upper: Sample) -> NormalisedScore:
+    """(policy - lower) / (upper - lower), each the mean over the reefs that all three have driven over.
 
     samples: reef -> values of a metric. The interval is that of the ratio in resamples of the reefs, each with all
-    three pilots (expanded percentiles, as of every mean: `statistics`); a resample in which the upper is not above the
-    lower has no ratio.
+    three policies (expanded percentiles, as of every mean: `statistics`); a resample in which the upper is not above
+    the lower has no ratio.
     """
-    means = [sequence_means(sample) for sample in (pilot, lower, upper)]
+    means = [sequence_means(sample) for sample in (policy, lower, upper)]
     reefs = [name for name in means[0] if all(name in of for of in means)]
     if not reefs:
         reason = "no reef in common"
-        return Place(math.nan, Interval(math.nan, math.nan, reason), 0, reason)
+        return NormalisedScore(math.nan, Interval(math.nan, math.nan, reason), 0, reason)
     own, low, high = (np.array([of[name] for name in reefs]) for of in means)
     gap = float(np.mean(high - low))
     if not gap > 0:
-        reason = "the upper pilot is not above the lower"
-        return Place(math.nan, Interval(math.nan, math.nan, reason), len(reefs), reason)
+        reason = "the upper policy is not above the lower"
+        return NormalisedScore(math.nan, Interval(math.nan, math.nan, reason), len(reefs), reason)
     value = float(np.mean(own - low)) / gap
     counts = resample_counts(len(reefs))
     if counts is None:
-        return Place(value, Interval(math.nan, math.nan, too_few(len(reefs), "reef")), len(reefs))
+        return NormalisedScore(value, Interval(math.nan, math.nan, too_few(len(reefs), "reef")), len(reefs))
     gaps = counts @ (high - low)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(gaps > 0, (counts @ (own - low)) / gaps, np.nan)
-    return Place(value, resampled_interval(ratios, len(reefs)), len(reefs))
+    return NormalisedScore(value, resampled_interval(ratios, len(reefs)), len(reefs))
