@@ -1,11 +1,12 @@
 # make demo: from nothing to a table of how well two methods localise an ROV over a rendered reef.
 # make test: the tests, the linter and the type checker. make test-slow: the tests that take minutes, too.
+# make coverage: the tests, and how much of the code they run; the lines that they do not are in build/coverage/.
 
 PYTHON ?= python3
 VENV ?= .venv
 PIP = $(VENV)/bin/pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
-.PHONY: demo test test-slow lint clean
+.PHONY: demo test test-slow coverage lint clean
 
 demo: $(VENV)/.demo
 	$(VENV)/bin/oysterbench eval --track slam
@@ -15,6 +16,9 @@ test: lint
 
 test-slow: $(VENV)/.dev
 	$(VENV)/bin/pytest -m "slow or not slow"
+
+coverage: $(VENV)/.dev
+	$(VENV)/bin/pytest -n auto --dist loadfile --cov --cov-report term:skip-covered --cov-report html:build/coverage
 
 lint: $(VENV)/.dev
 	$(VENV)/bin/ruff check .

@@ -56,8 +56,8 @@ def finite(value: float | None) -> float | None:
 def count(number: int, noun: str) -> str:
     """A number of things.
 
-    >>> count(1, "record"), count(12000, "record")
-    ('1 record', '12 000 records')
+    >>> count(1, "record"), count(999, "record")
+    ('1 record', '999 records')
     """
     written = f"{number:,}".replace(",", "\N{NARROW NO-BREAK SPACE}") if number >= 10_000 else str(number)
     return f"{written} {noun}{'' if number == 1 else 's'}"
