@@ -158,7 +158,7 @@ def make_dive(loop: Loop, job: DiveJob) -> bytes:
 
 
 def _explore() -> Explore:
-    from oysterbench.exploration import explore  # loads the renderer
+    from oysterbench.exploration.rollout import explore  # loads the renderer
 
     return explore
 

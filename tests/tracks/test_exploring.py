@@ -47,7 +47,7 @@ def test_views_come_in_time_order_with_the_state_of_their_label(dives):
     assert views[0].state.depth == 2.0
     assert views[0].state.altitude == 1.0
     assert views[0].pixels.shape == (24, 32, 3)
-    assert dive.labels.worth[4, 2, 5] == table["value_2_5"][4]
+    assert dive.labels.action_values[4, 2, 5] == table["value_2_5"][4]
     assert (dive.labels.classes == table[["yaw", "pitch"]].to_numpy()).all()
 
 
