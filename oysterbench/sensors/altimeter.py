@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import RangeMeasurement
@@ -17,7 +16,7 @@ from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import AcousticRecipe
 from oysterbench.sensors import acoustics
-from oysterbench.sensors.kind import SensedWorld, SensorKind, Strip, link, quantise, times_of
+from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, Strip, link, quantise
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
@@ -129,21 +128,6 @@ def beam_rays(width: float) -> tuple[Array, Array]:
     return rays, acoustics.beam_pattern(np.arccos(cosines), width)
 
 
-def range_message(
-    measured: RangeMeasurement, min_range_m: float, max_range_m: float, beam_rad: float, variance: float = 0.0
-) -> Message:
-    """Range along the altimeter's axis, m, +inf where nothing answers (REP 117); variance in m^2, 0 where unknown."""
-    limits = (min_range_m, max_range_m)
-    data = range_bytes(measured.stamp_ns, link(measured.sensor), measured.range, limits, beam_rad, variance)
-    return Message(f"/{measured.sensor}/range", measured.stamp_ns, data)
-
-
-def read_range(data: bytes, sensor: str) -> RangeMeasurement:
-    """Range from its message, in which it is a float32."""
-    message = decode(data, RANGE)
-    return RangeMeasurement(stamp_of(message.header), sensor, float(message.range))
-
-
 class Altimeter(SensorKind[AltimeterRecipe, AltimeterCalibration, RangeMeasurement]):
     """The kind."""
 
@@ -163,20 +147,22 @@ class Altimeter(SensorKind[AltimeterRecipe, AltimeterCalibration, RangeMeasureme
             "T_base_sensor": acoustics.mount_pose(recipe).tolist(),
         }
 
-    def measure(
-        self, world: SensedWorld, recipe: AltimeterRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[RangeMeasurement]:
-        times, setting = times_of(recipe, len(stamps_ns)), world.recipe
-        ranges = measure(world.path, world.caster, recipe, setting.site, times, world.streams, setting.reef.bottom)
+    def measure(self, world: SensedWorld, recipe: AltimeterRecipe, at: Instants) -> Iterator[RangeMeasurement]:
+        site, bottom = world.recipe.site, world.recipe.reef.bottom
+        ranges = measure(world.path, world.caster, recipe, site, at.times_s, world.streams, bottom)
         ranges = quantise(ranges, RANGE_STEP)
-        return (RangeMeasurement(int(stamps_ns[k]), recipe.name, float(ranges[k])) for k in wanted)
+        return (RangeMeasurement(int(at.stamps_ns[k]), recipe.name, float(ranges[k])) for k in at.wanted)
 
     def encode(self, recipe: AltimeterRecipe, measurement: RangeMeasurement) -> list[Message]:
+        """Range along the altimeter's axis, m, +inf where nothing answers (REP 117)."""
+        stamp, limits = measurement.stamp_ns, (recipe.min_range_m, recipe.max_range_m)
         beam, variance = float(np.radians(recipe.beam_deg)), recipe.noise_m**2
-        return [range_message(measurement, recipe.min_range_m, recipe.max_range_m, beam, variance)]
+        data = range_bytes(stamp, link(measurement.sensor), measurement.range, limits, beam, variance)
+        return [Message(f"/{measurement.sensor}/range", stamp, data)]
 
     def decode(self, name: str, calibration: AltimeterCalibration, *data: bytes) -> RangeMeasurement:
-        return read_range(data[0], name)
+        message = decode(data[0], RANGE)
+        return RangeMeasurement(stamp_of(message.header), name, float(message.range))
 
     def strips(self, name: str) -> list[Strip]:
         return [Strip(f"/{name}/range", f"{name} range, m", ("range",))]

@@ -16,7 +16,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image
 from oysterbench.core.ros import IMAGE, Message, decode, encode, header, image_bytes, make, stamp_of
 from oysterbench.recipe import CameraRecipe, SiteRecipe
-from oysterbench.sensors.kind import SensedWorld, SensorKind, from_entry, topic
+from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, from_entry, topic
 
 if TYPE_CHECKING:
     from oysterbench.render.camera import Frame
@@ -229,11 +229,9 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
         values = entry if port is None else {**entry, "port_m": port["distance_m"], "port_index": port["index"]}
         return from_entry(CameraCalibration, values)
 
-    def measure(
-        self, world: SensedWorld, recipe: CameraRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[CameraFrame]:
+    def measure(self, world: SensedWorld, recipe: CameraRecipe, at: Instants) -> Iterator[CameraFrame]:
         every = round(recipe.rate_hz / recipe.layer_rate_hz) if recipe.layer_rate_hz else 0
-        for index in wanted.tolist():
+        for index in at.wanted.tolist():
             frame = render_frame(world, recipe, index)
             layers: dict[str, NDArray[Any]] = {}
             if every and index % every == 0:
@@ -244,7 +242,7 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
                 }
                 made |= render_layers(world, recipe, index)
                 layers = {name: made[name] for name in recipe.layers}
-            yield CameraFrame(int(stamps_ns[index]), recipe.name, frame.colour, layers)
+            yield CameraFrame(int(at.stamps_ns[index]), recipe.name, frame.colour, layers)
 
     def encode(self, recipe: CameraRecipe, measurement: CameraFrame) -> list[Message]:
         stamp, name = measurement.stamp_ns, recipe.name

@@ -32,7 +32,7 @@ from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors import acoustics
-from oysterbench.sensors.kind import XYZ, Row, SensedWorld, SensorKind, Strip, columns_of, link, quantise, times_of
+from oysterbench.sensors.kind import XYZ, Instants, Row, SensedWorld, SensorKind, Strip, columns_of, link, quantise
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
@@ -220,73 +220,6 @@ def _measurement(
     )
 
 
-def dvl_messages(measured: DvlMeasurement, min_range_m: float, max_range_m: float, janus_rad: float) -> list[Message]:
-    """Velocity, beams and altitude; of the DVL, least and greatest range, how far its beams are off the vertical."""
-    return [
-        dvl_velocity_message(measured),
-        dvl_beams_message(measured),
-        dvl_altitude_message(measured, min_range_m, max_range_m, janus_rad),
-    ]
-
-
-def dvl_velocity_message(measured: DvlMeasurement) -> Message:
-    """Velocity over ground with its covariance; rates are marked as not measured, by a variance of -1."""
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = measured.covariance
-    covariance[3, 3] = -1.0
-    twist = make("geometry_msgs/msg/Twist", linear=vector(measured.velocity), angular=vector(np.zeros(3)))
-    message = make(
-        VELOCITY,
-        header=header(measured.stamp_ns, link("dvl")),
-        twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance.ravel()),
-    )
-    return Message("/dvl/velocity", measured.stamp_ns, encode(message))
-
-
-def dvl_beams_message(measured: DvlMeasurement) -> Message:
-    """The beams, a point each; NaN where a beam has no lock."""
-    rows = np.zeros(len(measured.beam_ranges), dtype=BEAM)
-    hits = measured.beam_directions * np.asarray(measured.beam_ranges)[:, None]
-    for axis, values in zip("xyz", hits.T, strict=True):
-        rows[axis] = values
-    rows["range"], rows["velocity"], rows["valid"] = measured.beam_ranges, measured.beam_velocities, measured.beam_valid
-    return Message("/dvl/beams", measured.stamp_ns, points_bytes(measured.stamp_ns, link("dvl"), rows))
-
-
-def dvl_altitude_message(measured: DvlMeasurement, min_range_m: float, max_range_m: float, janus_rad: float) -> Message:
-    """Altitude along the DVL's -z, NaN without lock (REP 117); the field of view is what the beams span."""
-    limits = (min_range_m, max_range_m)
-    data = range_bytes(measured.stamp_ns, link("dvl"), measured.altitude, limits, 2.0 * janus_rad)
-    return Message("/dvl/altitude", measured.stamp_ns, data)
-
-
-def read_dvl(velocity: bytes, beams: bytes, altitude: bytes, directions: Array) -> DvlMeasurement:
-    """Measurement from its three messages and the beams' directions (4, 3), which the calibration keeps.
-
-    Beams and altitude travel as float32; the figure of merit is the root of the covariance's trace. Raises ValueError
-    where the messages are not of one stamp.
-    """
-    message = decode(velocity, VELOCITY)
-    stamp = stamp_of(message.header)
-    points, height = decode(beams, POINTS), decode(altitude, RANGE)
-    rows = point_rows(points)
-    if not stamp == stamp_of(points.header) == stamp_of(height.header):
-        raise ValueError(f"the DVL's velocity, beams and altitude at {stamp} are not of one stamp")
-    linear = message.twist.twist.linear
-    covariance = np.array(message.twist.covariance, dtype=float).reshape(6, 6)[:3, :3].copy()
-    return DvlMeasurement(
-        stamp_ns=stamp,
-        velocity=np.array([linear.x, linear.y, linear.z]),
-        covariance=covariance,
-        figure_of_merit=float(np.sqrt(np.trace(covariance))),
-        altitude=float(height.range),
-        beam_directions=directions,
-        beam_ranges=rows["range"].astype(float),
-        beam_velocities=rows["velocity"].astype(float),
-        beam_valid=rows["valid"].astype(bool),
-    )
-
-
 def _velocity_row(message: Any) -> Row:
     variances = message.twist.covariance[[0, 7, 14]]
     return columns_of("velocity_", message.twist.twist.linear) | {
@@ -321,22 +254,59 @@ class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
             "max_range_m": recipe.max_range_m,
         }
 
-    def measure(
-        self, world: SensedWorld, recipe: DvlRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[DvlMeasurement]:
-        times, setting = times_of(recipe, len(stamps_ns)), world.recipe
-        measured = measure(
-            world.path, world.caster, recipe, setting.site, times, stamps_ns, world.streams, setting.reef.bottom
-        )
-        for k in wanted:
+    def measure(self, world: SensedWorld, recipe: DvlRecipe, at: Instants) -> Iterator[DvlMeasurement]:
+        site, bottom = world.recipe.site, world.recipe.reef.bottom
+        times, stamps = at.times_s, at.stamps_ns
+        measured = measure(world.path, world.caster, recipe, site, times, stamps, world.streams, bottom)
+        for k in at.wanted:
             readings: dict[str, Any] = {key: quantise(getattr(measured[k], key), READING_STEP) for key in READINGS}
             yield dataclasses.replace(measured[k], **readings)
 
     def encode(self, recipe: DvlRecipe, measurement: DvlMeasurement) -> list[Message]:
-        return dvl_messages(measurement, recipe.min_range_m, recipe.max_range_m, np.radians(recipe.janus_deg))
+        """Velocity with its covariance, its rates marked as not measured by a variance of -1; the beams, a point each,
+        NaN where one has no lock; and the altitude along the DVL's -z, NaN without lock (REP 117)."""
+        stamp, frame = measurement.stamp_ns, link("dvl")
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = measurement.covariance
+        covariance[3, 3] = -1.0
+        twist = make("geometry_msgs/msg/Twist", linear=vector(measurement.velocity), angular=vector(np.zeros(3)))
+        velocity = make(
+            VELOCITY,
+            header=header(stamp, frame),
+            twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=covariance.ravel()),
+        )
+        rows = np.zeros(len(measurement.beam_ranges), dtype=BEAM)
+        hits = measurement.beam_directions * np.asarray(measurement.beam_ranges)[:, None]
+        for axis, values in zip("xyz", hits.T, strict=True):
+            rows[axis] = values
+        rows["range"], rows["velocity"] = measurement.beam_ranges, measurement.beam_velocities
+        rows["valid"] = measurement.beam_valid
+        limits, span = (recipe.min_range_m, recipe.max_range_m), 2.0 * np.radians(recipe.janus_deg)
+        return [
+            Message("/dvl/velocity", stamp, encode(velocity)),
+            Message("/dvl/beams", stamp, points_bytes(stamp, frame, rows)),
+            Message("/dvl/altitude", stamp, range_bytes(stamp, frame, measurement.altitude, limits, span)),
+        ]
 
     def decode(self, name: str, calibration: DvlCalibration, *data: bytes) -> DvlMeasurement:
-        return read_dvl(data[0], data[1], data[2], calibration.beam_directions)
+        """Beams and altitude travel as float32; the figure of merit is the root of the covariance's trace."""
+        velocity, points, height = (decode(one, kind) for one, kind in zip(data, self.leaves.values(), strict=True))
+        stamps = {stamp_of(message.header) for message in (velocity, points, height)}
+        if len(stamps) > 1:
+            raise ValueError(f"the DVL's velocity, beams and altitude at {min(stamps)} are not of one stamp")
+        rows, linear = point_rows(points), velocity.twist.twist.linear
+        covariance = np.array(velocity.twist.covariance, dtype=float).reshape(6, 6)[:3, :3].copy()
+        return DvlMeasurement(
+            stamp_ns=stamps.pop(),
+            velocity=np.array([linear.x, linear.y, linear.z]),
+            covariance=covariance,
+            figure_of_merit=float(np.sqrt(np.trace(covariance))),
+            altitude=float(height.range),
+            beam_directions=calibration.beam_directions,
+            beam_ranges=rows["range"].astype(float),
+            beam_velocities=rows["velocity"].astype(float),
+            beam_valid=rows["valid"].astype(bool),
+        )
 
     def strips(self, name: str) -> list[Strip]:
         return [

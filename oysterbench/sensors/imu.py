@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import GRAVITY, Array, transform
@@ -18,7 +17,7 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import choice, number
 from oysterbench.recipe.sensors import SensorRecipe
-from oysterbench.sensors.kind import XYZ, Row, SensedWorld, SensorKind, Strip, columns_of, link, quantise, times_of
+from oysterbench.sensors.kind import XYZ, Instants, Row, SensedWorld, SensorKind, Strip, columns_of, link, quantise
 from oysterbench.sensors.vibration import VibrationRecipe, vibrate
 
 if TYPE_CHECKING:
@@ -258,32 +257,6 @@ def digitise(values: Array, triad: Triad) -> Array:
     return np.rint(values / triad.step) * triad.step if triad.step else values
 
 
-def imu_message(sample: ImuMeasurement, gyro_variance: float, accel_variance: float) -> Message:
-    """Inertial sample; variances per sample in (rad/s)^2 and (m/s^2)^2. Orientation is marked as absent (REP 145)."""
-    absent = np.zeros(9)
-    absent[0] = -1.0
-    message = make(
-        IMU,
-        header=header(sample.stamp_ns, link("imu")),
-        orientation=quaternion(np.array([0.0, 0.0, 0.0, 1.0])),
-        orientation_covariance=absent,
-        angular_velocity=vector(sample.gyro),
-        angular_velocity_covariance=np.diag([gyro_variance] * 3).ravel(),
-        linear_acceleration=vector(sample.accel),
-        linear_acceleration_covariance=np.diag([accel_variance] * 3).ravel(),
-    )
-    return Message("/imu", sample.stamp_ns, encode(message))
-
-
-def read_imu(data: bytes) -> ImuMeasurement:
-    """Inertial sample from its message."""
-    message = decode(data, IMU)
-    rate, force = message.angular_velocity, message.linear_acceleration
-    return ImuMeasurement(
-        stamp_of(message.header), np.array([rate.x, rate.y, rate.z]), np.array([force.x, force.y, force.z])
-    )
-
-
 def _row(message: Any) -> Row:
     return columns_of("gyro_", message.angular_velocity) | columns_of("accel_", message.linear_acceleration)
 
@@ -314,19 +287,34 @@ class Imu(SensorKind[ImuRecipe, ImuCalibration, ImuMeasurement]):
             "T_base_imu": imu_pose(recipe).tolist(),
         }
 
-    def measure(
-        self, world: SensedWorld, recipe: ImuRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[ImuMeasurement]:
-        readings = measure(world.path, recipe, times_of(recipe, len(stamps_ns)), world.streams)
+    def measure(self, world: SensedWorld, recipe: ImuRecipe, at: Instants) -> Iterator[ImuMeasurement]:
+        readings = measure(world.path, recipe, at.times_s, world.streams)
         gyro, accel = (quantise(values, INERTIAL_STEP) for values in readings)
-        return (ImuMeasurement(int(stamps_ns[k]), gyro[k], accel[k]) for k in wanted)
+        return (ImuMeasurement(int(at.stamps_ns[k]), gyro[k], accel[k]) for k in at.wanted)
 
     def encode(self, recipe: ImuRecipe, measurement: ImuMeasurement) -> list[Message]:
+        """Rates and forces with the variances of a sample; orientation is marked as absent (REP 145)."""
+        absent = np.zeros(9)
+        absent[0] = -1.0
         densities = (recipe.gyro_noise_density, recipe.accel_noise_density)
-        return [imu_message(measurement, *(density**2 * recipe.rate_hz for density in densities))]
+        gyro_variance, accel_variance = (density**2 * recipe.rate_hz for density in densities)
+        message = make(
+            IMU,
+            header=header(measurement.stamp_ns, link("imu")),
+            orientation=quaternion(np.array([0.0, 0.0, 0.0, 1.0])),
+            orientation_covariance=absent,
+            angular_velocity=vector(measurement.gyro),
+            angular_velocity_covariance=np.diag([gyro_variance] * 3).ravel(),
+            linear_acceleration=vector(measurement.accel),
+            linear_acceleration_covariance=np.diag([accel_variance] * 3).ravel(),
+        )
+        return [Message("/imu", measurement.stamp_ns, encode(message))]
 
     def decode(self, name: str, calibration: ImuCalibration, *data: bytes) -> ImuMeasurement:
-        return read_imu(*data)
+        message = decode(data[0], IMU)
+        rate, force = message.angular_velocity, message.linear_acceleration
+        gyro, accel = np.array([rate.x, rate.y, rate.z]), np.array([force.x, force.y, force.z])
+        return ImuMeasurement(stamp_of(message.header), gyro, accel)
 
     def strips(self, name: str) -> list[Strip]:
         return [

@@ -73,6 +73,16 @@ class SensedWorld(Protocol):
 
 
 @dataclass(frozen=True)
+class Instants:
+    """When a sensor measures. times_s (N,): from the start; stamps_ns (N,) int64: by its own clock; wanted (K,) int64:
+    indices of those of which the measurements are asked for."""
+
+    times_s: Array
+    stamps_ns: NDArray[np.int64]
+    wanted: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
 class Strip:
     """Columns of a topic's table that share a plot: what is written beside each, and the factor to the unit shown."""
 
@@ -156,10 +166,8 @@ class SensorKind(ABC, Generic[R, C, M]):
         return found
 
     @abstractmethod
-    def measure(
-        self, world: SensedWorld, recipe: R, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[M]:
-        """Measurements of those indices `wanted` (K,) of all its instants; stamps_ns (N,): of all of them."""
+    def measure(self, world: SensedWorld, recipe: R, at: Instants) -> Iterator[M]:
+        """Measurements of the wanted ones of a sensor's instants."""
 
     @abstractmethod
     def encode(self, recipe: R, measurement: M) -> list[Message]:
@@ -186,11 +194,6 @@ def topic(name: str, leaf: str) -> str:
 def link(name: str) -> str:
     """Frame of a sensor other than a camera."""
     return f"{name}_link"
-
-
-def times_of(recipe: SensorRecipe, n: int) -> Array:
-    """Times (n,) s of a sensor's instants, from the start."""
-    return np.arange(n) / recipe.rate_hz
 
 
 def quantise(values: ArrayLike, step: float) -> Array:

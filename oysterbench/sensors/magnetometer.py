@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
@@ -18,7 +17,7 @@ from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors.imu import imu_pose
-from oysterbench.sensors.kind import XYZ, SensedWorld, SensorKind, Strip, columns_of, link, quantise, times_of
+from oysterbench.sensors.kind import XYZ, Instants, SensedWorld, SensorKind, Strip, columns_of, link, quantise
 
 if TYPE_CHECKING:
     from oysterbench.scene.path import Path
@@ -78,26 +77,6 @@ def noise_variance(recipe: MagnetometerRecipe) -> float:
     return MICROTESLA**2 * (recipe.noise_ut**2 + recipe.step_ut**2 / 12)
 
 
-def magnetic_message(sample: MagneticMeasurement) -> Message:
-    """Magnetic field, T."""
-    message = make(
-        MAGNETIC_FIELD,
-        header=header(sample.stamp_ns, link("magnetometer")),
-        magnetic_field=vector(sample.field),
-        magnetic_field_covariance=np.diag([float(sample.variance)] * 3).ravel(),
-    )
-    return Message("/magnetometer", sample.stamp_ns, encode(message))
-
-
-def read_magnetic(data: bytes) -> MagneticMeasurement:
-    """Magnetic sample from its message."""
-    message = decode(data, MAGNETIC_FIELD)
-    field = message.magnetic_field
-    return MagneticMeasurement(
-        stamp_of(message.header), np.array([field.x, field.y, field.z]), float(message.magnetic_field_covariance[0])
-    )
-
-
 class Magnetometer(SensorKind[MagnetometerRecipe, MagnetometerCalibration, MagneticMeasurement]):
     """The kind."""
 
@@ -111,18 +90,25 @@ class Magnetometer(SensorKind[MagnetometerRecipe, MagnetometerCalibration, Magne
     def calibrate(self, recipe: MagnetometerRecipe, site: SiteRecipe) -> dict[str, Any]:
         return {"T_base_sensor": imu_pose(recipe).tolist()}
 
-    def measure(
-        self, world: SensedWorld, recipe: MagnetometerRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[MagneticMeasurement]:
-        fields = measure(world.path, recipe, world.recipe.site, times_of(recipe, len(stamps_ns)), world.streams)
+    def measure(self, world: SensedWorld, recipe: MagnetometerRecipe, at: Instants) -> Iterator[MagneticMeasurement]:
+        fields = measure(world.path, recipe, world.recipe.site, at.times_s, world.streams)
         fields, variance = quantise(fields, FIELD_STEP), noise_variance(recipe)
-        return (MagneticMeasurement(int(stamps_ns[k]), fields[k], variance) for k in wanted)
+        return (MagneticMeasurement(int(at.stamps_ns[k]), fields[k], variance) for k in at.wanted)
 
     def encode(self, recipe: MagnetometerRecipe, measurement: MagneticMeasurement) -> list[Message]:
-        return [magnetic_message(measurement)]
+        """Magnetic field, T."""
+        message = make(
+            MAGNETIC_FIELD,
+            header=header(measurement.stamp_ns, link("magnetometer")),
+            magnetic_field=vector(measurement.field),
+            magnetic_field_covariance=np.diag([float(measurement.variance)] * 3).ravel(),
+        )
+        return [Message("/magnetometer", measurement.stamp_ns, encode(message))]
 
     def decode(self, name: str, calibration: MagnetometerCalibration, *data: bytes) -> MagneticMeasurement:
-        return read_magnetic(*data)
+        message = decode(data[0], MAGNETIC_FIELD)
+        field, variance = message.magnetic_field, float(message.magnetic_field_covariance[0])
+        return MagneticMeasurement(stamp_of(message.header), np.array([field.x, field.y, field.z]), variance)
 
     def strips(self, name: str) -> list[Strip]:
         return [Strip("/magnetometer", "magnetic field, µT", tuple(f"field_{axis}" for axis in XYZ), 1e6)]

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
-from numpy.typing import NDArray
 
 from oysterbench.core.geometry import GRAVITY, Array, transform
 from oysterbench.core.measurements import PressureMeasurement
@@ -17,7 +16,7 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import SensorRecipe
-from oysterbench.sensors.kind import SensedWorld, SensorKind, Strip, link, quantise, times_of
+from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, Strip, link, quantise
 
 if TYPE_CHECKING:
     from oysterbench.scene.path import Path
@@ -98,23 +97,6 @@ def noise_variance(recipe: PressureRecipe, site: SiteRecipe) -> float:
     return (density(site) * GRAVITY * recipe.noise_m) ** 2 + recipe.step_pa**2 / 12
 
 
-def pressure_message(sample: PressureMeasurement) -> Message:
-    """Absolute pressure, Pa."""
-    message = make(
-        FLUID_PRESSURE,
-        header=header(sample.stamp_ns, link("pressure")),
-        fluid_pressure=float(sample.pressure),
-        variance=float(sample.variance),
-    )
-    return Message("/pressure", sample.stamp_ns, encode(message))
-
-
-def read_pressure(data: bytes) -> PressureMeasurement:
-    """Pressure sample from its message."""
-    message = decode(data, FLUID_PRESSURE)
-    return PressureMeasurement(stamp_of(message.header), float(message.fluid_pressure), float(message.variance))
-
-
 class PressureSensor(SensorKind[PressureRecipe, PressureCalibration, PressureMeasurement]):
     """The kind."""
 
@@ -130,22 +112,28 @@ class PressureSensor(SensorKind[PressureRecipe, PressureCalibration, PressureMea
         T_base_sensor = transform(np.eye(3), recipe.position_m).tolist()
         return {"T_base_sensor": T_base_sensor, "density": density(site), "atmosphere": ATMOSPHERE}
 
-    def measure(
-        self, world: SensedWorld, recipe: PressureRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[PressureMeasurement]:
+    def measure(self, world: SensedWorld, recipe: PressureRecipe, at: Instants) -> Iterator[PressureMeasurement]:
         from oysterbench.scene.waves import build_waves
 
         site, streams = world.recipe.site, world.streams
         waves = build_waves(site, world.recipe.reef.depth_m, streams)  # the ones that move the vehicle
-        values = measure(world.path, recipe, site, waves, times_of(recipe, len(stamps_ns)), streams)
+        values = measure(world.path, recipe, site, waves, at.times_s, streams)
         values, variance = quantise(values, PRESSURE_STEP), noise_variance(recipe, site)
-        return (PressureMeasurement(int(stamps_ns[k]), float(values[k]), variance) for k in wanted)
+        return (PressureMeasurement(int(at.stamps_ns[k]), float(values[k]), variance) for k in at.wanted)
 
     def encode(self, recipe: PressureRecipe, measurement: PressureMeasurement) -> list[Message]:
-        return [pressure_message(measurement)]
+        """Absolute pressure, Pa."""
+        message = make(
+            FLUID_PRESSURE,
+            header=header(measurement.stamp_ns, link("pressure")),
+            fluid_pressure=float(measurement.pressure),
+            variance=float(measurement.variance),
+        )
+        return [Message("/pressure", measurement.stamp_ns, encode(message))]
 
     def decode(self, name: str, calibration: PressureCalibration, *data: bytes) -> PressureMeasurement:
-        return read_pressure(*data)
+        message = decode(data[0], FLUID_PRESSURE)
+        return PressureMeasurement(stamp_of(message.header), float(message.fluid_pressure), float(message.variance))
 
     def strips(self, name: str) -> list[Strip]:
         return [Strip("/pressure", "pressure, kPa", ("pressure",), 1e-3)]

@@ -19,7 +19,7 @@ from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import Rays
-from oysterbench.sensors.kind import SensedWorld, SensorKind, link, times_of
+from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, link
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
@@ -128,32 +128,6 @@ def head_angle(recipe: ScannerRecipe, index: int) -> float:
     return float(np.radians((min(place, 2 * steps - place) - steps / 2) * recipe.step_deg))
 
 
-def scan_messages(ping: ScanPing) -> list[Message]:
-    """A scanning sonar's amplitudes, near first, as a picture of one row; and the angle of its head, rad."""
-    head = make(
-        HEAD,
-        header=header(ping.stamp_ns, link(ping.sensor)),
-        name=[f"{ping.sensor}_head"],
-        position=np.array([ping.angle], dtype=float),
-        velocity=np.array([], dtype=float),
-        effort=np.array([], dtype=float),
-    )
-    data = echo_image(ping.stamp_ns, link(ping.sensor), ping.amplitudes[None])
-    return [
-        Message(f"/{ping.sensor}/ping", ping.stamp_ns, data),
-        Message(f"/{ping.sensor}/head", ping.stamp_ns, encode(head)),
-    ]
-
-
-def read_scan(ping: bytes, head: bytes, sensor: str) -> ScanPing:
-    """Ping from its two messages. Raises ValueError where they are not of one stamp."""
-    stamp, pixels = read_echo_image(ping)
-    joint = decode(head, HEAD)
-    if stamp_of(joint.header) != stamp:
-        raise ValueError(f"{sensor}'s ping and head at {stamp} are not of one stamp")
-    return ScanPing(stamp, sensor, float(joint.position[0]), pixels[0])
-
-
 class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
     """The kind."""
 
@@ -168,18 +142,33 @@ class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
     def calibrate(self, recipe: ScannerRecipe, site: SiteRecipe) -> dict[str, Any]:
         return {**echoes.calibrate(recipe), "beam_rad": float(np.radians(recipe.beam_deg))}
 
-    def measure(
-        self, world: SensedWorld, recipe: ScannerRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[ScanPing]:
+    def measure(self, world: SensedWorld, recipe: ScannerRecipe, at: Instants) -> Iterator[ScanPing]:
         head = ScanningSonar(world.caster, recipe, world.recipe.site, world.recipe.reef.bottom)
-        bodies = world.bodies(times_of(recipe, len(stamps_ns)))
-        return (head.ping(bodies[k], world.streams, k, int(stamps_ns[k])) for k in wanted.tolist())
+        bodies = world.bodies(at.times_s)
+        return (head.ping(bodies[k], world.streams, k, int(at.stamps_ns[k])) for k in at.wanted.tolist())
 
     def encode(self, recipe: ScannerRecipe, measurement: ScanPing) -> list[Message]:
-        return scan_messages(measurement)
+        """Amplitudes, near first, as a picture of one row; and the angle of the head, rad."""
+        head = make(
+            HEAD,
+            header=header(measurement.stamp_ns, link(measurement.sensor)),
+            name=[f"{measurement.sensor}_head"],
+            position=np.array([measurement.angle], dtype=float),
+            velocity=np.array([], dtype=float),
+            effort=np.array([], dtype=float),
+        )
+        data = echo_image(measurement.stamp_ns, link(measurement.sensor), measurement.amplitudes[None])
+        return [
+            Message(f"/{measurement.sensor}/ping", measurement.stamp_ns, data),
+            Message(f"/{measurement.sensor}/head", measurement.stamp_ns, encode(head)),
+        ]
 
     def decode(self, name: str, calibration: ScannerCalibration, *data: bytes) -> ScanPing:
-        return read_scan(data[0], data[1], name)
+        stamp, pixels = read_echo_image(data[0])
+        joint = decode(data[1], HEAD)
+        if stamp_of(joint.header) != stamp:
+            raise ValueError(f"{name}'s ping and head at {stamp} are not of one stamp")
+        return ScanPing(stamp, name, float(joint.position[0]), pixels[0])
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:
         from oysterbench.sensors.panels import WIDTH, Panel

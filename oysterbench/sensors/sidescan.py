@@ -22,7 +22,7 @@ from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import Rays
-from oysterbench.sensors.kind import Export, Row, SensedWorld, SensorKind, link
+from oysterbench.sensors.kind import Export, Instants, Row, SensedWorld, SensorKind, link
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
@@ -169,20 +169,6 @@ def first_return(amplitudes: NDArray[np.uint16]) -> int:
     return int(np.argmax(strong)) + SMOOTHING_BINS // 2 if strong.any() else len(amplitudes)
 
 
-def ping_message(ping: SidescanPing) -> Message:
-    """A ping as a picture of 16 bits and one row, from far on port to far on starboard: a waterfall's line."""
-    return Message(f"/{ping.sensor}/ping", ping.stamp_ns, echo_image(ping.stamp_ns, link(ping.sensor), ping.line[None]))
-
-
-def read_ping(data: bytes, sensor: str) -> SidescanPing:
-    """Ping from its message. Raises ValueError where it is no line of two equal sides."""
-    stamp, pixels = read_echo_image(data)
-    if pixels.shape[0] != 1 or pixels.shape[1] % 2:
-        raise ValueError(f"expected {sensor}'s ping as one row of two sides, got {pixels.shape[1]} x {pixels.shape[0]}")
-    port, starboard = np.split(pixels[0], 2)
-    return SidescanPing(stamp, sensor, np.ascontiguousarray(port[::-1]), starboard)
-
-
 def _row(message: Any) -> Row:
     port, starboard = np.split(np.asarray(message.data).view("<u2"), 2)
     sides = {"port": port[::-1], "starboard": starboard}
@@ -244,19 +230,24 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
             "frequency_hz": 1e3 * recipe.frequency_khz,
         }
 
-    def measure(
-        self, world: SensedWorld, recipe: SidescanRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[SidescanPing]:
+    def measure(self, world: SensedWorld, recipe: SidescanRecipe, at: Instants) -> Iterator[SidescanPing]:
         site, bottom = world.recipe.site, world.recipe.reef.bottom
         sonar = world.instrument(recipe, lambda: SidescanSonar(world.caster, recipe, site, bottom))
-        for index, body in zip(wanted.tolist(), world.bodies(wanted / recipe.rate_hz), strict=True):
-            yield sonar.ping(body, world.streams, index, int(stamps_ns[index]))
+        for index, body in zip(at.wanted.tolist(), world.bodies(at.times_s[at.wanted]), strict=True):
+            yield sonar.ping(body, world.streams, index, int(at.stamps_ns[index]))
 
     def encode(self, recipe: SidescanRecipe, measurement: SidescanPing) -> list[Message]:
-        return [ping_message(measurement)]
+        """A picture of 16 bits and one row, from far on port to far on starboard: a waterfall's line."""
+        stamp, name = measurement.stamp_ns, measurement.sensor
+        return [Message(f"/{name}/ping", stamp, echo_image(stamp, link(name), measurement.line[None]))]
 
     def decode(self, name: str, calibration: SidescanCalibration, *data: bytes) -> SidescanPing:
-        return read_ping(data[0], name)
+        stamp, pixels = read_echo_image(data[0])
+        if pixels.shape[0] != 1 or pixels.shape[1] % 2:
+            height, width = pixels.shape
+            raise ValueError(f"expected {name}'s ping as one row of two sides, got {width} x {height}")
+        port, starboard = np.split(pixels[0], 2)
+        return SidescanPing(stamp, name, np.ascontiguousarray(port[::-1]), starboard)
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:
         from oysterbench.sensors.panels import WIDTH, Panel

@@ -29,7 +29,7 @@ from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import RangeAxis, Rays, Returns
-from oysterbench.sensors.kind import SensedWorld, SensorKind, link, topic
+from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, link, topic
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
@@ -41,6 +41,9 @@ COLUMNS_PER_WIDTH = 1.5  # at least so many columns of rays in a beam's half-pow
 MOST_PER_WIDTH = 6.0  # and no more than so many where beams lie closer than that
 PATTERN_REACH = 4.0  # half-power widths, each side, within which a beam hears
 RAISED_M = 0.05  # what is lower over the bottom has its bounce off the bottom together with its echo
+SonarPing = tuple[SonarImage, Cloud | None]
+"""What a simulated ping measures: its image, and its cloud if the recipe asks for one."""
+
 CLOUD_ROWS = 32  # of the cloud, over the elevations
 
 RETURN = np.dtype(
@@ -298,18 +301,6 @@ def gather(power: Array, columns: Columns, beams: int) -> Array:
     return heard
 
 
-def sonar_message(image: SonarImage) -> Message:
-    """A fan's amplitudes as a picture of 16 bits: a row per range bin, near first; a column per beam, left first."""
-    data = echo_image(image.stamp_ns, link(image.sensor), image.pixels)
-    return Message(f"/{image.sensor}/image", image.stamp_ns, data)
-
-
-def read_sonar(data: bytes, sensor: str) -> SonarImage:
-    """Fan image from its message."""
-    stamp, pixels = read_echo_image(data)
-    return SonarImage(stamp, sensor, pixels)
-
-
 def cloud_message(cloud: Cloud) -> Message:
     """A sonar's returns with what they are: fields x, y, z, intensity, class, instance."""
     rows = np.zeros(len(cloud.points), dtype=RETURN)
@@ -333,7 +324,7 @@ def read_cloud(data: bytes, sensor: str) -> Cloud:
     )
 
 
-class Sonar(SensorKind[SonarRecipe, SonarCalibration, tuple[SonarImage, Cloud | None]]):
+class Sonar(SensorKind[SonarRecipe, SonarCalibration, Any]):
     """The kind. What a ping measures is its image; its cloud is truth."""
 
     recipe = SonarRecipe
@@ -359,20 +350,22 @@ class Sonar(SensorKind[SonarRecipe, SonarCalibration, tuple[SonarImage, Cloud | 
             "frequency_hz": 1e3 * recipe.frequency_khz,
         }
 
-    def measure(
-        self, world: SensedWorld, recipe: SonarRecipe, stamps_ns: NDArray[np.int64], wanted: NDArray[np.int64]
-    ) -> Iterator[tuple[SonarImage, Cloud | None]]:
+    def measure(self, world: SensedWorld, recipe: SonarRecipe, at: Instants) -> Iterator[SonarPing]:
         site, bottom = world.recipe.site, world.recipe.reef.bottom
         sonar = world.instrument(recipe, lambda: ImagingSonar(world.caster, recipe, site, bottom))
-        for index, body in zip(wanted.tolist(), world.bodies(wanted / recipe.rate_hz), strict=True):
-            yield sonar.ping(body, world.streams, index, int(stamps_ns[index]))
+        for index, body in zip(at.wanted.tolist(), world.bodies(at.times_s[at.wanted]), strict=True):
+            yield sonar.ping(body, world.streams, index, int(at.stamps_ns[index]))
 
-    def encode(self, recipe: SonarRecipe, measurement: tuple[SonarImage, Cloud | None]) -> list[Message]:
+    def encode(self, recipe: SonarRecipe, measurement: SonarPing) -> list[Message]:
+        """Amplitudes as a picture of 16 bits: a row per range bin, near first; a column per beam, left first."""
         image, cloud = measurement
-        return [sonar_message(image), *([] if cloud is None else [cloud_message(cloud)])]
+        data = echo_image(image.stamp_ns, link(image.sensor), image.pixels)
+        shown = Message(f"/{image.sensor}/image", image.stamp_ns, data)
+        return [shown, *([] if cloud is None else [cloud_message(cloud)])]
 
-    def decode(self, name: str, calibration: SonarCalibration, *data: bytes) -> Any:
-        return read_sonar(data[0], name)
+    def decode(self, name: str, calibration: SonarCalibration, *data: bytes) -> SonarImage:
+        stamp, pixels = read_echo_image(data[0])
+        return SonarImage(stamp, name, pixels)
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:
         from oysterbench.sensors.panels import WIDTH, Fan, Panel

@@ -10,7 +10,7 @@ from oysterbench.core.ros import EPOCH_NS, Message
 from oysterbench.recipe import count
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors import clock
-from oysterbench.sensors.kind import quantise
+from oysterbench.sensors.kind import Instants, quantise
 from oysterbench.sensors.registry import kind_of, rig_sensors
 from oysterbench.sequence.truth import transform_message, truth_message, truth_pose_message
 from oysterbench.simulation.simulated_sequence import SimulatedSequence
@@ -29,7 +29,8 @@ def sensor_messages(
     stamps = clock.stamps(n, recipe.rate_hz, EPOCH_NS, recipe.clock_offset_ms)
     kept = clock.kept(n, recipe, simulated.streams.at(*name))
     wanted = np.arange(first, n if last is None else last)
-    for measurement in kind.measure(simulated, recipe, stamps, wanted[kept[wanted]]):
+    instants = Instants(np.arange(n) / recipe.rate_hz, stamps, wanted[kept[wanted]])
+    for measurement in kind.measure(simulated, recipe, instants):
         yield from kind.encode(recipe, measurement)
 
 

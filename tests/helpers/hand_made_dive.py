@@ -21,15 +21,12 @@ from oysterbench.core.measurements import (
     SonarImage,
 )
 from oysterbench.core.ros import EPOCH_NS, Message
-from oysterbench.sensors.altimeter import range_message
+from oysterbench.recipe import RigRecipe, parse_split
 from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sensors.camera import camera_info, camera_topics, colour_message, layer_message, optical_frame
-from oysterbench.sensors.dvl import dvl_messages
-from oysterbench.sensors.imu import imu_message
-from oysterbench.sensors.magnetometer import magnetic_message
-from oysterbench.sensors.pressure import pressure_message
-from oysterbench.sensors.scanner import scan_messages
-from oysterbench.sensors.sonar import cloud_message, sonar_message
+from oysterbench.sensors.registry import kind_of
+from oysterbench.sensors.sonar import KIND as SONAR
+from oysterbench.sensors.sonar import SonarRecipe, cloud_message
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
 from oysterbench.sequence.truth import (
     rig_topics,
@@ -39,6 +36,7 @@ from oysterbench.sequence.truth import (
     truth_pose_message,
 )
 from oysterbench.sequence.write import SequenceWriter
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 BOTTOM_Z, FLIGHT_Z = -3.0, -1.8
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -255,14 +253,15 @@ def samples(seconds: float = 2.0) -> Samples:
     return made
 
 
+def rig() -> RigRecipe:
+    """A rig with every sensor of the dive but its cameras and its imaging sonar."""
+    return parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + SENSORS).rig
+
+
 def all_types() -> dict[str, str]:
     """Topic -> type, as `rig_topics` gives them for such a rig."""
 
-    from oysterbench.recipe import parse_split
-    from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
-
-    rig = parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG + SENSORS).rig
-    small = {topic: kind for topic, kind in rig_topics(rig).items() if not topic.startswith("/cam_front/")}
+    small = {topic: kind for topic, kind in rig_topics(rig()).items() if not topic.startswith("/cam_front/")}
     cameras = camera_topics("cam_left", ("depth", "class", "instance", "visibility")) | camera_topics("cam_right", ())
     return {**small, **cameras, "/fls/image": "sensor_msgs/msg/Image", "/fls/cloud": "sensor_msgs/msg/PointCloud2"}
 
@@ -276,14 +275,16 @@ def messages(seconds: float = 2.0, image_format: str = "png") -> list[Message]:
         name: (np.array(T)[:3, 3], Rotation.from_matrix(np.array(T)[:3, :3]).as_quat()) for name, T in frames.items()
     }
     sent = [static_transforms(EPOCH_NS, placed)]
-    sent += [imu_message(sample, 1e-6, 1e-4) for sample in made.imu]
-    sent += [message for sample in made.dvl for message in dvl_messages(sample, 0.05, 50.0, JANUS)]
-    sent += [pressure_message(sample) for sample in made.pressure]
-    sent += [magnetic_message(sample) for sample in made.magnetometer]
-    sent += [range_message(sample, 0.3, 100.0, 0.5) for sample in made.ranges]
-    sent += [sonar_message(image) for image in made.sonar]
+    recipes = {recipe.block: recipe for recipe in rig().sensors}
+    named = {"altimeter": made.ranges, "scanner": made.scans}
+    for block, recipe in recipes.items():
+        kind = kind_of(recipe)
+        measured = named[block] if block in named else getattr(made, block)
+        sent += [message for measurement in measured for message in kind.encode(recipe, measurement)]
+    sent += [
+        message for image in made.sonar for message in SONAR.encode(SonarRecipe(name="fls", rate_hz=5.0), (image, None))
+    ]
     sent += [cloud_message(cloud) for cloud in made.clouds]
-    sent += [message for ping in made.scans for message in scan_messages(ping)]
     for stamp, T in made.poses:
         attitude = Rotation.from_matrix(T[:3, :3]).as_quat()
         sent.append(truth_message(stamp, T[:3, 3], attitude, np.array([SPEED, 0.0, 0.0]), np.array([0.0, 0.0, RATE])))

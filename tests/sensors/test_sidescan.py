@@ -18,7 +18,7 @@ from oysterbench.recipe import SiteRecipe, parse_split
 from oysterbench.report.viewer.page import view_page
 from oysterbench.sensors import echoes
 from oysterbench.sensors.panels import BACKGROUND
-from oysterbench.sensors.sidescan import SIDES, SidescanPing, SidescanRecipe, SidescanSonar, first_return, read_ping
+from oysterbench.sensors.sidescan import KIND, SIDES, SidescanPing, SidescanRecipe, SidescanSonar, first_return
 from oysterbench.sequence.cut import is_public
 from oysterbench.sequence.export import export_sequence
 from oysterbench.simulation.generate import generate_split
@@ -159,7 +159,7 @@ def test_a_line_that_is_no_ping_is_refused():
     from oysterbench.core.ros import echo_image
 
     with pytest.raises(ValueError, match="expected side's ping as one row of two sides"):
-        read_ping(echo_image(1, "side_link", np.zeros((1, 5), dtype=np.uint16)), "side")
+        KIND.decode("side", None, echo_image(1, "side_link", np.zeros((1, 5), dtype=np.uint16)))
 
 
 def test_what_no_single_key_can_say_is_checked():

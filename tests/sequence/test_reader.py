@@ -13,7 +13,8 @@ import oysterbench
 from oysterbench.core.errors import MethodError, SequenceError
 from oysterbench.core.measurements import ImuMeasurement, SonarImage
 from oysterbench.core.ros import EPOCH_NS, Message
-from oysterbench.sensors.imu import imu_message
+from oysterbench.sensors.imu import KIND as IMU
+from oysterbench.sensors.imu import ImuRecipe
 from oysterbench.sequence.file import read_messages
 from oysterbench.sequence.write import SequenceWriter
 from tests.helpers import hand_made_dive as dive
@@ -210,6 +211,7 @@ def long_file(path, megabytes: int, seconds: float):
     generator = np.random.default_rng(0)
     types = {name: dive.all_types()[name] for name in ("/imu", "/truth/odometry", "/cam_left/image")}
     frame = 250_000
+    (unit,) = dive.rig().of(ImuRecipe)
     with open(path, "wb") as file:
         writer = SequenceWriter(file, types)
         writer.metadata("oysterbench", {"sequence": "long"})
@@ -217,7 +219,7 @@ def long_file(path, megabytes: int, seconds: float):
         writer.attachment("truth/oysters.csv", "text/csv", generator.bytes(min(frame * 4, megabytes * 10_000)))
         for stamp, _ in dive.stamps(200, seconds):
             gyro, accel = generator.normal(size=(2, 3))
-            writer.write(imu_message(ImuMeasurement(stamp, gyro, accel), 1e-6, 1e-4))
+            writer.write(*IMU.encode(unit, ImuMeasurement(stamp, gyro, accel)))
         writer.section()
         n = megabytes * 1_000_000 // frame
         for k in range(n):
