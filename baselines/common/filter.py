@@ -164,7 +164,8 @@ def rotation_exp(turn: Array) -> Array:
     matrix = cross(turn)
     if angle < 1e-4:  # the next terms are below 1e-9 of it
         return np.eye(3) + (1 - angle**2 / 6) * matrix + 0.5 * matrix @ matrix
-    return np.eye(3) + np.sin(angle) / angle * matrix + (1 - np.cos(angle)) / angle**2 * (matrix @ matrix)
+    sine, cosine = float(np.sin(angle)), float(np.cos(angle))
+    return np.eye(3) + sine / angle * matrix + (1 - cosine) / angle**2 * (matrix @ matrix)
 
 
 def left_jacobian(turn: Array) -> Array:
@@ -173,8 +174,8 @@ def left_jacobian(turn: Array) -> Array:
     matrix = cross(turn)
     if angle < 1e-4:
         return np.eye(3) + 0.5 * matrix + matrix @ matrix / 6
-    share = (angle - np.sin(angle)) / angle**3
-    return np.eye(3) + (1 - np.cos(angle)) / angle**2 * matrix + share * (matrix @ matrix)
+    share = (angle - float(np.sin(angle))) / angle**3
+    return np.eye(3) + (1 - float(np.cos(angle))) / angle**2 * matrix + share * (matrix @ matrix)
 
 
 def orthonormal(rotation: Array) -> Array:

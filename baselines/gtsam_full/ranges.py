@@ -183,8 +183,8 @@ def find_ground(
     ray = _nearest(rotation @ echo.axis, np.array([0.0, 0.0, -1.0]), echo.half_beam)
     met = origin + echo.range * ray
     for _ in range(2 if echo.half_beam else 1):
-        distances, near = tree.query(met, k=of.most, distance_upper_bound=reach)
-        near = np.sort(near[np.isfinite(distances)])
+        distances, nearest = tree.query(met, k=of.most, distance_upper_bound=reach)
+        near = np.sort(np.atleast_1d(nearest)[np.isfinite(distances)])
         if len(near) < of.fewest:
             return None
         centre = points[near].mean(axis=0)

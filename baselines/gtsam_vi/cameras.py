@@ -86,7 +86,7 @@ class CameraRig:
         good &= np.minimum.reduceat(depth, starts) > settings.min_depth_m
         good &= np.maximum.reduceat(depth, starts) < settings.max_depth_m
         good &= np.maximum.reduceat(error, starts) < max_error_px
-        return ids[good], points[good]
+        return ids[good], np.asarray(points[good], dtype=float)
 
     def errors_px(self, T_odom_imu: Array, points: Array, rays: Array, camera: int | NDArray[np.intp] = 0) -> Array:
         """Reprojection errors (N,) px of points (N, 3) seen along rays (N, 2) from poses (4, 4) or (N, 4, 4) by a

@@ -115,8 +115,9 @@ def estimate_gyro_bias(
 
 def _minimise(cost: Callable[[Array], float], start: Array, scale: float) -> Array:
     """Minimum by BFGS; the scale brings the variables near one, as its finite differences want."""
-    solution = minimize(lambda x: cost(x * scale), start / scale, method="BFGS", options={"maxiter": 15, "eps": 1e-4})
-    return solution.x * scale
+    options = {"maxiter": 15, "eps": 1e-4}  # scipy's stubs have no `eps`
+    solution = minimize(lambda x: cost(x * scale), start / scale, method="BFGS", options=options)  # type: ignore[call-overload]
+    return np.asarray(solution.x * scale, dtype=float)
 
 
 def _pairs(
@@ -242,4 +243,4 @@ def _solve_on_sphere(normal: Array, right: Array, x: Array, gravity: float) -> A
 
 
 def _unit(vectors: Array) -> Array:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), dtype=float)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -93,13 +94,13 @@ def epipolar_inliers(
     lengths = np.linalg.norm(directions, axis=1)
     directions = directions[lengths > 1e-15] / lengths[lengths > 1e-15, None]
     if len(directions) == 0:
-        return np.linalg.norm(normals, axis=1) < tolerance
+        return np.asarray(np.linalg.norm(normals, axis=1) < tolerance, dtype=bool)
     # Epipolar line of a pair: the plane of direction and turned ray, cut with the image plane.
     lines = np.cross(directions[:, None, :], turned[None, :, :])
     scale = np.hypot(lines[..., 0], lines[..., 1])
     distance = np.abs(np.einsum("tni,ni->tn", lines, seen)) / np.maximum(scale, 1e-12)
     inliers = distance < tolerance
-    return inliers[int(np.argmax(inliers.sum(axis=1)))]
+    return np.asarray(inliers[int(np.argmax(inliers.sum(axis=1)))], dtype=bool)
 
 
 def even_contrast(grey: NDArray[np.uint8], settings: FrontEndSettings) -> NDArray[np.uint8]:
@@ -192,7 +193,7 @@ def follow(
     start, begun = pixels.astype(np.float32), guess.astype(np.float32)
     size = (settings.flow_window_px, settings.flow_window_px)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
-    flow = {"winSize": size, "maxLevel": settings.flow_levels, "criteria": criteria}
+    flow: dict[str, Any] = {"winSize": size, "maxLevel": settings.flow_levels, "criteria": criteria}
     flow["flags"] = cv2.OPTFLOW_USE_INITIAL_FLOW
     end, found, _ = cv2.calcOpticalFlowPyrLK(before, after, start, begun.copy(), **flow)
     # Back from where the forward pass ended, with the prediction's own error as the guess, not the answer.

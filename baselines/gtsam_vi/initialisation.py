@@ -139,7 +139,7 @@ def is_worth_a_try(stretch: list[Keyframe], settings: GtsamViSettings) -> bool:
     if len(stretch) < least or elapsed < least_s:
         return False
     counts = np.unique(np.concatenate([k.observations.rows()[0] for k in stretch]), return_counts=True)[1]
-    return np.count_nonzero(counts >= settings.landmarks.min_views) >= settings.initialisation.min_tracks
+    return int(np.count_nonzero(counts >= settings.landmarks.min_views)) >= settings.initialisation.min_tracks
 
 
 def find_start(model: Model, stretch: list[Keyframe], anchor: State | None, max_scale_sigma: float) -> Bundle | None:

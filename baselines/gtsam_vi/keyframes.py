@@ -52,7 +52,7 @@ class DataAssociation:
         are lost from frame to frame, and it has moved those that are left."""
         noise, kept = self._settings.noise, max(float(np.mean(self._kept or [1.0])), 1e-3)
         self._kept = []
-        return min(kept**-noise.loss_power, noise.max_inflation)
+        return min(float(kept**-noise.loss_power), noise.max_inflation)
 
 
 def is_keyframe(

@@ -8,7 +8,6 @@ first, not the last.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,9 +54,6 @@ class LoopCloser:
         self._settled = 0  # places in the pose graph: their key frames have left the window
         self._centres: list[Array] = []  # of the ground view of each place, in its level frame
         self._weak: list[Loop] = []  # those with few landmarks, which wait for a neighbour that says the same
-        self.seconds: dict[str, float] = {}  # processor time by part
-        self.tried = 0
-        self.restarts = 0
 
     @property
     def correction(self) -> Array:
@@ -66,7 +62,6 @@ class LoopCloser:
 
     def add_keyframe(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> None:
         """The newest key frame, its state already brought up to date, and its equalised picture (H, W) uint8."""
-        begin = time.process_time()
         self._waiting.append((keyframes[-1].index, encode(picture)))
         if keyframes[-1].state is None:
             self._waiting = self._waiting[-self.settings.initialisation.max_keyframes :]
@@ -81,25 +76,18 @@ class LoopCloser:
                 continue
             self.places.append(place)
             self._centres.append(np.median(place.points, axis=0))
-            self._count("places", begin)
-            begin = time.process_time()
-            if k == keyframes[-1].index and self._look(keyframes, picture) and len(self.places) > limit:
+            if k == keyframes[-1].index and self._find_loops(keyframes, picture) and len(self.places) > limit:
                 place.forget()
             self.index.add(place.descriptors)
-            self._count("search", begin)
-            begin = time.process_time()
         self._waiting = []
-
-    def _count(self, part: str, begin: float) -> None:
-        self.seconds[part] = self.seconds.get(part, 0.0) + time.process_time() - begin
 
     def _make_place(
         self, keyframes: list[Keyframe], k: int, coded: bytes, picture: NDArray[np.uint8] | None
     ) -> Place | None:
         """A place, where the vehicle has moved on since the last one and there are landmarks."""
-        settings, pose = self.settings, keyframes[k].state.matrix
+        settings, pose = self.settings, keyframes[k].estimate.matrix
         if self.places:
-            last = keyframes[self.places[-1].keyframe].state.matrix
+            last = keyframes[self.places[-1].keyframe].estimate.matrix
             moved = np.linalg.norm(pose[:3, 3] - last[:3, 3])
             turned = np.arccos(np.clip((np.trace(last[:3, :3].T @ pose[:3, :3]) - 1) / 2, -1, 1))
             if moved < settings.recognition.step_m and turned < np.radians(settings.recognition.turn_deg):
@@ -123,7 +111,7 @@ class LoopCloser:
             place = self.places[self._settled]
             if place.keyframe > len(keyframes) - 1 - settings.window.keyframes:
                 break
-            pose = keyframes[place.keyframe].state.matrix
+            pose = keyframes[place.keyframe].estimate.matrix
             level = level_pose(pose)
             ids, rays, points = landmarks_of(self.model, keyframes, place.keyframe, settings.window.keyframes)
             if len(ids) >= settings.recognition.min_landmarks:
@@ -140,7 +128,7 @@ class LoopCloser:
         if n == 0:
             return Drift(0.0, 0.0)
         before, after = keyframes[self.places[n - 1].keyframe], keyframes[self.places[n].keyframe]
-        distance = float(np.linalg.norm(after.state.matrix[:3, 3] - before.state.matrix[:3, 3]))
+        distance = float(np.linalg.norm(after.estimate.matrix[:3, 3] - before.estimate.matrix[:3, 3]))
         duration = (after.stamp_ns - before.stamp_ns) * 1e-9
         between = keyframes[before.index + 1 : after.index + 1]
         blind = sum(k.segment.duration for k in between if len(k.observations.ids) < settings.recognition.min_landmarks)
@@ -152,7 +140,7 @@ class LoopCloser:
         ) ** 2
         return Drift(heading, position)
 
-    def _look(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> bool:
+    def _find_loops(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> bool:
         """Loops between the newest place and settled ones; whether one of them leaves no doubt."""
         settings = self.settings
         now = len(self.places) - 1
@@ -160,7 +148,7 @@ class LoopCloser:
         if self._settled < 2:
             return False
         anchor = self._settled - 1  # the newest place in the graph; the newest of all hangs on it by the window
-        T_anchor_now = invert(self.graph.odometry[anchor]) @ level_pose(keyframes[place.keyframe].state.matrix)
+        T_anchor_now = invert(self.graph.odometry[anchor]) @ level_pose(keyframes[place.keyframe].estimate.matrix)
         T_odom_now = self.graph.poses[anchor] @ T_anchor_now
         candidates, certain = self._candidates(keyframes, now, anchor, T_odom_now), False
         for n in candidates:
@@ -183,7 +171,7 @@ class LoopCloser:
         """The key frames with what the loops have taught: states of the pose graph, merged tracks, ties."""
         if not self.loops:
             return keyframes
-        corrected = [replace(k, state=_moved(k.state, self._correction_at(k.index))) for k in keyframes]
+        corrected = [replace(k, state=_moved(k.estimate, self._correction_at(k.index))) for k in keyframes]
         return join(corrected, self.places, self.loops, self.model)
 
     def _correction_at(self, k: int) -> Array:
@@ -208,12 +196,12 @@ class LoopCloser:
     def _has_neighbour(self, keyframes: list[Keyframe], loop: Loop) -> bool:
         """Whether another loop between neighbours of its places says the same, odometry being certain over so few."""
         settings = self.settings
-        level = [level_pose(keyframes[self.places[n].keyframe].state.matrix) for n in (loop.first, loop.second)]
+        level = [level_pose(keyframes[self.places[n].keyframe].estimate.matrix) for n in (loop.first, loop.second)]
         for other in [*self._weak, *self.loops][-4 * settings.loops.neighbours * settings.recognition.candidates :]:
             apart = max(abs(other.first - loop.first), abs(other.second - loop.second))
             if apart > settings.loops.neighbours or other.second == loop.second:
                 continue
-            ends = [level_pose(keyframes[self.places[n].keyframe].state.matrix) for n in (other.first, other.second)]
+            ends = [level_pose(keyframes[self.places[n].keyframe].estimate.matrix) for n in (other.first, other.second)]
             predicted = invert(level[0]) @ ends[0] @ other.T_first_second @ invert(ends[1]) @ level[1]
             off = invert(predicted) @ loop.T_first_second
             if np.linalg.norm(off[:3, 3]) < settings.loops.agree_m and abs(heading_of(off)) < settings.loops.agree_m:
@@ -247,7 +235,6 @@ class LoopCloser:
 
     def _verify(self, n: int, now: int, anchor: int, T_odom_now: Array, picture: NDArray[np.uint8]) -> Loop | None:
         settings, first, second = self.settings, self.places[n], self.places[now]
-        self.tried += 1
         T, agree = self.verifier.align(first, second)
         if agree < settings.loops.align_inliers:
             return None

@@ -32,7 +32,7 @@ class _Joint:
     def of(self, keys: list[int]) -> Array:
         """That of some of them, in their order."""
         rows = np.concatenate([np.r_[self.rows[key]] for key in keys])
-        return self.covariance[np.ix_(rows, rows)]
+        return np.asarray(self.covariance[np.ix_(rows, rows)], dtype=float)
 
 
 def marginal_covariances(

@@ -99,7 +99,7 @@ class Ties:
 def tie(loop: Loop, first: Keyframe, second: Keyframe, settings: GtsamViSettings) -> gtsam.NonlinearFactor:
     """A loop as a relative pose of its key frames: heading and position as it says, roll and pitch as they are, loosely
     (they are known by gravity)."""
-    tilts = [invert(level_pose(k.state.matrix)) @ k.state.matrix for k in (first, second)]
+    tilts = [invert(level_pose(k.estimate.matrix)) @ k.estimate.matrix for k in (first, second)]
     to_second = loop.T_first_second @ tilts[1]
     of_loop = np.zeros((6, 6))  # rotation, then position, in the first's level axes
     of_loop[:2, :2] = np.eye(2) * settings.loops.tie_tilt**2
@@ -132,8 +132,9 @@ def join(keyframes: list[Keyframe], places: list[Place], loops: list[Loop], mode
             continue
         k = places[loop.second].keyframe
         view = keyframes[k].observations
-        distance, nearest = cKDTree(view.rays).query(loop.rays)
-        for track, ray, apart, n in zip(loop.ids.tolist(), loop.rays, distance, nearest, strict=True):
+        distances, nearest = cKDTree(view.rays).query(loop.rays)
+        found = zip(loop.ids.tolist(), loop.rays, np.atleast_1d(distances), np.atleast_1d(nearest), strict=True)
+        for track, ray, apart, n in found:
             involved.add(track)
             if apart * model.rig.focal < settings.loops.merge_px:
                 merger.merge(track, int(view.ids[n]))
@@ -178,7 +179,7 @@ def _meeting(
         track += [roots[np.searchsorted(known, view.ids[own])], np.array([merger.root(i) for i, _ in more], np.int64)]
         rays += [view.rays[own], np.array([ray for _, ray in more]).reshape(-1, 2)]
         rows.append(np.full(len(own) + len(more), n))
-    poses = np.array([keyframe.state.matrix for keyframe in keyframes])
+    poses = np.array([keyframe.estimate.matrix for keyframe in keyframes])
     gate = 3 * model.settings.landmarks.max_error_px
     ids, _ = model.rig.triangulate(
         np.concatenate(track), np.concatenate(rays), poses[np.concatenate(rows)], gate, model.settings.landmarks

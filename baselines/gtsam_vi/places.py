@@ -96,7 +96,7 @@ def landmarks_of(model: Model, keyframes: list[Keyframe], k: int, reach: int) ->
     view = keyframes[k].observations
     around = [f for f in keyframes[max(0, k - reach) : k + reach + 1] if f.state is not None]
     rows = [f.observations.rows() for f in around]
-    poses = np.repeat([f.state.matrix for f in around], [len(seen[0]) for seen in rows], axis=0)
+    poses = np.repeat([f.estimate.matrix for f in around], [len(seen[0]) for seen in rows], axis=0)
     track, rays, camera = (np.concatenate(part) for part in zip(*rows, strict=True))
     own = np.isin(track, view.ids)
     limit = model.settings.landmarks.max_error_px
@@ -202,10 +202,11 @@ def _lift(rays: Array, known_rays: Array, known_points: Array, T_level_cam: Arra
     inverse_depth = 1.0 / np.maximum((known_points @ T[:3, :3].T + T[:3, 3])[:, 2], 0.05)
     n = min(4, len(known_rays))
     distance, nearest = cKDTree(known_rays).query(rays, k=n)
-    distance, nearest = distance.reshape(len(rays), n), nearest.reshape(len(rays), n)
+    distance, nearest = np.reshape(distance, (len(rays), n)), np.reshape(nearest, (len(rays), n))
     weight = 1.0 / (distance + 0.02) ** 2
     depth = weight.sum(axis=1) / (weight * inverse_depth[nearest]).sum(axis=1)
-    return homogeneous(rays) * depth[:, None] @ T_level_cam[:3, :3].T + T_level_cam[:3, 3]
+    points = homogeneous(rays) * depth[:, None] @ T_level_cam[:3, :3].T + T_level_cam[:3, 3]
+    return np.asarray(points, dtype=float)
 
 
 def upsample(nodes: Array, height: int, width: int) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ def smooth(model: Model, keyframes: list[Keyframe], frames: list[Frame]) -> tupl
     bundle = adjust(
         model,
         keyframes,
-        [keyframe.state for keyframe in keyframes],
+        [keyframe.estimate for keyframe in keyframes],
         (3 * gate, gate),
         model.settings.landmarks.min_views,
     )

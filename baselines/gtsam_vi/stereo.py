@@ -130,4 +130,4 @@ def _fit_plane(rays: Array, inverse: Array) -> Array | None:
     plane = np.linalg.lstsq(places, inverse, rcond=None)[0]
     error = np.abs(places @ plane - inverse)
     kept = error <= np.quantile(error, 0.8)
-    return np.linalg.lstsq(places[kept], inverse[kept], rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(places[kept], inverse[kept], rcond=None)[0], dtype=float)

@@ -218,4 +218,4 @@ def _on_ground(rays: Array, T_level_cam: Array, plane: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = (plane[:2] @ centre[:2] + plane[2] - centre[2]) / rate
     scale[~(scale > 0.01)] = np.nan
-    return centre + scale[:, None] * directions
+    return np.asarray(centre + scale[:, None] * directions, dtype=float)

@@ -62,7 +62,7 @@ class Window:
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         stamps = {key(k): float(k) for key in (X, V, B)}
         insert_state(values, k, predicted)
-        graph.push_back(self.model.inertial(k - 1, k, keyframe.segment, keyframes[-2].state.bias))
+        graph.push_back(self.model.inertial(k - 1, k, keyframe.segment, keyframes[-2].estimate.bias))
         if keyframe.stationary:
             graph.push_back(self.model.zero_velocity(k))
         for factor in keyframe.aiding:
@@ -105,7 +105,7 @@ class Window:
             self.lost_share = 0.0
             return
         points = np.array([self._points[int(i)] for i in ids[known]])
-        errors = self.model.rig.errors_px(keyframe.state.matrix, points, rays[known], cameras[known])
+        errors = self.model.rig.errors_px(keyframe.estimate.matrix, points, rays[known], cameras[known])
         # The prediction may be off as a whole, after a long time without tracks: judge against the crowd.
         limit = settings.landmarks.max_innovation_px + 2.0 * float(np.median(errors))
         self.lost_share = float(np.mean(errors > settings.landmarks.max_innovation_px))
@@ -137,30 +137,30 @@ class Window:
             landmark = int(i)
             if landmark in self._landmarks or landmark in self._rejected:
                 continue
-            seen = [sight for sight in self._observations[landmark] if sight.keyframe >= oldest]
+            seen = [view for view in self._observations[landmark] if view.keyframe >= oldest]
             # A pair of cameras sees a caustic where it lies on the bottom at that instant: only time gives it away.
-            if len({sight.keyframe for sight in seen}) >= self.model.settings.landmarks.min_views:
+            if len({view.keyframe for view in seen}) >= self.model.settings.landmarks.min_views:
                 track += [landmark] * len(seen)
                 observations += seen
         if not track:
             return
-        poses = {k: keyframes[k - keyframes[0].index].state.matrix for k in {sight.keyframe for sight in observations}}
+        poses = {k: keyframes[k - keyframes[0].index].estimate.matrix for k in {view.keyframe for view in observations}}
         ids, points = self.model.rig.triangulate(
             np.array(track, dtype=np.int64),
-            np.array([sight.ray for sight in observations]),
-            np.array([poses[sight.keyframe] for sight in observations]),
+            np.array([view.ray for view in observations]),
+            np.array([poses[view.keyframe] for view in observations]),
             self.model.settings.landmarks.max_error_px,
             self.model.settings.landmarks,
-            np.array([sight.camera for sight in observations]),
+            np.array([view.camera for view in observations]),
         )
         for landmark, point in zip(ids, points, strict=True):
             values.insert(L(int(landmark)), point)
             stamps[L(int(landmark))] = float(last)
             self._landmarks.add(int(landmark))
-        for landmark, sight in zip(track, observations, strict=True):
+        for landmark, view in zip(track, observations, strict=True):
             if landmark in self._landmarks:
                 graph.push_back(
-                    self.model.rig.projection_factor(sight.keyframe, landmark, sight.ray, sight.camera, sight.noise)
+                    self.model.rig.projection_factor(view.keyframe, landmark, view.ray, view.camera, view.noise)
                 )
 
     def _read(self, keyframes: list[Keyframe], last: int) -> None:

@@ -45,6 +45,7 @@ __all__ = [
     "DvlCalibration",
     "ImuCalibration",
     "ImuMeasurement",
+    "PressureCalibration",
     "SensorsOnly",
     "Sequence",
     "SonarCalibration",

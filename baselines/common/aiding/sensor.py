@@ -146,7 +146,9 @@ def python_factor(
         return residual
 
     models = gtsam.noiseModel
-    noise = models.Isotropic.Sigma(dimension, sigmas) if isinstance(sigmas, float) else models.Diagonal.Sigmas(sigmas)
+    noise: gtsam.noiseModel.Base = (
+        models.Isotropic.Sigma(dimension, sigmas) if isinstance(sigmas, float) else models.Diagonal.Sigmas(sigmas)
+    )
     for name, threshold in loss.items():
         noise = models.Robust.Create(getattr(models.mEstimator, name.title()).Create(threshold), noise)
     return gtsam.CustomFactor(noise, keys, error)
