@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 from typing import Any
 
-from oysterbench.evaluate.metrics import find_metric
-from oysterbench.evaluate.statistics import LEVEL
+from oysterbench.evaluate.metrics import TRACKS, find_metric
+from oysterbench.evaluate.statistics import Interval
 from oysterbench.recipe import split_names
-from oysterbench.report.columns import ABSENT, STANDING_OF_TRACK, find_column
-from oysterbench.report.tables import Heading, Line, Table
+from oysterbench.report.columns import metric_column, metric_columns, name_columns
+from oysterbench.report.renderers import csv_text
+from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow, interval_column
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Literature, Row
 
 SHORT = 8
@@ -31,43 +31,44 @@ def board_name(board: BoardInfo) -> str:
 def board_table(page: BoardPage) -> Table:
     """Rows by rank: score with interval, coverage beside the errors, who vouches for them, and when."""
     board, rows = page.board, page.rows
-    metric = find_column(board.metric)
-    beside = STANDING_OF_TRACK[board.track]
-    texts = {column.key: column.texts([row.metrics.get(column.key) for row in rows]) for column in beside}
-    scores = metric.texts([row.score for row in rows])
-    whole = metric.texts([row.data_set for row in rows]) if has_data_set(board, rows) else []
-    lines = [
-        Line(
+    metric = metric_column(board.metric)
+    beside = metric_columns(TRACKS[board.track].standing)
+    whole = has_data_set(board, rows)
+    table_rows = [
+        TableRow(
             (
-                rank_text(row),
+                Cell(row.rank, rank_text(row)),
                 row.method,
                 row.team,
-                scores[i],
-                interval_text(row, metric),
-                *whole[i : i + 1],
-                *(texts[column.key][i] for column in beside),
-                str(row.failures) if row.failures else "",
+                row.score,
+                interval_of(row),
+                *([row.data_set] if whole else []),
+                *(row.metrics.get(column.key) for column in beside),
+                row.failures or "",
                 row.tier,
                 row.created[:10],
                 row.digest[:SHORT],
             )
         )
-        for i, row in enumerate(rows)
+        for row in rows
     ]
-    headings = (
-        Heading("rank"),
-        Heading("method", number=False, name=True),
-        Heading("team", number=False, name=True),
-        Heading(metric.heading, metric.unit, metric.key),
-        Heading(f"{LEVEL:.0%}", "interval"),
-        *([Heading(metric.heading, "data set")] if whole else []),
-        *(Heading(column.heading, column.unit, column.key) for column in beside),
-        Heading("failed"),
-        Heading("tier", number=False),
-        Heading("date", number=False),
-        Heading("record", number=False),
+    columns = (
+        Column("rank", "Rank", kind="number", short="rank"),
+        *name_columns("method", "team"),
+        metric,
+        interval_column(metric),
+        *([data_set_column(metric)] if whole else []),
+        *beside,
+        Column("failed", "Failed", kind="number", short="failed"),
+        *name_columns("tier", "date", "record"),
     )
-    return Table(board_name(board), headings, tuple(lines), tuple(_notes(page, rows)))
+    return Table(board_name(board), columns, tuple(table_rows), tuple(_notes(page, rows)))
+
+
+def data_set_column(metric: Column) -> Column:
+    """The column of the same metric over the whole data set."""
+    short = f"{metric.short.partition(chr(10))[0]}\ndata set"
+    return replace(metric, key="data_set", heading=f"{metric.heading} of the data set", short=short)
 
 
 def has_data_set(board: BoardInfo, rows: Sequence[Row]) -> bool:
@@ -95,11 +96,11 @@ def rank_text(row: Row) -> str:
     return f"({shown})" if row.rank is None else shown
 
 
-def interval_text(row: Row, metric: Any) -> str:
-    """Both ends, or a dash."""
+def interval_of(row: Row) -> Interval:
+    """Of the score."""
     if row.low is None or row.high is None:
-        return ABSENT
-    return f"{row.low * metric.factor:.{metric.decimals}f} to {row.high * metric.factor:.{metric.decimals}f}"
+        return Interval(math.nan, math.nan, "too few sequences")
+    return Interval(row.low, row.high)
 
 
 def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
@@ -113,7 +114,7 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
     elif rows:
         notes.append(f"Over {count}; one that is lacking or failed counts as nothing, and is among 'failed'.")
     if has_data_set(board, rows):
-        notes.append(DATA_SET.format(find_column(board.metric).heading))
+        notes.append(DATA_SET.format(metric_column(board.metric).heading))
     if warning := learnt_on(board.split):
         notes.append(warning)
     if not board.newest:
@@ -125,27 +126,14 @@ def boards_csv(pages: Sequence[BoardPage]) -> str:
     """One line per row, every digit; an empty field where there is no value. No field begins a formula."""
     columns = list(dict.fromkeys(key for page in pages for key in page.board.columns))
     facts = [key for key in Row.__dataclass_fields__ if key not in ("metrics", "board")]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["board", "track", "split", "evaluator_version", "metric", *facts, *(c for c in columns)])
+    keys = ("board", "track", "split", "evaluator_version", "metric", *facts, *columns)
+    rows = []
     for page in pages:
         board = page.board
+        about = (board.id, board.track, board.split, board.evaluator_version, board.metric)
         for row in page.rows:
-            values = [board.id, board.track, board.split, board.evaluator_version, board.metric]
-            values += [getattr(row, key) for key in facts]
-            values += [row.metrics.get(key) for key in columns]
-            writer.writerow([csv_field(value) for value in values])
-    return text.getvalue()
-
-
-def csv_field(value: Any) -> str:
-    """As text; what a spreadsheet would take for a formula is quoted."""
-    if value is None:
-        return ""
-    if isinstance(value, float):
-        return repr(value)
-    text = str(value)
-    return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else text
+            rows.append(TableRow((*about, *(getattr(row, key) for key in facts), *map(row.metrics.get, columns))))
+    return csv_text(Table("Boards", tuple(map(Column, keys)), tuple(rows)))
 
 
 def page_plain(page: BoardPage) -> dict[str, Any]:
@@ -155,26 +143,30 @@ def page_plain(page: BoardPage) -> dict[str, Any]:
 
 def record_table(row: Row, means: Mapping[str, Mapping[str, float | None]], keys: Sequence[str]) -> Table:
     """A record's numbers by sequence; keys: of metrics."""
-    columns = [find_column(key) for key in keys]
-    names = list(means)
-    texts = {column.key: column.texts([means[name].get(column.key) for name in names]) for column in columns}
-    lines = [Line((name, *(texts[column.key][i] for column in columns))) for i, name in enumerate(names)]
-    headings = (Heading("sequence", number=False), *(Heading(c.heading, c.unit, c.key) for c in columns))
-    return Table(f"{row.method} by sequence", headings, tuple(lines))
+    rows = [TableRow((name, *map(of.get, keys))) for name, of in means.items()]
+    return Table(f"{row.method} by sequence", (*name_columns("sequence"), *metric_columns(keys)), tuple(rows))
 
 
 def history_table(rows: Sequence[Row], boards: Mapping[str, BoardInfo]) -> Table:
     """Records of a method: where, what became of them, what they reached."""
-    lines = []
+    table_rows = []
     for row in rows:
         board = boards[row.board]
-        score = find_column(board.metric).texts([row.score])[0]
-        place = f"{row.rank if row.rank is not None else f'({row.place})'}" if row.place is not None else ABSENT
+        rank = Cell(row.rank if row.rank is not None else row.place, None if row.rank is not None else _place(row))
+        score = Cell(row.score, metric_column(board.metric).text(row.score))
         cells = (row.created[:10], row.digest[:SHORT], row.team, board.split, board.evaluator_version)
-        lines.append(Line((*cells, row.state, place, score, row.tier, row.supersedes[:SHORT])))
-    names = ("date", "record", "team", "split", "evaluator", "state", "rank", "score", "tier", "in place of")
-    headings = tuple(Heading(name, number=name in ("rank", "score")) for name in names)
-    return Table(f"Records of {rows[0].method}", headings, tuple(lines))
+        table_rows.append(TableRow((*cells, row.state, rank, score, row.tier, row.supersedes[:SHORT])))
+    numbers = [Column(key, key.capitalize(), kind="number", short=key) for key in ("rank", "score")]
+    columns = (
+        *name_columns("date", "record", "team", "split", "evaluator", "state"),
+        *numbers,
+        *name_columns("tier", "in_place_of"),
+    )
+    return Table(f"Records of {rows[0].method}", columns, tuple(table_rows))
+
+
+def _place(row: Row) -> str:
+    return ABSENT if row.place is None else f"({row.place})"
 
 
 def literature_tables(rows: Sequence[Literature]) -> list[Table]:
@@ -182,10 +174,10 @@ def literature_tables(rows: Sequence[Literature]) -> list[Table]:
     groups: dict[tuple[str, ...], list[Literature]] = {}
     for row in rows:
         groups.setdefault((row.track, row.metric, row.data, row.source, row.url), []).append(row)
-    headings = (Heading("method", number=False), Heading("value"), Heading("note", number=False))
+    columns = (*name_columns("method"), Column("value", "Value", kind="number", short="value"), *name_columns("note"))
     found = []
     for (track, metric, data, source, url), group in groups.items():
-        lines = tuple(Line((row.method, row.value, row.note)) for row in group)
-        said = (f"{metric}", f"Source: {source}{f', {url}' if url else ''}")
-        found.append(Table(f"{track}: {data}", headings, lines, said))
+        table_rows = tuple(TableRow((row.method, row.value, row.note)) for row in group)
+        notes = (metric, f"Source: {source}{f', {url}' if url else ''}")
+        found.append(Table(f"{track}: {data}", columns, table_rows, notes))
     return found

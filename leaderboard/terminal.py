@@ -37,10 +37,9 @@ def show_boards(
     md_file: Path | None,
 ) -> None:
     """Print boards, or write them: what `oysterbench leaderboard` does without a command."""
-    from oysterbench.report import latex_table, markdown_table, terminal_table
+    from oysterbench.report.renderers import latex_text, markdown_table, terminal_table
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.board import Query
-    from oysterbench_leaderboard.latex import needs
     from oysterbench_leaderboard.tables import board_table, boards_csv, page_plain
 
     files = {"csv": csv_file, "tex": tex_file, "md": md_file}
@@ -53,7 +52,7 @@ def show_boards(
     tables = [board_table(page) for page in pages]
     makers = {
         "csv": lambda: boards_csv(pages),
-        "tex": lambda: "\n".join([*needs(written := "\n".join(map(latex_table, tables))), written]),
+        "tex": lambda: latex_text(tables),
         "md": lambda: "\n".join(map(markdown_table, tables)),
     }
     for form, path in files.items():
@@ -114,8 +113,8 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
 
     DIGEST is the record's name, or its first 8 digits or more.
     """
+    from oysterbench.evaluate.metrics import TRACKS
     from oysterbench.report import terminal_table
-    from oysterbench.report.columns import OF_TRACK
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.tables import record_table
 
@@ -133,19 +132,19 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
     reasons = [n for n in index.store.read_status_changes()[0] if n.record == row.digest]
     for change in reasons:
         click.echo(f"{change.action:<12}{change.created[:10]}: {change.reason}")
-    keys = [column.key for column in OF_TRACK[board.track]]
-    print_rich(terminal_table(record_table(row, index.sequence_means(row.digest), keys)))
+    means = index.sequence_means(row.digest)
+    print_rich(terminal_table(record_table(row, means, TRACKS[board.track].table)))
     for result in record.results:
         if result.failure is not None:
             click.echo(f"{result.sequence}, run {result.run + 1} failed: {result.failure}")
 
 
 def _facts(row: Any, record: Any, board: BoardInfo) -> list[tuple[str, str]]:
-    from oysterbench.report.columns import find_column
-    from oysterbench_leaderboard.tables import board_name, interval_text
+    from oysterbench.report.columns import metric_column
+    from oysterbench_leaderboard.tables import board_name, interval_of
 
-    column = find_column(board.metric)
-    score = f"{column.texts([row.score])[0]} ({column.heading}), 95 % interval {interval_text(row, column)}"
+    column = metric_column(board.metric)
+    score = f"{column.text(row.score)} ({column.heading}), 95 % interval {column.text(interval_of(row))}"
     place = "" if row.place is None else f"rank {row.rank}, " if row.rank is not None else ""
     return [
         ("method", row.method),

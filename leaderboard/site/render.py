@@ -96,10 +96,10 @@ def page_html(page: Page, links: Links) -> str:
 def asset(name: str) -> bytes:
     """A file of style or script; the style sheet begins with the report's, whose colours and plots are the same."""
     if name == "plots.js":
-        return (resources.files("oysterbench.report") / "report.js").read_bytes()
+        return (resources.files("oysterbench.report") / "templates" / "report.js").read_bytes()
     own = (resources.files("oysterbench_leaderboard.site") / "static" / name).read_text(encoding="utf-8")
     if name == "style.css":
-        report = (resources.files("oysterbench.report") / "report.css").read_text(encoding="utf-8")
+        report = (resources.files("oysterbench.report") / "templates" / "report.css").read_text(encoding="utf-8")
         own = "\n".join((STYLE, report, own))
     return own.encode()
 

@@ -194,7 +194,7 @@ def _show(runs: list[DensityRun], out: Path, outputs: Outputs) -> None:
     elif not outputs.on_stdout:
         several = len({record.sequence for record in records}) > 1
         for table in [results_table(records), *(comparison_tables(records) if several else [])]:
-            if table.lines:
+            if table.rows:
                 print_rich(terminal_table(table))
     end(written, records)
 

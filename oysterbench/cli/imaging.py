@@ -159,7 +159,7 @@ def _show(runs: list[ImageRun], rows: list[DatasetRow], out: Path | None, output
         shown = [results_table(records)] if several or not rows else []
         tables = [*dataset_tables(rows), *shown, *(comparison_tables(records) if several else [])]
         for table in tables:
-            if table.lines:
+            if table.rows:
                 print_rich(terminal_table(table))
     end(written, records)
 

@@ -391,14 +391,14 @@ def oyster(seed: int, size_mm: float | None, state: str, out: Path, as_json: boo
 
 
 def _print_slam_table(records: list[Any]) -> None:
-    from oysterbench.report import comparison_tables, runs_table, slam_table, terminal_table
+    from oysterbench.report import comparison_tables, results_table, runs_table, terminal_table
     from oysterbench.results.comparison import boards
 
-    print_rich(slam_table(records))
+    print_rich(terminal_table(results_table(records), titled=False))
     several = len({record.sequence for record in records}) > 1
     tables = comparison_tables(records) if several else [runs_table(board) for board in boards(records)]
     for table in tables:
-        if table.lines:
+        if table.rows:
             print_rich(terminal_table(table))
 
 

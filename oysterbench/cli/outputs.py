@@ -16,9 +16,9 @@ from oysterbench.core.errors import OysterbenchError
 
 if TYPE_CHECKING:
     from oysterbench.report import DatasetRow
+    from oysterbench.report.cards import Card
     from oysterbench.report.html import Runs
-    from oysterbench.report.steering import Figure
-    from oysterbench.report.tables import Table
+    from oysterbench.report.table import Table
     from oysterbench.results.records import ResultRecord
 
 TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs and graphicx", "md": "tables in Markdown"}
@@ -44,7 +44,7 @@ class Outputs:
         folder: Path | None = None,
         data_set: Sequence[DatasetRow] = (),
         first: Sequence[Table] = (),
-        figures: Sequence[Figure] = (),
+        figures: Sequence[Card] = (),
     ) -> list[Path]:
         """Write all files that were asked for, those of a folder in all forms; returns what was written.
 

@@ -201,8 +201,8 @@ def _sort(runs: list[SlamRun], dives: list[Dive], entrants: list[Entrant]) -> No
 
 
 def _print_tables(records: list[ResultRecord]) -> None:
-    from oysterbench.report import comparison_tables, slam_table, terminal_table
+    from oysterbench.report import comparison_tables, results_table, terminal_table
 
-    print_rich(slam_table(records))
+    print_rich(terminal_table(results_table(records), titled=False))
     for table in comparison_tables(records) if len({record.sequence for record in records}) > 1 else []:
         print_rich(terminal_table(table))

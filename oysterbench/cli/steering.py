@@ -16,8 +16,9 @@ from oysterbench.core.errors import MethodError, RecipeError
 if TYPE_CHECKING:
     from oysterbench.exploration.labelled_views import LabelledViews
     from oysterbench.recipe import SplitRecipe
-    from oysterbench.report.steering import DiveRun, Figure, PictureRun
-    from oysterbench.report.tables import Table
+    from oysterbench.report.cards import Card
+    from oysterbench.report.steering import DiveRun, PictureRun
+    from oysterbench.report.table import Table
 
 TRACK = "steering"
 DEFAULT_SPLIT = "steer-mini"
@@ -175,7 +176,7 @@ def _show(
     runs: Any,
     first: list[Table],
     printed: list[Table],
-    figures: list[tuple[Path, Figure]],
+    figures: list[tuple[Path, Card]],
     out: Path,
     outputs: Outputs,
 ) -> None:
@@ -190,7 +191,7 @@ def _show(
         click.echo(dump(document(records)))
     elif not outputs.on_stdout:
         for table in printed:
-            if table.lines:
+            if table.rows:
                 print_rich(terminal_table(table))
     end(written, records)
 

@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-import base64
-import csv
-import io
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
 
+from oysterbench.core.html import capital
 from oysterbench.evaluate.detection import DetectionClip
 from oysterbench.evaluate.detection.precision import RECALLS
-from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.segmentation import ClipResult
-from oysterbench.evaluate.statistics import LEVEL, Interval
-from oysterbench.report.columns import ABSENT, OF_TRACK
-from oysterbench.report.plots import Curve, share_plot, swatch
-from oysterbench.report.sequences import card
-from oysterbench.report.tables import Heading, Line, Table, interval_text
+from oysterbench.evaluate.statistics import Interval
+from oysterbench.report.cards import Card, Picture, PlotGroup
+from oysterbench.report.columns import metric_column, metric_columns, name_columns
+from oysterbench.report.formats import csv_of
+from oysterbench.report.plots import Curve, share_plot
+from oysterbench.report.table import Column, Estimate, Table, TableRow, interval_column
 from oysterbench.results.records import ResultRecord, plain
 
 LEGEND = "Green: found. Blue: missed. Orange: called oyster, and none. Grey: ignored."
-SHOWN_CLIPS = 12  # with pictures; more would make a report of many megabytes
 STRATA = {"iou_range_": "range", "recall_height_": "shell height", "recall_area_": "visible area", "iou_": "class"}
 """How keys of classes within images begin -> what they are classes of."""
 
@@ -85,72 +82,54 @@ def dataset_tables(rows: Sequence[DatasetRow]) -> list[Table]:
     """The data set as a whole, and classes within images, each where there is something to say."""
     if not rows:
         return []
-    return [_dataset_table(rows), *([strata] if (strata := _strata_table(rows)).lines else [])]
+    return [_dataset_table(rows), *([strata] if (strata := _strata_table(rows)).rows else [])]
 
 
 def _dataset_table(rows: Sequence[DatasetRow]) -> Table:
-    columns = OF_TRACK[track_of(rows[0])]
-    if any("miou" in row.metrics for row in rows):
-        columns = (*columns[:1], _like(columns[0], "miou", "mIoU"), *columns[1:])
-    texts = {c.key: c.texts([row.metrics.get(c.key) for row in rows]) for c in columns}
-    first = columns[0]
-    lines = [
-        Line((row.method, texts[first.key][i], _interval(row, first.key), *(texts[c.key][i] for c in columns[1:])))
-        for i, row in enumerate(rows)
+    keys = TRACKS[track_of(rows[0])].table
+    with_mean = keys[:1] if not any("miou" in row.metrics for row in rows) else (keys[0], "miou")
+    first, *others = metric_columns((*with_mean, *keys[1:]))
+    table_rows = [
+        TableRow(
+            (
+                row.method,
+                row.metrics.get(first.key),
+                row.intervals.get(first.key),
+                *(row.metrics.get(column.key) for column in others),
+            )
+        )
+        for row in rows
     ]
-    headings = (
-        Heading("method", number=False),
-        Heading(first.heading, first.unit, first.key),
-        Heading(f"{LEVEL:.0%}", "interval"),
-        *(Heading(c.heading, c.unit, c.key) for c in columns[1:]),
-    )
-    notes = [f"All images of {rows[0].clips} clip{'' if rows[0].clips == 1 else 's'} together; clips are resampled."]
-    unknown = next((r.intervals[first.key].reason for r in rows if first.key in r.intervals), "")
-    return Table("Over the data set", headings, tuple(lines), (*notes, *([unknown.capitalize()] if unknown else [])))
-
-
-def _like(column: Any, key: str, heading: str) -> Any:
-    return type(column)(key, heading, column.unit, column.factor, column.decimals, column.small)
-
-
-def _interval(row: DatasetRow, key: str) -> str:
-    found = row.intervals.get(key)
-    return ABSENT if found is None else interval_text(found, OF_TRACK[track_of(row)][0])
+    clips = f"{rows[0].clips} sequence{'' if rows[0].clips == 1 else 's'}"
+    unknown = next((row.intervals[first.key].reason for row in rows if first.key in row.intervals), "")
+    notes = (f"All images of {clips} together; sequences are resampled.", *([capital(unknown)] if unknown else []))
+    columns = (*name_columns("method"), first, interval_column(first), *others)
+    return Table("Over the data set", columns, tuple(table_rows), notes)
 
 
 def _strata_table(rows: Sequence[DatasetRow]) -> Table:
-    """A line per class of range, size and so on, a column per method; intervals in brackets where there are any."""
+    """A row per class of range, size and so on, a column per method; intervals in brackets where there are any."""
     keys = dict.fromkeys(key for row in rows for key in row.metrics)
-    lines = []
+    table_rows, by_size = [], False
     for begin, noun in STRATA.items():
         for key in keys:
             if not key.startswith(begin) or (begin == "iou_" and key.startswith("iou_range_")):
                 continue
-            if all(math.isnan(row.metrics.get(key, math.nan)) for row in rows):
-                continue
-            metric = find_metric(key)
-            short = metric.heading if metric is not None else key
-            measure, _, name = short.partition(", ")
-            lines.append(Line((noun, name, measure, *(_stratum(row, key) for row in rows))))
-    headings = (
-        Heading("of", number=False),
-        Heading("class", number=False),
-        Heading("metric", number=False),
-        *(Heading(row.method, name=True) for row in rows),
+            values = [row.metrics.get(key, math.nan) for row in rows]
+            if not all(map(math.isnan, values)):
+                measure, _, name = metric_column(key).heading.partition(", ")
+                by_size |= measure == "Recall"
+                intervals = [row.intervals.get(key, Interval(math.nan, math.nan, "none")) for row in rows]
+                table_rows.append(TableRow((noun, name, measure, *map(Estimate, values, intervals))))
+    columns = (
+        *name_columns("of", "class", "metric"),
+        *(Column(r.method, r.method, "", "estimate", digits=3) for r in rows),
     )
     note = "False positives belong to no oyster: by size there is recall alone, which calling everything oyster wins."
-    by_size = any(line.cells[2] == "Recall" for line in lines)
-    return Table("By class within images", headings, tuple(lines), (note,) if by_size else ())
+    return Table("By class within images", columns, tuple(table_rows), (note,) if by_size else ())
 
 
-def _stratum(row: DatasetRow, key: str) -> str:
-    value = row.metrics.get(key, math.nan)
-    found = row.intervals.get(key)
-    bracket = f" [{interval_text(found, OF_TRACK['segmentation'][0])}]" if found is not None and found.known else ""
-    return ABSENT if math.isnan(value) else f"{value:.3f}{bracket}"
-
-
-def curves_section(rows: Sequence[DatasetRow], styles: Mapping[str, int]) -> str:
+def curves_group(rows: Sequence[DatasetRow], styles: Mapping[str, int]) -> PlotGroup | None:
     """IoU over thresholds, and precision over recall."""
     cards = []
     over, against = [], []
@@ -163,48 +142,24 @@ def curves_section(rows: Sequence[DatasetRow], styles: Mapping[str, int]) -> str
             against.append(Curve(row.method, found.recall, found.precision, style))
     if over:
         title = "IoU over the threshold of probability"
-        cards.append(card(title, share_plot(over, title, "threshold", "IoU")))
+        cards.append(Card(title, share_plot(over, title, "threshold", "IoU")))
     if any(not np.isnan(curve.y).all() for curve in against):
         title = "Precision over recall of " + ("pixels" if over else "oysters, at an overlap of 0.5")
-        cards.append(card(title, share_plot(against, title, "recall", "precision")))
-    if not cards:
-        return ""
-    items = "".join(
-        f'<li data-label="{escape(curve.label)}">{swatch(curve.style)}{escape(curve.label)}</li>' for curve in against
-    )
-    legend = f'<ul class="legend" aria-label="Legend">{items}</ul>'
-    return f'<section class="sequence"><h2>Curves</h2>{legend}<div class="pair">{"".join(cards)}</div></section>'
+        cards.append(Card(title, share_plot(against, title, "recall", "precision")))
+    legend = tuple((curve.label, curve.style) for curve in against)
+    return PlotGroup("Curves", legend, tuple(cards)) if cards else None
 
 
-def samples_section(runs: Sequence[ImageRun]) -> str:
-    """Pictures, clip by clip, the same picture of each method side by side."""
-    clips = list(dict.fromkeys(run.record.sequence for run in runs if run.samples))
-    if not clips:
-        return ""
-    parts = [f'<h2>Pictures</h2><p class="small">{LEGEND}</p>']
-    for clip in clips[:SHOWN_CLIPS]:
-        of_clip = [run for run in runs if run.record.sequence == clip]
-        names = dict.fromkeys(sample.name for run in of_clip for sample in run.samples)
-        figures = [
-            _figure(sample, f"{sample.method}<br><small>{escape(sample.name.removeprefix(clip + '/'))}</small>")
-            for name in names
-            for run in of_clip
-            for sample in run.samples
-            if sample.name == name
-        ]
-        parts.append(f'<h3>{escape(clip)}</h3><div class="frames">{"".join(figures)}</div>')
-    if len(clips) > SHOWN_CLIPS:
-        parts.append(f'<p class="small">Shown are {SHOWN_CLIPS} of {len(clips)} clips.</p>')
-    return "".join(parts)
-
-
-def _figure(sample: Sample, caption: str) -> str:
-    data = base64.b64encode(sample.jpeg).decode()
-    about = escape(f"{sample.name}, {sample.method}")
-    return (
-        f'<figure><img loading="lazy" alt="{about}" src="data:image/jpeg;base64,{data}">'
-        f"<figcaption>{caption}</figcaption></figure>"
-    )
+def sample_pictures(runs: Sequence[ImageRun]) -> list[tuple[str, list[Picture]]]:
+    """Sequences with their pictures, the same picture of each method side by side."""
+    shown: dict[str, dict[str, list[Picture]]] = {}
+    for run in runs:
+        sequence = run.record.sequence
+        for sample in run.samples:
+            about = f"{sample.name}, {sample.method}"
+            picture = Picture(sample.jpeg, sample.method, sample.name.removeprefix(f"{sequence}/"), about)
+            shown.setdefault(sequence, {}).setdefault(sample.name, []).append(picture)
+    return [(sequence, [one for same in of.values() for one in same]) for sequence, of in shown.items()]
 
 
 def images_csv(runs: Sequence[ImageRun]) -> str:
@@ -227,9 +182,4 @@ def images_csv(runs: Sequence[ImageRun]) -> str:
                         "footprint_m2": one.footprint_m2,
                     }
                 )
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({k: "" if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()})
-    return text.getvalue()
+    return csv_of(rows)

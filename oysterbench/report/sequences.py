@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,8 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds
 from oysterbench.evaluate.slam.scoring import SlamResult
-from oysterbench.report.plots import Curve, height_plot, map_plot, recall_plot, swatch, thin, time_plot
+from oysterbench.report.cards import Card, Picture
+from oysterbench.report.plots import Curve, height_plot, map_plot, recall_plot, thin, time_plot
 from oysterbench.results.records import ResultRecord
 
 TIME = "time since start [s]"
@@ -36,30 +35,40 @@ Scored = Sequence[tuple[str, SlamResult]]
 """Method and result of the runs that are drawn."""
 
 
-def sequence_section(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]) -> str:
+@dataclass(frozen=True)
+class SequencePlots:
+    """What is shown of a sequence; no plots where no run could be scored."""
+
+    name: str
+    facts: str
+    legend: tuple[tuple[str, int], ...] = ()
+    above: Card | None = None
+    beside: Card | None = None
+    height: Card | None = None
+    rows: tuple[tuple[Card, ...], ...] = ()
+    frames: tuple[Picture, ...] = ()
+
+
+def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]) -> SequencePlots:
     """Plots and frames of one sequence."""
     drawn = _drawn(runs)
     scored = [(run.record.method, run.result) for run in drawn if run.result is not None]
-    parts = [f"<h2>{escape(name)}</h2>"]
-    begin_ns = None
-    if scored:
-        truth = scored[0][1].whole_truth
-        begin_ns = int(truth.stamps_ns[0])
-        end_s = (int(truth.stamps_ns[-1]) - begin_ns) * 1e-9
-        several = " Of several runs the one of median score is drawn." if len(drawn) < len(runs) else ""
-        parts.append(
-            f'<p class="small">{truth.path_length:.1f} m of path in {end_s:.1f} s, from stamp '
-            f"{ns_to_seconds(begin_ns)} s. Estimates are shown where they answer, aligned by "
-            f"{escape(scored[0][1].settings.align)}.{several}</p>"
-        )
-        parts.append(_legend([("truth", 0), *((method, styles[method]) for method, _ in scored)]))
-        parts += [_maps(truth, scored, styles), _errors(truth, end_s, scored, styles), _last(truth, scored, styles)]
-    else:
-        parts.append('<p class="small">No run on this sequence could be scored.</p>')
     frames = next((run.frames for run in runs if run.frames), ())
-    if frames:
-        parts.append(f"<h3>Camera frames</h3><div class=frames>{''.join(_frame(*f, begin_ns) for f in frames)}</div>")
-    return f'<section class="sequence">{"".join(parts)}</section>'
+    if not scored:
+        pictures = tuple(_frame(*frame, None) for frame in frames)
+        return SequencePlots(name, "No run on this sequence could be scored.", frames=pictures)
+    truth = scored[0][1].whole_truth
+    begin_ns = int(truth.stamps_ns[0])
+    end_s = (int(truth.stamps_ns[-1]) - begin_ns) * 1e-9
+    several = " Of several runs the one of median score is drawn." if len(drawn) < len(runs) else ""
+    facts = (
+        f"{truth.path_length:.1f} m of path in {end_s:.1f} s, from stamp {ns_to_seconds(begin_ns)} s. Estimates are "
+        f"shown where they answer, aligned by {scored[0][1].settings.align}.{several}"
+    )
+    legend = (("truth", 0), *((method, styles[method]) for method, _ in scored))
+    rows = (_errors(truth, end_s, scored, styles), _last(truth, scored, styles))
+    pictures = tuple(_frame(*frame, begin_ns) for frame in frames)
+    return SequencePlots(name, facts, legend, *_maps(truth, scored, styles), tuple(filter(None, rows)), pictures)
 
 
 def _drawn(runs: Sequence[SlamRun]) -> list[SlamRun]:
@@ -80,25 +89,16 @@ def _score(record: ResultRecord) -> float:
     return -1.0 if math.isnan(value) else value
 
 
-def _legend(entries: Sequence[tuple[str, int]]) -> str:
-    items = "".join(f'<li data-label="{escape(label)}">{swatch(style)}{escape(label)}</li>' for label, style in entries)
-    return (
-        f'<ul class="legend" aria-label="Legend">{items}<li class="small">\N{WHITE CIRCLE} start, '
-        '\N{WHITE SQUARE} end of the truth</li></ul><p class="small zoomed" hidden>Click a plot, then scroll to zoom '
-        "(or pinch, or + and \N{MINUS SIGN}); drag to move; double-click to go back; click a name to hide it.</p>"
-    )
-
-
-def _maps(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> str:
+def _maps(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> tuple[Card, Card, Card]:
     """The trajectories from above, from the side that shows more of them, and their height over time."""
     extent = np.ptp(truth.positions, axis=0)
     side = 0 if extent[0] >= extent[1] else 1
     axes = ("east x [m]", "north y [m]", "height z [m]")
     shown = [("truth", truth, 0), *((method, result.estimate, styles[method]) for method, result in scored)]
 
-    def seen(title: str, i: int, j: int, least_height: float) -> str:
+    def seen(title: str, i: int, j: int, least_height: float) -> Card:
         curves = [_outline(*entry, i, j) for entry in shown]
-        return card(title, map_plot(curves, title, axes[i], axes[j], least_height))
+        return Card(title, map_plot(curves, title, axes[i], axes[j], least_height))
 
     begin_ns, end_s = int(truth.stamps_ns[0]), float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
     heights = []
@@ -106,14 +106,8 @@ def _maps(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> str:
         seconds = (trajectory.stamps_ns - begin_ns) * 1e-9
         heights.append(Curve(label, *_broken(trajectory.stamps_ns, seconds, trajectory.positions[:, 2]), style))
     title = "Height over time"
-    height = card(title, height_plot(heights, title, TIME, axes[2], (0.0, end_s)))
-    above, beside = seen("Seen from above", 0, 1, 400.0), seen("Seen from the side", side, 2, 110.0)
-    return f'<div class="pair">{above}<div class="stack">{beside}{height}</div></div>'
-
-
-def card(title: str, plot: str) -> str:
-    """A plot in its frame."""
-    return f'<div class="card"><h3>{escape(title)}</h3>{plot}</div>'
+    height = Card(title, height_plot(heights, title, TIME, axes[2], (0.0, end_s)))
+    return seen("Seen from above", 0, 1, 400.0), seen("Seen from the side", side, 2, 110.0), height
 
 
 def _outline(label: str, trajectory: Trajectory, style: int, i: int, j: int) -> Curve:
@@ -133,7 +127,7 @@ def _broken(stamps_ns: NDArray[np.int64], x: NDArray[Any], y: NDArray[Any]) -> t
     return np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
 
 
-def _errors(truth: Trajectory, end_s: float, scored: Scored, styles: Mapping[str, int]) -> str:
+def _errors(truth: Trajectory, end_s: float, scored: Scored, styles: Mapping[str, int]) -> tuple[Card, ...]:
     """Translation and rotation error over time."""
     cards = []
     for title, unit, key in (
@@ -146,17 +140,17 @@ def _errors(truth: Trajectory, end_s: float, scored: Scored, styles: Mapping[str
             curves.append(
                 thin(Curve(method, *_broken(result.stamps_ns, seconds, getattr(result, key)), styles[method]))
             )
-        cards.append(card(title, time_plot(curves, title, TIME, unit, (0.0, end_s))))
-    return f'<div class="pair">{"".join(cards)}</div>'
+        cards.append(Card(title, time_plot(curves, title, TIME, unit, (0.0, end_s))))
+    return tuple(cards)
 
 
-def _last(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> str:
+def _last(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> tuple[Card, ...]:
     """Position error along the path, and recall curves; neither exists where the truth stands still."""
     steps = np.linalg.norm(np.diff(truth.positions, axis=0), axis=1)
     way = np.r_[0.0, np.cumsum(steps)]
     seconds = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
     if not way[-1] > 0:
-        return ""
+        return ()
     along, curves = [], []
     for method, result in scored:
         x = np.interp((result.stamps_ns - truth.stamps_ns[0]) * 1e-9, seconds, way)
@@ -165,26 +159,20 @@ def _last(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> str:
             multiples = np.asarray(result.recall.error_m) / result.recall.scale_m
             curves.append(Curve(method, multiples, np.asarray(result.recall.share), styles[method]))
     title = "Position error along the path"
-    cards = [card(title, time_plot(along, title, WAY, "error [m]", (0.0, float(way[-1]))))]
+    cards = [Card(title, time_plot(along, title, WAY, "error [m]", (0.0, float(way[-1]))))]
     if curves:
         percent = scored[0][1].settings.recall_scale_percent
         scale = next(result.recall.scale_m for _, result in scored if result.recall is not None)
         unit = f"{percent:g} % of the path, {scale:.3g} m"
         title = "Recall: share of true poses within an error"
-        cards.append(
-            card(title, recall_plot(curves, title, f"error [{unit}]", "share")).replace(
-                "</svg></div>", '</svg><p class="small">The area under a curve is its score.</p></div>'
-            )
-        )
-    return f'<div class="pair">{"".join(cards)}</div>'
+        plot = recall_plot(curves, title, f"error [{unit}]", "share")
+        cards.append(Card(title, plot, "The area under a curve is its score."))
+    return tuple(cards)
 
 
-def _frame(stamp_ns: int, jpeg: bytes, begin_ns: int | None) -> str:
-    since = "" if begin_ns is None else f"{(stamp_ns - begin_ns) * 1e-9:.2f} s"
+def _frame(stamp_ns: int, jpeg: bytes, begin_ns: int | None) -> Picture:
     stamp = ns_to_seconds(stamp_ns)
-    caption = f"{since} <small>(stamp {stamp})</small>" if since else f"stamp {stamp}"
-    data = base64.b64encode(jpeg).decode()
-    return (
-        f'<figure><img loading="lazy" alt="Camera frame at {since or stamp}" src="data:image/jpeg;base64,{data}">'
-        f"<figcaption>{caption}</figcaption></figure>"
-    )
+    if begin_ns is None:
+        return Picture(jpeg, f"stamp {stamp}", "", f"Camera frame at {stamp}")
+    since = f"{(stamp_ns - begin_ns) * 1e-9:.2f} s"
+    return Picture(jpeg, since, f"(stamp {stamp})", f"Camera frame at {since}")

@@ -9,15 +9,16 @@ from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.evaluate.steering.dataset import Whole
 from oysterbench.exploration.labelled_views import LabelledViews
+from oysterbench.report.cards import Card
 from oysterbench.report.confusion import confusion_figure
 from oysterbench.report.drawing import Drawing
 from oysterbench.report.ladder import ladder_figure
 from oysterbench.report.rollout_paths import colours_of, dives_figure
-from oysterbench.report.steering import DiveRun, Figure, PictureRun
+from oysterbench.report.steering import DiveRun, PictureRun
 from oysterbench.report.steering_samples import samples_figure, samples_of
 from oysterbench.results.records import samples as values_of
 
-Figures = list[tuple[Path, Figure]]
+Figures = list[tuple[Path, Card]]
 """Each with the file of its PNG."""
 
 
@@ -62,9 +63,9 @@ def dive_figures(runs: Sequence[DiveRun], folder: Path) -> Figures:
     return made
 
 
-def _kept(path: Path, drawing: Drawing, title: str) -> tuple[Path, Figure]:
+def _kept(path: Path, drawing: Drawing, title: str) -> tuple[Path, Card]:
     write_atomically(path, drawing.png())
-    return path, Figure(title, drawing.svg())
+    return path, Card(title, drawing.svg())
 
 
 def _safe(name: str) -> str:

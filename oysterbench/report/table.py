@@ -135,7 +135,7 @@ class Column:
             return ABSENT
         if isinstance(value, str):
             return value
-        shown, sign = value * self.factor, "+" if self.signed else ""
+        shown, sign = value if self.factor == 1.0 else value * self.factor, "+" if self.signed else ""
         if self.cut and digits is not None:
             shown = math.floor(shown * 10**digits + 1e-9) / 10**digits
         text = f"{shown:{sign}}" if digits is None else f"{shown:{sign}.{digits}f}"

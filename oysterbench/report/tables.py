@@ -1,81 +1,28 @@
-"""Tables as data: results by sequence, standings, pairs and classes. `formats` writes them, in whatever form."""
+"""The tables of results: by sequence, standings, pairs, classes of conditions, runs. `renderers` writes them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
-from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import LEVEL, Interval
-from oysterbench.report.columns import (
-    ABSENT,
-    COLUMNS,
-    ERROR_OF_TRACK,
-    OF_TRACK,
-    STANDING_OF_TRACK,
-    Column,
-    find_column,
-)
-from oysterbench.results.comparison import Board, Cell, boards, remarks
+from oysterbench.report.columns import metric_column, metric_columns, name_columns
+from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow, Value, interval_column
+from oysterbench.results.comparison import Board, boards, remarks
+from oysterbench.results.comparison import Cell as SequenceCell
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
 
 COMPLETE = 0.95
 """Of the highest coverage on a sequence: what a run must answer to be called the best there."""
 
-MINUS = "\N{MINUS SIGN}"
 
-
-@dataclass(frozen=True)
-class Heading:
-    """Of a column: text and unit below it; the metric that defines it; numbers stand to the right.
-
-    A name is written as it is, everything else with a capital where that is usual.
-    """
-
-    text: str
-    unit: str = ""
-    key: str = ""
-    number: bool = True
-    name: bool = False
-
-
-@dataclass(frozen=True)
-class Line:
-    """Cells as shown; kind is "failed" or "mean"; which cells are the best of their sequence."""
-
-    cells: tuple[str, ...]
-    kind: str = ""
-    best: tuple[bool, ...] = ()
-
-
-@dataclass(frozen=True)
-class Table:
-    """Title, headings, lines, and sentences that stand below."""
-
-    title: str
-    headings: tuple[Heading, ...]
-    lines: tuple[Line, ...]
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Row:
-    """A line of the results: sequence (or the mean), method, texts by column, which of them are the best."""
-
-    name: str
-    method: str
-    cells: tuple[str, ...]
-    best: tuple[bool, ...] = (False,) * len(COLUMNS)
-    failed: bool = False
-    mean: bool = False
-
-
-def rows(records: Sequence[ResultRecord]) -> list[Row]:
-    """Methods by sequence, in the order of their first appearance, then the means where there are two sequences.
+def results_table(records: Sequence[ResultRecord]) -> Table:
+    """A row per method and sequence, in the order of their first appearance; means below where there are two sequences.
 
     Of several runs of a method on a sequence the medians are shown.
     """
@@ -83,28 +30,23 @@ def rows(records: Sequence[ResultRecord]) -> list[Row]:
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
     for record in sorted(records, key=lambda record: order.index(record.sequence)):
         groups.setdefault((record.sequence, *method_key(record), *comparable_key(record)), []).append(record)
-    columns = columns_of(records)
+    columns = metric_columns(TRACKS[records[0].track if records else "slam"].table)
     medians = [{column.key: median(group, column.key) for column in columns} for group in groups.values()]
-    means = aggregate(records) if len(order) > 1 else []
     best = _best([group[0].sequence for group in groups.values()], medians, columns)
-    values = [*medians, *(mean["metrics"] for mean in means)]
-    cells = list(zip(*(c.texts([of.get(c.key) for of in values]) for c in columns), strict=True))
-    found = []
-    for group, of, texts in zip(groups.values(), medians, cells, strict=False):
-        failures = sum(record.failure is not None for record in group)
+    rows = []
+    for group, of in zip(groups.values(), medians, strict=True):
+        sequence, failures = group[0].sequence, sum(record.failure is not None for record in group)
         several = f" ({len(group)} runs{f', {failures} failed' if failures else ''})" if len(group) > 1 else ""
-        marked = tuple(of[c.key] == best.get((group[0].sequence, c.key), math.nan) for c in columns)
-        found.append(Row(group[0].sequence, group[0].method + several, texts, marked, failed=failures == len(group)))
-    for mean, texts in zip(means, cells[len(medians) :], strict=True):
-        failed = f", {mean['failures']} failed" if mean["failures"] else ""
-        unmarked = (False,) * len(columns)
-        found.append(Row(f"mean of {mean['sequences']}{failed}", mean["method"], texts, unmarked, mean=True))
-    return found
-
-
-def columns_of(records: Sequence[ResultRecord]) -> tuple[Column, ...]:
-    """Of the track that the records are of."""
-    return OF_TRACK[records[0].track] if records else COLUMNS
+        name = f"{group[0].method}{several}"
+        lost = failures == len(group)
+        values = [Cell(of[c.key], kind="best" if of[c.key] == best.get((sequence, c.key)) else "") for c in columns]
+        method = Cell(name, kind="warn", mark="failed") if lost else name
+        rows.append(TableRow((sequence, method, *values), "failed" if lost else ""))
+    for mean in aggregate(records) if len(order) > 1 else ():
+        name = f"mean of {mean['sequences']}" + (f", {mean['failures']} failed" if mean["failures"] else "")
+        rows.append(TableRow((name, mean["method"], *(mean["metrics"].get(c.key) for c in columns)), "mean"))
+    notes = tuple(failures_and_notes(records))
+    return Table("Results", (*name_columns("sequence", "method"), *columns), tuple(rows), notes)
 
 
 def median(records: Sequence[ResultRecord], key: str) -> float:
@@ -121,26 +63,18 @@ def _best(
     Only runs that answer nearly as much as the most complete one compete: an error over the easy part is no record.
     The score counts what is not answered, and so they all compete for it.
     """
-
-    def coverage(of: dict[str, float]) -> float:
-        covered = of.get("coverage", math.nan)
-        return 1.0 if math.isnan(covered) else covered
-
+    coverages = [1.0 if math.isnan(covered := of.get("coverage", math.nan)) else covered for of in medians]
     most: dict[str, float] = {}
-    for sequence, of in zip(sequences, medians, strict=True):
-        most[sequence] = max(most.get(sequence, 0.0), coverage(of))
+    for sequence, coverage in zip(sequences, coverages, strict=True):
+        most[sequence] = max(most.get(sequence, 0.0), coverage)
     values: dict[tuple[str, str], list[float]] = {}
-    for sequence, of in zip(sequences, medians, strict=True):
+    for sequence, coverage, of in zip(sequences, coverages, medians, strict=True):
         for column in columns:
-            complete = column.key == "score" or coverage(of) >= COMPLETE * most[sequence]
-            if complete and not math.isnan(of[column.key]):
+            complete = column.key == "score" or coverage >= COMPLETE * most[sequence]
+            if complete and column.better and not math.isnan(of[column.key]):
                 values.setdefault((sequence, column.key), []).append(of[column.key])
-    best = {}
-    for (sequence, key), found in values.items():
-        metric = find_metric(key)
-        if metric is not None and metric.better and len(found) > 1 and min(found) < max(found):
-            best[sequence, key] = max(found) if metric.better == "higher" else min(found)
-    return best
+    choose = {column.key: max if column.better == "higher" else min for column in columns}
+    return {place: choose[place[1]](found) for place, found in values.items() if min(found) < max(found)}
 
 
 def failures_and_notes(records: Sequence[ResultRecord]) -> list[str]:
@@ -187,200 +121,160 @@ def results_tables(records: Sequence[ResultRecord]) -> list[Table]:
     return [replace(results_table(board.records), title=f"Results on {board.name}") for board in found]
 
 
-def results_table(records: Sequence[ResultRecord]) -> Table:
-    """A line per method and sequence, the means below."""
-    headings = (
-        Heading("sequence", number=False),
-        Heading("method", number=False),
-        *(Heading(column.heading, column.unit, column.key) for column in columns_of(records)),
-    )
-    lines = []
-    for row in rows(records):
-        kind = "mean" if row.mean else "failed" if row.failed else ""
-        lines.append(Line((row.name, row.method, *row.cells), kind, (False, False, *row.best)))
-    return Table("Results", headings, tuple(lines), tuple(failures_and_notes(records)))
-
-
-def interval_text(interval: Interval, column: Column) -> str:
-    """Both ends, or a dash."""
-    if not interval.known:
-        return ABSENT
-    low, high = (f"{value * column.factor:.{column.decimals}f}" for value in (interval.low, interval.high))
-    return f"{low} to {high}".replace("-", MINUS)
-
-
 def standings_table(board: Board) -> Table:
     """Methods by the ranking metric, with its interval and spread, and coverage beside the errors."""
-    metric = find_column(board.metric)
-    shown = [row.summaries.get(board.metric) for row in board.standings]
-    texts = {
-        column.key: column.texts([s.mean if (s := row.summaries.get(column.key)) else None for row in board.standings])
-        for column in (metric, *STANDING_OF_TRACK[board.track])
-    }
-    lines = []
-    for i, (row, summary) in enumerate(zip(board.standings, shown, strict=True)):
-        spread = ABSENT
-        if summary is not None and not summary.reason:
-            spread = f"{summary.low:.{metric.decimals}f} to {summary.high:.{metric.decimals}f}"
-        lines.append(
-            Line(
+    metric, beside = metric_column(board.metric), metric_columns(TRACKS[board.track].standing)
+    rows = []
+    for i, row in enumerate(board.standings):
+        found = row.summaries.get(board.metric)
+        spread = Interval(found.low, found.high) if found is not None and not found.reason else None
+        means = [summary.mean if (summary := row.summaries.get(column.key)) else None for column in beside]
+        rows.append(
+            TableRow(
                 (
                     _rank(board, i),
                     row.label,
-                    texts[metric.key][i],
-                    interval_text(summary.interval, metric) if summary is not None else ABSENT,
+                    found.mean if found is not None else None,
+                    found.interval if found is not None else None,
                     spread,
-                    *(texts[column.key][i] for column in STANDING_OF_TRACK[board.track]),
-                    f"{row.failures} of {row.runs}",
+                    *means,
+                    Cell(row.failures, f"{row.failures} of {row.runs}"),
                 )
             )
         )
-    headings = (
-        Heading("rank"),
-        Heading("method", number=False),
-        Heading(metric.heading, metric.unit, metric.key),
-        Heading(f"{LEVEL:.0%}", "interval"),
-        Heading("sequences", "from, to"),
-        *(Heading(column.heading, column.unit, column.key) for column in STANDING_OF_TRACK[board.track]),
-        Heading("failed", "runs"),
+    columns = (
+        Column("rank", "Rank", kind="number", short="rank"),
+        *name_columns("method"),
+        metric,
+        interval_column(metric),
+        interval_column(metric, "sequences", "Sequences", "from, to"),
+        *beside,
+        Column("failed", "Failed", "runs", "number", "failed"),
     )
-    return Table(f"Standings on {board.name}", headings, tuple(lines), tuple(_reading(board)))
+    return Table(f"Standings on {board.name}", columns, tuple(rows), tuple(_reading(board)))
 
 
-def _rank(board: Board, i: int) -> str:
-    """The rank, with the worst that it may be; a place in brackets where nothing can be told apart."""
+def _rank(board: Board, i: int) -> Cell:
+    """The rank, with the worst that it may be; a place in brackets where too few sequences tell ranks."""
     standing = board.standings[i].standing
     if standing.place is None:
-        return ABSENT
+        return Cell(None)
     if standing.rank is None or standing.worst is None:
-        return f"({standing.place})"
-    return f"{standing.rank}" if standing.rank == standing.worst else f"{standing.rank}\N{EN DASH}{standing.worst}"
+        return Cell(standing.place, f"({standing.place})")
+    worst = "" if standing.rank == standing.worst else f"\N{EN DASH}{standing.worst}"
+    return Cell(standing.rank, f"{standing.rank}{worst}")
 
 
 def _reading(board: Board) -> list[str]:
     n = len(board.sequences)
     count = f"{n} sequence{'' if n == 1 else 's'}"
     metric = find_metric(board.metric)
-    said = [
+    notes = [
         f"Means over {count}, each the mean of its runs; a failed run scores 0, and errors are those of the runs "
         "that have one: read them beside coverage and failures."
     ]
     if metric is not None and metric.weight:
-        said = [f"{metric.heading} is that of all pixels of {count} together; a failed run finds nothing."]
+        notes = [f"{metric.heading} is that of all pixels of {count} together; a failed run finds nothing."]
     if any(row.standing.rank is not None for row in board.standings):
-        said.append(
-            f"A rank is a range where methods cannot be told apart at {LEVEL:.0%}, by resampling the differences on "
-            "the same sequences; each pair by itself, with no correction for their number."
+        notes.append(
+            f"A rank is a range where methods are not significantly different at {LEVEL:.0%}, by resampling the "
+            "differences on the same sequences; each pair by itself, with no correction for their number."
         )
     elif len(board.standings) > 1:
-        said.append("Places in brackets are the order of these means: which method is better cannot be told.")
-    return said
+        notes.append("Places in brackets are the order of these means: there are too few sequences for ranks.")
+    return notes
 
 
 def pairs_table(board: Board) -> Table:
     """Is a better than b, where, and by how much."""
-    metric = find_column(board.metric)
-    lines = []
+    difference = difference_column(metric_column(board.metric))
+    rows = []
     for pair in board.pairs:
         found = pair.comparison
         where = f"{CONDITIONS[pair.condition].name}: {pair.value}" if pair.condition else "everywhere"
-        difference = ABSENT if math.isnan(found.difference) else f"{found.difference:+.{metric.decimals}f}"
-        lines.append(
-            Line(
-                (
-                    pair.a,
-                    pair.b,
-                    where,
-                    difference.replace("-", MINUS),
-                    interval_text(found.interval, metric),
-                    f"{found.wins} / {found.ties} / {found.losses}",
-                    found.verdict if found.interval.known else f"{_short(found.interval.reason)}: too few to tell",
-                ),
-                "" if pair.condition else "mean",
-            )
+        too_few = f"{found.interval.reason.partition(':')[0]}: too few to tell"
+        values: tuple[Value | Cell, ...] = (
+            pair.a,
+            pair.b,
+            where,
+            found.difference,
+            found.interval,
+            Cell(text=f"{found.wins} / {found.ties} / {found.losses}"),
+            found.verdict if found.interval.known else too_few,
         )
-    headings = (
-        Heading("method", number=False),
-        Heading("against", number=False),
-        Heading("where", number=False),
-        Heading(metric.heading, "difference", metric.key),
-        Heading(f"{LEVEL:.0%}", "interval"),
-        Heading("sequences", "won / tied / lost"),
-        Heading("verdict", number=False),
+        rows.append(TableRow(values, "" if pair.condition else "mean"))
+    columns = (
+        *name_columns("method", "against", "where"),
+        difference,
+        interval_column(difference),
+        Column("won_tied_lost", "Sequences", "won / tied / lost", "number", "sequences"),
+        *name_columns("verdict"),
     )
-    return Table(f"Pairs on {board.name}", headings, tuple(lines))
+    return Table(f"Pairs on {board.name}", columns, tuple(rows))
 
 
-def _short(reason: str) -> str:
-    return reason.partition(":")[0]
+def difference_column(of: Column) -> Column:
+    """Differences of another column's numbers."""
+    short = f"{of.short.partition(chr(10))[0]}\ndifference"
+    return replace(of, key="difference", heading=f"{of.heading} difference", short=short, signed=True, better="")
 
 
 def strata_table(board: Board) -> Table:
-    """A line per class of conditions, a column per method, where there are several classes."""
-    metric = find_column(board.metric)
+    """A row per class of conditions, a column per method, where there are several classes."""
+    metric = metric_column(board.metric)
     labels = [row.label for row in board.standings]
-    lines = []
+    rows = []
     for condition in STRATA:
         found = {(value, label): summary for value, label, summary in board.strata(condition)}
         for value in dict.fromkeys(value for value, _ in found):
             of_class = [found[value, label] for label in labels]
-            cells = [metric.texts([s.mean])[0] + _bracketed(s.interval, metric) for s in of_class]
-            count = str(len(board.classes(condition)[value]))
-            lines.append(Line((CONDITIONS[condition].name, value, count, *cells)))
-    headings = (
-        Heading("condition", number=False),
-        Heading("class", number=False),
-        Heading("sequences"),
-        *(Heading(label, f"{metric.heading} {metric.unit}".strip(), name=True) for label in labels),
+            estimates = [Estimate(summary.mean, summary.interval) for summary in of_class]
+            count = len(board.classes(condition)[value])
+            rows.append(TableRow((CONDITIONS[condition].name, value, count, *estimates)))
+    unit = f"{metric.heading} {metric.unit}".strip()
+    columns = (
+        *name_columns("condition", "class"),
+        Column("sequences", "Sequences", kind="number", short="sequences"),
+        *(replace(metric, key=label, heading=label, short="", unit=unit, kind="estimate") for label in labels),
     )
     note = f"In brackets the {LEVEL:.0%} interval, where there are enough sequences."
-    return Table(f"By conditions on {board.name}", headings, tuple(lines), (note,) if lines else ())
-
-
-def _bracketed(interval: Interval, column: Column) -> str:
-    return f" [{interval_text(interval, column)}]" if interval.known else ""
+    return Table(f"By conditions on {board.name}", columns, tuple(rows), (note,) if rows else ())
 
 
 def runs_table(board: Board) -> Table:
     """Median and spread over the runs of each method on each sequence, where some have several."""
-    metric, drift, coverage = (find_column(key) for key in (board.metric, ERROR_OF_TRACK[board.track], "coverage"))
-    cells = [cell for cell in board.cells() if cell.runs > 1]
-    errors = {(cell.label, cell.sequence): cell for cell in board.cells(drift.key)}
-    lines = []
-    for cell in cells:
-        error = errors[cell.label, cell.sequence]
-        lines.append(
-            Line(
-                (
-                    cell.sequence,
-                    cell.label,
-                    str(cell.runs),
-                    str(cell.failures),
-                    *_median_and_range(metric, cell),
-                    coverage.texts([cell.coverage])[0],
-                    *_median_and_range(drift, error),
-                ),
-                "failed" if cell.failures == cell.runs else "",
-            )
+    beside = TRACKS[board.track].beside
+    metric, error, coverage = (metric_column(key) for key in (board.metric, beside, "coverage"))
+    errors = {(cell.label, cell.sequence): cell for cell in board.cells(beside)}
+    rows = []
+    for cell in (cell for cell in board.cells() if cell.runs > 1):
+        of_error = errors[cell.label, cell.sequence]
+        values = (
+            *(cell.sequence, cell.label, cell.runs, cell.failures),
+            *(cell.median, _range(cell), cell.coverage, of_error.median, _range(of_error)),
         )
-    headings = (
-        Heading("sequence", number=False),
-        Heading("method", number=False),
-        Heading("runs"),
-        Heading("failed"),
-        Heading(metric.heading, "median", metric.key),
-        Heading("from, to"),
-        Heading(coverage.heading, f"median {coverage.unit}", coverage.key),
-        Heading(drift.heading, f"median {drift.unit}", drift.key),
-        Heading("from, to"),
+        rows.append(TableRow(values, "failed" if cell.failures == cell.runs else ""))
+    columns = (
+        *name_columns("sequence", "method"),
+        Column("runs", "Runs", kind="number", short="runs"),
+        Column("failed", "Failed", kind="number", short="failed"),
+        _median_column(metric),
+        interval_column(metric, f"{metric.key}_range", "from, to", ""),
+        _median_column(coverage),
+        _median_column(error),
+        interval_column(error, f"{error.key}_range", "from, to", ""),
     )
     note = "A failed run scores 0; errors are those of the runs that have one."
-    return Table(f"Runs on {board.name}", headings, tuple(lines), (note,) if lines else ())
+    return Table(f"Runs on {board.name}", columns, tuple(rows), (note,) if rows else ())
 
 
-def _median_and_range(column: Column, cell: Cell) -> tuple[str, str]:
-    middle, low, high = column.texts([cell.median, cell.low, cell.high])
-    return middle, middle if middle == ABSENT else f"{low} to {high}"
+def _median_column(of: Column) -> Column:
+    short = f"{of.short.partition(chr(10))[0]}\n{f'median {of.unit}'.strip()}"
+    return replace(of, heading=f"Median {of.heading}", short=short)
+
+
+def _range(cell: SequenceCell) -> Interval:
+    return Interval(cell.low, cell.high)
 
 
 def comparison_tables(records: Sequence[ResultRecord]) -> list[Table]:
@@ -390,8 +284,11 @@ def comparison_tables(records: Sequence[ResultRecord]) -> list[Table]:
     for board in found:
         if len(board.standings) > 1 or len(board.sequences) > 1:
             tables.append(standings_table(board))
-        tables += [table for make in (pairs_table, strata_table, runs_table) if (table := make(board)).lines]
+        tables += _with_rows(make(board) for make in (pairs_table, strata_table, runs_table))
     if tables and (said := remarks(found)):
-        first = tables[0]
-        tables[0] = Table(first.title, first.headings, first.lines, (*said, *first.notes))
+        tables[0] = replace(tables[0], notes=(*said, *tables[0].notes))
     return tables
+
+
+def _with_rows(tables: Iterable[Table]) -> list[Table]:
+    return [table for table in tables if table.rows]

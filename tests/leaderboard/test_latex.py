@@ -7,11 +7,9 @@ import subprocess
 
 import pytest
 
-from oysterbench.report import latex_table
-from oysterbench.report.formats import LATEX_NEEDS
+from oysterbench.report.renderers.latex import NEEDS, latex_escape, latex_text, needs
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import open_index
-from oysterbench_leaderboard.latex import escape, needs
 from oysterbench_leaderboard.site.export import _work
 from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.site import Site
@@ -54,7 +52,7 @@ def site(tmp_path_factory):
 def as_read(text: str) -> str:
     """What stands on paper for a text: mathematics as the reader shows it, and no line breaks."""
     for character in "\N{PLUS-MINUS SIGN}\N{MICRO SIGN}\N{MINUS SIGN}":
-        text = text.replace(character, escape(character))
+        text = text.replace(character, latex_escape(character))
     text = text.replace("\N{SUPERSCRIPT TWO}", "2").replace("\N{SUPERSCRIPT THREE}", "3")
     return " ".join(text.split())
 
@@ -90,11 +88,10 @@ def test_tables_of_the_terminal_are_whole_latex(site):
     tables = [board_table(site.index.page(info.id, Query(size=100))) for info in boards]
     tables += [history_table(site.index.method(name), {info.id: info for info in boards}) for name in NAMES]
     tables += literature_tables(site.literature)
-    written = "\n".join(map(latex_table, tables))
-    found = read("\n".join([*needs(written), written]))
-    assert [len(table.columns) for table in found] == [len(table.headings) for table in tables]
+    found = read(latex_text(tables))
+    assert [len(table.columns) for table in found] == [len(table.columns) for table in tables]
     assert [len(table.rows) for table in found] == [
-        1 + any(heading.unit for heading in table.headings) + len(table.lines) for table in tables
+        1 + any(column.unit for column in table.columns) + len(table.rows) for table in tables
     ]
 
 
@@ -129,15 +126,15 @@ def test_the_engines_of_tex_set_all_of_it(site, engine, tmp_path):
 
 @pytest.mark.parametrize("text", NAMES)
 def test_a_text_is_read_as_it_was_written(text):
-    assert shown(escape(text)) == as_read(text)
-    assert not escape(text).startswith(("[", "*"))
+    assert shown(latex_escape(text)) == as_read(text)
+    assert not latex_escape(text).startswith(("[", "*"))
 
 
 def test_what_pdflatex_does_not_know_is_said_at_the_head():
-    assert needs(escape("a \N{MINUS SIGN} b \N{EN DASH} m\N{SUPERSCRIPT TWO}")) == [LATEX_NEEDS]
-    assert needed("\n".join(needs(escape("\u00c1lvarez-Tu\u00f1\u00f3n")))) == {"booktabs", "graphicx", "fontenc"}
-    assert needed("\n".join(needs(escape("\u540d")))) == {"booktabs", "graphicx", "lualatex"}
-    assert needs("% of \u540d\nplain") == [LATEX_NEEDS]
+    assert needs(latex_escape("a \N{MINUS SIGN} b \N{EN DASH} m\N{SUPERSCRIPT TWO}")) == [NEEDS]
+    assert needed("\n".join(needs(latex_escape("\u00c1lvarez-Tu\u00f1\u00f3n")))) == {"booktabs", "graphicx", "fontenc"}
+    assert needed("\n".join(needs(latex_escape("\u540d")))) == {"booktabs", "graphicx", "lualatex"}
+    assert needs("% of \u540d\nplain") == [NEEDS]
 
 
 @pytest.mark.parametrize(

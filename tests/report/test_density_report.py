@@ -18,8 +18,8 @@ def test_paths_stand_beside_each_other_in_table_and_page():
     runs = [replace(run, figure="" if run.result is None else figure(run.result).svg(), result=None) for run in runs]
     records = [run.record for run in runs]
     table = results_table(records)
-    assert [line.cells[1] for line in table.lines] == [TRUE_POSES, "late"]
-    assert table.lines[1].kind == "failed"
+    assert [texts[1] for texts in table.texts] == [TRUE_POSES, "late"]
+    assert table.rows[1].kind == "failed"
     assert isinstance(comparison_tables(records), list)
     assert csv_text(records).count("\n") == 3
     page = html_report(runs, "oysterbench eval --track density")

@@ -327,10 +327,10 @@ def test_pilots_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
     assert found["lawnmower"].value == pytest.approx(0.5)
     assert found[PILOTS + ":Reader"].value == pytest.approx(0.0)
     assert found["lawnmower"].interval.low == pytest.approx(0.5)
-    assert len(places_table(found).lines) == 2
-    lines = {line.cells[0]: line.cells for line in pilots_table(runs).lines if line.cells[1].startswith("oysters")}
+    assert len(places_table(found).rows) == 2
+    lines = {texts[0]: texts for texts in pilots_table(runs).texts if texts[1].startswith("Oysters")}
     assert len(lines) == 6
-    assert lines["expert \N{MINUS SIGN} random"][2:] == ("+130.0", "130.0 to 130.0", "7 / 0 / 0", "better")
+    assert lines["expert \N{MINUS SIGN} random"][2:] == ("+130.0", "+130.0 to +130.0", "7 / 0 / 0", "better")
     assert lines["expert \N{MINUS SIGN} lawnmower"][2] == "+65.0"
     assert places([run for run in runs if run.record.method != "random"]) == {}
 

@@ -39,7 +39,7 @@ DENSITY: dict[str, Metric] = {
         "Share (0 to 1) of the cells that were truly seen to which the map gives a number.",
         "Coverage",
         better="higher",
-        column=Column("cover", "%", digits=2, factor=100.0),
+        column=Column("cover", "%", digits=1, small=0.0, factor=100.0),
     ),
     "count_error_percent": Metric(
         f"Counted less true oysters, live and dead, by the true ones: {_SHOWN}.",

@@ -198,7 +198,7 @@ SLAM: dict[str, Metric] = {
         "nearest association), or between two poses at most max_gap_s apart.",
         "Coverage",
         better="higher",
-        column=Column("cover", "%", digits=2, factor=100.0),
+        column=Column("cover", "%", digits=1, small=0.0, factor=100.0),
     ),
     "first_fix_s": Metric(
         "Time from the first truth stamp to the first answered one.", "First fix", unit="s", better="lower"
