@@ -43,7 +43,7 @@ def match_reinhard(picture: Picture, model: Picture) -> Picture:
     mean, spread = values.mean(axis=(0, 1)), np.maximum(values.std(axis=(0, 1)), LEAST_SPREAD)
     moved = (values - mean) / spread * aims.std(axis=(0, 1)) + aims.mean(axis=(0, 1))
     pixels = cv2.cvtColor(moved.astype(np.float32), cv2.COLOR_LAB2RGB)
-    return np.clip(np.round(pixels * 255), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(np.round(pixels * 255), 0, 255), dtype=np.uint8)
 
 
 def lab(picture: Picture) -> NDArray[np.float32]:

@@ -66,7 +66,7 @@ def gradient(picture: Picture) -> NDArray[np.float64]:
     """(H, W) magnitude of the gradient of L, smoothed."""
     light = cv2.GaussianBlur(lab(picture)[..., 0].astype(np.float64), (0, 0), BLUR)
     dy, dx = np.gradient(light)
-    return np.hypot(dx, dy)
+    return np.asarray(np.hypot(dx, dy))
 
 
 def best_shift(edges: NDArray[np.float64], mask: Mask) -> tuple[int, int]:

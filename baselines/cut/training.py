@@ -92,7 +92,7 @@ class Adversaries:
     def _descend(self, loss: torch.Tensor, *names: str) -> None:
         for name in names:
             self.optimisers[name].zero_grad(set_to_none=True)
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         for name in names:
             self.optimisers[name].step()
 

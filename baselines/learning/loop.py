@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import torch
 
@@ -19,6 +19,7 @@ KEEP_S = 30.0
 
 Progress = Callable[[int, int], None]
 """Called with the steps done and the steps wanted."""
+Network = TypeVar("Network", bound=torch.nn.Module)
 Loss = Callable[..., torch.Tensor]
 """Called with the network and the tensors of a batch; what is to become small."""
 
@@ -144,7 +145,7 @@ class Fitting:
         value = float(found.detach())
         if not math.isfinite(value):
             raise MethodError(f"the loss is {value} after {number} steps; a lower learning rate may help")
-        found.backward()
+        found.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
         self.optimiser.step()
         return [value]
@@ -182,6 +183,12 @@ def fit(
         return Fitting(make().to(device), batch, loss, settings, device)
 
     return run_training(begin, network, identity, settings.steps, path, progress)
+
+
+def channels_last(network: Network) -> Network:
+    """The same, its weights laid out as processors like them."""
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return network
 
 
 def weights_of(model: torch.nn.Module) -> dict[str, torch.Tensor]:

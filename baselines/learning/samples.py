@@ -95,7 +95,7 @@ def cores(instances: NDArray[np.uint16]) -> NDArray[np.bool_]:
     return found
 
 
-class LabelledDataset(Dataset):
+class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
     """Labelled images as a torch Dataset.
 
     An item is (pixels (3, h, w), truth (2, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 
 from oysterbench.annotations import LabelledSet
@@ -53,7 +54,7 @@ def run(
                 folder = out / "cells" / cell.folder
                 with locked(folder / LOCK, wait=False) as mine:
                     if mine:
-                        found = run_cell(bench, cell, folder, lambda at, _, begin=before: progress(begin + at, total))
+                        found = run_cell(bench, cell, folder, partial(_told, progress, before, total))
                         echo(f"{folder.name}: {_summary(found)}")
                 before += settings.fit_of(cell).steps
                 progress(before, total)
@@ -71,6 +72,10 @@ def run(
     )
     echo(f"written: {out / 'report.html'}")
     return rows
+
+
+def _told(progress: Callable[[int, int], None], before: int, total: int, done: int, _: int) -> None:
+    progress(before + done, total)
 
 
 def _trivial(bench: Bench, cells: Path) -> list[ResultRecord]:

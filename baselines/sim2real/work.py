@@ -63,7 +63,7 @@ class Bench:
     def identity(self, cell: Cell) -> dict[str, Any]:
         """What decides the weights of a cell, as plain values."""
         settings = self.settings
-        parts = {
+        parts: dict[str, Any] = {
             "network": settings.network,
             "augmentation": settings.augmentation,
             "fit": settings.fit_of(cell),
@@ -160,7 +160,7 @@ def run_cell(bench: Bench, cell: Cell, folder: Path, progress: Progress) -> list
     model = bench.train(cell, folder, progress)
     kept = dict(zip(_names(bench.truth), bench.predictions(model), strict=True))
     data = io.BytesIO()
-    np.savez_compressed(data, **kept)
+    np.savez_compressed(data, **kept)  # type: ignore[arg-type]
     write_atomically(folder / PREDICTIONS, data.getvalue())
     found = score(bench.truth, (read_prediction(kept[name], mask.classes.shape) for name, mask in _pairs(bench.truth)))
     records = records_of(found, cell.variant, bench, cell, bench.identity(cell))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -120,7 +120,8 @@ def read_examples(path: Path, settings: SteeringNetworkSettings) -> TrainingExam
     sequence = open_sequence(path)
     table = sequence.steering()
     task = task_of(path)
-    rows = {int(row.stamp_ns): row for row in table.itertuples()}
+    rows: dict[int, int] = {stamp: k for k, stamp in enumerate(table["stamp_ns"].to_numpy(np.int64).tolist())}
+    states = table[["heading_rad", "pitch_rad", "depth_m", "altitude_m"]].to_numpy(np.float64)
     pixels, senses, looked, kept = [], [], [], []
     memory = Memory(task)
     for image in sequence.images(next(iter(sequence.cameras))):
@@ -128,10 +129,10 @@ def read_examples(path: Path, settings: SteeringNetworkSettings) -> TrainingExam
         if row is None:
             continue
         pixels.append(small(image.pixels, settings))
-        state = VehicleState(row.heading_rad, row.pitch_rad, row.depth_m, row.altitude_m)
+        state = VehicleState(*states[row].tolist())
         senses.append(senses_of(state, task))
         looked.append(memory.look(state, image.stamp_ns * 1e-9))
-        kept.append(row.Index)
+        kept.append(row)
     if not kept:
         raise LabelError(f"{path}: expected pictures with labels of steering, got none")
     action_values = action_values_of(table, task, str(path))
@@ -178,7 +179,9 @@ def files_of(name: str) -> list[Path]:
 
 
 def read_all(
-    paths: Iterable[Path], settings: SteeringNetworkSettings, progress=lambda done, total: None
+    paths: Iterable[Path],
+    settings: SteeringNetworkSettings,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> TrainingExamples:
     """The labelled pictures of several files, in their order."""
     paths = list(paths)

@@ -48,7 +48,7 @@ class Memory:
         bearing = np.arctan2(away[..., 1], away[..., 0]) - looks[:, 2]
         aside = np.abs(np.remainder(bearing + np.pi, 2 * np.pi) - np.pi)
         seen = (aside <= HALF_VIEW) & (np.linalg.norm(away, axis=-1) <= looks[:, 3])
-        return seen.any(axis=1).reshape(SHAPE).astype(np.uint8)
+        return np.asarray(seen.any(axis=1).reshape(SHAPE), dtype=np.uint8)
 
 
 def _axes(heading: float) -> Array:

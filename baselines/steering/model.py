@@ -15,6 +15,7 @@ from oysterbench.core.errors import MethodError
 from oysterbench.methods.steering import VehicleState
 from oysterbench.recipe import SteeringRecipe
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.learning.loop import channels_last
 from oysterbench_baselines.learning.samples import standardised, statistics
 from oysterbench_baselines.steering.examples import Floats, TrainingExamples, check_classes, senses_of, small
 from oysterbench_baselines.steering.network import SteeringNetwork, SteeringNetworkSettings
@@ -43,7 +44,7 @@ class SteeringModel:
         settings = SteeringNetworkSettings(**{**known, "channels": tuple(known["channels"])})
         network = SteeringNetwork(settings, len(yaw), len(pitch))
         network.load_state_dict(checkpoint.weights)
-        return cls(network.channels_last().eval(), settings, yaw, pitch)
+        return cls(channels_last(network).eval(), settings, yaw, pitch)
 
     @classmethod
     def read(cls, path: Path) -> SteeringModel:
@@ -66,8 +67,10 @@ class SteeringModel:
     def predictions(self, examples: TrainingExamples) -> tuple[Floats, Floats]:
         """(N, Y) and (N, P) of the classes at the pictures of examples."""
         self.check(examples.task)
-        shown = (examples.pixels, examples.senses, examples.looked)
-        parts = [self._probabilities(*(part[chosen] for part in shown)) for chosen in _parts(len(examples))]
+        parts = [
+            self._probabilities(examples.pixels[chosen], examples.senses[chosen], examples.looked[chosen])
+            for chosen in _parts(len(examples))
+        ]
         yaw, pitch = (np.concatenate(part) for part in zip(*parts, strict=True))
         return yaw, pitch
 

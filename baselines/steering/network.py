@@ -76,11 +76,6 @@ class SteeringNetwork(nn.Module):
         self.yaw = nn.Linear(settings.hidden, yaw)
         self.pitch = nn.Linear(settings.hidden, pitch)
 
-    def channels_last(self) -> SteeringNetwork:
-        """The same, its weights laid out as processors like them."""
-        super().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        return self
-
     def forward(
         self, pixels: torch.Tensor, senses: torch.Tensor, looked: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:

@@ -16,7 +16,7 @@ from oysterbench.core.errors import LabelError
 from oysterbench.core.streams import Streams
 from oysterbench_baselines.learning.batches import initial_seed
 from oysterbench_baselines.learning.checkpoint import Checkpoint
-from oysterbench_baselines.learning.loop import FitSettings, Progress, fit
+from oysterbench_baselines.learning.loop import FitSettings, Progress, channels_last, fit
 from oysterbench_baselines.steering.augment import SteeringAugmentation, augmented
 from oysterbench_baselines.steering.examples import Floats, TrainingExamples
 from oysterbench_baselines.steering.model import described, is_symmetric
@@ -111,7 +111,7 @@ def train(
         network = SteeringNetwork(settings.network, len(task.yaw_deg), len(task.pitch_deg))
         if begun is not None:
             network.load_state_dict(begun.weights)
-        return network.channels_last()
+        return channels_last(network)
 
     def loss(model: torch.nn.Module, *batch: torch.Tensor) -> torch.Tensor:
         *shown, yaw_lost, pitch_lost = batch

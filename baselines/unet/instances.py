@@ -32,7 +32,7 @@ def find_instances(oyster: Floats, core: Floats, least_area: int = LEAST_AREA) -
     count, pieces = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
     seeds = mask & (core > 0.5)
     found, markers = cv2.connectedComponents(seeds.astype(np.uint8), connectivity=4)
-    labels = _flooded(mask, markers)
+    labels = _flooded(mask, np.asarray(markers, np.int32))
     # Pieces that no marker lies in come after the markers.
     marked = np.zeros(count, dtype=bool)
     marked[np.unique(pieces[seeds])] = True

@@ -14,6 +14,7 @@ from torch.nn import functional
 
 from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.learning.loop import channels_last
 from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics
 from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings
 
@@ -40,7 +41,7 @@ class UNetModel:
         network = UNetwork(settings)
         network.load_state_dict(checkpoint.weights)
         device = device or torch.device("cpu")
-        return cls(network.to(device=device, memory_format=torch.channels_last).eval(), settings, device)
+        return cls(channels_last(network.to(device)).eval(), settings, device)
 
     @classmethod
     def read(cls, path: Path, device: torch.device | None = None) -> UNetModel:

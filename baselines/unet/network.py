@@ -24,7 +24,7 @@ class UNetworkSettings:
     @property
     def multiple(self) -> int:
         """Of pixels, that width and height of what the network is given must be."""
-        return 2 ** (self.depth - 1)
+        return 1 << (self.depth - 1)
 
 
 class Block(nn.Sequential):

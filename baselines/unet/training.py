@@ -16,7 +16,7 @@ from oysterbench.core.streams import Streams
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_batch
 from oysterbench_baselines.learning.checkpoint import Checkpoint
-from oysterbench_baselines.learning.loop import FitSettings, Progress, fit
+from oysterbench_baselines.learning.loop import FitSettings, Progress, channels_last, fit
 from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.unet.model import described
@@ -42,7 +42,7 @@ def identity(settings: UNetSettings, data: Mapping[str, Any], seed: int, device:
 
 def new_network(settings: UNetworkSettings, begun: Checkpoint | None = None) -> UNetwork:
     """With weights drawn from torch's generator, or with those of a training that it goes on from."""
-    network: UNetwork = UNetwork(settings).to(memory_format=torch.channels_last)
+    network = channels_last(UNetwork(settings))
     if begun is not None:
         network.load_state_dict(begun.weights)
     return network

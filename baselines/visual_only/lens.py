@@ -52,4 +52,4 @@ class Lens:
             return rays
         radius = np.linalg.norm(rays, axis=1, keepdims=True)
         sine = np.minimum(factor * radius / np.hypot(radius, 1.0), 0.99)
-        return rays * (sine / np.sqrt(1 - sine**2)) / np.maximum(radius, 1e-12)
+        return np.asarray(rays * (sine / np.sqrt(1 - sine**2)) / np.maximum(radius, 1e-12))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,7 +30,7 @@ def follow(
     """
     if len(start) == 0:
         return np.empty((0, 2)), np.zeros(0, dtype=bool)
-    options = {
+    options: dict[str, Any] = {
         "winSize": (settings.flow_window_px, settings.flow_window_px),
         "maxLevel": settings.flow_levels,
         "criteria": (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01),
@@ -100,7 +101,7 @@ class Tracker:
 
         def cells(pixels: Array) -> NDArray[np.int64]:
             x, y = pixels.astype(int).T
-            return (y * rows // height) * columns + x * columns // width
+            return np.asarray((y * rows // height) * columns + x * columns // width)
 
         room = share - np.bincount(cells(tracks.pixels), minlength=columns * rows)
         chosen = np.zeros(len(corners), dtype=bool)

@@ -79,7 +79,7 @@ def point_from_views(poses: Array, rays: Array) -> Array | None:
         solution = np.linalg.svd((rows * weights[:, None, None]).reshape(-1, 4))[2][-1]
         if abs(solution[3]) < 1e-9:
             return None
-        point = solution[:3] / solution[3]
+        point: Array = solution[:3] / solution[3]
         depth = T_cam_map[:, 2, :3] @ point + T_cam_map[:, 2, 3]
         if (depth <= 0).any():
             return None

@@ -151,7 +151,7 @@ def _oysters(
 ) -> dict[str, Any]:
     from oysterbench.core.trajectory import read_trajectory
     from oysterbench.mapping import MapSettings, build_map, default_depth, read_seen, true_seen
-    from oysterbench.mapping.survey import check_time
+    from oysterbench.mapping.views import check_time
     from oysterbench.report.density_figure import numbers
     from oysterbench.report.density_files import summary, write_map
     from oysterbench.sequence import open_sequence

@@ -56,9 +56,10 @@ class Tracks:
         """Those that the picture may show."""
         if not self.tracks:
             return []
-        tree = cKDTree([patch.centre for patch in found])
-        distances, _ = tree.query([track.centre for track in self.tracks], distance_upper_bound=self.settings.reach_m)
-        return [track for track, d in zip(self.tracks, distances, strict=True) if np.isfinite(d)]
+        tree = cKDTree(np.array([patch.centre for patch in found]))
+        centres = np.array([track.centre for track in self.tracks])
+        near = np.isfinite(np.asarray(tree.query(centres, distance_upper_bound=self.settings.reach_m)[0]))
+        return [track for track, is_near in zip(self.tracks, near, strict=True) if is_near]
 
     def _assign(self, found: Sequence[Patch], known: Sequence[Track]) -> list[tuple[int, int]]:
         """Indices of those that are one."""

@@ -6,13 +6,13 @@ from collections.abc import Sequence as Several
 
 import numpy as np
 
-from oysterbench.core.errors import SequenceError, TrajectoryError
+from oysterbench.core.errors import SequenceError
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.cloud import PointCloud, thinned, without_outliers
 from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.echoes import UNSEEN, coloured, heard_points
 from oysterbench.mapping.pictures import seen_points
-from oysterbench.mapping.views import Path
+from oysterbench.mapping.views import PoseInterpolator, check_time
 from oysterbench.sequence.types import Sequence
 
 SOURCES = ("pictures", "echoes")
@@ -40,27 +40,17 @@ def build_cloud(
             raise SequenceError(
                 f"{sequence.name} has no camera {name!r}; its cameras: {', '.join(sequence.cameras) or 'none'}"
             )
-    path = Path(trajectory, settings.max_gap_s)
-    _check_time(sequence, trajectory)
+    poses = PoseInterpolator(trajectory, settings.max_gap_s)
+    check_time(sequence, trajectory)
     if source == "pictures":
         if not chosen:
             raise SequenceError(f"{sequence.name} has no camera to make a cloud from; its echoes make one, too: --from")
-        parts = (part for name in chosen for part in seen_points(sequence, name, path, settings))
+        parts = (part for name in chosen for part in seen_points(sequence, name, poses, settings))
         return without_outliers(thinned(parts, settings.voxel_m), settings)
     if source != "echoes":
         raise SequenceError(f"source of a cloud: expected one of {', '.join(SOURCES)}, got {source!r}")
     if not (sequence.dvl_calibration or sequence.altimeters or sequence.sonars):
         raise SequenceError(f"{sequence.name} has neither DVL, altimeter nor imaging sonar: there are no echoes")
-    heard = heard_points(sequence, path, settings)
+    heard = heard_points(sequence, poses, settings)
     cloud = thinned(((points, np.full(points.shape, UNSEEN, dtype=np.uint8)) for points in heard), settings.voxel_m)
-    return coloured(without_outliers(cloud, settings), sequence, chosen, path, settings)
-
-
-def _check_time(sequence: Sequence, trajectory: Trajectory) -> None:
-    first = next(sequence.imu()).stamp_ns
-    last = first + round(sequence.duration_s * 1e9)
-    if trajectory.stamps_ns[-1] < first or trajectory.stamps_ns[0] > last:
-        raise TrajectoryError(
-            f"expected a trajectory of {sequence.name}, from {first * 1e-9:.3f} to {last * 1e-9:.3f} s, got one from "
-            f"{trajectory.stamps_ns[0] * 1e-9:.3f} to {trajectory.stamps_ns[-1] * 1e-9:.3f} s"
-        )
+    return coloured(without_outliers(cloud, settings), sequence, chosen, poses, settings)

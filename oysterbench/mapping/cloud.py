@@ -92,5 +92,5 @@ def without_outliers(cloud: PointCloud, settings: CloudSettings) -> PointCloud:
     if len(cloud) <= settings.neighbours:
         return cloud
     distances, _ = cKDTree(cloud.points).query(cloud.points, k=settings.neighbours + 1)
-    mean = distances[:, 1:].mean(axis=1)
+    mean = np.asarray(distances)[:, 1:].mean(axis=1)
     return cloud.select(mean <= mean.mean() + settings.max_spread * mean.std())

@@ -81,7 +81,9 @@ class Cover:
         """(rows, columns) that count as seen: small gaps are closed."""
         times = max(1, round(CLOSED_M / self.raster.edge_m / 2))
         padded = np.pad(self.views > 0, times)
-        return np.asarray(binary_closing(padded, np.ones((3, 3)), iterations=times)[times:-times, times:-times])
+        return np.asarray(
+            binary_closing(padded, np.ones((3, 3), dtype=bool), iterations=times)[times:-times, times:-times]
+        )
 
     def holds(self, xy: Array) -> NDArray[np.bool_]:
         """(N,) of points (N, 2) m: whether they lie where it was seen."""
@@ -96,4 +98,4 @@ def covered_m2(cover: Cover, settings: MapSettings) -> Array:
     raster = cover.raster
     per_cell = round(settings.cell_m / raster.edge_m)
     seen = cover.closed().reshape(raster.rows // per_cell, per_cell, raster.columns // per_cell, per_cell)
-    return seen.sum(axis=(1, 3)) * raster.edge_m**2
+    return np.asarray(seen.sum(axis=(1, 3)) * raster.edge_m**2)

@@ -11,19 +11,20 @@ import numpy as np
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
-from oysterbench.mapping import CloudSettings
+from oysterbench.mapping.cloud_settings import CloudSettings
+from oysterbench.mapping.echoes import range_echoes
 from oysterbench.mapping.projection import Lens
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.sweep import DepthMap, sweep
-from oysterbench.mapping.views import Path, Pinhole, partner
+from oysterbench.mapping.views import Pinhole, PoseInterpolator, partner
 from oysterbench.sequence.types import Sequence
 
 DEPTHS = ("stereo", "motion", "plane", "layer")
-"""Where depths come from: a pair of cameras, one camera's own way, the bottom as a plane under DVL and altimeters, or
-the true depth of a rendered sequence."""
+"""Where depths come from: a pair of cameras, one camera's own motion, the bottom as a plane under DVL and altimeters,
+or the true depth of a rendered sequence."""
 
 SIGMA = {"stereo": 0.015, "motion": 0.02, "plane": 0.08, "layer": 0.001}
-"""1 sigma of each, as a share of the distance: a quarter of a pixel of a pair 12 cm apart; the same and the path's own
+"""1 sigma of each, as a share of the distance: a quarter of a pixel of a pair 12 cm apart; the same and the poses' own
 error; relief of a decimetre; millimetres in the file."""
 
 DepthOf = Callable[[int], Array | None]
@@ -32,7 +33,7 @@ nothing is known."""
 
 FILL_PX = (1.5, 6.0, 24.0)  # of a picture of 320 columns: over how far depths are carried to pixels that have none
 LEAST_KNOWN = 0.02  # of a picture, that must have a depth of its own for the others to be carried on
-SHARE = 0.16  # of the distance, between the first and the last of three pictures on the way
+SHARE = 0.16  # of the distance, between the first and the last of three pictures
 WINDOW_S = 2.0  # before and after a picture, in which the other two are looked for
 FIRST_DISTANCE_M = 1.2
 LEVEL_SLOPE = 0.15  # 1 sigma of the bottom's slope: echoes along a line say nothing of that across it
@@ -44,12 +45,14 @@ def default_depth(sequence: Sequence, camera: str) -> str:
     return "stereo" if partner(sequence, camera, CloudSettings()) is not None else "motion"
 
 
-def depth_source(kind: str, sequence: Sequence, camera: str, lens: Lens, path: Path, settings: MapSettings) -> DepthOf:
+def depth_source(
+    kind: str, sequence: Sequence, camera: str, lens: Lens, poses: PoseInterpolator, settings: MapSettings
+) -> DepthOf:
     """The depths of a camera's pictures. Raises SequenceError where the sequence has nothing to make them of."""
     makers: dict[str, Callable[[], DepthOf]] = {
-        "stereo": lambda: _Pictures(sequence, camera, lens, path, pair=True).at,
-        "motion": lambda: _Pictures(sequence, camera, lens, path, pair=False).at,
-        "plane": lambda: _Plane(sequence, camera, lens, path, settings).at,
+        "stereo": lambda: _Pictures(sequence, camera, lens, poses, pair=True).at,
+        "motion": lambda: _Pictures(sequence, camera, lens, poses, pair=False).at,
+        "plane": lambda: _Plane(sequence, camera, lens, poses, settings).at,
         "layer": lambda: _layer(sequence, camera),
     }
     if kind not in makers:
@@ -74,9 +77,9 @@ def _layer(sequence: Sequence, camera: str) -> DepthOf:
 class _Pictures:
     """Plane sweeps between pictures (`mapping.sweep`), carried on over what has no texture."""
 
-    def __init__(self, sequence: Sequence, camera: str, lens: Lens, path: Path, pair: bool) -> None:
+    def __init__(self, sequence: Sequence, camera: str, lens: Lens, poses: PoseInterpolator, pair: bool) -> None:
         self.settings = CloudSettings()
-        self.sequence, self.camera, self.path = sequence, camera, path
+        self.sequence, self.camera, self.poses = sequence, camera, poses
         self.other = partner(sequence, camera, self.settings) if pair else None
         if pair and self.other is None:
             raise SequenceError(
@@ -92,7 +95,7 @@ class _Pictures:
         self._maps: tuple[Any, Any] = pixels[..., 0].astype(np.float32), pixels[..., 1].astype(np.float32)
 
     def at(self, stamp_ns: int) -> Array | None:
-        found = self._pair(stamp_ns) if self.other is not None else self._way(stamp_ns)
+        found = self._pair(stamp_ns) if self.other is not None else self._motion(stamp_ns)
         if found is None or np.isfinite(found.depth).mean() < LEAST_KNOWN:
             return None
         self.distance_m = float(np.nanmedian(found.depth))
@@ -103,7 +106,7 @@ class _Pictures:
     def _pair(self, stamp_ns: int) -> DepthMap | None:
         assert self.other is not None
         assert self.second is not None
-        T = self.path.at(stamp_ns)
+        T = self.poses.at(stamp_ns)
         slack = round(self.settings.pair_tolerance_s * 1e9)
         own = next(iter(self.sequence.images(self.camera, stamp_ns, stamp_ns + 1)), None)
         other = next(iter(self.sequence.images(self.other, stamp_ns - slack, stamp_ns + slack + 1)), None)
@@ -111,13 +114,13 @@ class _Pictures:
             return None
         return sweep(self.pinhole.view(own, T), [self.second.view(other, T)], self.settings)
 
-    def _way(self, stamp_ns: int) -> DepthMap | None:
-        """From the picture and the two that were taken half of the wanted way before and after it."""
-        T = self.path.at(stamp_ns)
+    def _motion(self, stamp_ns: int) -> DepthMap | None:
+        """From the picture and the two that were taken half of the wanted distance before and after it."""
+        T = self.poses.at(stamp_ns)
         window = round(WINDOW_S * 1e9)
         views = []
         for image in self.sequence.images(self.camera, stamp_ns - window, stamp_ns + window + 1):
-            pose = self.path.at(image.stamp_ns)
+            pose = self.poses.at(image.stamp_ns)
             if pose is not None:
                 views.append((image, pose))
         own = next((image for image, _ in views if image.stamp_ns == stamp_ns), None)
@@ -162,17 +165,19 @@ def carried_on(depth_m: Array) -> Array:
 class _Plane:
     """The bottom under a picture as a plane through the echoes of DVL and altimeters around its time."""
 
-    def __init__(self, sequence: Sequence, camera: str, lens: Lens, path: Path, settings: MapSettings) -> None:
+    def __init__(
+        self, sequence: Sequence, camera: str, lens: Lens, poses: PoseInterpolator, settings: MapSettings
+    ) -> None:
         if sequence.dvl_calibration is None and not sequence.altimeters:
             raise SequenceError(
                 f"{sequence.name} has neither DVL nor altimeter: expected one of them for --depth plane; --depth "
                 "stereo and motion take pictures"
             )
-        self.lens, self.path, self.window_ns = lens, path, settings.plane_s * 1e9
+        self.lens, self.poses, self.window_ns = lens, poses, settings.plane_s * 1e9
         self.T_base_cam = sequence.cameras[camera].T_base_cam
         stamps, places = [], []
-        for stamp_ns, points, T_base_sensor in _echoes(sequence):
-            T = path.at(stamp_ns)
+        for stamp_ns, points, T_base_sensor in range_echoes(sequence):
+            T = poses.at(stamp_ns)
             if T is not None and len(points):
                 T = T @ T_base_sensor
                 stamps += [stamp_ns] * len(points)
@@ -181,7 +186,7 @@ class _Plane:
         self.places = np.concatenate([np.zeros((0, 3)), *places])
 
     def at(self, stamp_ns: int) -> Array | None:
-        T = self.path.at(stamp_ns)
+        T = self.poses.at(stamp_ns)
         near = self.places[np.abs(self.stamps - stamp_ns) <= self.window_ns]
         if T is None or len(near) < 3:
             return None
@@ -209,15 +214,3 @@ def fit_plane(points: Array) -> tuple[float, float, float]:
         weights = np.asarray(np.minimum(1.0, 1.345 / np.maximum(residuals, 1e-9)), dtype=np.float64)
     a, b, c = solution
     return float(a), float(b), float(c - a * middle[0] - b * middle[1])
-
-
-def _echoes(sequence: Sequence) -> Any:
-    """Stamps with points (N, 3) m in the sensor's frame, and its pose on the vehicle."""
-    if sequence.dvl_calibration is not None:
-        for beams in sequence.dvl():
-            hits = (beams.beam_directions * beams.beam_ranges[:, None])[beams.beam_valid]
-            yield beams.stamp_ns, hits, sequence.dvl_calibration.T_base_sensor
-    for name, altimeter in sequence.altimeters.items():
-        for echo in sequence.ranges(name):
-            if np.isfinite(echo.range):
-                yield echo.stamp_ns, np.array([[echo.range, 0.0, 0.0]]), altimeter.T_base_sensor

@@ -1,8 +1,9 @@
-"""A cloud from echoes along a path: ranges of a DVL's beams and of altimeters, and the fans of imaging sonars."""
+"""A cloud from echoes along a trajectory: ranges of a DVL's beams and of altimeters, and the fans of imaging sonars."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,33 +12,41 @@ from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import SonarImage
 from oysterbench.mapping.cloud import PointCloud
 from oysterbench.mapping.cloud_settings import CloudSettings
-from oysterbench.mapping.views import Path, Pinhole
+from oysterbench.mapping.views import Pinhole, PoseInterpolator
 from oysterbench.sequence.types import Sequence, SonarCalibration
 
 UNSEEN = 128  # grey level of what no camera saw
 
-
-def heard_points(sequence: Sequence, path: Path, settings: CloudSettings) -> Iterator[Array]:
-    """Points (N, 3) m in odom, of one sample after the other, where the path is known."""
-    for stamps_and_points, T_base_sensor in _sources(sequence, settings):
-        for stamp_ns, points in stamps_and_points:
-            T_odom_base = path.at(stamp_ns)
-            if T_odom_base is not None and len(points):
-                T = T_odom_base @ T_base_sensor
-                yield points @ T[:3, :3].T + T[:3, 3]
+Echo = tuple[int, Array, Array]
+"""Stamp, ns, points (N, 3) m in the sensor's frame, and its pose on the vehicle, T_base_sensor (4, 4)."""
 
 
-def _sources(sequence: Sequence, settings: CloudSettings) -> Iterator[tuple[Iterator[tuple[int, Array]], Array]]:
-    """What each sensor hears: stamps with points (N, 3) in its frame, and its pose on the vehicle."""
+def heard_points(sequence: Sequence, poses: PoseInterpolator, settings: CloudSettings) -> Iterator[Array]:
+    """Points (N, 3) m in odom, of one sample after the other, where the pose is known."""
+    for stamp_ns, points, T_base_sensor in chain(range_echoes(sequence), _pings(sequence, settings)):
+        T_odom_base = poses.at(stamp_ns)
+        if T_odom_base is not None and len(points):
+            T = T_odom_base @ T_base_sensor
+            yield points @ T[:3, :3].T + T[:3, 3]
+
+
+def range_echoes(sequence: Sequence) -> Iterator[Echo]:
+    """What the beams of a DVL and altimeters hear, sensor by sensor."""
     if sequence.dvl_calibration is not None:
-        beams = ((s.stamp_ns, (s.beam_directions * s.beam_ranges[:, None])[s.beam_valid]) for s in sequence.dvl())
-        yield beams, sequence.dvl_calibration.T_base_sensor
+        for beams in sequence.dvl():
+            hits = (beams.beam_directions * beams.beam_ranges[:, None])[beams.beam_valid]
+            yield beams.stamp_ns, hits, sequence.dvl_calibration.T_base_sensor
     for name, altimeter in sequence.altimeters.items():
-        ranges = ((s.stamp_ns, np.array([[s.range, 0.0, 0.0]])) for s in sequence.ranges(name) if np.isfinite(s.range))
-        yield ranges, altimeter.T_base_sensor
+        for echo in sequence.ranges(name):
+            if np.isfinite(echo.range):
+                yield echo.stamp_ns, np.array([[echo.range, 0.0, 0.0]]), altimeter.T_base_sensor
+
+
+def _pings(sequence: Sequence, settings: CloudSettings) -> Iterator[Echo]:
     for name, sonar in sequence.sonars.items():
         points_of = _fan(sonar, settings)
-        yield ((ping.stamp_ns, points_of(ping)) for ping in sequence.sonar(name)), sonar.T_base_sensor
+        for ping in sequence.sonar(name):
+            yield ping.stamp_ns, points_of(ping), sonar.T_base_sensor
 
 
 def _fan(sonar: SonarCalibration, settings: CloudSettings) -> Callable[[SonarImage], Array]:
@@ -61,13 +70,13 @@ def _fan(sonar: SonarCalibration, settings: CloudSettings) -> Callable[[SonarIma
         strongest = heard.max(axis=0)
         first = np.argmax(heard >= settings.echo_share * strongest, axis=0)
         clear = strongest > settings.min_echo * np.maximum(np.median(heard, axis=0), 1.0)
-        return directions[clear] * sonar.ranges_m[first[clear], None]
+        return np.asarray(directions[clear] * sonar.ranges_m[first[clear], None])
 
     return points
 
 
 def coloured(
-    cloud: PointCloud, sequence: Sequence, cameras: list[str], path: Path, settings: CloudSettings
+    cloud: PointCloud, sequence: Sequence, cameras: list[str], poses: PoseInterpolator, settings: CloudSettings
 ) -> PointCloud:
     """The points with the colours of the frame that sees each from the least distance; grey where none does.
 
@@ -79,7 +88,7 @@ def coloured(
         pinhole = Pinhole(camera, sequence.cameras[camera], settings.width_px)
         last_ns = -(2**62)
         for image in sequence.images(camera):
-            T_odom_base = path.at(image.stamp_ns)
+            T_odom_base = poses.at(image.stamp_ns)
             if T_odom_base is None or image.stamp_ns - last_ns < settings.colour_every_s * 1e9:
                 continue
             last_ns = image.stamp_ns

@@ -72,7 +72,7 @@ class Grid:
     @property
     def sure(self) -> NDArray[np.bool_]:
         """Which cells' intervals lie within one class."""
-        return self.known & (restoration_class(self.low) == restoration_class(self.high))
+        return np.asarray(self.known & (restoration_class(self.low) == restoration_class(self.high)))
 
     def shares(self) -> dict[str, float]:
         """Of the area with a number, by class; NaN where there is none."""

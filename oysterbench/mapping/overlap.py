@@ -38,7 +38,7 @@ def own_overlaps(tracks: Sequence[Track], settings: MapSettings) -> dict[tuple[i
     sigma = _sigma([track.patches[0] for track in tracks], settings)
     distances, nearest = cKDTree(points).query(points, k=3 * NEIGHBOURS, distance_upper_bound=3.0 * sigma)
     closeness = np.exp(-0.5 * (distances / sigma) ** 2)
-    found = nearest < len(points)
+    found = np.asarray(nearest < len(points))
     owner = np.where(found, owners[np.minimum(nearest, len(points) - 1)], -1)
     sums: Counter[tuple[int, int]] = Counter()
     for k in range(1, owner.shape[1]):
@@ -63,7 +63,7 @@ def _laid(a: Array, of_a: Numbers, b: Array, of_b: Numbers, shape: tuple[int, in
     distances, nearest = cKDTree(b).query(a, k=NEIGHBOURS, distance_upper_bound=3.0 * sigma_m)
     closeness = np.exp(-0.5 * (distances / sigma_m) ** 2)  # 0 of what is too far
     best = np.zeros(shape)
-    found = nearest < len(b)
+    found = np.asarray(nearest < len(b))
     owner = np.where(found, of_b[np.minimum(nearest, len(b) - 1)], -1)
     for k in range(NEIGHBOURS):
         # They come nearest first: of several points of one b, the first counts.

@@ -1,4 +1,5 @@
-"""A cloud from the pictures of a camera along a path: from pairs where the rig has them, else from its own motion."""
+"""A cloud from the pictures of a camera along a trajectory: from pairs where the rig has them, else from its own
+motion."""
 
 from __future__ import annotations
 
@@ -10,21 +11,21 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.sweep import DepthMap, agreeing, sweep
-from oysterbench.mapping.views import Path, Pinhole, View, frames, partner
+from oysterbench.mapping.views import Pinhole, PoseInterpolator, View, frames, partner
 from oysterbench.sequence.types import Sequence
 
 FIRST_DISTANCE_M = 1.0  # of the scene, as long as nothing is known of it
 
 
 def seen_points(
-    sequence: Sequence, camera: str, path: Path, settings: CloudSettings
+    sequence: Sequence, camera: str, poses: PoseInterpolator, settings: CloudSettings
 ) -> Iterator[tuple[Array, NDArray[np.uint8]]]:
     """Points (N, 3) m in odom and their colours (N, 3) uint8, of one view after the other.
 
     Each point is there that the view before or the view after has at the same place.
     """
     latest: list[DepthMap] = []
-    for depths in depth_maps(sequence, camera, path, settings):
+    for depths in depth_maps(sequence, camera, poses, settings):
         latest = [*latest[-2:], depths]
         if len(latest) > 1:
             middle = latest[-2]
@@ -33,8 +34,8 @@ def seen_points(
         yield agreeing(latest[-1], latest[-2:-1], settings.agreement).points()
 
 
-def depth_maps(sequence: Sequence, camera: str, path: Path, settings: CloudSettings) -> Iterator[DepthMap]:
-    """Depths of views along a path."""
+def depth_maps(sequence: Sequence, camera: str, poses: PoseInterpolator, settings: CloudSettings) -> Iterator[DepthMap]:
+    """Depths of views along a trajectory."""
     other = partner(sequence, camera, settings)
     pinhole = Pinhole(camera, sequence.cameras[camera], settings.width_px)
     second = None if other is None else Pinhole(other, sequence.cameras[other], settings.width_px)
@@ -42,7 +43,7 @@ def depth_maps(sequence: Sequence, camera: str, path: Path, settings: CloudSetti
     views: list[View] = []
     moved = 0
     for image, partner_image in frames(sequence, camera, other, settings):
-        T_odom_base = path.at(image.stamp_ns)
+        T_odom_base = poses.at(image.stamp_ns)
         if T_odom_base is None:
             views.clear()  # what lies before a gap has moved by nobody knows how much
             continue

@@ -11,13 +11,14 @@ import numpy as np
 from oysterbench.core.errors import LabelError, SequenceError, TrajectoryError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.mapping.association import Track, Tracks
+from oysterbench.mapping.association import Tracks
 from oysterbench.mapping.cover import Cover, raster_around
 from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, make_grid, total
 from oysterbench.mapping.projection import Lens, Seen, patches, usable
 from oysterbench.mapping.settings import MapSettings
-from oysterbench.mapping.views import Path
+from oysterbench.mapping.track import Track
+from oysterbench.mapping.views import PoseInterpolator, check_time
 from oysterbench.sequence.types import Sequence
 
 CUT_WEIGHT = 0.5  # of oysters that the edge of what was seen cuts, half have their middle inside
@@ -80,10 +81,10 @@ def build_map(
     if camera not in sequence.cameras:
         raise SequenceError(f"{sequence.name} has no camera {camera!r}; its cameras: {', '.join(sequence.cameras)}")
     lens = Lens(camera, sequence.cameras[camera])
-    way = Path(trajectory, settings.max_gap_s)
+    poses = PoseInterpolator(trajectory, settings.max_gap_s)
     check_time(sequence, trajectory)
     source = sequence if depth == "layer" else sequence.for_method()
-    depth_of = depth_source(depth, source, camera, lens, way, settings)
+    depth_of = depth_source(depth, source, camera, lens, poses, settings)
     T_base_cam = sequence.cameras[camera].T_base_cam
     cover = empty_cover(trajectory, settings)
     tracks = Tracks(settings)
@@ -103,7 +104,7 @@ def build_map(
                 f"pictures of {sequence.name}, got {picture.numbers.shape[1]} x {picture.numbers.shape[0]}"
             )
         any_oyster |= bool(picture.numbers.any())
-        T = way.at(picture.stamp_ns)
+        T = poses.at(picture.stamp_ns)
         if T is None:
             counts["without_pose"] += 1
             continue
@@ -156,20 +157,6 @@ def _pose_sigma(trajectory: Trajectory, stamp_ns: int, settings: MapSettings) ->
         return settings.pose_sigma_m
     k = int(np.abs(trajectory.stamps_ns - stamp_ns).argmin())
     return max(settings.pose_sigma_m, float(np.sqrt(np.trace(trajectory.covariances[k][:3, :3]) / 3.0)))
-
-
-def check_time(sequence: Sequence, trajectory: Trajectory) -> None:
-    """Refuse a trajectory of another time than the sequence's. Raises TrajectoryError."""
-    first = next(iter(sequence.imu())).stamp_ns
-    last = first + round(sequence.duration_s * 1e9)
-    if len(trajectory) == 0 or trajectory.stamps_ns[-1] < first or trajectory.stamps_ns[0] > last:
-        got = "none" if len(trajectory) == 0 else (
-            f"one from {trajectory.stamps_ns[0] * 1e-9:.3f} to {trajectory.stamps_ns[-1] * 1e-9:.3f} s"
-        )  # fmt: skip
-        raise TrajectoryError(
-            f"expected a trajectory of {sequence.name}, from {first * 1e-9:.3f} to {last * 1e-9:.3f} s, got {got}: "
-            "they do not overlap in time"
-        )
 
 
 def _check(sequence: Sequence, camera: str, depth: str, counts: dict[str, int], used: int, any_oyster: bool) -> None:

@@ -71,7 +71,7 @@ def sweep(view: View, sources: Sequence[View], settings: CloudSettings) -> Depth
 
 def _deviation(grey: Picture, mean: Any, window: tuple[int, int], floor: float) -> Picture:
     """(H, W) standard deviation of the patch about each pixel, noise of variance `floor` included."""
-    return np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0.0) + floor)
+    return np.asarray(np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0.0) + floor))
 
 
 def _peaks(scores: Picture, inverse_depths: Array, settings: CloudSettings) -> Array:
@@ -115,4 +115,4 @@ def agreeing(depths: DepthMap, others: Sequence[DepthMap], share: float) -> Dept
 def _rays(view: View, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
     """(N, 3), z = 1, in the optical frame."""
     pixels = np.column_stack([columns, rows, np.ones(len(rows))])
-    return pixels @ np.linalg.inv(view.matrix).T
+    return np.asarray(pixels @ np.linalg.inv(view.matrix).T)

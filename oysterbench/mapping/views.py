@@ -1,4 +1,4 @@
-"""Views: pictures of a pinhole, reduced and undistorted, with the poses of their camera along a path."""
+"""Views: pictures of a pinhole, reduced and undistorted, with the poses of their camera along a trajectory."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.errors import SequenceError
+from oysterbench.core.errors import SequenceError, TrajectoryError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
@@ -61,21 +61,35 @@ class Pinhole:
         return View(image.stamp_ns, pixels, self.matrix, T_odom_base @ self.T_base_cam)
 
 
-class Path:
+class PoseInterpolator:
     """Poses of base_link (4, 4) at any stamp that a trajectory answers."""
 
     def __init__(self, trajectory: Trajectory, max_gap_s: float) -> None:
         self.trajectory, self._max_gap_ns = trajectory, max_gap_s * 1e9
 
     def at(self, stamp_ns: int) -> Array | None:
-        """T_odom_base, interpolated; None outside the path and in its gaps."""
+        """T_odom_base, interpolated; None outside the trajectory and in its gaps."""
         stamps = self.trajectory.stamps_ns
         after = int(np.searchsorted(stamps, stamp_ns))
         if after < len(stamps) and stamps[after] == stamp_ns:
-            return self.trajectory.select(slice(after, after + 1)).matrices[0]
+            return np.asarray(self.trajectory.select(slice(after, after + 1)).matrices[0])
         if after in (0, len(stamps)) or stamps[after] - stamps[after - 1] > self._max_gap_ns:
             return None
-        return self.trajectory.select(slice(after - 1, after + 1)).at(np.array([stamp_ns])).matrices[0]
+        return np.asarray(self.trajectory.select(slice(after - 1, after + 1)).at(np.array([stamp_ns])).matrices[0])
+
+
+def check_time(sequence: Sequence, trajectory: Trajectory) -> None:
+    """Refuse a trajectory of another time than the sequence's. Raises TrajectoryError."""
+    first = next(iter(sequence.imu())).stamp_ns
+    last = first + round(sequence.duration_s * 1e9)
+    if len(trajectory) == 0 or trajectory.stamps_ns[-1] < first or trajectory.stamps_ns[0] > last:
+        got = "none" if len(trajectory) == 0 else (
+            f"one from {trajectory.stamps_ns[0] * 1e-9:.3f} to {trajectory.stamps_ns[-1] * 1e-9:.3f} s"
+        )  # fmt: skip
+        raise TrajectoryError(
+            f"expected a trajectory of {sequence.name}, from {first * 1e-9:.3f} to {last * 1e-9:.3f} s, got {got}: "
+            "they do not overlap in time"
+        )
 
 
 def partner(sequence: Sequence, camera: str, settings: CloudSettings) -> str | None:

@@ -24,7 +24,7 @@ from oysterbench.mapping.grid import Grid, Oyster, make_grid
 from oysterbench.mapping.predicted import true_states
 from oysterbench.mapping.projection import Lens, usable
 from oysterbench.mapping.survey import empty_cover
-from oysterbench.mapping.views import Path as Way
+from oysterbench.mapping.views import PoseInterpolator
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
 from oysterbench.results.records import ResultRecord
@@ -75,7 +75,7 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
     An oyster is shown where some picture has `least_px` of it within the greatest distance.
     """
     truth = sequence.truth()
-    way, lens = Way(truth, settings.max_gap_s), Lens(camera, sequence.cameras[camera])
+    way, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, sequence.cameras[camera])
     cover = empty_cover(truth, settings)
     most: Counter[int] = Counter()
     for depth, picture in zip(sequence.layer(camera, "depth"), true_seen(sequence, camera), strict=True):

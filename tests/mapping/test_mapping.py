@@ -20,8 +20,7 @@ from oysterbench.mapping import CloudSettings, build_cloud
 from oysterbench.mapping.cloud import PointCloud, thinned, without_outliers
 from oysterbench.mapping.echoes import heard_points
 from oysterbench.mapping.pictures import seen_points
-from oysterbench.mapping.views import Path as PosePath
-from oysterbench.mapping.views import partner
+from oysterbench.mapping.views import PoseInterpolator, partner
 from oysterbench.sequence import Sequence
 from oysterbench.sequence.types import CameraCalibration
 from tests.helpers.hand_made_dive import BOTTOM_Z, OPTICAL, turn
@@ -148,18 +147,19 @@ def test_where_the_path_has_a_gap_there_are_no_views():
     reef = Reef(STEREO)
     truth = reef.truth()
     seconds = (truth.stamps_ns - truth.stamps_ns[0]) * 1e-9
-    path = PosePath(truth.select((seconds < 1.0) | (seconds > 3.0)), 0.3)
+    path = PoseInterpolator(truth.select((seconds < 1.0) | (seconds > 3.0)), 0.3)
     assert path.at(int(truth.stamps_ns[0]) + 2 * 10**9) is None
     assert path.at(int(truth.stamps_ns[-1]) + 1) is None
     whole, parted = (
-        thinned(seen_points(reef, "cam_left", each, CloudSettings()), 0.01) for each in (PosePath(truth, 0.3), path)
+        thinned(seen_points(reef, "cam_left", each, CloudSettings()), 0.01)
+        for each in (PoseInterpolator(truth, 0.3), path)
     )
     assert 0.2 < len(parted) / len(whole) < 0.8
 
 
 def test_a_pose_between_two_is_interpolated():
     truth = Reef(MONO).truth()
-    halfway = PosePath(truth, 0.3).at(int(truth.stamps_ns[3] + truth.stamps_ns[4]) // 2)
+    halfway = PoseInterpolator(truth, 0.3).at(int(truth.stamps_ns[3] + truth.stamps_ns[4]) // 2)
     np.testing.assert_allclose(halfway[:3, 3], truth.positions[3:5].mean(axis=0), atol=1e-6)
 
 
@@ -175,7 +175,7 @@ def test_cameras_that_look_elsewhere_make_no_pair():
 def test_beams_and_altimeters_hit_the_bottom(dive_file):
     dive = oysterbench.open(dive_file)
     dive.sonars = {}  # its pictures are noise
-    heard = list(heard_points(dive, PosePath(dive.truth(), 0.3), CloudSettings()))
+    heard = list(heard_points(dive, PoseInterpolator(dive.truth(), 0.3), CloudSettings()))
     points = np.concatenate(heard)
     assert len(points) == 3 * 16 + 12 + 9  # three beams of sixteen samples, the fourth of twelve, and the altimeter
     beams, altimeter = points[:-9], points[-9:]
