@@ -5,13 +5,12 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter
-from html import escape
-from importlib import resources
-from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.core.html import render
 from oysterbench.core.page import page
 from oysterbench.report.viewer.strips import path_plot, strips
 from oysterbench.sensors.panels import Panel
@@ -29,47 +28,23 @@ def view_page(sequence: Sequence) -> str:
     start, end = _span(sequence)
     panels = pictures(sequence)
     times = moments(start, end, panels)
-    shown: list[dict[str, Any]] = []
-    for panel in panels:
-        frames = [base64.b64encode(data).decode() for data in panel.frames(times)]
-        shown.append({"frames": frames})
-    seconds = (times - start) * 1e-9
-    figures = "".join(
-        f'<figure><img class="panel" alt="{escape(panel.title)}" width="{panel.width}" height="{panel.height}" '
-        f'src="data:image/jpeg;base64,{entry["frames"][0]}"><figcaption>{escape(panel.title)}</figcaption></figure>'
-        for panel, entry in zip(panels, shown, strict=True)
-    )
-    plots, path = strips(sequence, start, end), path_plot(sequence, times)
-    if path is not None:
-        figures += f'<figure class="path">{path.svg}<figcaption>{escape(path.title)}</figcaption></figure>'
+    shown = [[base64.b64encode(data).decode() for data in panel.frames(times)] for panel in panels]
+    path = path_plot(sequence, times)
     data = {
-        "seconds": [round(float(second), 3) for second in seconds],
-        "panels": shown,
+        "seconds": [round(float(second), 3) for second in (times - start) * 1e-9],
+        "panels": [{"frames": frames} for frames in shown],
         "path": [] if path is None else path.poses,
     }
-    body = _BODY.format(
-        name=escape(sequence.name),
-        facts=escape(_facts(sequence, (end - start) * 1e-9)),
-        last=len(times) - 1,
-        figures=figures,
-        strips="".join(plots),
-        data=json.dumps(data).replace("<", "\\u003c"),
-        style=_asset("view.css"),
-        script=_asset("view.js"),
-    )
-    return page(f"{sequence.name}: sequence", body)
-
-
-_BODY = """<style>{style}</style>
-<h1>{name}</h1>
-<p class="lead">{facts}</p>
-<div class="player"><button id="play" type="button">Play</button>
-<input id="time" type="range" min="0" max="{last}" value="0" aria-label="Time">
-<output id="clock" for="time"></output></div>
-<div class="panels">{figures}</div>
-<div class="strips">{strips}</div>
-<script id="data" type="application/json">{data}</script>
-<script>{script}</script>"""
+    context = {
+        "name": sequence.name,
+        "facts": _facts(sequence, (end - start) * 1e-9),
+        "last": len(times) - 1,
+        "panels": list(zip(panels, shown, strict=True)),
+        "path": path,
+        "plots": strips(sequence, start, end),
+        "data": Markup(json.dumps(data).replace("<", "\\u003c")),
+    }
+    return page(f"{sequence.name}: sequence", render("view.html", context, __package__))
 
 
 def pictures(sequence: Sequence) -> list[Panel]:
@@ -96,7 +71,3 @@ def _facts(sequence: Sequence, duration_s: float) -> str:
     words = [kind.title if kind.single else f"{n} {kind.title}{'s' if n > 1 else ''}" for kind, n in counts.items()]
     split = sequence.metadata.get("split")
     return ", ".join([f"{duration_s:.1f} s", *([f"split {split}"] if split else []), *words])
-
-
-def _asset(name: str) -> str:
-    return (resources.files(__package__) / name).read_text(encoding="utf-8")

@@ -1,9 +1,8 @@
-"""Curves of the scalar sensors over time, and the path from above, as SVG."""
+"""Curves of the scalar sensors over time, and the path from above, in px of the SVG that `view.html` makes of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
 
 import numpy as np
 import pandas as pd
@@ -22,6 +21,23 @@ COLUMNS = 500
 IMU = "/imu"
 
 
+@dataclass(frozen=True)
+class StripPlot:
+    """Curves as paths of SVG; ticks: values and their y; times: seconds and their x, px."""
+
+    title: str
+    span_s: float
+    curves: list[str]
+    ticks: list[tuple[float, float]]
+    times: list[tuple[float, float]]
+    width: int = WIDTH
+    height: int = HEIGHT
+    left: int = LEFT
+    right: int = WIDTH - RIGHT
+    top: int = TOP
+    bottom: int = HEIGHT - BOTTOM
+
+
 def _wanted(sequence: Sequence) -> list[Strip]:
     counts = {topic: count for topic, _, count in sequence.contents()}
     ranked = sorted(sequence.sensors().items(), key=lambda item: item[1].rank)
@@ -29,8 +45,8 @@ def _wanted(sequence: Sequence) -> list[Strip]:
     return [strip for strip in wanted if strip.topic == IMU or counts.get(strip.topic)]
 
 
-def strips(sequence: Sequence, start_ns: int, end_ns: int) -> list[str]:
-    """A figure for each, over the same span of time."""
+def strips(sequence: Sequence, start_ns: int, end_ns: int) -> list[StripPlot]:
+    """A plot for each, over the same span of time."""
     inertial = _inertial_table(sequence)
     tables = ((strip, inertial if strip.topic == IMU else sequence.frame(strip.topic)) for strip in _wanted(sequence))
     return [_plot(strip, table, start_ns, end_ns) for strip, table in tables]
@@ -43,7 +59,7 @@ def _inertial_table(sequence: Sequence) -> pd.DataFrame:
     return pd.DataFrame(np.hstack([gyro, accel]), index=stamps, columns=columns)
 
 
-def _plot(strip: Strip, table: pd.DataFrame, start_ns: int, end_ns: int) -> str:
+def _plot(strip: Strip, table: pd.DataFrame, start_ns: int, end_ns: int) -> StripPlot:
     seconds = (table.index.to_numpy() - start_ns) * 1e-9
     span = (end_ns - start_ns) * 1e-9
     values = table[list(strip.columns)].to_numpy(dtype=float) * strip.factor
@@ -55,26 +71,12 @@ def _plot(strip: Strip, table: pd.DataFrame, start_ns: int, end_ns: int) -> str:
     across = WIDTH - LEFT - RIGHT
     x = LEFT + seconds / span * across
     y = TOP + (high - values) / (high - low) * (HEIGHT - TOP - BOTTOM)
-    curves = "".join(
-        f'<path class="c{k + 1}" d="{_curve(x, y[:, k], known_at=np.isfinite(values[:, k]))}"/>'
-        for k in range(len(strip.columns))
-    )
-    ticks = "".join(
-        f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at:.1f}" y2="{at:.1f}"/>'
-        f'<text x="{LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>'
-        for value, at in _ticks(low, high)
-    )
-    times = "".join(
-        f'<text x="{LEFT + value / span * across:.1f}" y="{HEIGHT - 4}" text-anchor="middle">{value:g} s</text>'
-        for value in _round_values(0.0, span * 0.995, 8)
-    )
-    axes = "".join(f'<span class="k{k + 1}">{axis}</span>' for k, axis in enumerate(XYZ))
-    legend = axes if len(strip.columns) > 1 else ""
-    return (
-        f'<figure class="card"><figcaption>{escape(strip.title)} {legend}</figcaption>'
-        f'<svg class="plot strip" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(strip.title)}">'
-        f'{ticks}{times}{curves}<line class="cursor" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}" '
-        f'data-left="{LEFT}" data-right="{WIDTH - RIGHT}" data-span="{span:.6f}"/></svg></figure>'
+    return StripPlot(
+        title=strip.title,
+        span_s=span,
+        curves=[_curve(x, y[:, k], known_at=np.isfinite(values[:, k])) for k in range(len(strip.columns))],
+        ticks=_ticks(low, high),
+        times=[(value, LEFT + value / span * across) for value in _round_values(0.0, span * 0.995, 8)],
     )
 
 
@@ -108,16 +110,24 @@ def _round_values(low: float, high: float, n: int) -> list[float]:
     return [float(round(k * step, 12)) for k in range(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)]
 
 
+SIDE = 400
+
+
 @dataclass(frozen=True)
 class PathPlot:
-    """The path from above as SVG, with a marker that the page moves; poses: per moment x, y (px) and heading (deg)."""
+    """The path from above, with a marker that the page moves.
 
-    svg: str
+    dots, line: oysters and path, as paths of SVG; bar_px, bar_m: the length of the scale; poses: per moment x, y
+    (px) and heading (deg).
+    """
+
     title: str
+    dots: str
+    line: str
+    bar_px: float
+    bar_m: float
     poses: list[list[float]]
-
-
-SIDE = 400
+    side: int = SIDE
 
 
 def path_plot(sequence: Sequence, times: NDArray[np.int64]) -> PathPlot | None:
@@ -153,12 +163,5 @@ def path_plot(sequence: Sequence, times: NDArray[np.int64]) -> PathPlot | None:
         [round(float(x), 1), round(float(y), 1), round(float(angle), 1)]
         for (x, y), angle in zip(place(at.positions[:, :2]), heading, strict=True)
     ]
-    svg = (
-        f'<svg class="plot map" viewBox="0 0 {SIDE} {SIDE}" role="img" aria-label="path from above">'
-        f'<path class="dots" d="{dots}"/><path class="c1" d="M{line}"/>'
-        f'<path class="bar" d="M14 {SIDE - 16}h{bar * scale:.1f}"/><text x="14" y="{SIDE - 22}">{bar:g} m</text>'
-        f'<g id="vehicle" transform="translate({poses[0][0]} {poses[0][1]}) rotate({poses[0][2]})">'
-        '<path class="vehicle" d="M12 0L-8 7L-4 0L-8 -7Z"/></g></svg>'
-    )
     kinds = "path and oysters" if len(near) else "path"
-    return PathPlot(svg, f"{kinds} from above, east to the right", poses)
+    return PathPlot(f"{kinds} from above, east to the right", dots, f"M{line}", bar * scale, bar, poses)
