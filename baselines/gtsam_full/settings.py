@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.common.aiding import AidingSettings, sensors_of
 from oysterbench_baselines.common.alignment import StartSettings
 from oysterbench_baselines.gtsam_full.ranges import RangeSettings
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings
-from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
+from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, renamed_options
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,15 @@ class BesideDvlSettings:
 @dataclass(frozen=True)
 class GtsamFullSettings(GtsamViSettings):
     """All settings, by part; those of `beside_dvl` take the place of `noise` and `landmarks` where there is a DVL."""
+
+    renamed: ClassVar[Mapping[str, str]] = {
+        **GtsamViSettings.renamed,
+        **renamed_options(
+            "aiding.dvl = aiding_huber:huber "
+            "aiding.magnetometer = compass_delay_s:max_delay_s compass_keyframes:keyframes "
+            "filter_start = start_tilt_deg:tilt_deg start_s:min_s start_keyframes:min_keyframes ranges = ranges:enabled"
+        ),
+    }
 
     start: StartSettings = field(default_factory=StartSettings)
     filter_start: FilterStartSettings = field(default_factory=FilterStartSettings)

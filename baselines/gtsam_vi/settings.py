@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 
 @dataclass(frozen=True)
@@ -185,9 +187,59 @@ class RecoverySettings:
     unknown_rate: float = 0.2  # rad/s
 
 
+FLAT_NAMES = """
+    frontend = max_tracks grid track_spacing_px corner_block_px corner_quality veil_px contrast_px
+        contrast_floor_grey contrast_grey flow_window_px flow_levels backward_error_px epipolar_error_px
+        epipolar_trials max_gap_s missing_periods coast_s:max_blind_s repeat_speed repeat_px
+    stereo = stereo_min_base_m:min_baseline_m stereo_max_angle_deg:max_angle_deg stereo_stamp_s:sync_s
+        stereo_depths_m:depths_m stereo_error_px:epipolar_error_px
+    keyframes = keyframe_parallax_px:parallax_px keyframe_shared:shared keyframe_min_s:min_s
+        keyframe_max_s:max_s
+    zero_velocity = rest_px:flow_px rest_s:min_s rest_speed:sigma
+    noise = pixel_sigma_px alike:correlation spread_power:loss_power max_spread:max_inflation huber
+        imu_inflation bias_inflation integration_sigma
+    landmarks = max_turn_deg min_ray_angle_deg max_landmark_error_px:max_error_px min_views
+        max_slide_px:max_innovation_px max_depth_m min_depth_m
+    initialisation = init_min_s:min_s init_max_keyframes:max_keyframes init_min_keyframes:min_keyframes
+        init_min_tracks:min_tracks init_gates_px:gates_px init_retry_s:retry_s init_stereo_s:stereo_s
+        init_stereo_keyframes:stereo_keyframes init_scale_sigma:scale_sigma
+        init_relaxed_scale_sigma:relaxed_scale_sigma init_max_error_px:max_error_px
+    window = lag_keyframes:keyframes lag_iterations:iterations
+    smoothing = smoothing_iterations:iterations
+    recognition = place_step_m:step_m place_turn_deg:turn_deg place_landmarks:min_landmarks
+        place_corners:corners place_fast_threshold:fast_threshold place_view_px:view_px
+        place_coarseness:coarseness place_words:words place_word_bits:word_bits most_places:max_places
+        loop_min_s:min_age_s loop_candidates:candidates loop_prior_sigmas:prior_sigmas
+    loops = loops:enabled drift_position drift_heading drift_blind match_bits match_ratio align_share
+        align_trials align_inliers loop_window_px:flow_window_px loop_levels:flow_levels
+        loop_search_px:search_px loop_inliers:min_inliers loop_share:min_share loop_again_m:retry_m
+        loop_strong:strong_inliers loop_neighbours:neighbours loop_agree_m:agree_m loop_spread:min_spread
+        loop_pixel_sigma:pixel_sigma_px loop_cauchy:cauchy loop_heading_floor:heading_floor
+        loop_floor_m:position_floor_m loop_iterations:iterations loop_places:places_per_skip merge_px
+        merge_keyframes tie_places tie_tilt
+    recovery = max_speed max_bias_sigmas max_lost_share max_bad_keyframes unknown_speed unknown_rate
+"""
+"""What options were called before they were nested, by part; `old:new` where the last word has changed."""
+
+
+def renamed_options(flat_names: str) -> dict[str, str]:
+    """Nested name by flat name."""
+    names, part = dict[str, str](), ""
+    words = flat_names.split()
+    for word, following in zip(words, [*words[1:], ""], strict=True):
+        if following == "=":
+            part = word
+        elif word != "=":
+            old, _, new = word.partition(":")
+            names[old] = f"{part}.{new or old}"
+    return names
+
+
 @dataclass(frozen=True)
 class GtsamViSettings:
     """All settings, by part. None depends on the sequence: what does comes from its calibrations."""
+
+    renamed: ClassVar[Mapping[str, str]] = renamed_options(FLAT_NAMES)
 
     frontend: FrontEndSettings = field(default_factory=FrontEndSettings)
     stereo: StereoSettings = field(default_factory=StereoSettings)

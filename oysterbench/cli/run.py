@@ -78,11 +78,11 @@ def run_command(
       oysterbench run my_slam --command "./my_slam {euroc} {out}" --split slam-val
       oysterbench run orb3 --command "./orb3.sh {euroc} {out}" --split slam-val --timeout 900 --jobs 1
       oysterbench run gtsam_vi --on V1_01_easy --align se3 --out results/euroc
-      oysterbench run gtsam_vi --ablate max_tracks=70 --ablate loops=false --split slam-val
+      oysterbench run gtsam_vi --ablate frontend.max_tracks=70 --ablate loops.enabled=false --split slam-val
 
     METHOD is the name of an installed method or module:Class; with --command it is only a name for the program.
     Options of a method are the parameters and settings that its class has; a variant is a method of its own in the
-    tables, named with them, and can be asked for by that name: gtsam_vi[max_tracks=70].
+    tables, named with them, and can be asked for by that name: gtsam_vi[frontend.max_tracks=70].
     The program is given the sequence without the truth, and must leave poses at {out}, as TUM or in any format that
     `oysterbench eval --estimate` reads.
 

@@ -121,6 +121,9 @@ def configure(kind: Callable[..., Any], options: Mapping[str, str], reference: s
 
 def _instead(key: str, known: list[str], parameters: Iterable[str], settings: Any) -> str:
     """What to type in place of an option that there is not: all, or of many those alike and where all of them are."""
+    renamed: Mapping[str, str] = getattr(settings, "renamed", {})  # by which a method's options went before
+    if key in renamed:
+        return f"it is called {renamed[key]!r} now"
     if len(known) <= FEW_OPTIONS:
         return f"its options: {', '.join(known)}" if known else "it has none"
     # A nested option is also looked for by its own name: level_s for start.level_s.

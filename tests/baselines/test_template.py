@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 import oysterbench
+from oysterbench.core.errors import MethodError
 from oysterbench.methods import find_method, method_names, run_method
+from oysterbench.methods.options import fields_of
+from oysterbench_baselines.gtsam_full import GtsamFullSettings
+from oysterbench_baselines.gtsam_vi import GtsamViSettings
 from tests.helpers.paths import BASELINES
 
 PAGE = (BASELINES / "README.md").read_text(encoding="utf-8")
@@ -65,3 +69,14 @@ def test_the_variants_on_the_page_are_there():
         method, *words = line.replace("--ablate", "").split()
         for word in words:
             find_method(f"{method}[{word}]")
+
+
+@pytest.mark.parametrize("method", ["gtsam_vi", "gtsam_vi_stereo", "gtsam_full"])
+def test_an_option_that_was_flat_is_answered_by_its_nested_name(method):
+    with pytest.raises(MethodError, match=r"no option 'lag_keyframes'; it is called 'window.keyframes' now"):
+        find_method(f"{method}[lag_keyframes=6]")
+
+
+def test_every_new_name_of_an_option_is_there():
+    for settings in (GtsamViSettings(), GtsamFullSettings()):
+        assert set(settings.renamed.values()) <= set(fields_of(settings))
