@@ -11,23 +11,23 @@ import click
 from oysterbench.cli.outputs import TEXTS
 from oysterbench.core.errors import ResultError
 
-TERMINAL, KEEPING = "oysterbench_leaderboard.terminal", "oysterbench_leaderboard.keeping"
-SERVER, ADMIN = "oysterbench_leaderboard.site.command", "oysterbench_leaderboard.submissions.command_admin"
+TERMINAL, ADMIN = "oysterbench_leaderboard.terminal", "oysterbench_leaderboard.admin_commands"
+SERVER, TEAMS = "oysterbench_leaderboard.site.command", "oysterbench_leaderboard.submissions.command_admin"
 
 COMMANDS: dict[str, tuple[str, str, str]] = {
     "show": (TERMINAL, "show_command", "A record: its place, and its numbers by sequence."),
     "history": (TERMINAL, "history_command", "All records of a method, the newest first."),
     "literature": (TERMINAL, "literature_command", "What others reported on other data."),
-    "add": (KEEPING, "add_command", "Put results on the board."),
-    "withdraw": (KEEPING, "withdraw_command", "Take a record off the board, with the reason."),
-    "restore": (KEEPING, "restore_command", "Put a withdrawn record back, with the reason."),
-    "rebuild": (KEEPING, "rebuild_command", "Make the index anew from the records."),
-    "verify": (KEEPING, "verify_command", "Check every record, change of status and curve."),
-    "rescore": (KEEPING, "rescore_command", "Score kept estimates with this version's evaluator."),
+    "add": (ADMIN, "add_command", "Put results on the board."),
+    "withdraw": (ADMIN, "withdraw_command", "Take a record off the board, with the reason."),
+    "restore": (ADMIN, "restore_command", "Put a withdrawn record back, with the reason."),
+    "rebuild": (ADMIN, "rebuild_command", "Make the index anew from the records."),
+    "verify": (ADMIN, "verify_command", "Check every record, change of status and curve."),
+    "rescore": (ADMIN, "rescore_command", "Score kept estimates with this version's evaluator."),
     "serve": (SERVER, "serve_command", "Serve the site, and take submissions."),
     "build": (SERVER, "build_command", "Write the whole site as files, for any web host."),
-    "team": (ADMIN, "team", "Teams that may submit, and their tokens."),
-    "submissions": (ADMIN, "submissions", "What was submitted, and what became of it."),
+    "team": (TEAMS, "team", "Teams that may submit, and their tokens."),
+    "submissions": (TEAMS, "submissions", "What was submitted, and what became of it."),
 }
 """Name -> module, attribute and one line about it: help needs no import."""
 
@@ -83,7 +83,7 @@ class Lazy(click.Group):
 )
 @click.option("--index", "url", envvar="OYSTERBENCH_INDEX", help="File or postgresql+psycopg:// URL of the index.")
 @click.pass_context
-def command(context: click.Context, folder: Path | None, url: str | None, **asked: Any) -> None:
+def command(context: click.Context, /, folder: Path | None, url: str | None, **asked: Any) -> None:
     """Show published results: who is ahead, by how much, and whether that is significant.
 
     \b

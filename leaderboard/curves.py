@@ -55,4 +55,5 @@ def curves_document(sequences: Mapping[str, Mapping[str, Any]], align: str) -> d
 
 
 def _points(positions: Array) -> list[list[float]]:
-    return (np.round(positions, DECIMALS) + 0.0).tolist()  # + 0.0: no negative zeros
+    found: list[list[float]] = (np.round(positions, DECIMALS) + 0.0).tolist()
+    return found  # + 0.0: no negative zeros

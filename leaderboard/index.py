@@ -121,7 +121,7 @@ class BoardIndex:
             size, page = max(1, query.size), max(1, query.page)
             order = self._order(connection, info, query)
             wanted = order[(page - 1) * size : page * size]
-            found = {}
+            found: dict[int, RowMapping] = {}
             for i in range(0, len(wanted), MOST_WANTED):
                 asked = select(ROWS).where(ROWS.c.board == board, ROWS.c.position.in_(wanted[i : i + MOST_WANTED]))
                 found |= {row["position"]: row for row in connection.execute(asked).mappings()}
@@ -188,14 +188,16 @@ class BoardIndex:
                 found[row["id"]] = BoardInfo(**values, columns=COLUMNS[row["track"]])
             return found
 
-        return self._remembered((meta(connection).get("revision"), "boards"), make)
+        boards: dict[str, BoardInfo] = self._remembered((meta(connection).get("revision"), "boards"), make)
+        return boards
 
     def _order(self, connection: Connection, board: BoardInfo, query: Query) -> array[int]:
         """Positions of all rows that a query asks for, in its order: sorting a large board takes longer than all else
         of a page, and most pages ask for the same."""
         chosen = replace(query, page=1, size=1)
         key = (meta(connection).get("revision"), board.id, chosen)
-        return self._remembered(key, lambda: array("l", connection.scalars(_positions(board, chosen))))
+        order: array[int] = self._remembered(key, lambda: array("l", connection.scalars(_positions(board, chosen))))
+        return order
 
     def _remembered(self, key: Hashable, make: Callable[[], Any]) -> Any:
         """What was made before, of this revision; the least used of MOST_REMEMBERED things is forgotten."""
@@ -212,7 +214,8 @@ class BoardIndex:
 
     def _rows(self, connection: Connection, found: Sequence[RowMapping]) -> list[Row]:
         """Rows as they are asked for, with the intervals of their scores, which are computed now."""
-        boards, intervals = self._boards(connection), {}
+        boards = self._boards(connection)
+        intervals: dict[str, tuple[float | None, float | None]] = {}
         for board in {row["board"] for row in found}:
             digests = [row["digest"] for row in found if row["board"] == board]
             intervals |= _intervals(connection, boards[board], digests)

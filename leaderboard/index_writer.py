@@ -196,10 +196,10 @@ def _rank(connection: Connection, board: str) -> None:
     table = ScoreTable.of([summary.scores for summary in summaries], sequences, track)
     means = table.means()
     standings = dict(zip(current, table.take(current).standings(_better(track)), strict=True)) if current else {}
-    shared = Counter(standing.rank or standing.place for standing in standings.values())
+    shared = Counter(standing.rank or standing.place or 0 for standing in standings.values())
     sign = 1 if _better(track) == "lower" else -1
     unplaced = [not ((standing := standings.get(k)) and standing.place) for k in range(len(found))]
-    order = sorted(range(len(found)), key=lambda k: (unplaced[k], *_nan_last(sign * means[k]), found[k].digest))
+    order = sorted(range(len(found)), key=lambda k: (unplaced[k], *_nan_last(sign * float(means[k])), found[k].digest))
     rows = []
     for position, k in enumerate(order):
         standing = standings.get(k)
@@ -207,15 +207,15 @@ def _rank(connection: Connection, board: str) -> None:
         values: dict[str, Any] = {"coverage": coverage, "score": None if math.isnan(means[k]) else float(means[k])}
         if "coverage" in COLUMNS[track]:
             values[f"m{COLUMNS[track].index('coverage')}"] = coverage
-        of_rank = standing and (standing.rank or standing.place)
+        of_rank = (standing.rank or standing.place or 0) if standing else 0
         values |= {"place": standing and standing.place, "rank": standing and standing.rank}
-        values |= {"tied": of_rank is not None and shared[of_rank] > 1}
+        values |= {"tied": of_rank > 0 and shared[of_rank] > 1}
         failures = summaries[k].failed + len(set(sequences) - set(summaries[k].sequences))
         rows.append({"key": found[k].digest, "position": position, "failures": failures, **values})
     _update(connection, ROWS, rows)
     updated = max(found[k].created for k in current or range(len(found)))
-    values = {"sequences": json.dumps(sequences), "entries": len(current), "updated": updated}
-    connection.execute(update(BOARDS).where(BOARDS.c.id == board).values(**values))
+    board_values = {"sequences": json.dumps(sequences), "entries": len(current), "updated": updated}
+    connection.execute(update(BOARDS).where(BOARDS.c.id == board).values(**board_values))
 
 
 def decode_summary(data: str) -> RecordSummary:
@@ -275,6 +275,6 @@ def _update(connection: Connection, table: Any, rows: Sequence[Mapping[str, Any]
     """Change rows of equal keys, each named by the value of `key` of its primary key."""
     primary = next(iter(table.primary_key))
     for start in range(0, len(rows), CHUNK):
-        values = {key: bindparam(key) for key in rows[start] if key != "key"}
+        values: dict[str, Any] = {key: bindparam(key) for key in rows[start] if key != "key"}
         changed = update(table).where(primary == bindparam("key")).values(values)
         connection.execute(changed, rows[start : start + CHUNK])

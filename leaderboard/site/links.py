@@ -14,7 +14,9 @@ Query = Mapping[str, str | int | Iterable[str]]
 class Links(Protocol):
     """static: whether pages are files, with no server that could answer a form."""
 
-    static: bool
+    @property
+    def static(self) -> bool:
+        """Whether pages are files."""
 
     def page(self, path: str, query: Query | None = None, suffix: str = "") -> str:
         """A link to a page, or to its representation with that suffix (".json"); empty where it cannot be had."""

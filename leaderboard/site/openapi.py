@@ -1,19 +1,18 @@
-"""The description of all addresses, OpenAPI 3.1; schemas are made of the dataclasses that the answers are made of."""
+"""The description of all addresses, OpenAPI 3.1; its schemas by msgspec, of the dataclasses of the answers."""
 
 from __future__ import annotations
 
-import dataclasses
 import re
-import types
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import msgspec
 
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.site.render import REPRESENTATIONS
 from oysterbench_leaderboard.site.routes import FILES, PATTERNS, ROUTES, Route
 
-PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", type(None): "null", dict: "object"}
 ABOUT = {
     "track": "track of a board",
     "split": "data set, as pages spell it in addresses",
@@ -23,15 +22,17 @@ ABOUT = {
 }
 
 
+@dataclass(frozen=True)
+class RequestError:
+    """What stands in place of a page: error: in words; see: addresses, and what is there."""
+
+    error: str
+    see: dict[str, str]
+
+
 def describe(root: str = "", static: bool = False) -> dict[str, Any]:
     """The document. root: what a proxy puts before our addresses; static: of exported files, which answer no query."""
-    schemas: dict[str, Any] = {
-        "Error": {
-            "type": "object",
-            "properties": {"error": {"type": "string"}, "see": {"type": "object"}},
-            "required": ["error"],
-        }
-    }
+    _, schemas = _schemas((RequestError, *(kind for route in ROUTES for kind in route.answers.values())))
     paths: dict[str, Any] = {}
     for route in ROUTES:
         if static:
@@ -41,7 +42,7 @@ def describe(root: str = "", static: bool = False) -> dict[str, Any]:
         bare = "/index" if route.path == "/" else route.path
         paths[route.path] = {"get": _operation(route, "", {"text/html": {"schema": {"type": "string"}}})}
         for suffix, (_, media) in REPRESENTATIONS.items():
-            schema = _answer(route, schemas) if suffix == ".json" else {"type": "string"}
+            schema = _answer(route) if suffix == ".json" else {"type": "string"}
             content = {media.partition(";")[0]: {"schema": schema}}
             paths[f"{bare}{suffix}"] = {"get": _operation(route, suffix, content)}
     for path, summary in FILES.items():
@@ -75,7 +76,7 @@ def _operation(route: Route, suffix: str, content: dict[str, Any]) -> dict[str, 
 
 
 def _get(name: str, summary: str, parameters: list[dict[str, Any]], content: dict[str, Any]) -> dict[str, Any]:
-    refused = {"application/json": {"schema": {"$ref": "#/components/schemas/Error"}}}
+    refused = {"application/json": {"schema": {"$ref": "#/components/schemas/RequestError"}}}
     responses = {
         "200": {"description": "as asked", "content": content},
         "304": {"description": "what the client has is still so"},
@@ -104,34 +105,20 @@ def _parts(path: str) -> list[dict[str, Any]]:
     ]
 
 
-def _answer(route: Route, schemas: dict[str, Any]) -> dict[str, Any]:
-    answers = {"path": str, "title": str, **route.answers}
-    properties = {key: schema_of(kind, schemas) for key, kind in answers.items()}
-    return {"type": "object", "properties": properties, "required": list(properties)}
+def _answer(route: Route) -> dict[str, Any]:
+    """The schema of a page's JSON."""
+    keys = ("path", "title", *route.answers)
+    found, _ = _schemas((str, str, *route.answers.values()))
+    return {"type": "object", "properties": dict(zip(keys, found, strict=True)), "required": list(keys)}
 
 
-def schema_of(kind: Any, schemas: dict[str, Any]) -> dict[str, Any]:
-    """The JSON Schema of a type; dataclasses are put into `schemas` by their names."""
-    if kind is Any:
-        return {}
-    if kind in PLAIN:
-        return {"type": PLAIN[kind]}
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        if kind.__name__ not in schemas:
-            hints = get_type_hints(kind)
-            names = [field.name for field in dataclasses.fields(kind)]
-            schemas[kind.__name__] = {}
-            properties = {name: schema_of(hints[name], schemas) for name in names}
-            schemas[kind.__name__] = {"type": "object", "properties": properties, "required": names}
-        return {"$ref": f"#/components/schemas/{kind.__name__}"}
-    origin, inner = get_origin(kind), get_args(kind)
-    if origin is Literal:
-        return {"type": "string", "enum": list(inner)}
-    if origin in (Union, types.UnionType):
-        # A number that does not exist is null.
-        return {"anyOf": [schema_of(one, schemas) for one in inner]}
-    if origin is dict or (isinstance(origin, type) and issubclass(origin, Mapping)):
-        return {"type": "object", "additionalProperties": schema_of(inner[1], schemas)}
-    if origin in (list, tuple):
-        return {"type": "array", "items": schema_of(inner[0], schemas)}
-    raise TypeError(f"no schema of {kind!r}")
+def _schemas(kinds: Iterable[Any]) -> tuple[tuple[dict[str, Any], ...], dict[str, Any]]:
+    """Of each kind, and of the dataclasses in them by their names; a key of theirs is always given, and a number that
+    does not exist is null."""
+    found, named = msgspec.json.schema_components(kinds, ref_template="#/components/schemas/{name}")
+    for schema in named.values():
+        schema["required"] = list(schema.get("properties", {}))
+        for key, of in schema.get("properties", {}).items():
+            if of.get("type") == "number":
+                schema["properties"][key] = {"anyOf": [of, {"type": "null"}]}
+    return found, named

@@ -24,6 +24,7 @@ from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.store import StatusChange
 
 Given = Mapping[str, str]
+Objects = list[dict[str, Any]]
 Asked = Mapping[str, Sequence[str]]
 
 PATTERNS = {
@@ -98,7 +99,12 @@ def _pair(asked: Asked) -> tuple[str, str]:
 
 
 ROUTES = (
-    Route("/", "All boards, with who leads them.", lambda site, given, asked: home_page(site), {"boards": list[dict]}),
+    Route(
+        "/",
+        "All boards, with who leads them.",
+        lambda site, given, asked: home_page(site),
+        {"boards": Objects},
+    ),
     Route(
         "/boards/{track}/{split}",
         "The newest board of a split.",
@@ -130,7 +136,7 @@ ROUTES = (
             "board": BoardInfo,
             "withdrawn": list[str] | None,
             "superseded_by": str | None,
-            "per_sequence": list[dict],
+            "per_sequence": Objects,
             "status_changes": list[StatusChange],
         },
     ),
@@ -138,11 +144,17 @@ ROUTES = (
         "/compare",
         "Two records, or the current records of two methods, head to head.",
         lambda site, given, asked: compare_page(site, *asked),
-        {"a": Row, "b": Row, "difference": Comparison, "pairs": list[dict], "per_sequence": list[dict]},
+        {
+            "a": Row,
+            "b": Row,
+            "difference": Comparison,
+            "pairs": Objects,
+            "per_sequence": Objects,
+        },
         _pair,
         PAIR_QUERY,
     ),
-    Route("/data", "All data sets.", lambda site, given, asked: data_page(site), {"data_sets": list[dict]}),
+    Route("/data", "All data sets.", lambda site, given, asked: data_page(site), {"data_sets": Objects}),
     Route(
         "/data/{split}",
         "A data set: its recipe, what its sequences are like, its boards.",
@@ -153,8 +165,8 @@ ROUTES = (
             "track": str,
             "hidden": bool,
             "sequences": list[str],
-            "conditions": dict,
-            "boards": list[dict],
+            "conditions": dict[str, Any],
+            "boards": Objects,
         },
     ),
     Route(
@@ -167,19 +179,19 @@ ROUTES = (
         "/submit",
         "How to submit.",
         lambda site, given, asked: submit_page(site),
-        {"form": str | None, "splits": list[dict]},
+        {"form": str | None, "splits": Objects},
     ),
     Route(
         "/log",
         "What was withdrawn, put back, superseded or scored again.",
         lambda site, given, asked: log_page(site),
-        {"events": list[dict], "left_out": dict[str, str]},
+        {"events": Objects, "left_out": dict[str, str]},
     ),
     Route(
         "/about",
         "What rank, tie, tier, coverage and each metric mean.",
         lambda site, given, asked: about_page(site),
-        {"tiers": dict, "metrics": list[dict]},
+        {"tiers": dict[str, str], "metrics": Objects},
     ),
 )
 

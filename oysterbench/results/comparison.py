@@ -363,7 +363,7 @@ def as_plain(board: Board) -> dict[str, Any]:
     def pair(found: Pair) -> dict[str, Any]:
         return {**{key: getattr(found, key) for key in ("a", "b", "condition", "value")}, **asdict(found.comparison)}
 
-    return plain(
+    document: dict[str, Any] = plain(
         {
             "track": board.track,
             "split": board.split,
@@ -392,3 +392,4 @@ def as_plain(board: Board) -> dict[str, Any]:
             "per_sequence": [{**asdict(cell), "conditions": board.conditions(cell.sequence)} for cell in board.cells()],
         }
     )
+    return document

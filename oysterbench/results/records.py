@@ -6,12 +6,12 @@ import json
 import math
 import os
 import platform
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar, cast
 
 import msgspec
 
@@ -134,8 +134,8 @@ Checked = TypeVar("Checked")
 
 
 @lru_cache
-def _keys(kind: type[Any]) -> tuple[str, ...]:
-    return tuple(each.name for each in fields(kind))
+def _keys(kind: Hashable) -> tuple[str, ...]:
+    return tuple(each.name for each in fields(kind))  # type: ignore[arg-type]
 
 
 def checked(values: Any, kind: type[Checked], form: str, where: str, remedy: str = "") -> Checked:
@@ -145,7 +145,7 @@ def checked(values: Any, kind: type[Checked], form: str, where: str, remedy: str
         raise ResultError(f"{where}: expected a record (a JSON object), got {type(values).__name__}")
     if values.get("format") != form:
         raise ResultError(f"{where}: key 'format': expected {form!r}, got {values.get('format')!r:.60}{remedy}")
-    known = _keys(kind)
+    known = _keys(cast(Hashable, kind))
     given = {key: value for key, value in values.items() if key != "format"}
     for key in given.keys() - set(known):
         raise ResultError(f"{where}: unknown key {key!r:.60}; known keys: {', '.join(known)}")

@@ -14,7 +14,6 @@ from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, State
 from oysterbench_leaderboard.record import TIERS as ALL_TIERS
 from oysterbench_leaderboard.site import numbers
-from oysterbench_leaderboard.site.links import Query as Asked
 from oysterbench_leaderboard.site.page import Later, Page, PageError
 from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.pages.ranks import RANK, TIERS, UNRANKED, rank_cells, state_mark
@@ -88,9 +87,9 @@ def parse_query(asked: Mapping[str, Sequence[str]], size: int = 50) -> Query:
     )
 
 
-def asked_by(query: Query, size: int = 50) -> Asked:
+def asked_by(query: Query, size: int = 50) -> dict[str, str | list[str]]:
     """A query as it stands in an address: only what is not as usual."""
-    found: dict[str, Any] = {
+    found: dict[str, str | list[str]] = {
         "sort": "" if query.sort == "rank" else query.sort,
         "order": "desc" if query.descending else "",
         "q": query.text,
@@ -136,7 +135,7 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         "settings": {key: value for key, value in info.settings.items() if value not in (None, [], ())},
     }
     data = Later(lambda: _data(found))
-    return Page(path, title, "board.html", context, (table,), data, dict(asked_by(query)))
+    return Page(path, title, "board.html", context, (table,), data, asked_by(query))
 
 
 def _data(found: BoardPage) -> dict[str, Any]:

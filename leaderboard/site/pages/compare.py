@@ -12,7 +12,7 @@ from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Comparison, compare
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
-from oysterbench.report.table import Cell, Column, Table, TableRow
+from oysterbench.report.table import Cell, Column, Table, TableRow, Value
 from oysterbench.results.comparison import Board, Entry, Pair, as_plain, remarks
 from oysterbench.results.comparison import boards as boards_of
 from oysterbench.results.records import ResultRecord, plain
@@ -245,7 +245,7 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
             continue
         comparison = _compared(a, b, key, board.sequences)
         means = [numbers.finite(entry.summary(key, board.sequences).mean) for entry in (a, b)]
-        cells = (
+        cells: tuple[Value | Cell, ...] = (
             Cell(metric.heading, about=metric.about),
             Cell(metric.unit, numbers.unit(metric)),
             *map(Cell, means, metric.texts(means)),
