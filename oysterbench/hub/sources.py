@@ -179,9 +179,9 @@ def _check(response: BaseHTTPResponse, start: int, end: int | None) -> int:
     if status in RETRIED:
         raise Setback(f"status {status}", _retry_after(response.headers.get("Retry-After")))
     if status not in (200, 206):
-        said = "the file there is shorter than it should be" if status == 416 else (response.reason or "refused")
+        why = "the file there is shorter than it should be" if status == 416 else (response.reason or "refused")
         kind = Setback if status == 416 else Refusal
-        raise kind(f"status {status} ({said})")
+        raise kind(f"status {status} ({why})")
     if response.headers.get("Content-Encoding", "identity") != "identity":
         raise Refusal(f"the answer is compressed ({response.headers['Content-Encoding']}), though it must not be")
     if status == 200:

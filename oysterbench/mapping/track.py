@@ -68,11 +68,11 @@ class Track:
     @property
     def state(self) -> str:
         """What most pixels say: live, dead or unknown."""
-        said: Counter[str] = Counter()
+        pixels: Counter[str] = Counter()
         for patch in self.patches:
             if patch.state != "unknown":
-                said[patch.state] += patch.pixels
-        return max(said, key=lambda state: (said[state], state)) if said else "unknown"
+                pixels[patch.state] += patch.pixels
+        return max(pixels, key=lambda state: (pixels[state], state)) if pixels else "unknown"
 
     @property
     def score(self) -> float:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
@@ -22,6 +23,7 @@ from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E
 from oysterbench_baselines.learning.loop import FitSettings  # noqa: E402
 from oysterbench_baselines.steering import SteeringNet  # noqa: E402
 from oysterbench_baselines.steering.augment import SteeringAugmentation, augmented, mirrored  # noqa: E402
+from oysterbench_baselines.steering.command import command  # noqa: E402
 from oysterbench_baselines.steering.examples import TrainingExamples, action_values_of, joined, senses_of, small  # noqa: E402
 from oysterbench_baselines.steering.memory import SHAPE, Memory  # noqa: E402
 from oysterbench_baselines.steering.model import SteeringModel, as_planes  # noqa: E402
@@ -341,3 +343,9 @@ def test_a_checkpoint_of_another_method_is_refused(tmp_path):
     known.write(tmp_path / "unet.pt")
     with pytest.raises(MethodError, match="expected the checkpoint of `oysterbench train steering`, got one of 'unet'"):
         list(SteeringNet(str(tmp_path / "unet.pt")).run(Dive([])))
+
+
+def test_the_old_name_of_an_option_says_the_new_one():
+    done = CliRunner().invoke(command, ["--data", "steer-mini", "--dive-s", "60"])
+    assert done.exit_code == 2
+    assert "--dive-s is named --rollout-s now" in done.output
