@@ -125,9 +125,9 @@ def _mosaic(sheet: Drawing, panel: _Panel, found: OysterMap, seen: NDArray[np.bo
         panel.left, panel.top, panel.width, panel.height, _small(mosaic(found, seen)[panel.rows, panel.columns])
     )
     radius = min(3.2, max(1.3, 0.025 * panel.per_m))
-    for oyster in sorted(found.oysters, key=lambda one: one.state == "live"):
-        x, y = panel.place(float(oyster.centre[0]), float(oyster.centre[1]))
-        sheet.dot(x, y, radius, STATE_COLOURS[oyster.state], INK)
+    oysters = sorted(found.oysters, key=lambda one: one.state == "live")
+    places = [panel.place(float(one.centre[0]), float(one.centre[1])) for one in oysters]
+    sheet.dots(places, radius, [STATE_COLOURS[one.state] for one in oysters], INK)
 
 
 def mosaic(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:

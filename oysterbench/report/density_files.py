@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from oysterbench.core.files import write_atomically
-from oysterbench.core.page import page
+from oysterbench.core.html import environment
 from oysterbench.mapping.intervals import LEVEL
 from oysterbench.mapping.settings import CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2
 from oysterbench.mapping.survey import OysterMap
 from oysterbench.report.density_figure import density_pixels, figure, mosaic, numbers
 from oysterbench.report.drawing import encoded
+from oysterbench.report.formats import csv_of
+from oysterbench.report.renderers.html import FOLDER
 
 FORMAT = "oysterbench-map/1"
 
@@ -35,8 +34,8 @@ def write_map(found: OysterMap, folder: Path, command: str = "") -> list[Path]:
         "map.png": drawn.png(),
         "map.svg": drawn.svg().encode(),
         "summary.json": (json.dumps(summary(found), indent=2, allow_nan=False) + "\n").encode(),
-        "grid.csv": _csv(grid_rows(found)).encode(),
-        "oysters.csv": _csv(oyster_rows(found)).encode(),
+        "grid.csv": csv_of(list(grid_rows(found))).encode(),
+        "oysters.csv": csv_of(list(oyster_rows(found))).encode(),
         "mosaic.png": encoded(np.dstack([mosaic(found, seen), clear])),
         "mosaic.pgw": world,
         "density.png": encoded(density_pixels(found, seen)),
@@ -134,35 +133,14 @@ def summary(found: OysterMap) -> dict[str, Any]:
 
 def map_page(found: OysterMap, drawn: str, command: str) -> str:
     """The figure, what it says in words, how it is made, and what it does not know."""
-    said = "".join(f"<li>{escape(line)}.</li>" for line in numbers(found.total, found.grid.shares()))
-    notes = "".join(f'<p class="small warn">{escape(note)}</p>' for note in found.notes)
-    made = f"<h2>How this was made</h2><pre><code>{escape(command)}</code></pre>" if command else ""
-    return page(
-        f"Oysters of {found.name}",
-        f"<h1>Oysters of {escape(found.name)}</h1>{notes}<div class='card'>{drawn}</div>"
-        f"<h2>In words</h2><ul>{said}</ul>{_READING}{made}",
-    )
-
-
-_READING = """
-<h2>How to read it</h2>
-<p>Every oyster of every picture is laid on the ground, and those of different pictures that are one are counted once.
-The interval of the count holds what edges, doubtful pairs and the detector's scores leave open. The interval of the
-mean density also holds that the ground that was seen is a sample of a reef, on which oysters are clumped (negative
-binomial). A cell of which too little was seen has no number, which is not zero.</p>
-<p>Not counted is what no picture shows: oysters under others, and what the detector misses. Classes are those of the
-Oyster Metrics Workgroup (2011): 15 live oysters per m<sup>2</sup> are the threshold of a restored reef, 50 its
-target.</p>
-"""
-
-
-def _csv(rows: Iterable[dict[str, Any]]) -> str:
-    lines = list(rows)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(lines[0]) if lines else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(lines)
-    return text.getvalue()
+    context = {
+        "title": f"Oysters of {found.name}",
+        "notes": found.notes,
+        "figure": drawn,
+        "numbers": numbers(found.total, found.grid.shares()),
+        "command": command,
+    }
+    return environment(FOLDER).get_template("map.html").render(**context)
 
 
 def _plain(value: Any) -> Any:

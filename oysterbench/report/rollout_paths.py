@@ -1,10 +1,9 @@
-"""Dives over a reef: each pilot's way from above with what it saw, and the oysters seen over time."""
+"""Rollouts over a reef: each policy's path from above with what it saw, and the oysters seen over time."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 
 from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.evaluate.steering.rollouts import episodes, seen_so_far
@@ -22,22 +21,22 @@ OTHERS = ("#c84c00", "#3f6ad8", "#8a6100", "#444444", "#5b6b00")
 """... those of methods, in their order (after Okabe & Ito 2008, darkened for paper)."""
 
 
-def colours_of(pilots: Sequence[str]) -> dict[str, str]:
-    """A colour for each pilot."""
-    methods = [pilot for pilot in pilots if pilot not in OWN]
-    return {pilot: OWN.get(pilot) or OTHERS[methods.index(pilot) % len(OTHERS)] for pilot in pilots}
+def colours_of(policies: Sequence[str]) -> dict[str, str]:
+    """A colour for each policy."""
+    methods = [policy for policy in policies if policy not in OWN]
+    return {policy: OWN.get(policy) or OTHERS[methods.index(policy) % len(OTHERS)] for policy in policies}
 
 
 def dives_figure(reef: str, logs: Mapping[str, RolloutLog], colours: Mapping[str, str]) -> Drawing:
-    """Dives of pilots, at least one, over one reef."""
+    """Rollouts of policies, at least one, over one reef."""
     rows = math.ceil(len(logs) / PER_ROW)
     columns = math.ceil(len(logs) / rows)
     width = 2 * MARGIN + columns * PANEL + (columns - 1) * GAP
     width = max(width, 2 * MARGIN + 2 * PANEL + GAP)
     below = TOP + rows * (HEAD + PANEL + GAP) + FOOT
-    sheet = Drawing(width, below + 30 + CHART + AXIS + 10, f"Dives over {reef}")
+    sheet = Drawing(width, below + 30 + CHART + AXIS + 10, f"Rollouts over {reef}")
     first = next(iter(logs.values()))
-    sheet.text(MARGIN, 36, f"Dives over {reef}", 21, bold=True)
+    sheet.text(MARGIN, 36, f"Rollouts over {reef}", 21, bold=True)
     seconds = max(log.step_s * len(log.commands) for log in logs.values())
     sheet.text(
         MARGIN,
@@ -47,10 +46,10 @@ def dives_figure(reef: str, logs: Mapping[str, RolloutLog], colours: Mapping[str
         14,
         fill=SOFT,
     )
-    for k, (pilot, log) in enumerate(logs.items()):
+    for k, (policy, log) in enumerate(logs.items()):
         left = MARGIN + (k % columns) * (PANEL + GAP)
         top = TOP + (k // columns) * (HEAD + PANEL + GAP) + HEAD
-        _from_above(sheet, left, top, pilot, log, colours[pilot])
+        _from_above(sheet, left, top, policy, log, colours[policy])
     _scale_bar(sheet, MARGIN, below - FOOT + 14, PANEL / _span(first))
     _legend(sheet, MARGIN + 200, below - FOOT + 14)
     _over_time(sheet, below + 30, width, logs, colours)
@@ -62,7 +61,7 @@ def _span(log: RolloutLog) -> float:
     return 2 * log.half_m * 1.04
 
 
-def _from_above(sheet: Drawing, left: float, top: float, pilot: str, log: RolloutLog, colour: str) -> None:
+def _from_above(sheet: Drawing, left: float, top: float, policy: str, log: RolloutLog, colour: str) -> None:
     per_m = PANEL / _span(log)
     middle = (left + PANEL / 2, top + PANEL / 2)
 
@@ -70,7 +69,7 @@ def _from_above(sheet: Drawing, left: float, top: float, pilot: str, log: Rollou
         return middle[0] + x * per_m, middle[1] - y * per_m
 
     minutes = log.step_s * len(log.commands) / 60.0
-    sheet.text(left, top - 27, pilot, 16, bold=True, fill=colour)
+    sheet.text(left, top - 27, policy, 16, bold=True, fill=colour)
     contacts = episodes(log.contact)
     said = f"{log.seen.sum()} seen" + (f", {log.seen.sum() / minutes:.0f} per min" if minutes else "")
     said += f"; {log.covered[-1]:.0%} covered; {contacts} contact{'' if contacts == 1 else 's'}"
@@ -78,14 +77,13 @@ def _from_above(sheet: Drawing, left: float, top: float, pilot: str, log: Rollou
     sheet.rect(left, top, PANEL, PANEL, GROUND)
     radius = min(2.6, max(1.1, 0.07 * per_m))
     for seen in (False, True):
-        for x, y in log.oysters[log.found == seen, :2].tolist():
-            sheet.dot(*place(x, y), radius, colour if seen else UNSEEN)
+        at = [place(x, y) for x, y in log.oysters[log.found == seen, :2].tolist()]
+        sheet.dots(at, radius, colour if seen else UNSEEN)
     corner = place(-log.half_m, log.half_m)
     sheet.rect(*corner, 2 * log.half_m * per_m, 2 * log.half_m * per_m, stroke=INK, thick=1.2)
     way = [place(x, y) for x, y in log.states[:, :2].tolist()]
     for thick, stroke in ((4.4, "#ffffff"), (2.0, INK)):
-        for (x0, y0), (x1, y1) in pairwise(way):
-            sheet.line(x0, y0, x1, y1, stroke, thick)
+        sheet.path(way, stroke, thick)
     for (x, y), touched in zip(way, log.contact.tolist(), strict=True):
         if touched:
             _cross(sheet, x, y)
@@ -126,7 +124,7 @@ def _over_time(
     """Curves, each named at its end; names that would meet are moved apart."""
     room = max(100.0, 8.6 * max(map(len, logs)) + 14.0)
     left, right, bottom = MARGIN + 44, width - MARGIN - room, top + CHART
-    curves = {pilot: seen_so_far(log) for pilot, log in logs.items()}
+    curves = {policy: seen_so_far(log) for policy, log in logs.items()}
     end = max(float(time[-1]) for time, _ in curves.values()) or 1.0
     most = max(1.0, *(float(seen[-1]) for _, seen in curves.values())) * 1.05
     sheet.text(MARGIN, top - 12, "Live oysters seen so far", 15, bold=True)
@@ -141,16 +139,15 @@ def _over_time(
     sheet.text(right, bottom + 42, "time, s", 13, "end", fill=SOFT)
     sheet.line(left, bottom, right, bottom, SOFT, 1)
     ends = {}
-    for pilot, (time, seen) in curves.items():
+    for policy, (time, seen) in curves.items():
         across, up = left + time / end * (right - left), bottom - seen / most * CHART
         points = list(zip(across.tolist(), up.tolist(), strict=True))
-        for (x0, y0), (x1, y1) in pairwise(points):
-            sheet.line(x0, y0, x1, y1, colours[pilot], 2.6)
-        ends[pilot] = points[-1][1]
-    names = sorted(ends, key=lambda pilot: ends[pilot])
-    places = apart([ends[pilot] for pilot in names], 18.0, bottom - 5.0)
-    for pilot, y in zip(names, places, strict=True):
-        sheet.text(right + 8, y + 5, pilot, 14, bold=True, fill=colours[pilot])
+        sheet.path(points, colours[policy], 2.6)
+        ends[policy] = points[-1][1]
+    names = sorted(ends, key=lambda policy: ends[policy])
+    places = apart([ends[policy] for policy in names], 18.0, bottom - 5.0)
+    for policy, y in zip(names, places, strict=True):
+        sheet.text(right + 8, y + 5, policy, 14, bold=True, fill=colours[policy])
 
 
 def apart(places: Sequence[float], room: float, last: float = math.inf) -> list[float]:

@@ -53,13 +53,13 @@ def dive_figures(runs: Sequence[DiveRun], folder: Path) -> Figures:
     of_pilots = {pilot: [run.record for run in runs if run.record.method == pilot] for pilot in pilots}
     values = {pilot: values_of(records, "oysters_per_min") for pilot, records in of_pilots.items()}
     split = runs[0].record.split
-    made = [_kept(folder / "pilots.png", ladder_figure(split, values, colours), "Pilots over all reefs")]
+    made = [_kept(folder / "pilots.png", ladder_figure(split, values, colours), "Policies over all reefs")]
     for reef in reefs:
         logs: dict[str, RolloutLog] = {
             run.record.method: run.log for run in runs if run.record.sequence == reef and run.log is not None
         }
         if logs:
-            made.append(_kept(folder / f"dives-{reef}.png", dives_figure(reef, logs, colours), f"Dives over {reef}"))
+            made.append(_kept(folder / f"dives-{reef}.png", dives_figure(reef, logs, colours), f"Rollouts over {reef}"))
     return made
 
 
