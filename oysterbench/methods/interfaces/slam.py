@@ -1,0 +1,254 @@
+"""Methods of the track SLAM: a sequence without its truth in, poses T_odom_base out.
+
+    python -m oysterbench.methods.interfaces.slam SEQUENCE FORM OUT
+
+writes an input. What is left in the folder of a run: estimate.npz, the path that is scored; estimate.NAME.npz of each
+alternative; map.ply and keyframes.tum where there is a map.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import MethodError, OysterbenchError, TrajectoryError
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz
+from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSequence, Stopwatch
+from oysterbench.methods.method import Estimate
+from oysterbench.methods.processes import Processes
+from oysterbench.sequence import Sequence, open_sequence
+
+ESTIMATE = "estimate.npz"
+EXPORT_LIMIT_S = 24 * 3600.0
+
+FORMS = {
+    "euroc": "an EuRoC folder: mav0/ with cam0, cam1, ..., imu0",
+    "tum": "a TUM RGB-D folder: rgb/, rgb.txt, accelerometer.txt, calibration.txt",
+    "kitti": "a KITTI odometry folder: sequences/00/ with undistorted images, calib.txt, times.txt",
+    "mcap": "a sequence file with everything that was measured",
+}
+"""Placeholder of a command line -> what is put in its place."""
+
+SENSORS = "sensors"
+"""Form of what a method of Python is given: a sequence as it was, file or folder, without the truth."""
+
+POSES_OF = {"euroc": "imu", "tum": "camera", "kitti": "camera", "mcap": "base"}
+"""Whose poses the programs that read a form are taken to leave: its body frame."""
+
+
+class SequencePath(RunSequence):
+    """A sequence by its file, or folder in EuRoC layout."""
+
+    def __init__(self, name: str, path: Path) -> None:
+        self.name, self.path = name, path
+
+    @property
+    def origin(self) -> str:
+        """The file, as it is now."""
+        file = self.path if self.path.is_file() else self.path / "mav0" / "imu0" / "data.csv"
+        state = file.stat()
+        return f"{file.resolve()} {state.st_size} {state.st_mtime_ns}"
+
+    @property
+    def hidden(self) -> tuple[Path, ...]:
+        """Itself."""
+        return (self.path,)
+
+    @cached_property
+    def limit_s(self) -> float:
+        """Ten times the sequence's duration, and ten minutes at least."""
+        return max(10 * open_sequence(self.path).duration_s, 600.0)
+
+    def write_input(self, form: str, out: Path, processes: Processes) -> None:
+        """In a process of its own, which can be ended at any time."""
+        words = [sys.executable, "-m", __name__, str(self.path.absolute()), form, str(out.absolute())]
+        ended = processes.run(words, EXPORT_LIMIT_S, out.parent)
+        if ended.failure is not None:
+            raise MethodError(f"its input {{{form}}} could not be made: {ended.failure}")
+
+
+class SlamInterface(Interface):
+    """A sequence in, an `Estimate` out."""
+
+    forms = FORMS
+    own_form = SENSORS
+    out = "trajectory.tum"
+    leaves = "a trajectory"
+
+    def input_name(self, sequence: RunSequence, form: str) -> str:
+        """A file where the program reads one."""
+        assert isinstance(sequence, SequencePath)
+        is_file = form == "mcap" or (form == SENSORS and sequence.path.is_file())
+        return f"{sequence.name}.mcap" if is_file else sequence.name
+
+    def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:
+        """Run the method on a sequence from which the truth was cut."""
+        sequence = open_sequence(given).for_method()
+        with watch:
+            estimate = method.run(sequence)
+        return keep(estimate, folder)
+
+    def take(
+        self, sequence: RunSequence, given: Path, folder: Path, form: str, options: Mapping[str, str]
+    ) -> Predicted:
+        """Poses of the frame that the option `poses_of` says, by default that of the form, become those of the body."""
+        assert isinstance(sequence, SequencePath)
+        opened = open_sequence(sequence.path)
+        T_base_frame = frame_pose(opened, options["poses_of"], form)
+        times = kitti_stamps(opened, given) if form == "kitti" else None
+        try:
+            found = read_trajectory(folder / self.out, T_body_estimate=T_base_frame, times=times)
+        except TrajectoryError as error:
+            raise MethodError(f"left what cannot be read as a trajectory: {error}") from None
+        if times is not None and len(found) and found.stamps_ns[-1] < times[0]:
+            note = "its stamps count from the first image, as times.txt has them: the stamp of that was added"
+            found = replace(found, stamps_ns=found.stamps_ns + times[0], notes=(*found.notes, note))
+        write_npz(folder / ESTIMATE, found)
+        return Predicted(prediction=described("", {}, None), notes=found.notes)
+
+
+def keep(estimate: Estimate, folder: Path) -> Predicted:
+    """Write an estimate into a folder."""
+    write_npz(folder / ESTIMATE, estimate.trajectory)
+    for name, path in estimate.alternatives.items():
+        write_npz(folder / alternative_file(name), path)
+    counts = None
+    if estimate.map is not None:
+        estimate.map.write(folder)
+        counts = {"keyframes": len(estimate.map.keyframes), "landmarks": len(estimate.map.landmarks)}
+    found = described(estimate.scored, estimate.alternatives, counts)
+    return Predicted(estimate.info, found, notes=estimate.trajectory.notes)
+
+
+def described(scored: str, alternatives: Mapping[str, Trajectory], counts: Mapping[str, int] | None) -> dict[str, Any]:
+    """scored: what the method calls the path that is scored; alternatives: names of the others; map: counts of the
+    map's key frames and landmarks, None where there is none."""
+    return {"scored": scored, "alternatives": list(alternatives), "map": counts}
+
+
+def alternative_file(name: str) -> str:
+    """File of an alternative in the folder of its run."""
+    return f"estimate.{name}.npz"
+
+
+def read_estimate(folder: Path) -> Trajectory:
+    """Poses T_odom_base of a run that did not fail. Raises MethodError where its file is none of ours."""
+    return _read_npz(folder / ESTIMATE)
+
+
+def read_alternatives(folder: Path, prediction: Mapping[str, Any]) -> dict[str, Trajectory]:
+    """Its further paths by name."""
+    return {name: _read_npz(folder / alternative_file(name)) for name in prediction["alternatives"]}
+
+
+def _read_npz(path: Path) -> Trajectory:
+    try:
+        return read_trajectory(path)
+    except TrajectoryError as error:
+        raise MethodError(f"left what cannot be read as a trajectory: {error}") from None
+
+
+def write_input(path: Path, form: str, out: Path) -> None:
+    """Write the sequence at `path` in a form, without the truth; `out` is there whole or not at all."""
+    if form == SENSORS and path.is_dir():
+        _link_measurements(path, out)
+        return
+    if form in ("mcap", SENSORS):
+        _write_measurements(path, out)
+        return
+    from oysterbench.sequence.export import export_sequence
+
+    export_sequence(open_sequence(path).for_method(), form, out, truth=False)
+
+
+def _write_measurements(path: Path, out: Path) -> None:
+    """Topics and attachments that are listed as public, as a hidden split is published."""
+    if not path.is_file():
+        raise MethodError(f"{path}: {{mcap}} needs a sequence file, and this is a folder; {{euroc}} takes both")
+    from oysterbench.sequence.cut import cut_public
+
+    handle, temporary = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            cut_public(path, file)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, out)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _link_measurements(path: Path, out: Path) -> None:
+    """The cameras and the inertial unit of an EuRoC folder: files of their own names, copied only between disks."""
+    temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
+    try:
+        for sensor in [*sorted((path / "mav0").glob("cam[0-9]")), path / "mav0" / "imu0"]:
+            shutil.copytree(sensor, temporary / "mav0" / sensor.name, copy_function=_link)
+        temporary.chmod(0o755)
+        os.replace(temporary, out)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+
+
+def _link(source: str, target: str) -> None:
+    try:
+        os.link(os.path.realpath(source), target)
+    except OSError:  # another disk, or one without links
+        shutil.copy(source, target)
+
+
+def frame_pose(sequence: Sequence, frame: str, form: str) -> Array:
+    """T_base_frame (4, 4) of `base`, `imu`, `camera` (whose images the form has first) or a camera by its name."""
+    if frame == "base":
+        return np.eye(4)
+    if frame == "imu":
+        return sequence.imu_calibration.T_base_imu
+    name = first_camera(sequence, form) if frame == "camera" else frame
+    if name not in sequence.cameras:
+        raise MethodError(
+            f"--poses-of {frame}: sequence {sequence.name} has no such frame; expected base, imu, camera or one of its "
+            f"cameras: {', '.join(sequence.cameras) or 'none'}"
+        )
+    return sequence.cameras[name].T_base_cam
+
+
+def first_camera(sequence: Sequence, form: str) -> str:
+    """Name of the camera whose images a form has first; empty where there is none. KITTI begins with a left one."""
+    names = list(sequence.cameras)
+    if form == "kitti":
+        from oysterbench.sequence.export.parts import stereo_partner
+
+        names.sort(key=lambda name: stereo_partner(sequence, name) is None)
+    return next(iter(names), "")
+
+
+def kitti_stamps(sequence: Sequence, folder: Path) -> NDArray[np.int64]:
+    """(N,) ns, stamps of the images of a KITTI folder, whose times.txt counts from the first of them."""
+    from oysterbench.sequence.export.parts import stereo_partner
+
+    left = first_camera(sequence, "kitti")
+    right = stereo_partner(sequence, left)
+    partners = None if right is None else {image.stamp_ns for image in sequence.images(right)}
+    first = next(image.stamp_ns for image in sequence.images(left) if partners is None or image.stamp_ns in partners)
+    return first + read_times(folder / "sequences" / "00" / "times.txt")
+
+
+INTERFACE = SlamInterface()
+
+if __name__ == "__main__":
+    try:
+        write_input(Path(sys.argv[1]), sys.argv[2], Path(sys.argv[3]))
+    except OysterbenchError as error:
+        sys.exit(str(error))
