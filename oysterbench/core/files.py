@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -59,3 +60,11 @@ def locked(path: str | os.PathLike[str], wait: bool = True) -> Iterator[bool]:
             yield False
             return
         yield True
+
+
+def link(source: str, target: str) -> None:
+    """A file under another name; copied where a link cannot be had, as between disks."""
+    try:
+        os.link(os.path.realpath(source), target)
+    except OSError:
+        shutil.copy(source, target)

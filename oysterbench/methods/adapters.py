@@ -1,29 +1,25 @@
-"""Who is run: a method of Python, or another program by its command line. Both become a command and an answer."""
+"""What is run: a method of Python, or another program by its command line. Both become a command and predictions."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import shlex
 import shutil
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from string import Formatter
 from typing import Any
 
-from oysterbench.core.errors import MethodError, TrajectoryError
-from oysterbench.core.trajectory import Trajectory, read_trajectory
+from oysterbench.core.errors import MethodError
 from oysterbench.methods.finding import find_variant, versions_of
-from oysterbench.methods.inputs import FORMS, POSES_OF, SENSORS, frame_pose, kitti_stamps
+from oysterbench.methods.interfaces import Interface, Predicted, RunSequence, interface_of
 from oysterbench.methods.method import seed_of
-from oysterbench.methods.worker import ANSWER, ESTIMATE
-from oysterbench.sequence import open_sequence
+from oysterbench.methods.worker import read_predicted
 from oysterbench.version import VERSION
 
 PLAIN_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
@@ -31,37 +27,17 @@ PACKAGES = ("numpy", "scipy", "opencv-python-headless", "gtsam", "torch")
 """Packages whose versions are kept with a result, where they are installed."""
 
 
-SAID = ("info", "wall_s", "cpu_s", "scored", "alternatives", "map")
-"""Keys of what a method of Python says in answer.json."""
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What a run left: poses T_odom_base, what it says of itself, and its own account of what it cost, if any.
-
-    scored, alternatives: names of the path that is scored and of further ones, which lie beside it; map: counts of its
-    key frames and landmarks, None where there is no map.
-    """
-
-    trajectory: Trajectory
-    info: Mapping[str, Any] = field(default_factory=dict)
-    wall_s: float | None = None
-    cpu_s: float | None = None
-    scored: str = ""
-    alternatives: Sequence[str] = ()
-    map: Mapping[str, int] | None = None
-
-
-class Entrant(ABC):
-    """Who is run. name: in tables and as a folder; form: what it is given (`inputs.FORMS` and `inputs.SENSORS`)."""
+class MethodAdapter(ABC):
+    """What is run. name: in tables and as a folder; form: what it is given, one of its interface's."""
 
     name: str
     form: str
+    interface: Interface
 
     @property
     @abstractmethod
     def identity(self) -> dict[str, Any]:
-        """What tells it from another entrant of the same name, as JSON values."""
+        """What tells it from another one of the same name, as JSON values."""
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -74,38 +50,40 @@ class Entrant(ABC):
 
     @abstractmethod
     def seed(self, number: int) -> int | None:
-        """Of run `number`, from 0; None for who takes none."""
+        """Of run `number`, from 0; None where it takes none."""
 
     @abstractmethod
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
-        """The command of run `number`. given: the sequence in its form; folder: where the answer goes."""
+        """The command of run `number`. given: the sequence in its form; folder: where the predictions go."""
 
     @abstractmethod
-    def answer(self, sequence: Path, given: Path, folder: Path) -> Answer:
-        """What it left in its folder. Raises MethodError, in one line, where that is not an estimate."""
+    def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
+        """What it left in its folder. Raises MethodError, in one line, where those are no predictions."""
 
-    def said_failure(self, folder: Path) -> str | None:
+    def own_failure(self, folder: Path) -> str | None:
         """Its own word on why it failed, where it has one."""
         return None
 
 
-class PythonMethod(Entrant):
+class PythonMethod(MethodAdapter):
     """A method by the name of an entry point or as `module:Class`, with or without options, run by `worker`.
 
-    The worker opens a sequence from which the truth was cut: no attribute, however private, leads to it.
+    The worker is given a copy from which the truth was cut: no attribute, however private, leads to it.
     """
 
-    form = SENSORS
-
-    def __init__(self, reference: str, track: str = "slam") -> None:
-        """Raises MethodError where it cannot be found, or is of another track."""
+    def __init__(self, reference: str, tracks: Sequence[str] = ("slam",)) -> None:
+        """Raises MethodError where it cannot be found, or is of none of these tracks."""
         method, self._options = find_variant(reference)
-        if method.track != track:
-            raise MethodError(f"method {reference!r} is of the track {method.track!r}; expected one of {track!r}")
-        self.reference = reference
+        if method.track not in tracks:
+            raise MethodError(f"method {reference!r} is of the track {method.track!r}; expected one of {tracks[0]!r}")
+        self.reference, self.track = reference, method.track
         check_name(method.name.partition("[")[0])
         self.name = method.name
+        self.interface = interface_of(method.track)
+        self.form = self.interface.own_form
         self._first_seed = seed_of(method)
+        described = getattr(method, "as_dict", None)
+        self._described = dict(described()) if described is not None else {}
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -113,7 +91,7 @@ class PythonMethod(Entrant):
 
     @property
     def settings(self) -> dict[str, Any]:
-        return dict(self._options)
+        return self._described or dict(self._options)
 
     def versions(self) -> dict[str, str]:
         found = {"python": sys.version.split()[0], "oysterbench": VERSION, **versions_of(self.reference)}
@@ -132,43 +110,49 @@ class PythonMethod(Entrant):
         asked = [self.reference, str(given), str(folder), *([] if seed is None else [str(seed)])]
         return [sys.executable, "-m", "oysterbench.methods.worker", *asked]
 
-    def answer(self, sequence: Path, given: Path, folder: Path) -> Answer:
-        said = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
-        trajectory = read_as_given(folder / ESTIMATE)
-        return Answer(trajectory, **{key: said[key] for key in SAID})
-
-    def said_failure(self, folder: Path) -> str | None:
+    def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         try:
-            return json.loads((folder / ANSWER).read_text(encoding="utf-8")).get("failure")
-        except (OSError, ValueError):
+            found = read_predicted(folder)
+        except (OSError, ValueError, TypeError) as error:
+            raise MethodError(f"left no predictions: {error}") from None
+        if isinstance(found, str):
+            raise MethodError(found)
+        return found
+
+    def own_failure(self, folder: Path) -> str | None:
+        try:
+            found = read_predicted(folder)
+        except (OSError, ValueError, TypeError):
             return None
+        return found if isinstance(found, str) else None
 
 
-class Command(Entrant):
-    """Another program. Its command line has {out}, where it leaves a trajectory, and one of the names of `FORMS`.
+class ExternalCommand(MethodAdapter):
+    """Another program. Its command line has {out}, where it leaves its predictions, and one form of its interface.
 
-    poses_of: whose poses it answers with: base, imu, camera or a camera's name; that of the form by default.
+    options: of the interface; `poses_of` (SLAM): whose poses it leaves: base, imu, camera or a camera's name
     """
 
-    def __init__(self, template: str, name: str = "", poses_of: str = "") -> None:
+    def __init__(self, template: str, name: str = "", track: str = "slam", poses_of: str = "") -> None:
         """Raises MethodError where the command line is not of that shape, or its program is not there."""
-        self.template = template
+        self.template, self.interface = template, interface_of(track)
+        forms = self.interface.forms
         try:
             self._words = shlex.split(template)
             asked = {key for word in self._words for _, key, _, _ in Formatter().parse(word) if key is not None}
         except ValueError as error:
             raise MethodError(f"--command {template!r}: {error}; write {{{{ and }}}} for braces of your own") from None
-        known = [*FORMS, "out", "seed"]
+        known = [*forms, "out", "seed"]
         for key in sorted(asked - set(known)):
             raise MethodError(
                 f"--command {template!r}: unknown placeholder {{{key}}}; known: "
                 f"{', '.join(f'{{{k}}}' for k in known)}; write {{{{ and }}}} for braces of your own"
             )
-        forms = sorted(asked & set(FORMS))
-        if "out" not in asked or len(forms) != 1:
+        found = sorted(asked & set(forms))
+        if "out" not in asked or len(found) != 1:
             raise MethodError(
-                f"--command {template!r}: expected {{out}}, where the program leaves its trajectory, and one of "
-                f"{', '.join(f'{{{form}}}' for form in FORMS)}, what it reads, got "
+                f"--command {template!r}: expected {{out}}, where the program leaves {self.interface.leaves}, and one "
+                f"of {', '.join(f'{{{form}}}' for form in forms)}, what it reads, got "
                 f"{', '.join(f'{{{key}}}' for key in sorted(asked)) or 'no placeholder'}"
             )
         program = shutil.which(self._words[0])
@@ -176,13 +160,13 @@ class Command(Entrant):
             raise MethodError(f"--command {template!r}: no program {self._words[0]!r} that can be run")
         self.program = Path(program).absolute()  # not resolved: the name may decide what it does
         self.name = check_name(name or Path(self._words[0]).stem)
-        self.form = forms[0]
-        self.poses_of = poses_of or POSES_OF[self.form]
+        self.form = found[0]
+        self.options = self.interface.options_of(self.form, poses_of)
         self._takes_seed = "seed" in asked
 
     @property
     def identity(self) -> dict[str, Any]:
-        return {"command": self.template, "poses_of": self.poses_of}
+        return {"command": self.template, **self.options}
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -200,35 +184,13 @@ class Command(Entrant):
         return number if self._takes_seed else None
 
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
-        values: dict[str, str] = {self.form: str(given), "out": str(self.out(folder)), "seed": str(number)}
+        values = {self.form: str(given), "out": str(folder / self.interface.out), "seed": str(number)}
         return [str(self.program), *(word.format(**values) for word in self._words[1:])]
 
-    def out(self, folder: Path) -> Path:
-        """What is put in the place of {out}."""
-        return folder / "trajectory.tum"
-
-    def answer(self, sequence: Path, given: Path, folder: Path) -> Answer:
-        out = self.out(folder)
-        if not out.exists():
-            raise MethodError("ended well, but left no trajectory at {out}")
-        opened = open_sequence(sequence)
-        T_base_frame = frame_pose(opened, self.poses_of, self.form)
-        if self.form != "kitti":
-            return Answer(read_as_given(out, T_body_estimate=T_base_frame))
-        stamps = kitti_stamps(opened, given)
-        found = read_as_given(out, T_body_estimate=T_base_frame, times=stamps)
-        if len(found) and found.stamps_ns[-1] < stamps[0]:
-            note = "its stamps count from the first image, as times.txt has them: the stamp of that was added"
-            found = replace(found, stamps_ns=found.stamps_ns + stamps[0], notes=(*found.notes, note))
-        return Answer(found)
-
-
-def read_as_given(path: Path, **options: Any) -> Trajectory:
-    """The trajectory that a run left. Raises MethodError where it cannot be read."""
-    try:
-        return read_trajectory(path, **options)
-    except TrajectoryError as error:
-        raise MethodError(f"left what cannot be read as a trajectory: {error}") from None
+    def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
+        if not (folder / self.interface.out).exists():
+            raise MethodError(f"ended well, but left no {self.interface.leaves.removeprefix('a ')} at {{out}}")
+        return self.interface.take(sequence, given, folder, self.form, self.options)
 
 
 def check_name(name: str) -> str:

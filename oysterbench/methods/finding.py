@@ -60,7 +60,7 @@ def _points() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
-def _load_point(name: str):
+def _load_point(name: str) -> Any:
     points = _points()
     if name not in points:
         raise MethodError(
@@ -70,7 +70,7 @@ def _load_point(name: str):
     return points[name].load()
 
 
-def _load_class(reference: str):
+def _load_class(reference: str) -> Any:
     module, _, name = reference.partition(":")
     if not module or not name:
         raise MethodError(f"method {reference!r}: expected module:Class, such as my_slam:MySlam")

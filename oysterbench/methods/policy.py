@@ -1,4 +1,4 @@
-"""A method of the track steering at work: views in, commands out, one at a time and checked."""
+"""A policy at work: views in, commands out, one at a time and checked."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from oysterbench.core.errors import MethodError, OysterbenchError
+from oysterbench.core.geometry import Array
 from oysterbench.methods.steering import Steering, SteeringMethod, View
 from oysterbench.recipe import SteeringRecipe
+
+AXES = ("yaw", "pitch")
 
 
 class _Views:
@@ -21,11 +24,11 @@ class _Views:
 
 
 def commands(
-    pilot: SteeringMethod, task: SteeringRecipe, views: Iterator[View], where: str
+    policy: SteeringMethod, task: SteeringRecipe, views: Iterator[View], where: str
 ) -> Iterator[tuple[View, Steering, tuple[int, int]]]:
-    """Each view, what a method answers it with, and the classes of yaw and pitch that this means.
+    """Each view, what a policy commands at it, and the classes of yaw and pitch that this means.
 
-    Raises MethodError where the method fails, answers another view or takes one before it has answered the last.
+    Raises MethodError where the method fails, names another view or takes one before it has commanded at the last.
     """
     last: list[View] = []
 
@@ -34,26 +37,28 @@ def commands(
             last[:] = [view]
             yield view
             if last:
-                raise MethodError(f"method {pilot.name!r}, {where}: took a view before it had answered {view.name}")
+                raise MethodError(
+                    f"method {policy.name!r}, {where}: took a view before it had commanded at {view.name}"
+                )
 
     try:
-        for answer in pilot.run(_Views(task, remembered())):
+        for answer in policy.run(_Views(task, remembered())):
             if not last or not isinstance(answer, Steering) or answer.name != last[0].name:
                 raise MethodError(
-                    f"method {pilot.name!r}, {where}: expected a Steering of the view "
+                    f"method {policy.name!r}, {where}: expected a Steering of the view "
                     f"{last[0].name if last else '(none was taken)'}, got {answer!r:.80}"
                 )
             view = last.pop()
-            yield view, answer, classes_of(answer, task, f"method {pilot.name!r}, {where}, view {view.name}")
+            yield view, answer, classes_of(answer, task, f"method {policy.name!r}, {where}, view {view.name}")
     except OysterbenchError:
         raise
     except Exception as error:
         line = " ".join(f"{type(error).__name__}: {error}".split())
-        raise MethodError(f"method {pilot.name!r} failed, {where}: {line}") from error
+        raise MethodError(f"method {policy.name!r} failed, {where}: {line}") from error
 
 
 def classes_of(answer: Steering, task: SteeringRecipe, where: str) -> tuple[int, int]:
-    """The classes of yaw and pitch that an answer names, or finds likeliest; of equals the one nearest to straight."""
+    """The classes of yaw and pitch that a command names, or finds likeliest; of equals the one nearest to straight."""
     found = []
     for axis, degrees in (("yaw", task.yaw_deg), ("pitch", task.pitch_deg)):
         number, shares = getattr(answer, axis), getattr(answer, f"{axis}_probability")
@@ -74,4 +79,17 @@ def classes_of(answer: Steering, task: SteeringRecipe, where: str) -> tuple[int,
         if isinstance(number, bool) or not isinstance(number, int | np.integer) or not 0 <= number < len(degrees):
             raise MethodError(f"{where}: {axis}: expected a class from 0 to {len(degrees) - 1}, got {number!r}")
         found.append(int(number))
+    return found[0], found[1]
+
+
+def probabilities(answer: Steering, classes: tuple[int, int], task: SteeringRecipe) -> tuple[Array, Array]:
+    """Of each class of yaw (Y,) and of pitch (P,), adding up to 1; of a command that was checked."""
+    found = []
+    for axis, chosen, degrees in zip(AXES, classes, (task.yaw_deg, task.pitch_deg), strict=True):
+        given = getattr(answer, f"{axis}_probability")
+        if given is None:
+            found.append(np.eye(len(degrees))[chosen])
+        else:
+            scaled = np.asarray(given, dtype=float) / np.max(given)  # a sum of the largest numbers has no end
+            found.append(scaled / scaled.sum())
     return found[0], found[1]

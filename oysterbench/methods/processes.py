@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from oysterbench.core.errors import MethodError
+from oysterbench.methods.sandbox import Sandbox, can_hide
 
 SUPERVISOR = Path(__file__).with_name("supervise.py")
 STDOUT, STDERR, REPORT = "stdout.txt", "stderr.txt", "process.json"
@@ -41,18 +44,26 @@ class Processes:
         self._lock = threading.Lock()
         self._stopped = False
 
-    def run(self, command: Sequence[str], limit_s: float, folder: Path) -> Ended:
-        """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder. Stopped by `stop`."""
+    def run(self, command: Sequence[str], limit_s: float, folder: Path, hidden: Iterable[Path] = ()) -> Ended:
+        """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder. Stopped by `stop`.
+
+        hidden: what it cannot open, where the kernel can hide it (`sandbox`); then nothing tells it where that is.
+        """
         report = folder / REPORT
         report.unlink(missing_ok=True)
-        supervised = [sys.executable, "-I", "-S", str(SUPERVISOR), repr(float(limit_s)), str(report), *command]
+        supervised = supervised_command(command, limit_s, report, hidden)
         with open(folder / STDOUT, "wb") as out, open(folder / STDERR, "wb") as err:
             with self._lock:
                 if self._stopped:
                     raise Stopped
                 # A session of its own: Ctrl-C on the terminal is answered by `stop`, and by nobody else.
                 process = subprocess.Popen(
-                    supervised, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
+                    supervised,
+                    stdin=subprocess.DEVNULL,
+                    stdout=out,
+                    stderr=err,
+                    start_new_session=True,
+                    env=environment() if hidden else None,
                 )
                 self._running.add(process)
             try:
@@ -76,7 +87,21 @@ class Processes:
                 process.terminate()
 
 
-def _ended(report: dict, limit_s: float, folder: Path) -> Ended:
+def supervised_command(command: Sequence[str], limit_s: float, report: Path, hidden: Iterable[Path]) -> list[str]:
+    """The command line that runs a command under the supervisor, out of reach of what is hidden."""
+    places = [os.path.realpath(path) for path in hidden if path.exists()]
+    if places and can_hide():
+        names = {os.path.realpath(path or os.curdir) for path in [os.curdir, *sys.path]}
+        command = Sandbox(hidden=tuple(places), listed=tuple(sorted(names))).command(command)
+    return [sys.executable, "-I", "-S", str(SUPERVISOR), repr(float(limit_s)), str(report), *command]
+
+
+def environment() -> dict[str, str]:
+    """What a method is told of this process's environment: all but where data is kept, and the salts."""
+    return {key: value for key, value in os.environ.items() if not key.startswith("OYSTERBENCH_")}
+
+
+def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:
     if report["error"]:
         return Ended(0.0, 0.0, 0, 0, f"could not be started: {report['error']}")
     failure = None

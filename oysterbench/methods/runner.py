@@ -6,7 +6,7 @@ import fcntl
 import hashlib
 import os
 import shutil
-import sys
+import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -17,25 +17,19 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from oysterbench.core.errors import MethodError
-from oysterbench.core.trajectory import write_npz
-from oysterbench.methods.inputs import SENSORS
+from oysterbench.core.errors import LabelError, MethodError, SequenceError
+from oysterbench.core.files import home, link
+from oysterbench.methods.interfaces import Predicted
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
-from oysterbench.methods.processes import Ended, Processes
-from oysterbench.methods.worker import ESTIMATE
+from oysterbench.methods.processes import Processes
+from oysterbench.methods.sandbox import can_hide
 
 ASSUMED_BYTES = 2 * 2**30
 """What a method is taken to need as long as none of its runs has been measured."""
 MARGIN = 1.2
 """Of a method's greatest peak so far, for the next of its runs."""
-EXPORT_LIMIT_S = 24 * 3600.0
 
 Announce = Callable[[str], None]
-
-
-def default_limit_s(duration_s: float) -> float:
-    """Ten times the sequence's duration, and ten minutes at least."""
-    return max(10 * duration_s, 600.0)
 
 
 def default_workers() -> int:
@@ -76,7 +70,7 @@ def _finished(job: Job, root: Path) -> Outcome | None:
     outcome = read_outcome(folder)
     if outcome is not None and outcome.identity != job.identity:
         raise MethodError(
-            f"{folder}: holds run {job.number + 1} of another {job.entrant.name} (method, command or recipe differ); "
+            f"{folder}: holds run {job.number + 1} of another {job.adapter.name} (method, command or recipe differ); "
             "it was left as it is: --again runs it anew, --out chooses another folder"
         )
     return outcome
@@ -86,7 +80,8 @@ def _run(
     jobs: list[Job], root: Path, workers: int, keep_inputs: bool, hardware: Mapping[str, Any], announce: Announce
 ) -> Iterator[tuple[Job, Outcome]]:
     processes = Processes()
-    inputs = Inputs(root / "inputs", jobs, keep_inputs, processes)
+    scratch = Path(tempfile.mkdtemp(prefix="oysterbench-"))  # says nothing of where the truth is
+    inputs = Inputs(scratch, jobs, root / "inputs" if keep_inputs else None, processes)
     peaks = _known_peaks(jobs, root)
     budget = available_bytes()
     waiting, running = list(jobs), dict[Future[Outcome], Job]()
@@ -96,28 +91,32 @@ def _run(
             while waiting and len(running) < workers and _fits(waiting[0], running.values(), peaks, budget):
                 job = waiting.pop(0)
                 started = len(jobs) - len(waiting)
-                announce(f"running {job.entrant.name} on {job.name}, run {job.number + 1} ({started} of {len(jobs)})")
+                of = f"{job.adapter.name} on {job.sequence.name}, run {job.number + 1}"
+                announce(f"running {of} ({started} of {len(jobs)})")
                 running[pool.submit(run_job, job, root, inputs, processes, hardware)] = job
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 job, outcome = running.pop(future), future.result()
                 peak = int(outcome.process["peak_bytes"])
-                peaks[job.entrant.name] = max(peaks.get(job.entrant.name, 0), peak)
+                peaks[job.adapter.name] = max(peaks.get(job.adapter.name, 0), peak)
                 yield job, outcome
     finally:
         # Also where the caller stops asking, or is interrupted: nothing goes on without being waited for.
         processes.stop()
         pool.shutdown(wait=True, cancel_futures=True)
-        inputs.clear()
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def run_job(
     job: Job, root: Path, inputs: Inputs, processes: Processes, hardware: Mapping[str, Any] | None = None
 ) -> Outcome:
     """Run one job and keep what became of it."""
-    folder = job.folder(root)
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    started, seed = _now(), job.entrant.seed(job.number)
+    kept = job.folder(root)
+    shutil.rmtree(kept, ignore_errors=True)
+    kept.mkdir(parents=True)
+    folder = Path(tempfile.mkdtemp(dir=inputs.scratch))
+    started, seed = _now(), job.adapter.seed(job.number)
+    who = f"method {job.adapter.name!r} on {job.sequence.name}"
+    hidden = (*job.sequence.hidden, home() / "splits")
     command: list[str] = []
     outcome = Outcome(
         identity=job.identity,
@@ -127,101 +126,101 @@ def run_job(
         process={"wall_s": 0.0, "cpu_s": 0.0, "peak_bytes": 0, "left_behind": 0},
         command=command,
         limit_s=job.limit_s,
-        versions=job.entrant.versions(),
+        versions=job.adapter.versions(),
         hardware=dict(hardware or {}),
         started=started,
         ended=started,
+        contained=can_hide(),
     )
     try:
         given = inputs.of(job)
-        command += job.entrant.command(given, folder.absolute(), job.number)
-        ended = processes.run(command, job.limit_s, folder)
-        outcome = _with_cost(outcome, ended)
-        outcome = _with_answer(outcome, job, given, folder, ended)
-    except MethodError as error:
+        command += job.adapter.command(given, folder, job.number)
+        ended = processes.run(command, job.limit_s, folder, hidden)
+        process = {key: getattr(ended, key) for key in outcome.process}
+        outcome = replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
+        _move(folder, kept)
+        if ended.failure is not None:
+            outcome = replace(outcome, failure=job.adapter.own_failure(kept) or f"{who}: {ended.failure}")
+        else:
+            outcome = _with_predictions(outcome, job, job.adapter.take(job.sequence, given, kept))
+    except (MethodError, SequenceError, LabelError) as error:
         seeded = f" with seed {seed}" if seed is not None else ""
-        outcome = replace(outcome, failure=f"method {job.entrant.name!r} on {job.name}{seeded}: {error}")
+        outcome = replace(outcome, failure=f"{who}{seeded}: {error}")
     finally:
         inputs.done(job)
+        shutil.rmtree(folder, ignore_errors=True)
     outcome = replace(outcome, ended=_now())
-    outcome.write(folder)
+    outcome.write(kept)
     return outcome
 
 
-def _with_cost(outcome: Outcome, ended: Ended) -> Outcome:
-    process = {
-        "wall_s": ended.wall_s,
-        "cpu_s": ended.cpu_s,
-        "peak_bytes": ended.peak_bytes,
-        "left_behind": ended.left_behind,
-    }
-    return replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
+def _move(source: Path, target: Path) -> None:
+    """What a run left. Links are left out: they would be followed by who may read what they lead to."""
+    for path in sorted(source.rglob("*")):
+        if path.is_symlink() or not path.is_file():
+            continue
+        place = target / path.relative_to(source)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.move(path, place)
 
 
-def _with_answer(outcome: Outcome, job: Job, given: Path, folder: Path, ended: Ended) -> Outcome:
-    if ended.failure is not None:
-        said = job.entrant.said_failure(folder)
-        return replace(outcome, failure=said or f"method {job.entrant.name!r} on {job.name}: {ended.failure}")
-    answer = job.entrant.answer(job.path, given, folder)
-    if not (folder / ESTIMATE).is_file():
-        write_npz(folder / ESTIMATE, answer.trajectory)
-    notes = list(answer.trajectory.notes)
-    if ended.left_behind:
-        notes.append(f"{ended.left_behind} processes were still running when it had ended: they were killed")
+def _with_predictions(outcome: Outcome, job: Job, found: Predicted) -> Outcome:
+    notes = list(found.notes)
+    if left := outcome.process["left_behind"]:
+        notes.append(f"{left} processes were still running when it had ended: they were killed")
     return replace(
         outcome,
-        wall_s=ended.wall_s if answer.wall_s is None else answer.wall_s,
-        cpu_s=ended.cpu_s if answer.cpu_s is None else answer.cpu_s,
-        info=dict(answer.info),
+        wall_s=outcome.wall_s if found.wall_s is None else found.wall_s,
+        cpu_s=outcome.cpu_s if found.cpu_s is None else found.cpu_s,
+        info=dict(found.info),
         notes=notes,
-        scored=answer.scored,
-        alternatives=list(answer.alternatives),
-        map=answer.map,
+        prediction=dict(found.prediction),
     )
 
 
 class Inputs:
-    """Sequences in the forms that programs read: each made once, kept as long as a job needs it."""
+    """Sequences in the forms that methods read, each made once, in a folder that says nothing of where they are from.
 
-    def __init__(self, folder: Path, jobs: Sequence[Job], keep: bool, processes: Processes) -> None:
-        self._folder, self._keep, self._processes = folder, keep, processes
-        self._wanted = Counter((job.entrant.form, job.path) for job in jobs)
+    scratch: that folder; kept: where inputs are kept for another time, None where they are not.
+    """
+
+    def __init__(self, scratch: Path, jobs: Sequence[Job], kept: Path | None, processes: Processes) -> None:
+        self.scratch, self._kept, self._processes = scratch, kept, processes
+        self._wanted = Counter(self._key(job) for job in jobs)
         self._locks = {key: Lock() for key in self._wanted}
         self._count = Lock()
 
     def of(self, job: Job) -> Path:
         """The sequence of a job in its form, made now if it is not there. MethodError where it cannot be."""
-        form = job.entrant.form
-        place = self._place(job)
-        with self._locks[form, job.path]:
+        key = self._key(job)
+        name = job.adapter.interface.input_name(job.sequence, job.adapter.form)
+        place = self.scratch / key / name
+        with self._locks[key]:
             if not place.exists():
                 place.parent.mkdir(parents=True, exist_ok=True)
-                module = "oysterbench.methods.inputs"
-                command = [sys.executable, "-m", module, str(job.path.absolute()), form, str(place.absolute())]
-                ended = self._processes.run(command, EXPORT_LIMIT_S, place.parent)
-                if ended.failure is not None:
-                    raise MethodError(f"its input {{{form}}} could not be made: {ended.failure}")
-        return place.absolute()
+                made = place if self._kept is None else self._kept / key / name
+                made.parent.mkdir(parents=True, exist_ok=True)
+                if not made.exists():
+                    job.sequence.write_input(job.adapter.form, made, self._processes)
+                if made.is_dir() and made != place:
+                    shutil.copytree(made, place, copy_function=link)
+                elif made != place:
+                    link(str(made), str(place))
+        return place
 
     def done(self, job: Job) -> None:
         """A job needs its input no more; the last one takes it away."""
-        key = (job.entrant.form, job.path)
+        key = self._key(job)
         with self._count:
             self._wanted[key] -= 1
             last = self._wanted[key] == 0
-        if last and not self._keep:
-            shutil.rmtree(self._place(job).parent, ignore_errors=True)
+        if last:
+            shutil.rmtree(self.scratch / key, ignore_errors=True)
 
-    def clear(self) -> None:
-        """Nothing runs any more: take all away."""
-        if not self._keep:
-            shutil.rmtree(self._folder, ignore_errors=True)
-
-    def _place(self, job: Job) -> Path:
-        form = job.entrant.form
-        origin = hashlib.sha256(job.origin.encode()).hexdigest()[:8]
-        is_file = form == "mcap" or (form == SENSORS and job.path.is_file())
-        return self._folder / f"{job.name}-{form}-{origin}" / (f"{job.name}.mcap" if is_file else job.name)
+    @staticmethod
+    def _key(job: Job) -> str:
+        origin = hashlib.sha256(job.sequence.origin.encode()).hexdigest()[:8]
+        return f"{job.sequence.name}-{job.adapter.form}-{origin}"
 
 
 def available_bytes() -> int:
@@ -245,14 +244,14 @@ def _fits(job: Job, running: Any, peaks: Mapping[str, int], budget: int) -> bool
 
 
 def _need(job: Job, peaks: Mapping[str, int]) -> float:
-    peak = peaks.get(job.entrant.name)
+    peak = peaks.get(job.adapter.name)
     return ASSUMED_BYTES if peak is None else MARGIN * peak
 
 
 def _known_peaks(jobs: Sequence[Job], root: Path) -> dict[str, int]:
-    """By name of an entrant, the most memory that any of its runs in this folder took."""
+    """By name of a method, the most memory that any of its runs in this folder took."""
     peaks: dict[str, int] = {}
-    for name in {job.entrant.name for job in jobs}:
+    for name in {job.adapter.name for job in jobs}:
         for path in (root / "runs" / name).glob(f"*/*/{OUTCOME}"):
             try:
                 outcome = read_outcome(path.parent)

@@ -42,6 +42,7 @@ class Sandbox:
 
     hidden:       files and folders that cannot be opened
     visible:      files and folders inside of these that can be read nevertheless
+    listed:       folders above hidden ones whose names can be listed, and with them those of what is hidden
     network:      whether it has one; without it the process can neither signal nor trace any process outside
     memory_bytes: address space; file_bytes: of a file that it writes; open_files: at once
     cpu_s:        processor time, at whose end it gets SIGXCPU and two seconds later SIGKILL
@@ -49,6 +50,7 @@ class Sandbox:
 
     hidden: tuple[str, ...] = ()
     visible: tuple[str, ...] = ()
+    listed: tuple[str, ...] = ()
     network: bool = True
     memory_bytes: int | None = None
     file_bytes: int | None = None
@@ -78,7 +80,7 @@ class Sandbox:
         if self.cpu_s is not None:
             resource.setrlimit(resource.RLIMIT_CPU, (self.cpu_s, self.cpu_s + 2))
         if self.hidden or not self.network:
-            _restrict(libc, self.hidden, self.visible, self.network)
+            _restrict(libc, self.hidden, self.visible, self.listed, self.network)
 
 
 def can_hide() -> bool:
@@ -91,7 +93,9 @@ def _version(libc: ctypes.CDLL) -> int:
     return int(libc.syscall(CREATE_RULESET, None, ctypes.c_size_t(0), ctypes.c_uint32(VERSION)))
 
 
-def _restrict(libc: ctypes.CDLL, hidden: Iterable[str], visible: Iterable[str], network: bool) -> None:
+def _restrict(
+    libc: ctypes.CDLL, hidden: Iterable[str], visible: Iterable[str], listed: Iterable[str], network: bool
+) -> None:
     """Landlock: all rights over all that is beside the hidden paths, those of reading over `visible`, no others."""
     version = _version(libc)
     if version <= 0:
@@ -108,6 +112,9 @@ def _restrict(libc: ctypes.CDLL, hidden: Iterable[str], visible: Iterable[str], 
         _grant(libc, rules, path, rights)
     for path in visible if paths else ():
         _grant(libc, rules, os.path.realpath(path), rights & READ)
+    for path in (os.path.realpath(path) for path in listed):
+        if any(other.startswith(path.rstrip("/") + "/") for other in paths):
+            _grant(libc, rules, path, READ_DIR)
     _done(libc.syscall(RESTRICT_SELF, rules, ctypes.c_uint32(0)))
     os.close(rules)
 

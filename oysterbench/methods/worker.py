@@ -1,77 +1,53 @@
-"""Runs a method of Python in a process of its own, and leaves its answer in a folder.
+"""Runs a method of Python in a process of its own, and leaves its predictions in a folder.
 
-    python -m oysterbench.methods.worker REFERENCE SEQUENCE FOLDER [SEED]
+    python -m oysterbench.methods.worker REFERENCE INPUT FOLDER [SEED]
 
-FOLDER gets estimate.npz, the path that is scored; estimate.NAME.npz of each alternative; map.ply and keyframes.tum
-where there is a map; and answer.json: `info`, `scored`, `alternatives` (names) and `map` (counts, or null) of the
-estimate, and `wall_s` and `cpu_s` of `run` alone, threads and children included; or `failure`, one line, where there is
-no estimate.
+FOLDER gets the files of the predictions (see `interfaces`) and prediction.json: `info` and `prediction`, as of
+`Predicted`, and `wall_s` and `cpu_s` of the method alone, threads and children included; or `failure`, one line.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import sys
-import time
 import traceback
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.files import write_atomically
-from oysterbench.core.trajectory import write_npz
 from oysterbench.methods.finding import find_method
-from oysterbench.methods.method import Estimate
-from oysterbench.sequence import open_sequence
+from oysterbench.methods.interfaces import Predicted, Stopwatch, interface_of
 
-ANSWER, ESTIMATE = "answer.json", "estimate.npz"
+PREDICTION = "prediction.json"
 
 
-def answer(reference: str, path: str, folder: Path, seed: int | None) -> dict[str, Any]:
-    """Run the method on the sensors of the sequence at `path`, write its estimate; returns what answer.json says."""
+def predict(reference: str, given: Path, folder: Path, seed: int | None) -> dict[str, Any]:
+    """Run the method on its input, write its predictions; returns what prediction.json says."""
     method = find_method(reference)
     if seed is not None:
         method.seed = seed  # type: ignore[attr-defined]
-    sequence = open_sequence(path).for_method()
-    wall, cpu = time.perf_counter(), _cpu_s()
+    watch = Stopwatch()
     try:
-        estimate = method.run(sequence)
-        cost = {"wall_s": time.perf_counter() - wall, "cpu_s": _cpu_s() - cpu}
-        return {**keep(estimate, folder), **cost}
+        found = interface_of(method.track).predict(method, given, folder, watch)
     except OysterbenchError as error:
         return {"failure": str(error)}
     except Exception as error:
         traceback.print_exc()
         line = " ".join(f"{type(error).__name__}: {error}".split())
-        return {"failure": f"method {method.name!r} failed on sequence {sequence.name}: {line}"}
+        return {"failure": f"method {method.name!r} failed on {given.stem}: {line}"}
+    found = replace(found, wall_s=watch.wall_s, cpu_s=watch.cpu_s)
+    plain = {key: _plain(value) for key, value in vars(found).items()}
+    return plain
 
 
-def keep(estimate: Estimate, folder: Path) -> dict[str, Any]:
-    """Write an estimate; returns what answer.json says of it."""
-    write_npz(folder / ESTIMATE, estimate.trajectory)
-    for name, path in estimate.alternatives.items():
-        write_npz(folder / alternative_file(name), path)
-    counts = None
-    if estimate.map is not None:
-        estimate.map.write(folder)
-        counts = {"keyframes": len(estimate.map.keyframes), "landmarks": len(estimate.map.landmarks)}
-    return {
-        "info": _plain(dict(estimate.info)),
-        "scored": estimate.scored,
-        "alternatives": list(estimate.alternatives),
-        "map": counts,
-    }
-
-
-def alternative_file(name: str) -> str:
-    """File of an alternative in the folder of its run."""
-    return f"estimate.{name}.npz"
-
-
-def _cpu_s() -> float:
-    times = os.times()
-    return times.user + times.system + times.children_user + times.children_system
+def read_predicted(folder: Path) -> Predicted | str:
+    """What a worker left in a folder, or why there is nothing. Raises OSError or ValueError where it did not end."""
+    held = json.loads((folder / PREDICTION).read_text(encoding="utf-8"))
+    if "failure" in held:
+        return str(held["failure"])
+    return Predicted(**held)
 
 
 def _plain(value: Any) -> Any:
@@ -85,10 +61,10 @@ def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, str | bool | int | float) else str(value)
 
 
-def main(reference: str, path: str, folder: str, seed: str = "") -> None:
+def main(reference: str, given: str, folder: str, seed: str = "") -> None:
     """As the command line has it."""
-    result = answer(reference, path, Path(folder), int(seed) if seed else None)
-    write_atomically(Path(folder) / ANSWER, json.dumps(result).encode())
+    result = predict(reference, Path(given), Path(folder), int(seed) if seed else None)
+    write_atomically(Path(folder) / PREDICTION, json.dumps(result).encode())
     sys.exit(1 if "failure" in result else 0)
 
 

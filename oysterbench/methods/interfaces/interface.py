@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
+from oysterbench.core.errors import MethodError
 from oysterbench.methods.processes import Processes
 
 T = TypeVar("T")
@@ -75,6 +76,12 @@ class Interface(ABC):
     def input_name(self, sequence: RunSequence, form: str) -> str:
         """Name of the file or folder of an input."""
         return sequence.name
+
+    def options_of(self, form: str, poses_of: str = "") -> dict[str, str]:
+        """What decides beside the form how a program's predictions are read. Raises MethodError for what does not."""
+        if poses_of:
+            raise MethodError(f"--poses-of: of the track slam; here a program leaves {self.leaves}")
+        return {}
 
     @abstractmethod
     def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError, OysterbenchError, TrajectoryError
+from oysterbench.core.files import link
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz
 from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSequence, Stopwatch
@@ -91,6 +92,10 @@ class SlamInterface(Interface):
         assert isinstance(sequence, SequencePath)
         is_file = form == "mcap" or (form == SENSORS and sequence.path.is_file())
         return f"{sequence.name}.mcap" if is_file else sequence.name
+
+    def options_of(self, form: str, poses_of: str = "") -> dict[str, str]:
+        """Whose poses a program leaves."""
+        return {"poses_of": poses_of or POSES_OF[form]}
 
     def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:
         """Run the method on a sequence from which the truth was cut."""
@@ -194,19 +199,12 @@ def _link_measurements(path: Path, out: Path) -> None:
     temporary = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     try:
         for sensor in [*sorted((path / "mav0").glob("cam[0-9]")), path / "mav0" / "imu0"]:
-            shutil.copytree(sensor, temporary / "mav0" / sensor.name, copy_function=_link)
+            shutil.copytree(sensor, temporary / "mav0" / sensor.name, copy_function=link)
         temporary.chmod(0o755)
         os.replace(temporary, out)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
-
-
-def _link(source: str, target: str) -> None:
-    try:
-        os.link(os.path.realpath(source), target)
-    except OSError:  # another disk, or one without links
-        shutil.copy(source, target)
 
 
 def frame_pose(sequence: Sequence, frame: str, form: str) -> Array:

@@ -1,0 +1,176 @@
+"""Policies on labelled pictures: views in, a command for each out.
+
+The folder of a program holds STAMP.png for each view, views.csv (stamp_ns, time_s, heading_rad, pitch_rad, depth_m,
+altitude_m and view, its name; a line for each) and task.json, the table [steering]. It leaves a table (CSV) with a line
+for each view: stamp_ns,yaw,pitch with the numbers of the classes, or stamp_ns,yaw_0,...,pitch_0,... with how probable
+each class is.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, astuple
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array
+from oysterbench.methods.images import Picture
+from oysterbench.methods.interfaces.images import FORM, read_picture, write_pictures
+from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSequence, Stopwatch
+from oysterbench.methods.policy import AXES, classes_of, commands, probabilities
+from oysterbench.methods.steering import Steering, VehicleState, View
+from oysterbench.recipe import SteeringRecipe
+
+VIEWS, TASK, COMMANDS = "views.csv", "task.json", "commands.npz"
+STAMP = "stamp_ns"
+COLUMNS = (STAMP, "time_s", "heading_rad", "pitch_rad", "depth_m", "altitude_m", "view")
+
+
+class SteeringInterface(Interface):
+    """Views in, a `Steering` of each out."""
+
+    forms: ClassVar = {FORM: "a folder of pictures, STAMP.png, with views.csv and task.json"}
+    own_form = FORM
+    out = "commands.csv"
+    leaves = "a table of commands"
+
+    def predict(self, method: Any, given: Path, folder: Path, watch: Stopwatch) -> Predicted:
+        """Run the method on the views, which it is given one by one."""
+        task, rows = read_task(given), _rows(given)
+        views = (_view(given, row) for row in rows)
+        with watch:
+            made = [answer for _, answer, _ in commands(method, task, watch.leave_out(views), given.name)]
+        if len(made) < len(rows):
+            raise MethodError(
+                f"method {method.name!r} on {given.name}: expected {len(rows)} commands, one for each view, got "
+                f"{len(made)}"
+            )
+        _write(folder, task, made)
+        return Predicted()
+
+    def take(
+        self, sequence: RunSequence, given: Path, folder: Path, form: str, options: Mapping[str, str]
+    ) -> Predicted:
+        """Read its table."""
+        task = read_task(given)
+        _write(folder, task, read_commands(folder / self.out, [int(row[0]) for row in _rows(given)], task))
+        return Predicted()
+
+
+def write_views(views: Iterable[View], task: SteeringRecipe, folder: Path) -> None:
+    """Write what a policy is given; names of views end with their stamp."""
+    rows: list[tuple[Any, ...]] = [COLUMNS]
+
+    def pictures() -> Iterator[Picture]:
+        for view in views:
+            stamp = view.name.rpartition("/")[2]
+            rows.append((stamp, view.time_s, *astuple(view.state), view.name))
+            yield Picture(stamp, view.pixels)
+
+    write_pictures(pictures(), folder)
+    with open(folder / VIEWS, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
+    (folder / TASK).write_text(json.dumps(asdict(task)), encoding="utf-8")
+
+
+def read_task(folder: Path) -> SteeringRecipe:
+    """The task of a folder of views."""
+    return task_of(json.loads((folder / TASK).read_text(encoding="utf-8")))
+
+
+def task_of(values: Mapping[str, Any]) -> SteeringRecipe:
+    """A table [steering] from plain values."""
+    given: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+    return SteeringRecipe(**given)
+
+
+def read_commands(path: Path, stamps: Sequence[int], task: SteeringRecipe) -> list[Steering]:
+    """The commands of a table at the views of these stamps, in their order. Raises MethodError by file and line."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            lines = list(csv.reader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise MethodError(f"{path.name}: expected a table as text (CSV): {error}") from None
+    numbered = {axis: [f"{axis}_{i}" for i in range(len(getattr(task, f"{axis}_deg")))] for axis in AXES}
+    allowed = ([STAMP, *AXES], [STAMP, *numbered["yaw"], *numbered["pitch"]])
+    head = [key.strip() for key in lines[0]] if lines else []
+    if head not in allowed:
+        raise MethodError(
+            f"{path.name}:1: expected the columns {','.join(allowed[0])} or {STAMP},yaw_0,...,pitch_0,..., got "
+            f"{','.join(head)!r:.80}"
+        )
+    found: dict[int, Steering] = {}
+    for number, fields in enumerate(lines[1:], start=2):
+        where = f"{path.name}:{number}"
+        if not fields:
+            continue
+        try:
+            if len(fields) != len(head):
+                raise ValueError(f"expected {len(head)} values, got {len(fields)}")
+            stamp = int(fields[0])
+            if head == allowed[0]:
+                answer = Steering(fields[0], int(fields[1]), int(fields[2]))
+            else:
+                shares = np.array([float(value) for value in fields[1:]])
+                count = len(numbered["yaw"])
+                answer = Steering(fields[0], yaw_probability=shares[:count], pitch_probability=shares[count:])
+        except ValueError as error:
+            raise MethodError(f"{where}: {error}") from None
+        classes_of(answer, task, where)
+        if stamp in found:
+            raise MethodError(f"{where}: the view {stamp} has two commands")
+        found[stamp] = answer
+    if missing := [stamp for stamp in stamps if stamp not in found]:
+        raise MethodError(
+            f"{path.name}: expected {len(stamps)} commands, one for each view, got {len(found)}; the first that lacks "
+            f"one is {missing[0]}"
+        )
+    return [found[stamp] for stamp in stamps]
+
+
+def read_classes(folder: Path, task: SteeringRecipe) -> tuple[Array, Array, Array]:
+    """The commands that a run left: classes (N, 2) int, probabilities of yaw (N, Y) and of pitch (N, P).
+
+    Raises MethodError where they are no commands of the task.
+    """
+    try:
+        with np.load(folder / COMMANDS, allow_pickle=False) as held:
+            classes, *shares = held["classes"], held["yaw"], held["pitch"]
+        counts = (len(task.yaw_deg), len(task.pitch_deg))
+        fits = classes.dtype == np.int64 and classes.shape == (len(classes), 2)
+        fits = fits and bool((classes >= 0).all() and (classes < counts).all())
+        for each, count in zip(shares, counts, strict=True):
+            fits = fits and each.shape == (len(classes), count) and math.isfinite(each.sum())
+        if not fits:
+            raise ValueError("expected classes and probabilities of the task")
+    except Exception as error:  # numpy and zipfile each have their own, for bytes that a stranger may have made
+        raise MethodError(f"{folder / COMMANDS}: no commands can be read: {type(error).__name__}: {error}") from None
+    return classes, shares[0], shares[1]
+
+
+def _write(folder: Path, task: SteeringRecipe, made: Sequence[Steering]) -> None:
+    chosen = [classes_of(answer, task, answer.name) for answer in made]
+    both = [probabilities(answer, classes, task) for answer, classes in zip(made, chosen, strict=True)]
+    yaw, pitch = (np.array([pair[k] for pair in both]).reshape(len(made), -1) for k in (0, 1))
+    classes = np.array(chosen, dtype=np.int64).reshape(-1, 2)
+    np.savez_compressed(folder / COMMANDS, classes=classes, yaw=yaw, pitch=pitch)
+
+
+def _rows(folder: Path) -> list[list[str]]:
+    """Of views.csv."""
+    with open(folder / VIEWS, newline="", encoding="utf-8") as file:
+        return list(csv.reader(file))[1:]
+
+
+def _view(folder: Path, row: Sequence[str]) -> View:
+    stamp, time_s, *state, name = row
+    return View(name, read_picture(folder, stamp), VehicleState(*map(float, state)), float(time_s))
+
+
+INTERFACE = SteeringInterface()
