@@ -259,7 +259,7 @@ def _mask_reader(name: str, pixels: Callable[[], Any], wanted: Wanted) -> Reader
     def instances() -> ImageInstances:
         from oysterbench.evaluate.detection import DetectionSettings
         from oysterbench.methods.images import Segmentation
-        from oysterbench.tracks.image_predictions import instances_of
+        from oysterbench.tracks.images import instances_of
 
         found = mask()
         with refusing(name):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from oysterbench.core.errors import MethodError
-from oysterbench.methods.piloting import classes_of
+from oysterbench.methods.policy import classes_of
 from oysterbench.methods.steering import Steering
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.archive import shown
@@ -74,7 +74,7 @@ def steering_commands(given: Sequence[Steering], task: SteeringRecipe) -> Comman
     import numpy as np
 
     from oysterbench.evaluate.steering import Commands
-    from oysterbench.tracks.steering import probabilities
+    from oysterbench.methods.policy import probabilities
 
     chosen = [classes_of(one, task, one.name) for one in given]
     shares = [probabilities(one, classes, task) for one, classes in zip(given, chosen, strict=True)]

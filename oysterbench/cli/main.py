@@ -10,31 +10,18 @@ from typing import Any
 import click
 
 from oysterbench.cli.compare import compare_command
-from oysterbench.cli.density import TRACK as DENSITY
-from oysterbench.cli.density import Mapping, density_options, evaluate_density
+from oysterbench.cli.eval import eval_command
+from oysterbench.cli.evaluate import echo
 from oysterbench.cli.hub import COMMANDS as HUB_COMMANDS
-from oysterbench.cli.imaging import TRACKS as IMAGE_TRACKS
-from oysterbench.cli.imaging import Imaging, evaluate_images, imaging_options
 from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
-from oysterbench.cli.outputs import Outputs, output_options, print_rich
-from oysterbench.cli.reading import Reading, reading_options
-from oysterbench.cli.render import frames_bar, render, render_files
+from oysterbench.cli.outputs import print_rich
+from oysterbench.cli.render import frames_bar, render
 from oysterbench.cli.run import run_command
-from oysterbench.cli.scoring import Scoring, scoring_options
 from oysterbench.cli.splits import splits
-from oysterbench.cli.steering import TRACK as STEERING
-from oysterbench.cli.steering import Exploring, evaluate_steering, exploring_options
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.version import VERSION
 
-TRACKS = ("slam", *IMAGE_TRACKS, DENSITY, STEERING)
-DEFAULT_SPLIT = {"slam": "slam-mini"}
-DEFAULT_METHODS = {"slam": ("gtsam_vi", "dead_reckoning")}
-"""On slam-mini, one camera and an inertial unit: gtsam_full has nothing there that gtsam_vi has not, and visual_only,
-which has no scale, cannot be scored as they are."""
-ALIGNMENTS = ("none", "origin", "se3", "posyaw", "sim3")
-ASSOCIATIONS = ("interpolate", "nearest")
 INTERRUPTED = 130
 COMMANDS = Installed("oysterbench", "oysterbench.commands")
 
@@ -79,10 +66,10 @@ def main() -> None:
 
     \b
     Examples:
-      oysterbench eval --track slam                 the demo: render, run the baselines, print the table
-      oysterbench eval --track slam --method gtsam_vi --out results
-      oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3
-      oysterbench eval --track steering             policies that explore, against an expert
+      oysterbench eval slam                         the demo: render, run the baselines, print the table
+      oysterbench eval slam --method gtsam_vi --out results
+      oysterbench eval slam --truth truth.tum --estimate mine.tum --align se3
+      oysterbench eval steering                     policies that explore, against an expert
       oysterbench run my_slam --command "..."       run any program on a split, and score it
       oysterbench compare ours theirs               ranks, ties, and who is better where
       oysterbench train unet --data seg-train       a method that learns
@@ -100,6 +87,7 @@ def main() -> None:
 
 
 for _command in (
+    eval_command,
     run_command,
     compare_command,
     map_command,
@@ -111,131 +99,6 @@ for _command in (
     *HUB_COMMANDS,
 ):
     main.add_command(_command)
-
-
-@main.command("eval", short_help="Run methods on a split and score them, or score two files.")
-@click.option("--track", type=click.Choice(TRACKS), required=True, help="What is evaluated.")
-@click.option("--split", "split_name", help="A split's name or the path of a .toml recipe.  [default: the mini one]")
-@click.option("--method", "method_names", multiple=True, help="A method; repeatable.  [default: the track's baselines]")
-@click.option("--truth", type=click.Path(path_type=Path), help="Score files: the true trajectory, or masks.")
-@click.option("--estimate", type=click.Path(path_type=Path), help="Score files: the estimated ones.")
-@reading_options
-@scoring_options
-@imaging_options
-@density_options
-@exploring_options
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of the results.  [default: under the home]"
-)
-@click.option("--workers", type=click.IntRange(min=1), help="Processes that render, or dive.  [default: one per core]")
-@click.option("--runs", "times", type=click.IntRange(min=1), help="Runs of each method on each sequence.  [default: 1]")
-@output_options
-def eval_command(
-    track: str,
-    split_name: str | None,
-    method_names: tuple[str, ...],
-    truth: Path | None,
-    estimate: Path | None,
-    reading: Reading,
-    settings: Scoring,
-    imaging: Imaging,
-    mapping: Mapping,
-    exploring: Exploring,
-    out: Path | None,
-    workers: int | None,
-    times: int | None,
-    outputs: Outputs,
-) -> None:
-    """Run methods on a split and score them, or score files: trajectories, masks, single oysters.
-
-    \b
-    Examples:
-      oysterbench eval --track slam
-      oysterbench eval --track slam --method dead_reckoning --json
-      oysterbench eval --track slam --runs 5 --out five-runs
-      oysterbench eval --track slam --truth truth.tum --estimate mine.tum --align se3 --associate nearest
-      oysterbench eval --track slam --truth truth.tum --estimate mine.tum --report mine.html --tex -
-      oysterbench eval --track segmentation --method my_net:MyNet --split seg-val
-      oysterbench eval --track segmentation --truth masks/ --estimate probabilities/ --threshold 0.4
-      oysterbench eval --track detection --truth instances.json --estimate results.json
-      oysterbench eval --track density --split slam-val --method gtsam_full --method dead_reckoning
-      oysterbench eval --track density --split slam-val --poses results --masks answers --depth stereo
-      oysterbench eval --track steering --method my_pilot:MyPilot --split steer-val
-      oysterbench eval --track steering --closed-loop --method my_pilot:MyPilot --split steer-val --reefs 3
-
-    The split is rendered on first use. The folder of results has them as JSON, CSV, LaTeX, Markdown and as an HTML
-    report. Run k of a method that draws random numbers has the method's seed + k.
-    """
-    if (truth is None) != (estimate is None):
-        raise click.UsageError("--truth and --estimate belong together: expected both or none")
-    if truth is None and reading.given:
-        raise click.UsageError(f"{', '.join(reading.given)}: says how to read files, but no --truth and --estimate are")
-    if truth is not None and (split_name or method_names or workers or times):
-        raise click.UsageError(
-            "--truth and --estimate score two files: --split, --method, --workers and --runs do not apply"
-        )
-    if track in (DENSITY, STEERING):
-        names = [*reading.given, *(["--runs"] if times else []), *(["--truth"] if truth else [])]
-        names += [name for name in settings.given if track == STEERING or name != "--align"]
-        if names:
-            raise click.UsageError(f"{', '.join(names)}: of other tracks, not of {track}")
-        imaging.refuse(tuple(imaging.given), "of the tracks segmentation and detection")
-    if track == STEERING:
-        mapping.refuse(besides=("sequences",))
-        sequences = mapping.given.get("sequences", ())
-        evaluate_steering(split_name, method_names, exploring, sequences, out, workers, outputs)
-        return
-    exploring.refuse()
-    if track == DENSITY:
-        evaluate_density(split_name, method_names, mapping, settings.values.get("align"), out, workers, outputs)
-        return
-    mapping.refuse()
-    if track in IMAGE_TRACKS:
-        if names := [*reading.given, *(["--runs"] if times else []), *settings.given]:
-            raise click.UsageError(f"{', '.join(names)}: of the track slam, not of {track}")
-        evaluate_images(track, split_name, method_names, truth, estimate, imaging, out, workers, outputs)
-        return
-    imaging.refuse(tuple(imaging.given), "of the tracks segmentation and detection")
-
-    from oysterbench.results.records import document, dump, write_results
-
-    chosen = settings()
-    if truth is not None and estimate is not None:
-        from oysterbench.tracks.slam import score_files
-
-        runs = [score_files(truth, estimate, chosen, *reading.options())]
-    else:
-        from oysterbench.methods.entrants import PythonMethod
-        from oysterbench.recipe import load_split
-        from oysterbench.simulation.generate import split_folder
-        from oysterbench.tracks.slam_runs import Dive, run_slam
-
-        # Everything that can be wrong with the request is found before the rendering begins.
-        split = load_split(split_name or DEFAULT_SPLIT[track])
-        methods = [PythonMethod(name) for name in dict.fromkeys(method_names or DEFAULT_METHODS[track])]
-        out = out or split_folder(split) / "results"
-        out.mkdir(parents=True, exist_ok=True)
-        files = render_files(split, workers=workers)
-        dives = [Dive(name, path, split) for name, path in files.items()]
-        # One at a time, so that none takes time from another, and anew: `run` is the command that goes on.
-        finished = run_slam(dives, methods, chosen, out, times or 1, again=True, announce=_say)
-        runs = [each.scored for each in finished if each.scored is not None]
-
-    records = [run.record for run in runs]
-    if out is not None:
-        write_results(out / "results.json", records)
-    written = outputs.write(runs, out)
-    if outputs.as_json:
-        click.echo(dump(document(records)))
-    elif not outputs.on_stdout:
-        _print_slam_table(records)
-    for path in [*([out / "results.json"] if out is not None else []), *written]:
-        _say(f"written: {path}")
-    failures = [record for record in records if record.failure is not None]
-    for record in failures:
-        _say(f"{record.method} failed on {record.sequence}: {record.failure}")
-    if failures:
-        sys.exit(OysterbenchError.exit_code)
 
 
 @main.command(short_help="What is in a sequence file.")
@@ -314,7 +177,7 @@ def export(sequence: Path, form: str, out: Path, truth: bool, as_json: bool) -> 
         click.echo(json.dumps({"folder": str(folder), "format": form, "notes": notes}, indent=2))
         return
     for note in notes:
-        _say(note)
+        echo(note)
     click.echo(folder)
 
 
@@ -388,19 +251,3 @@ def oyster(seed: int, size_mm: float | None, state: str, out: Path, as_json: boo
         return
     height, length, width = (1000 * facts[f"{key}_m"] for key in ("height", "length", "width"))
     click.echo(f"{out}: {height:.0f} x {length:.0f} x {width:.0f} mm, {1e6 * facts['volume_m3']:.1f} ml")
-
-
-def _print_slam_table(records: list[Any]) -> None:
-    from oysterbench.report import comparison_tables, results_table, runs_table, terminal_table
-    from oysterbench.results.comparison import boards
-
-    print_rich(terminal_table(results_table(records), titled=False))
-    several = len({record.sequence for record in records}) > 1
-    tables = comparison_tables(records) if several else [runs_table(board) for board in boards(records)]
-    for table in tables:
-        if table.rows:
-            print_rich(terminal_table(table))
-
-
-def _say(text: str) -> None:
-    click.echo(text, err=True)

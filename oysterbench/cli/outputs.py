@@ -12,14 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from oysterbench.core.errors import OysterbenchError
-
 if TYPE_CHECKING:
     from oysterbench.report import DatasetRow
     from oysterbench.report.cards import Card
     from oysterbench.report.html import Runs
     from oysterbench.report.table import Table
-    from oysterbench.results.records import ResultRecord
 
 TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs and graphicx", "md": "tables in Markdown"}
 """Forms of text, by their suffix."""
@@ -102,14 +99,3 @@ def print_rich(table: Any) -> None:
     if not console.is_terminal:
         console = Console(width=200)
     console.print(table)
-
-
-def end(written: Sequence[Path], records: Sequence[ResultRecord]) -> None:
-    """Say what was written and what failed; the command ends with an error where something did."""
-    for path in written:
-        click.echo(f"written: {path}", err=True)
-    failures = [record for record in records if record.failure is not None]
-    for record in failures:
-        click.echo(f"{record.method} failed on {record.sequence}: {record.failure}", err=True)
-    if failures:
-        sys.exit(OysterbenchError.exit_code)

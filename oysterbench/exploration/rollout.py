@@ -14,7 +14,7 @@ from oysterbench.core.geometry import Array, transform
 from oysterbench.core.streams import Streams
 from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.exploration.references import reference
-from oysterbench.methods.piloting import commands
+from oysterbench.methods.policy import commands
 from oysterbench.methods.steering import SteeringMethod, View
 from oysterbench.recipe import SplitRecipe
 from oysterbench.scene.path.disturbance import sway

@@ -1,4 +1,4 @@
-"""Finished dives, each kept as one file that is there whole or not at all, and is found again by what decides it."""
+"""Finished rollouts, each kept as one file that is there whole or not at all, and is found again by what decides it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ARRAYS = ("states", "altitude", "commands", "seen", "contact", "turned", "covere
 
 
 def packed(log: RolloutLog) -> bytes:
-    """A dive as .npz."""
+    """A rollout as .npz."""
     plain = {f.name: getattr(log, f.name) for f in fields(RolloutLog) if f.name not in ARRAYS}
     stream = io.BytesIO()
     head = np.array(json.dumps({"format": FORMAT, **plain}))
@@ -32,8 +32,8 @@ def packed(log: RolloutLog) -> bytes:
     return stream.getvalue()
 
 
-def unpacked(data: bytes, where: str = "dive") -> RolloutLog:
-    """A dive from what `packed` gave. Raises ResultError naming `where`."""
+def unpacked(data: bytes, where: str = "rollout") -> RolloutLog:
+    """A rollout from what `packed` gave. Raises ResultError naming `where`."""
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as held:
             head = json.loads(str(held["head"]))
@@ -42,15 +42,15 @@ def unpacked(data: bytes, where: str = "dive") -> RolloutLog:
             return RolloutLog(**head, **{key: held[key] for key in ARRAYS})
     except Exception as error:  # numpy, zipfile and json each have their own
         raise ResultError(
-            f"{where}: not a dive as this version keeps it ({type(error).__name__}: {error}); delete it, or dive anew "
-            "with --again"
+            f"{where}: not a rollout as this version keeps it ({type(error).__name__}: {error}); delete it, or make it "
+            "anew with --again"
         ) from None
 
 
-def dive_file(folder: Path, reef: str, pilot: str, identity: Mapping[str, Any]) -> Path:
-    """Where a dive is kept. identity: JSON values, all that decides it."""
+def rollout_file(folder: Path, reef: str, policy: str, identity: Mapping[str, Any]) -> Path:
+    """Where a rollout is kept. identity: JSON values, all that decides it."""
     text = json.dumps(identity, sort_keys=True, default=str)
-    safe = "".join(sign if sign.isalnum() or sign in "_.-" else "_" for sign in pilot)
+    safe = "".join(sign if sign.isalnum() or sign in "_.-" else "_" for sign in policy)
     return folder / f"{reef}-{safe}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.npz"
 
 
@@ -82,8 +82,8 @@ def steering_source() -> str:
     return whole.hexdigest()
 
 
-def read_dive(path: Path) -> RolloutLog | None:
-    """The dive in a file; None where there is none yet."""
+def read_rollout(path: Path) -> RolloutLog | None:
+    """The rollout in a file; None where there is none yet."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:

@@ -19,12 +19,13 @@ FORMAT = "oysterbench-outcome/2"
 
 @dataclass(frozen=True)
 class Job:
-    """Run `number`, from 0, of a method on a sequence."""
+    """Run `number`, from 0, of so many, of a method on a sequence."""
 
     adapter: MethodAdapter
     sequence: RunSequence
     number: int
     limit_s: float
+    of: int = 1
 
     def folder(self, root: Path) -> Path:
         """Where its predictions and its logs are kept."""

@@ -37,9 +37,7 @@ def commands(
             last[:] = [view]
             yield view
             if last:
-                raise MethodError(
-                    f"method {policy.name!r}, {where}: took a view before it had commanded at {view.name}"
-                )
+                raise MethodError(f"method {policy.name!r}, {where}: took a view before a command at {view.name}")
 
     try:
         for answer in policy.run(_Views(task, remembered())):

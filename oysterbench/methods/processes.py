@@ -120,6 +120,14 @@ def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:
     return Ended(report["wall_s"], report["cpu_s"], report["peak_bytes"], report["left_behind"], failure)
 
 
+def failure_of(report: Path, limit_s: float, folder: Path) -> str | None:
+    """Why a command that a supervisor ran ended badly, as far as its report says; its output is in a folder."""
+    try:
+        return _ended(json.loads(report.read_text(encoding="utf-8")), limit_s, folder).failure
+    except (OSError, ValueError):
+        return tail(folder / STDERR) or None
+
+
 def signal_name(number: int) -> str:
     """SIGSEGV of 11; real-time signals have numbers only."""
     try:

@@ -1,222 +1,159 @@
-"""The density track, run: maps of sequences along true and estimated paths, each scored against the true map."""
+"""The density track: maps of oysters along the paths of SLAM methods, with the masks of methods of images."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
-from oysterbench.core.errors import LabelError, OysterbenchError
-from oysterbench.core.geometry import Array
-from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.density.scoring import EVALUATOR, Cell, MapCount, TrueCount, score_density
-from oysterbench.evaluate.slam.alignment import fit_alignment
-from oysterbench.evaluate.slam.association import associate
-from oysterbench.evaluate.slam.settings import Align, SlamSettings
-from oysterbench.mapping import MapSettings, OysterMap, Seen, build_map, true_seen
-from oysterbench.mapping.cover import Cover
-from oysterbench.mapping.grid import Grid, Oyster, make_grid
-from oysterbench.mapping.predicted import true_states
-from oysterbench.mapping.projection import Lens, usable
-from oysterbench.mapping.survey import empty_cover
-from oysterbench.mapping.views import PoseInterpolator
+from oysterbench.annotations import labelled_sequence
+from oysterbench.core.errors import MethodError, TrajectoryError
+from oysterbench.core.trajectory import Trajectory, read_trajectory
+from oysterbench.evaluate.slam.settings import SlamSettings
+from oysterbench.mapping import MapSettings, Seen, read_seen
+from oysterbench.mapping.predicted import stacked
+from oysterbench.methods.adapters import PythonMethod
+from oysterbench.methods.interfaces import RunSequence
+from oysterbench.methods.interfaces.images import read_predictions
+from oysterbench.methods.interfaces.slam import read_estimate
+from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
-from oysterbench.results.records import ResultRecord
-from oysterbench.sequence import Sequence
-from oysterbench.simulation.conditions import conditions
-from oysterbench.simulation.generate import digest
-from oysterbench.tracks.slam import truth_digest
+from oysterbench.report.density_figure import figure
+from oysterbench.sequence import Sequence as SensorSequence
+from oysterbench.sequence import open_sequence
+from oysterbench.tracks.images import PictureSequence, instances_of
+from oysterbench.tracks.mapping_evaluation import MappedSequence, evaluate_maps, labelled_camera
+from oysterbench.tracks.slam import TRACK as SLAM
+from oysterbench.tracks.slam import SlamSequence
+from oysterbench.tracks.slam_options import SETTINGS
+from oysterbench.tracks.track import Evaluation, Option, Request, Track, shown_tables
 
-TRUE_POSES = "true poses"
-Announce = Callable[[str], None]
-SeenOf = Callable[[], Iterable[Seen]]
-
-
-@dataclass(frozen=True)
-class TrueMap:
-    """What is truly on the ground that a camera saw."""
-
-    count: TrueCount
-    oysters: list[Oyster]
-    cover: Cover
+IMAGES = ("segmentation", "detection")
+DEPTHS = ("stereo", "motion", "plane", "layer")
+KINDS = ("auto", "instances", "mask", "probability", "classes")
 
 
-@dataclass(frozen=True)
-class Survey:
-    """A sequence that is mapped: along which paths, with whose masks (by name; the truth's own by default)."""
+class DensityTrack(Track):
+    """Oysters per square metre."""
 
-    sequence: Sequence
-    camera: str
-    paths: Mapping[str, Trajectory | Exception]
-    masks: Mapping[str, SeenOf] = field(default_factory=dict)
-
-
-def labelled_camera(sequence: Sequence) -> str:
-    """The first camera with the layers depth, class and instance. Raises LabelError where there is none."""
-    topics = {topic for topic, _, _ in sequence.contents()}
-    for name in sequence.cameras:
-        if {f"/{name}/depth", f"/{name}/class", f"/{name}/instance"} <= topics:
-            return name
-    raise LabelError(
-        f"{sequence.name}: no camera has the layers depth, class and instance, of which the true map is made; "
-        "`oysterbench info` lists what there is"
+    name = "density"
+    title = "Oysters per square metre, from paths and masks."
+    takes = ("slam", *IMAGES)
+    default_split = "slam-mini"
+    default_methods = ("dead_reckoning",)
+    folder = "results-density"
+    options = (
+        Option("poses", "--poses", "Folder of SEQUENCE-METHOD.tum, as `run` leaves it.", Path),
+        Option("masks", "--masks", "Oysters in the pictures.  [default: true]", Path),
+        Option("kind", "--masks-kind", "What their numbers are.  [default: auto]", KINDS),
+        Option("depth", "--depth", "Where depths come from.  [default: layer]", DEPTHS),
+        Option("cell_m", "--cell", "Edge of the grid's cells, in m.  [default: 1]", float),
+        next(option for option in SETTINGS if option.key == "align"),
     )
+    examples = """
+      oysterbench eval density --split slam-val --method gtsam_full --method dead_reckoning
+      oysterbench eval density --split slam-val --poses results --masks masks --depth stereo"""
+
+    def settings(self, options: Mapping[str, Any]) -> MapSettings:
+        """Of the maps."""
+        return MapSettings(**{key: options[key] for key in ("cell_m",) if key in options})
+
+    def run_sequences(
+        self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
+    ) -> Sequence[SlamSequence]:
+        """As on the SLAM track."""
+        return SLAM.run_sequences(split, files, options)
+
+    def score(self, job: Job, outcome: Outcome, out: Path, settings: MapSettings) -> None:
+        """A path or masks alone are no map."""
+
+    def evaluate(self, request: Request) -> Evaluation:
+        """Map, and score. Methods of the track SLAM give paths, those of images give masks."""
+        options, settings = request.options, self.settings(request.options)
+        if request.template is not None or request.runs > 1:
+            raise MethodError("density: maps are made of methods of Python, each run once, or of --poses and --masks")
+        names = dict.fromkeys(request.methods or (() if "poses" in options else self.default_methods))
+        methods = [PythonMethod(name, self.takes) for name in names]
+        images = [method for method in methods if method.track in IMAGES]
+        if "masks" in options and images:
+            raise MethodError(f"--masks and {images[0].name}: expected masks from one of them")
+        self.check(request)
+        again = replace(request, again=bool(options.get("again")), runs=1)
+        runs: list[DensityRun] = []
+        sequences = self.run_sequences(request.split, self.rendered(request), options)
+        for sequence in sequences:
+            opened = open_sequence(sequence.path)
+            camera = labelled_camera(opened)
+            paths = self._paths(sequence, [one for one in methods if one.track == "slam"], again)
+            mapped = MappedSequence(
+                opened, camera, paths, self._masks(sequence, opened, camera, images, again, settings)
+            )
+            depth, align = options.get("depth", "layer"), options.get("align", "posyaw")
+            for run in evaluate_maps(mapped, sequence.split, settings, depth, align, request.announce):
+                drawn = "" if run.result is None else figure(run.result).svg()
+                runs.append(replace(run, figure=drawn, result=None))
+        return self.show(runs, sequences, request.out)
+
+    def show(self, runs: Sequence[DensityRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
+        """Results by sequence, and maps."""
+        return Evaluation(runs, printed=shown_tables([run.record for run in runs]))
+
+    def _paths(
+        self, sequence: SlamSequence, methods: Sequence[PythonMethod], request: Request
+    ) -> dict[str, Trajectory | Exception]:
+        """By method: those of a folder, and those that methods are run for; the reason where there is none."""
+        found: dict[str, Trajectory | Exception] = {}
+        if (folder := request.options.get("poses")) is not None:
+            kept = estimates_in(folder, sequence.name)
+            if not kept:
+                raise TrajectoryError(f"{folder}: expected estimates of {sequence.name}, {sequence.name}-METHOD.tum")
+            found = {method: read_trajectory(file) for method, file in kept.items()}
+        within = replace(request, out=request.out / "paths")
+        for done in SLAM.run([sequence], methods, SlamSettings(), within) if methods else ():
+            failed = done.outcome.failure
+            path = read_estimate(done.job.folder(within.out)) if failed is None else MethodError(failed)
+            found[done.job.adapter.name] = path
+        return found
+
+    def _masks(
+        self,
+        sequence: SlamSequence,
+        opened: SensorSequence,
+        camera: str,
+        methods: Sequence[PythonMethod],
+        request: Request,
+        settings: MapSettings,
+    ) -> dict[str, Callable[[], Iterator[Seen]]]:
+        """What gives the oysters of pictures, by name; nothing for the truth's own."""
+        threshold = settings.threshold
+        if (place := request.options.get("masks")) is not None:
+            kind = request.options.get("kind", "auto")
+            return {place.name: lambda: read_seen(place, opened, camera, kind, threshold)}
+        within = replace(request, out=request.out / "masks")
+        pictures = PictureSequence(labelled_sequence(sequence.path), [sequence.path], sequence.split)
+        done = self.run([pictures], methods, settings, within) if methods else ()
+        return {
+            each.job.adapter.name: partial(_seen, each.job, each.outcome, within.out, camera, threshold)
+            for each in done
+        }
 
 
-def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
-    """Of the true poses and depths, and the table of oysters: middles that lie on what was seen.
-
-    An oyster is shown where some picture has `least_px` of it within the greatest distance.
-    """
-    truth = sequence.truth()
-    way, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, sequence.cameras[camera])
-    cover = empty_cover(truth, settings)
-    most: Counter[int] = Counter()
-    for depth, picture in zip(sequence.layer(camera, "depth"), true_seen(sequence, camera), strict=True):
-        T = way.at(depth.stamp_ns)
-        if T is None:
-            continue
-        near = usable(depth.pixels, settings)
-        points = lens.points(depth.pixels.astype(float), T @ sequence.cameras[camera].T_base_cam)
-        cover.add(points[near], depth.pixels[near], None)
-        numbers, pixels = np.unique(picture.numbers[near], return_counts=True)
-        for number, count in zip(numbers.tolist(), pixels.tolist(), strict=True):
-            most[number] = max(most[number], count)
-    table, states = sequence.oysters(), true_states(sequence)
-    centres = oyster_centres(table)
-    there = cover.holds(centres[:, :2])
-    shown = np.array([most[int(number)] >= settings.least_px for number in table["id"]], dtype=bool)
-    oysters = [
-        Oyster(centre, states[int(number)], 1)
-        for centre, number in zip(centres[there & shown], table["id"][there & shown], strict=True)
-    ]
-    grid = make_grid(oysters, cover, settings, 0.0)
-    live = sum(one.state == "live" for one in oysters)
-    count = TrueCount(cells_of(grid), len(oysters), live, int((there & ~shown).sum()), float(grid.area_m2.sum()))
-    return TrueMap(count, oysters, cover)
-
-
-def oyster_centres(table: Any) -> Array:
-    """(N, 3) m in `map`: from the umbo half of the height towards the bill (the shell's x)."""
-    quaternions = table[["qx", "qy", "qz", "qw"]].to_numpy()
-    umbos, heights = table[["x", "y", "z"]].to_numpy(), table["height_m"].to_numpy()
-    if len(umbos) == 0:
-        return np.zeros((0, 3))
-    return umbos + 0.5 * heights[:, None] * Rotation.from_quat(quaternions).as_matrix()[:, :, 0]
-
-
-def cells_of(grid: Grid) -> dict[tuple[int, int], Cell]:
-    """Those that were seen enough, by column and row of the world."""
-    west, north = round(grid.west_m / grid.cell_m), round(grid.north_m / grid.cell_m)
-    return {
-        (west + int(column), north - 1 - int(row)): Cell(
-            float(grid.area_m2[row, column]), float(grid.live[row, column])
-        )
-        for row, column in zip(*np.nonzero(grid.known), strict=True)
-    }
-
-
-def aligned(truth: Trajectory, estimate: Trajectory, align: Align) -> Trajectory:
-    """An estimate, brought to the world of the truth as the SLAM track does."""
-    settings = SlamSettings(align=align)
-    met = associate(truth, estimate, settings)
-    fit = fit_alignment(met.truth, met.estimate, align).similarity
-    return replace(estimate, positions=fit.apply(estimate.positions), quaternions=fit.rotate(estimate.quaternions))
-
-
-def run_survey(
-    survey: Survey,
-    split: SplitRecipe | None,
-    settings: MapSettings,
-    depth: str = "layer",
-    align: Align = "posyaw",
-    announce: Announce = lambda text: None,
-) -> Iterator[DensityRun]:
-    """A map along each path with the masks of each, scored; what cannot be mapped leaves a record with `failure`."""
-    sequence, camera = survey.sequence, survey.camera
-    truth = true_map(sequence, camera, settings)
-    poses = sequence.truth()
-    about: dict[str, Any] = {
-        "track": "density",
-        "split": "" if split is None else split.name,
-        "split_digest": "" if split is None else digest(split),
-        "sequence": sequence.name,
-        "truth_digest": truth_digest(poses),
-        "conditions": {} if split is None else conditions(split, sequence.name),
-        "settings": {**settings.as_dict(), "depth": depth, "align": align},
-        "evaluator_version": EVALUATOR,
-    }
-    masks = survey.masks or {"": lambda: true_seen(sequence, camera)}
-    for path_name, path in {TRUE_POSES: poses, **survey.paths}.items():
-        for mask_name, seen in masks.items():
-            method = f"{path_name}, {mask_name}" if mask_name else path_name
-            announce(f"mapping {sequence.name} along {method}")
-            try:
-                if isinstance(path, Exception):
-                    raise path
-                way = poses if path_name == TRUE_POSES else aligned(poses, path, align)
-                owners: dict[tuple[int, int], int] = {}
-                labelled = _owned(sequence, camera, seen, owners)
-                found = build_map(sequence, way, labelled, camera, depth, settings, allow_none=True)
-            except OysterbenchError as error:
-                yield DensityRun(ResultRecord(**about, method=method, failure=str(error)))
-                continue
-            score = score_density(truth.count, map_count(found, owners))
-            yield DensityRun(
-                ResultRecord(
-                    **about, method=method, metrics=score.metrics, reasons=score.reasons, notes=found.notes
-                ),
-                found,
-            )  # fmt: skip
-
-
-def map_count(found: OysterMap, owners: Mapping[tuple[int, int], int]) -> MapCount:
-    """What is scored of a map; owners: true oyster by picture and number."""
-    behind = []
-    for track in found.tracks:
-        pixels: Counter[int] = Counter()
-        for patch in track.patches:
-            pixels[owners.get((patch.frame, patch.number), 0)] += patch.pixels
-        behind.append(max(pixels, key=lambda number: (pixels[number], -number)))
-    seen = frozenset(
-        owners.get((patch.frame, patch.number), 0) for track in found.tracks for patch in track.patches
-    ) - {0}
-    total = found.total
-    live = total.live + found.grid.live_share * total.unknown
-    return MapCount(cells_of(found.grid), total.count, live, total.count_low, total.count_high, behind, seen)
-
-
-def _owned(sequence: Sequence, camera: str, seen: SeenOf, owners: dict[tuple[int, int], int]) -> SeenOf:
-    """The same pictures; on the way, the true oyster that most of each one's pixels are of is noted."""
-
-    def noted() -> Iterator[Seen]:
-        truth = {}
-        layers = true_seen(sequence, camera)
-        for k, picture in enumerate(seen()):
-            while picture.stamp_ns not in truth:
-                layer = next(layers, None)
-                if layer is None:
-                    break
-                truth = {layer.stamp_ns: layer.numbers}
-            true = truth.get(picture.stamp_ns)
-            if true is not None and true.shape == picture.numbers.shape:
-                rows = picture.numbers > 0
-                pairs, pixels = np.unique(
-                    np.stack([picture.numbers[rows], true[rows]]), axis=1, return_counts=True
-                )  # fmt: skip
-                best: dict[int, tuple[int, int]] = {}
-                for number, own, n in zip(*pairs.tolist(), pixels.tolist(), strict=True):
-                    best[number] = max(best.get(number, (0, 0)), (n, own))
-                owners.update({(k, number): own for number, (_, own) in best.items()})
-            yield picture
-
-    return noted
+def _seen(job: Job, outcome: Outcome, out: Path, camera: str, threshold: float) -> Iterator[Seen]:
+    """The oysters that a method found in the pictures of a camera. Raises MethodError where it failed."""
+    if outcome.failure is not None:
+        raise MethodError(outcome.failure)
+    assert isinstance(job.sequence, PictureSequence)
+    labelled = job.sequence.labelled
+    found = read_predictions(job.folder(out), labelled.names)
+    for prediction, (truth, _) in zip(found, labelled.images(), strict=True):
+        _, of, stamp = truth.name.rsplit("/", 2)
+        if of == camera:
+            shape = (truth.classes.shape[0], truth.classes.shape[1])
+            numbers, scores = stacked(instances_of(prediction, job.adapter.name, shape, threshold))
+            yield Seen(int(stamp), camera, numbers, scores=scores)
 
 
 def estimates_in(folder: Path, sequence: str) -> dict[str, Path]:
@@ -228,3 +165,6 @@ def estimates_in(folder: Path, sequence: str) -> dict[str, Path]:
         if "." not in method and method != "truth":
             found[method] = path
     return found
+
+
+TRACK = DensityTrack()

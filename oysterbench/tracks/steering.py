@@ -1,134 +1,184 @@
-"""The track steering over labelled pictures: methods run, scored against the expert, and recorded."""
+"""The steering track: policies at labelled pictures against the expert; with --closed-loop, policies drive."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from oysterbench.core.errors import MethodError
-from oysterbench.core.geometry import Array
+from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.evaluate.steering import EVALUATOR, Commands, score_pictures
-from oysterbench.evaluate.steering.labels import one_hot
-from oysterbench.evaluate.steering.pictures import AXES
-from oysterbench.exploration.labelled_views import LabelledViews
-from oysterbench.methods.piloting import commands
-from oysterbench.methods.steering import Steering, View
-from oysterbench.recipe import SplitRecipe, SteeringRecipe
+from oysterbench.exploration.labelled_views import LabelledViews, labelled_views
+from oysterbench.methods.interfaces import RunSequence
+from oysterbench.methods.interfaces.images import LIMIT_OF_PICTURE_S
+from oysterbench.methods.interfaces.steering import read_classes, write_views
+from oysterbench.methods.outcomes import Job, Outcome
+from oysterbench.methods.processes import Processes
+from oysterbench.recipe import SplitRecipe
+from oysterbench.report.exploring import pictures_table, whole_of
 from oysterbench.report.steering import PictureRun
+from oysterbench.report.steering_figures import picture_figures
 from oysterbench.results.records import ResultRecord
-from oysterbench.simulation.conditions import conditions
-from oysterbench.simulation.generate import digest
+from oysterbench.simulation.generate import check_workers, digest
+from oysterbench.simulation.salt import salt_for
+from oysterbench.tracks.steering_rollouts import REFERENCES, make_loop, run_rollouts, show_rollouts
+from oysterbench.tracks.track import (
+    Evaluation,
+    Option,
+    Request,
+    Track,
+    about_run,
+    about_sequence,
+    cost_of,
+    shown_tables,
+)
 
-TRACK = "steering"
-Announce = Callable[[str], None]
-
-
-def evaluate_pictures(
-    split: SplitRecipe,
-    dives: Sequence[LabelledViews],
-    methods: Sequence[Any],
-    announce: Announce = lambda text: None,
-) -> list[PictureRun]:
-    """Run each method over the labelled pictures of each sequence; one that fails leaves a record with `failure`."""
-    runs = []
-    for dive in dives:
-        for method in methods:
-            announce(f"running {method.name} on {dive.name}")
-            runs.append(_run(split, dive, method))
-    return runs
-
-
-def _run(split: SplitRecipe, dive: LabelledViews, method: Any) -> PictureRun:
-    about: dict[str, Any] = {
-        "track": TRACK,
-        "split": split.name,
-        "split_digest": digest(split),
-        "sequence": dive.name,
-        "truth_digest": dive.digest,
-        "conditions": conditions(split, dive.name),
-        "evaluator_version": EVALUATOR,
-        "method": method.name,
-        "seed": getattr(method, "seed", None),
-        "method_settings": getattr(method, "as_dict", dict)(),
-    }
-    clock = Clock()
-    try:
-        answered = answers(method, dive, clock)
-    except MethodError as error:
-        return PictureRun(ResultRecord(**about, failure=str(error)))
-    score = score_pictures(dive.labels, answered)
-    metrics = {**score.metrics, **clock.metrics(len(answered.classes))}
-    return PictureRun(ResultRecord(**about, metrics=metrics, reasons=score.reasons), dive.labels, answered, score)
+LOOP_OPTIONS = (
+    Option("reefs", "--reefs", "Closed loop: the first so many.  [default: all]", int),
+    Option("seconds", "--seconds", "Closed loop: length of a rollout.  [default: the split's]", float),
+    Option("again", "--again", "Closed loop: make rollouts anew that are kept in the folder.", bool),
+)
 
 
-class Clock:
-    """What a method takes, without the reading of pictures."""
+class ViewSequence(RunSequence):
+    """A sequence of labelled views of a split."""
 
-    def __init__(self) -> None:
-        self.wall_s = self.cpu_s = 0.0
+    def __init__(self, views: LabelledViews, path: Path, split: SplitRecipe) -> None:
+        self.name = views.name
+        self.views, self.path, self.split = views, path, split
 
-    def leave_out(self, views: Iterable[View]) -> Iterator[View]:
-        """The views; what their reading takes is not the method's."""
-        before = self._now()
-        for view in views:
-            self._add(before, -1)
-            yield view
-            before = self._now()
-        self._add(before, -1)
+    @property
+    def origin(self) -> str:
+        """The recipe."""
+        return f"{self.split.name} {digest(self.split)} {self.name}"
 
-    def metrics(self, pictures: int) -> dict[str, float]:
-        """For the record."""
-        found = {"wall_s": self.wall_s, "cpu_s": self.cpu_s}
-        return {**found, "pictures_per_s": pictures / self.wall_s} if self.wall_s > 0 else found
+    @property
+    def hidden(self) -> tuple[Path, ...]:
+        """The file."""
+        return (self.path,)
 
-    def _now(self) -> tuple[float, float]:
-        return time.perf_counter(), time.process_time()
+    @cached_property
+    def limit_s(self) -> float:
+        """Ten seconds a view, and ten minutes at least."""
+        return max(LIMIT_OF_PICTURE_S * len(self.views.table), 600.0)
 
-    def _add(self, before: tuple[float, float], sign: int) -> None:
-        now = self._now()
-        self.wall_s += sign * (now[0] - before[0])
-        self.cpu_s += sign * (now[1] - before[1])
-
-    def __enter__(self) -> None:
-        self._began = self._now()
-
-    def __exit__(self, *_: object) -> None:
-        self._add(self._began, 1)
+    def write_input(self, form: str, out: Path, processes: Processes) -> None:
+        """What a policy sees, and nothing of what the expert commands there."""
+        write_views(self.views.views(), self.views.task, out)
 
 
-def answers(method: Any, dive: LabelledViews, clock: Clock | None = None) -> Commands:
-    """The commands of a method at each labelled picture, which it is given one by one, in time order.
+class SteeringTrack(Track):
+    """Commands of a vehicle that explores a reef."""
 
-    Raises MethodError, naming it, where it fails, reads ahead, answers another view, or leaves one out.
-    """
-    clock = clock or Clock()
-    classes: list[tuple[int, int]] = []
-    shares: tuple[list[Array], list[Array]] = ([], [])
-    with clock:
-        for _, answer, chosen in commands(method, dive.task, clock.leave_out(dive.views()), dive.name):
-            classes.append(chosen)
-            for kept, one in zip(shares, probabilities(answer, chosen, dive.task), strict=True):
-                kept.append(one)
-    if len(classes) < len(dive.table):
-        raise MethodError(
-            f"method {method.name!r} on {dive.name}: expected {len(dive.table)} answers, one to each view, got "
-            f"{len(classes)}"
-        )
-    yaw, pitch = (np.array(of).reshape(len(classes), -1) for of in shares)
-    return Commands(np.array(classes, dtype=np.int64).reshape(-1, 2), yaw, pitch)
+    name = "steering"
+    title = "Policies that steer a vehicle over a reef, against an expert."
+    takes = ("steering",)
+    default_split = "steer-mini"
+    default_methods = ("straight", "chance")
+    folder = "results-steering"
+    options = (
+        Option("closed_loop", "--closed-loop", "Let the policies drive, beside the references.", bool),
+        *LOOP_OPTIONS,
+    )
+    examples = """
+      oysterbench eval steering --method my_policy:MyPolicy --split steer-val
+      oysterbench eval steering --closed-loop --method my_policy:MyPolicy --split steer-val --reefs 3"""
+
+    def settings(self, options: Mapping[str, Any]) -> None:
+        """None."""
+
+    def check(self, request: Request) -> None:
+        """Refuse splits of other tracks."""
+        split = request.split
+        if split is None or split.steering is None:
+            got = "sequences of no split" if split is None else f"split {split.name} is of the track {split.track!r}"
+            raise RecipeError(f"{got}; expected one of the track {self.name!r}, such as {self.default_split}")
+        super().check(request)
+
+    def evaluate(self, request: Request) -> Evaluation:
+        """Run policies at labelled pictures, or let them drive."""
+        self.check(request)
+        if request.options.get("closed_loop"):
+            return self._drive(request)
+        if given := [option.name for option in LOOP_OPTIONS[:2] if option.key in request.options]:
+            raise MethodError(f"{', '.join(given)}: of rollouts: expected --closed-loop beside it")
+        if named := [name for name in request.methods if name in REFERENCES]:
+            raise MethodError(f"{named[0]!r} sees the truth and no picture; expected --closed-loop beside it")
+        return super().evaluate(request)
+
+    def rendered(self, request: Request) -> dict[str, Path]:
+        """Files of the sequences that are taken, in their order."""
+        split = request.split
+        assert split is not None
+        names = list(request.sequences) or [one.name for one in split.sequence]
+        salt = salt_for(split.name, split.hidden)
+        files = request.render(split, workers=request.workers, names=tuple(names), salt=salt)
+        return {name: files[name] for name in names}
+
+    def run_sequences(
+        self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
+    ) -> Sequence[ViewSequence]:
+        """Of a split."""
+        assert split is not None
+        assert split.steering is not None
+        return [ViewSequence(labelled_views(path, split.steering), path, split) for path in files.values()]
+
+    def score(self, job: Job, outcome: Outcome, out: Path, settings: None) -> PictureRun:
+        """Hold the commands against those of the expert."""
+        sequence = job.sequence
+        assert isinstance(sequence, ViewSequence)
+        views = sequence.views
+        about = about_sequence(self.name, sequence.split, views.name, views.digest, {}, EVALUATOR)
+        about |= {**about_run(job, outcome), "notes": tuple(outcome.notes)}
+        failure = outcome.failure
+        if failure is None:
+            try:
+                commands = Commands(*read_classes(job.folder(out), views.task))
+                if len(commands.classes) != len(views.table):
+                    raise MethodError(f"expected {len(views.table)} commands, got {len(commands.classes)}")
+            except MethodError as error:
+                failure = str(error)
+        if failure is not None:
+            return PictureRun(ResultRecord(**about, failure=failure))
+        score = score_pictures(views.labels, commands)
+        metrics = {**score.metrics, **cost_of(outcome, "pictures_per_s", len(commands.classes))}
+        record = ResultRecord(**about, metrics=metrics, reasons=score.reasons)
+        return PictureRun(record, views.labels, commands, score)
+
+    def show(self, runs: Sequence[PictureRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
+        """All pictures together, confusions, and some of the pictures."""
+        wholes = whole_of(runs)
+        views = [one.views for one in sequences if isinstance(one, ViewSequence)]
+        figures = picture_figures(views, runs, wholes, out) if out is not None else []
+        first = [pictures_table(wholes)] if wholes else []
+        return Evaluation(runs, first=first, printed=shown_tables([run.record for run in runs], first), figures=figures)
+
+    def _drive(self, request: Request) -> Evaluation:
+        split, options = request.split, request.options
+        assert split is not None
+        if request.template is not None or request.runs > 1:
+            raise MethodError("--closed-loop: expected policies of Python, each once over each reef; its seed decides")
+        policies = [name for name in dict.fromkeys(request.methods) if name not in REFERENCES]
+        for name in policies:
+            self.adapters(Request(request.out, split, methods=[name]))
+        reefs = list(request.sequences) or [one.name for one in split.sequence]
+        count = options.get("reefs", len(reefs))
+        if not 1 <= count <= len(reefs):
+            raise RecipeError(f"--reefs: expected at most {len(reefs)}, as many as there are, got {count}")
+        loop = make_loop(split, options.get("seconds"), salt=salt_for(split.name, split.hidden))
+        workers = check_workers(request.workers)
+        with request.bar(f"driving over {split.name}", "rollouts") as progress:
+            runs = run_rollouts(
+                loop,
+                reefs[:count],
+                [*policies, *REFERENCES],
+                request.out / "rollouts",
+                workers,
+                bool(options.get("again")),
+                progress,
+            )
+        return show_rollouts(runs, request.out)
 
 
-def probabilities(answer: Steering, classes: tuple[int, int], task: SteeringRecipe) -> tuple[Array, Array]:
-    """Of each class of yaw (Y,) and of pitch (P,), adding up to 1; an answer that was checked."""
-    found = []
-    for axis, chosen, degrees in zip(AXES, classes, (task.yaw_deg, task.pitch_deg), strict=True):
-        given = getattr(answer, f"{axis}_probability")
-        if given is None:
-            found.append(one_hot(np.array([chosen]), len(degrees))[0])
-        else:
-            scaled = np.asarray(given, dtype=float) / np.max(given)  # a sum of the largest numbers has no end
-            found.append(scaled / scaled.sum())
-    return found[0], found[1]
+TRACK = SteeringTrack()

@@ -1,6 +1,6 @@
-"""The track steering in a closed loop: pilots dive over reefs, in parallel, and each finished dive is kept.
+"""The track steering in a closed loop: policies drive over reefs, in parallel, and each finished rollout is kept.
 
-A dive is a job of its own: which process it runs in, and after which other one, changes nothing in it but its times.
+A rollout is a job of its own: which process it runs in, and after which other one, changes nothing in it but its times.
 """
 
 from __future__ import annotations
@@ -19,43 +19,49 @@ from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.steering import EVALUATOR, RolloutLog, score_rollout
 from oysterbench.exploration.rollout_store import (
-    dive_file,
     method_identity,
     packed,
-    read_dive,
+    read_rollout,
+    rollout_file,
     steering_source,
     unpacked,
 )
-from oysterbench.methods.finding import find_method
+from oysterbench.methods.policy_process import PolicyProcess
 from oysterbench.recipe import SplitRecipe
+from oysterbench.report import results_table
+from oysterbench.report.exploring import pilots_table, places, places_table
 from oysterbench.report.steering import DiveRun
+from oysterbench.report.steering_figures import dive_figures
+from oysterbench.report.tables import standings_table
+from oysterbench.results.comparison import boards
 from oysterbench.results.records import ResultRecord
-from oysterbench.simulation.conditions import conditions
 from oysterbench.simulation.generate import PROGRAM, digest
 from oysterbench.simulation.salt import Salt
 from oysterbench.simulation.scheduling import Results, run_here, run_in_processes
+from oysterbench.tracks.track import Evaluation, about_sequence
 
 TRACK = "exploration"
 REFERENCES = ("expert", "lawnmower", "random")
-"""Pilots that come with the closed loop, and see the truth: `oysterbench.exploration.REFERENCES`."""
+"""Policies that come with the closed loop, and see the truth: `oysterbench.exploration.REFERENCES`."""
 
-FAILED = b"failed: "  # begins what a dive gives in which the pilot failed; the file of a finished one begins otherwise
+FAILED = b"failed: "
+"""Begins what a rollout gives in which the policy failed; the file of a finished one begins otherwise."""
 
 Explore = Callable[..., tuple[RolloutLog, Any]]
 """`oysterbench.exploration.explore`."""
 
 
 @dataclass(frozen=True)
-class DiveJob:
-    """A pilot, one of REFERENCES or the reference of a method, over a reef."""
+class RolloutJob:
+    """A policy, one of REFERENCES or the reference of a method, over a reef."""
 
     reef: str
-    pilot: str
+    policy: str
 
 
 @dataclass(frozen=True)
 class Loop:
-    """What all dives have in common. seconds: of each dive, whole steps; start: number of the place where it begins."""
+    """What all rollouts have in common. seconds: of each, whole steps; start: number of the place where it begins."""
 
     split: SplitRecipe
     seconds: float
@@ -65,7 +71,7 @@ class Loop:
 
     @property
     def steps(self) -> int:
-        """Commands of a dive."""
+        """Commands of a rollout."""
         assert self.split.steering is not None
         return round(self.seconds / self.split.steering.step_s)
 
@@ -77,9 +83,9 @@ def make_loop(
     salt: bytes = b"",
     explore: Explore | None = None,
 ) -> Loop:
-    """What dives of so many seconds have in common, or of as many as the task says.
+    """What rollouts of so many seconds have in common, or of as many as the task says.
 
-    Raises RecipeError where the split is of another track, or a dive would have no step.
+    Raises RecipeError where the split is of another track, or a rollout would have no step.
     """
     task = split.steering
     if task is None:
@@ -93,25 +99,27 @@ def make_loop(
     return Loop(split, steps * task.step_s, start, Salt(salt), explore)
 
 
-def run_dives(
+def run_rollouts(
     loop: Loop,
     reefs: Sequence[str],
-    pilots: Sequence[str],
+    policies: Sequence[str],
     folder: Path,
     workers: int = 1,
     again: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[DiveRun]:
-    """Each pilot over each reef, in that order; dives that `folder` holds already are not made again.
+    """Each policy over each reef, in that order; rollouts that `folder` holds already are not made again.
 
-    A pilot that fails leaves a record with `failure`, which is not kept: the next time it is tried again.
+    A policy that fails leaves a record with `failure`, which is not kept: the next time it is tried again.
     """
-    jobs = [DiveJob(reef, pilot) for reef in reefs for pilot in pilots]
-    identities = {pilot: _pilot(pilot) for pilot in pilots}
-    files = {job: dive_file(folder, job.reef, job.pilot, _identity(loop, job, identities[job.pilot])) for job in jobs}
-    found: dict[DiveJob, RolloutLog | str] = {}
+    jobs = [RolloutJob(reef, policy) for reef in reefs for policy in policies]
+    identities = {policy: _policy(policy) for policy in policies}
+    files = {
+        job: rollout_file(folder, job.reef, job.policy, _identity(loop, job, identities[job.policy])) for job in jobs
+    }
+    found: dict[RolloutJob, RolloutLog | str] = {}
     for job in jobs:
-        kept = None if again else read_dive(files[job])
+        kept = None if again else read_rollout(files[job])
         if kept is not None:
             found[job] = kept
     todo = [job for job in jobs if job not in found]
@@ -124,11 +132,11 @@ def run_dives(
                 write_atomically(files[job], data)
                 found[job] = unpacked(data)
             progress(len(found), len(jobs))
-    return [_run(loop, job, found[job], identities[job.pilot]) for job in jobs]
+    return [_run(loop, job, found[job], identities[job.policy]) for job in jobs]
 
 
-def _results(loop: Loop, jobs: Sequence[DiveJob], workers: int) -> Results[DiveJob]:
-    task = partial(make_dive, loop)
+def _results(loop: Loop, jobs: Sequence[RolloutJob], workers: int) -> Results[RolloutJob]:
+    task = partial(make_rollout, loop)
     if workers > 1 and len(jobs) > 1:
         return run_in_processes(task, jobs, workers, partial(_warm_up, loop))
     return run_here(task, jobs)
@@ -142,15 +150,15 @@ def _warm_up(loop: Loop) -> None:
         warm_up("cpu")
 
 
-def make_dive(loop: Loop, job: DiveJob) -> bytes:
-    """A dive, as its file, or why the pilot failed."""
+def make_rollout(loop: Loop, job: RolloutJob) -> bytes:
+    """A rollout, as its file, or why the policy failed."""
     explore = loop.explore or _explore()
     try:
-        pilot = job.pilot if job.pilot in REFERENCES else find_method(job.pilot)
-        log, _ = explore(loop.split, job.reef, pilot, salt=loop.salt, seconds=loop.seconds, start=loop.start)
+        policy = job.policy if job.policy in REFERENCES else PolicyProcess(job.policy)
+        log, _ = explore(loop.split, job.reef, policy, salt=loop.salt, seconds=loop.seconds, start=loop.start)
         if len(log.commands) < loop.steps:
             raise MethodError(
-                f"method {job.pilot!r} on {job.reef}: expected {loop.steps} commands, got {len(log.commands)}"
+                f"method {job.policy!r} on {job.reef}: expected {loop.steps} commands, got {len(log.commands)}"
             )
     except MethodError as error:
         return FAILED + str(error).encode()
@@ -163,35 +171,31 @@ def _explore() -> Explore:
     return explore
 
 
-def _pilot(pilot: str) -> dict[str, Any]:
-    return {"reference": pilot} if pilot in REFERENCES else method_identity(pilot)
+def _policy(policy: str) -> dict[str, Any]:
+    return {"reference": policy} if policy in REFERENCES else method_identity(policy)
 
 
-def _identity(loop: Loop, job: DiveJob, pilot: Mapping[str, Any]) -> dict[str, Any]:
+def _identity(loop: Loop, job: RolloutJob, policy: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "program": PROGRAM,
         "steering": steering_source(),
         "split": digest(loop.split, loop.salt),
         "reef": job.reef,
-        "pilot": pilot,
+        "policy": policy,
         "seconds": loop.seconds,
         "start": loop.start,
     }
 
 
-def _run(loop: Loop, job: DiveJob, made: RolloutLog | str, pilot: Mapping[str, Any]) -> DiveRun:
+def _run(loop: Loop, job: RolloutJob, made: RolloutLog | str, policy: Mapping[str, Any]) -> DiveRun:
     split = loop.split
-    about: dict[str, Any] = {
-        "track": TRACK,
-        "split": split.name,
+    settings = {"dive_s": loop.seconds, "start": loop.start}
+    about = {
+        **about_sequence(TRACK, split, job.reef, "", settings, EVALUATOR),
         "split_digest": digest(split, loop.salt),
-        "sequence": job.reef,
-        "conditions": conditions(split, job.reef),
-        "evaluator_version": EVALUATOR,
-        "method": job.pilot,
-        "seed": pilot.get("seed"),
-        "method_settings": json.loads(json.dumps(pilot.get("settings", {}), default=str)),
-        "settings": {"dive_s": loop.seconds, "start": loop.start},
+        "method": job.policy,
+        "seed": policy.get("seed"),
+        "method_settings": json.loads(json.dumps(policy.get("settings", {}), default=str)),
     }
     if isinstance(made, str):
         return DiveRun(ResultRecord(**about, failure=made))
@@ -199,3 +203,17 @@ def _run(loop: Loop, job: DiveJob, made: RolloutLog | str, pilot: Mapping[str, A
     score = score_rollout(made, split.steering)
     about["truth_digest"] = hashlib.sha256(made.oysters.round(6).tobytes()).hexdigest()
     return DiveRun(ResultRecord(**about, metrics=score.metrics, reasons=score.reasons), made)
+
+
+def show_rollouts(runs: Sequence[DiveRun], out: Path) -> Evaluation:
+    """Policies over all reefs, each against each, and the reefs from above.
+
+    Pairs by the metric that ranks, and classes of conditions, are left to the files: they fill a screen.
+    """
+    first = [pilots_table(runs)]
+    if found := places(runs):
+        first.insert(0, places_table(found))
+    records = [run.record for run in runs]
+    standings = [standings_table(board) for board in boards(records) if len(board.sequences) > 1]
+    printed = [results_table(records), *standings, *first]
+    return Evaluation(runs, first=first, printed=printed, figures=dive_figures(runs, out))

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from oysterbench.cli import steering as cli_steering
 from oysterbench.cli.main import main
 from oysterbench.evaluate.steering.metrics import PICTURES, ROLLOUTS
+from oysterbench.tracks import TRACKS
 from tests.helpers.exploring_made import REEF, RIG, SPLIT, label_table, made_explore, write_labelled
 from tests.helpers.paths import ROOT
 
 PAGE = ROOT / "oysterbench" / "exploration" / "README.md"
-PNG = b"\x89PNG"
+READER = "tests.helpers.exploring_pilots:Reader"
 
 
 @pytest.fixture
@@ -51,9 +51,7 @@ def picture_of(path: Path) -> np.ndarray:
 
 def test_pictures_are_scored_printed_and_drawn(recipe, tmp_path):
     out = tmp_path / "out"
-    result = run(
-        "--split", recipe, "--method", "tests.helpers.exploring_pilots:Reader", "--method", "straight", "--out", out
-    )
+    result = run("--split", recipe, "--method", READER, "--method", "straight", "--out", out)
     assert result.exit_code == 0, result.output
     assert re.search(r"one +reader +1\.000 +0\.00 +100\.0 +1\.000 +0\.0", result.stdout)
     assert "Over all pictures" in result.stdout
@@ -88,7 +86,7 @@ def test_dives_are_made_once_printed_and_drawn(recipe, tmp_path):
         recipe,
         "--closed-loop",
         "--method",
-        "tests.helpers.exploring_pilots:Reader",
+        READER,
         "--workers",
         1,
         "--out",
@@ -99,14 +97,14 @@ def test_dives_are_made_once_printed_and_drawn(recipe, tmp_path):
     assert re.search(r"one +expert +195\.0", first.stdout)
     assert "Place between random and expert" in first.stdout
     assert re.search(r"expert . lawnmower +oysters \[per min\]", first.stdout)
-    assert "8 of 8 dives" in first.stderr
-    assert len(list((out / "dives").iterdir())) == 8
+    assert "8 of 8 rollouts" in first.stderr
+    assert len(list((out / "rollouts").iterdir())) == 8
     for name in ("pilots", "dives-one", "dives-two"):
         assert picture_of(out / f"{name}.png").shape[2] == 3
     assert (out / "report.html").read_text().count("<svg xmlns") == 3
-    times = {path: path.stat().st_mtime_ns for path in (out / "dives").iterdir()}
+    times = {path: path.stat().st_mtime_ns for path in (out / "rollouts").iterdir()}
     assert run(*options).stdout == first.stdout
-    assert {path: path.stat().st_mtime_ns for path in (out / "dives").iterdir()} == times
+    assert {path: path.stat().st_mtime_ns for path in (out / "rollouts").iterdir()} == times
     assert run(*options, "--again").exit_code == 0
     assert all(path.stat().st_mtime_ns > time for path, time in times.items())
 
@@ -121,7 +119,7 @@ def test_reefs_and_seconds_are_as_many_as_asked_for(recipe, tmp_path):
 
 @pytest.mark.parametrize("closed", [(), ("--closed-loop",)])
 def test_a_failure_is_said_and_the_others_are_there(recipe, tmp_path, closed):
-    methods = ("--method", "exploring_pilots:Broken", "--method", "straight")
+    methods = ("--method", "tests.helpers.exploring_pilots:Broken", "--method", "straight")
     result = run("--split", recipe, *closed, *methods, "--workers", 1, "--out", tmp_path / "out")
     assert result.exit_code == 1
     assert re.search(r"[Bb]roken failed on one: .*no such weight", result.stderr)
@@ -130,7 +128,7 @@ def test_a_failure_is_said_and_the_others_are_there(recipe, tmp_path, closed):
 
 
 def test_all_can_fail(recipe, tmp_path):
-    result = run("--split", recipe, "--method", "exploring_pilots:Broken", "--out", tmp_path / "out")
+    result = run("--split", recipe, "--method", "tests.helpers.exploring_pilots:Broken", "--out", tmp_path / "out")
     assert result.exit_code == 1
     assert "failed on two" in result.stderr
     assert not list((tmp_path / "out").glob("*.png"))
@@ -189,11 +187,12 @@ def said(*arguments: str) -> str:
 @pytest.mark.parametrize("options", [("--closed-loop",), ("--reefs", "2"), ("--seconds", "3"), ("--again",)])
 def test_its_options_are_refused_elsewhere(options):
     assert f"{options[0]}: of the track steering" in said("--track", "slam", *options)
-    if options[0] != "--closed-loop":
-        assert f"{options[0]}: of dives: expected --closed-loop" in said("--track", "steering", *options)
+    if options[0] not in ("--closed-loop", "--again"):
+        result = CliRunner().invoke(main, ["eval", "steering", *options])
+        assert f"{options[0]}: of rollouts: expected --closed-loop" in result.output
 
 
-@pytest.mark.parametrize("options", [("--threshold", "0.4"), ("--cell", "1"), ("--align", "se3"), ("--runs", "2")])
+@pytest.mark.parametrize("options", [("--threshold", "0.4"), ("--cell", "1"), ("--align", "se3"), ("--max-gap", "2")])
 def test_options_of_other_tracks_are_refused_on_it(options):
     assert options[0] in said("--track", "steering", *options)
 
@@ -202,5 +201,5 @@ def test_the_page_names_every_metric_and_option():
     text = PAGE.read_text()
     for key in (*PICTURES, *ROLLOUTS):
         assert f"`{key}`" in text, key
-    for name, _ in cli_steering.OPTIONS.values():
-        assert f"`{name}" in text, name
+    for option in TRACKS["steering"].options:
+        assert f"`{option.name}" in text, option.name

@@ -35,5 +35,5 @@ def test_options_of_the_density_track_are_refused_elsewhere(options):
 
 
 def test_options_of_other_tracks_are_refused_on_the_density_track():
-    assert "--associate: of other tracks" in said("eval", "--track", "density", "--associate", "nearest")
+    assert "--associate: of the track slam" in said("eval", "--track", "density", "--associate", "nearest")
     assert "--threshold" in said("eval", "--track", "density", "--threshold", "0.4")

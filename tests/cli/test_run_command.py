@@ -132,13 +132,13 @@ def test_jobs_that_run_side_by_side_all_end_and_all_go_on(number, dive_file, ans
 
 
 def test_a_sequence_without_truth_gives_poses_and_no_score(dive_file, answer, tmp_path):
-    from oysterbench.methods.inputs import write_input
+    from oysterbench.methods.interfaces.slam import write_input
 
     write_input(dive_file, "mcap", tmp_path / "hidden.mcap")
     template = command(tmp_path, "copies", answer)
     done = run("mine", "--command", template, "--on", tmp_path / "hidden.mcap", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
-    assert "hand-made has no truth to score by; the poses: " in done.stderr
+    assert "hand-made has no truth to score by; the predictions: " in done.stderr
     assert (tmp_path / "out/hand-made-mine.tum").is_file()
     assert read_results(tmp_path / "out/results.json") == []
 

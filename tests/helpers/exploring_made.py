@@ -10,7 +10,7 @@ import pandas as pd
 
 from oysterbench.core.ros import EPOCH_NS
 from oysterbench.evaluate.steering import RolloutLog
-from oysterbench.methods.piloting import commands
+from oysterbench.methods.policy import commands
 from oysterbench.methods.steering import VehicleState, View
 from oysterbench.recipe import SplitRecipe, parse_split
 from oysterbench.sensors.camera import KIND as CAMERA

@@ -13,7 +13,7 @@ from oysterbench.core.errors import LabelError, OysterbenchError, SequenceError,
 from oysterbench.core.trajectory import write_tum
 from oysterbench.mapping import MapSettings, Seen, build_map, read_seen, true_seen
 from oysterbench.report.density_files import write_map
-from oysterbench.tracks.density import TRUE_POSES, Survey, map_count, run_survey, true_map
+from oysterbench.tracks.mapping_evaluation import TRUE_POSES, MappedSequence, evaluate_maps, map_count, true_map
 from tests.helpers.flat_reef import BEGIN, BOTTOM, LANE, FlatReef, moved, scattered
 
 DISCS = scattered(-1.2, 3.6)
@@ -110,7 +110,9 @@ def test_the_bottom_as_a_plane_under_the_dvl_is_where_it_is(once, found):
 def test_scores_take_a_map_of_the_truth_for_true(once):
     runs = {
         run.record.method: run.record.metrics
-        for run in run_survey(Survey(once, "cam", {"turned": _turned(once.truth())}), None, SETTINGS, "layer")
+        for run in evaluate_maps(
+            MappedSequence(once, "cam", {"turned": _turned(once.truth())}), None, SETTINGS, "layer"
+        )
     }
     assert abs(runs[TRUE_POSES]["count_error_percent"]) < 5  # on so little ground, edges count
     assert runs[TRUE_POSES]["twice_percent"] == 0
@@ -122,7 +124,7 @@ def test_scores_take_a_map_of_the_truth_for_true(once):
 
 def test_a_path_that_cannot_be_mapped_is_a_failure_in_the_results(once):
     late = replace(once.truth(), stamps_ns=once.stamps + 10**12)
-    runs = list(run_survey(Survey(once, "cam", {"late": late}), None, SETTINGS))
+    runs = list(evaluate_maps(MappedSequence(once, "cam", {"late": late}), None, SETTINGS))
     assert [run.record.failure is None for run in runs] == [True, False]
     assert runs[1].record.metrics["map_score"] == 0
 

@@ -7,9 +7,9 @@ import pytest
 import oysterbench
 from oysterbench.evaluate.slam.scoring import SlamSettings
 from oysterbench.methods import find_method
-from oysterbench.methods.entrants import PythonMethod
 from oysterbench.sequence.export import export_sequence
-from oysterbench.tracks.slam_runs import Dive, dives_of, run_slam
+from oysterbench.tracks.slam import TRACK, SlamSequence, own_sequences
+from tests.helpers.track_runs import finished_of
 
 BURGLAR = '''
 import gc
@@ -84,27 +84,27 @@ def burglar(tmp_path, monkeypatch):
 
 def only_run(dive, reference, tmp_path):
     """What the method says of itself."""
-    (done,) = run_slam([dive], [PythonMethod(reference)], SlamSettings(), tmp_path / "out", keep_inputs=True)
+    (done,) = finished_of(TRACK, [dive], [reference], SlamSettings(), tmp_path / "out", keep_inputs=True)
     assert done.outcome.failure is None, done.outcome.failure
     return done.outcome.info
 
 
 def test_what_a_method_is_given_leads_to_no_truth(burglar, dive_file, tmp_path):
-    info = only_run(Dive("hand-made", dive_file), burglar, tmp_path)
+    info = only_run(SlamSequence("hand-made", dive_file), burglar, tmp_path)
     assert info["found"] == []
     # It got to the file under the view, and that is one from which the truth was cut.
     (place,) = info["places"]
-    assert place.startswith(str(tmp_path / "out/inputs"))
-    assert place != str(dive_file)
+    assert place.endswith("/hand-made.mcap")
+    assert not place.startswith((str(tmp_path), str(dive_file.parent)))
 
 
 def test_an_euroc_folder_is_given_without_its_truth(burglar, dive_file, tmp_path):
     folder, _ = export_sequence(oysterbench.open(dive_file), "euroc", tmp_path / "elsewhere" / "flight")
     assert list(folder.rglob("*truth*"))
-    (dive,) = dives_of([folder])
+    (dive,) = own_sequences([folder])
     info = only_run(dive, burglar, tmp_path)
     assert info["found"] == []
-    assert any("/out/inputs/" in place for place in info["places"])
+    assert any(place.endswith("/flight") for place in info["places"])
     assert not any("elsewhere" in place for place in info["places"])
 
 

@@ -11,19 +11,27 @@ import pytest
 from oysterbench.core.errors import LabelError, RecipeError, ResultError
 from oysterbench.exploration.labelled_views import labelled_views
 from oysterbench.exploration.rollout_store import packed, unpacked
-from oysterbench.methods import find_method
+from oysterbench.methods.interfaces import Stopwatch
 from oysterbench.report.exploring import pilots_table, places, places_table, whole_of
 from oysterbench.report.rollout_paths import apart
 from oysterbench.report.steering_samples import bow_pixels, samples_of
 from oysterbench.results.records import ResultRecord
-from oysterbench.tracks.steering import Clock, evaluate_pictures
-from oysterbench.tracks.steering_rollouts import REFERENCES, make_loop, run_dives
+from oysterbench.tracks.steering import TRACK, ViewSequence
+from oysterbench.tracks.steering_rollouts import REFERENCES, make_loop, run_rollouts
 from tests.helpers import exploring_pilots
 from tests.helpers.exploring_made import label_table, made_explore, made_log, made_split, write_labelled
+from tests.helpers.track_runs import runs_of
 
 SPLIT = made_split()
 
 PILOTS = "tests.helpers.exploring_pilots"
+
+
+def evaluate(dives, methods, out):
+    """Runs of policies: names, or classes of PILOTS, over labelled pictures."""
+    references = [f"{PILOTS}:{name}" if name[0].isupper() else name for name in methods]
+    sequences = [ViewSequence(dive, dive.sequence.path, SPLIT) for dive in dives]
+    return runs_of(TRACK, sequences, references, None, out)
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +59,8 @@ def test_views_come_in_time_order_with_the_state_of_their_label(dives):
     assert (dive.labels.classes == table[["yaw", "pitch"]].to_numpy()).all()
 
 
-def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(dives):
-    runs = evaluate_pictures(SPLIT, dives, [exploring_pilots.Reader(), exploring_pilots.Unsure()])
+def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(dives, tmp_path):
+    runs = evaluate(dives, ["Reader", "Unsure"], tmp_path)
     for run in runs:
         assert run.record.failure is None
         metrics = run.record.metrics
@@ -74,14 +82,14 @@ def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(dives):
     assert costs["unsure", "one"] == pytest.approx(spread)  # half of it on the right one, half on all alike
 
 
-def test_straight_and_chance_are_the_floor(dives):
-    runs = evaluate_pictures(SPLIT, dives, [find_method("straight"), find_method("chance")])
+def test_straight_and_chance_are_the_floor(dives, tmp_path):
+    runs = evaluate(dives, ["straight", "chance"], tmp_path)
     assert {run.record.method: run.record.seed for run in runs} == {"straight": None, "chance": 0}
     straight, chance = runs[:2]
     assert (straight.commands.classes == 3).all()
-    again = evaluate_pictures(SPLIT, dives, [find_method("chance")])[0]
+    again = evaluate(dives, ["chance"], tmp_path)[0]
     assert (again.commands.classes == chance.commands.classes).all()
-    other = evaluate_pictures(SPLIT, dives, [find_method("chance[seed=1]")])[0]
+    other = evaluate(dives, ["chance[seed=1]"], tmp_path)[0]
     assert (other.commands.classes != chance.commands.classes).any()
     assert len(set(map(tuple, chance.commands.classes.tolist()))) > 4
 
@@ -89,9 +97,9 @@ def test_straight_and_chance_are_the_floor(dives):
 @pytest.mark.parametrize(
     ("pilot", "said"),
     [
-        ("Ahead", "before it had answered one/cam_front"),
+        ("Ahead", "took a view before a command at one/cam_front"),
         ("Wrong", "expected a Steering of the view one/cam_front"),
-        ("Short", "expected 9 answers, one to each view, got 1"),
+        ("Short", "expected 9 commands, one for each view, got 1"),
         ("Broken", "ValueError: no such weight"),
         ("Few", "yaw_probability: expected 7 numbers"),
         ("NotNumbers", "pitch_probability: expected 7 numbers"),
@@ -99,10 +107,9 @@ def test_straight_and_chance_are_the_floor(dives):
         ("Outside", "yaw: expected a class from 0 to 6, got 7"),
     ],
 )
-def test_a_method_that_does_not_do_as_agreed_fails_by_name_and_the_others_go_on(dives, pilot, said):
-    method = getattr(exploring_pilots, pilot)()
-    runs = evaluate_pictures(SPLIT, dives[:1], [method, exploring_pilots.Reader()])
-    assert method.name in runs[0].record.failure
+def test_a_method_that_does_not_do_as_agreed_fails_by_name_and_the_others_go_on(dives, tmp_path, pilot, said):
+    runs = evaluate(dives[:1], [pilot, "Reader"], tmp_path)
+    assert getattr(exploring_pilots, pilot).name in runs[0].record.failure
     assert said in runs[0].record.failure
     assert "\n" not in runs[0].record.failure
     assert runs[0].record.metrics == {"skill": 0.0}
@@ -136,7 +143,7 @@ def test_labels_and_pictures_that_do_not_belong_together_are_refused(tmp_path):
 def test_what_reading_takes_is_not_the_methods():
     now = [0.0]
 
-    class Told(Clock):
+    class Told(Stopwatch):
         def _now(self):
             return now[0], now[0]
 
@@ -152,8 +159,8 @@ def test_what_reading_takes_is_not_the_methods():
     assert clock.wall_s == pytest.approx(3.0)
 
 
-def test_all_pictures_together_are_only_scored_of_methods_that_failed_nowhere(dives):
-    runs = evaluate_pictures(SPLIT, dives, [exploring_pilots.Reader(), exploring_pilots.Broken()])
+def test_all_pictures_together_are_only_scored_of_methods_that_failed_nowhere(dives, tmp_path):
+    runs = evaluate(dives, ["Reader", "Broken"], tmp_path)
     wholes = whole_of(runs)
     assert list(wholes) == ["reader"]
     assert wholes["reader"].score.metrics["pictures"] == 16
@@ -174,12 +181,12 @@ def test_a_dive_is_read_as_it_was_written():
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 nothing", b"\x93NUMPY"])
 def test_a_damaged_dive_is_refused_by_name(tmp_path, damage):
     loop = make_loop(SPLIT, explore=made_explore)
-    run_dives(loop, ["one"], ["expert"], tmp_path)
+    run_rollouts(loop, ["one"], ["expert"], tmp_path)
     (file,) = tmp_path.iterdir()
     file.write_bytes(damage)
     with pytest.raises(ResultError, match=rf"{file.name}.*--again"):
-        run_dives(loop, ["one"], ["expert"], tmp_path)
-    assert run_dives(loop, ["one"], ["expert"], tmp_path, again=True)[0].log is not None
+        run_rollouts(loop, ["one"], ["expert"], tmp_path)
+    assert run_rollouts(loop, ["one"], ["expert"], tmp_path, again=True)[0].log is not None
 
 
 def counted(calls):
@@ -197,27 +204,29 @@ def test_finished_dives_are_kept_and_made_anew_where_anything_is_different(tmp_p
     loop = make_loop(SPLIT, explore=counted(calls))
     pilots = [PILOTS + ":Settled", *REFERENCES]
     told: list = []
-    first = run_dives(loop, ["one", "two"], pilots, tmp_path, progress=lambda done, total: told.append((done, total)))
+    first = run_rollouts(
+        loop, ["one", "two"], pilots, tmp_path, progress=lambda done, total: told.append((done, total))
+    )
     assert len(calls) == 8
     assert told == [(k, 8) for k in range(9)]
     assert [(run.record.sequence, run.record.method) for run in first[:4]] == [("one", pilot) for pilot in pilots]
     calls.clear()
-    again = run_dives(loop, ["one", "two"], pilots, tmp_path)
+    again = run_rollouts(loop, ["one", "two"], pilots, tmp_path)
     assert calls == []
     assert [run.record.metrics for run in again] == [run.record.metrics for run in first]
 
-    run_dives(make_loop(SPLIT, 7, explore=counted(calls)), ["one"], pilots, tmp_path)
+    run_rollouts(make_loop(SPLIT, 7, explore=counted(calls)), ["one"], pilots, tmp_path)
     assert {seconds for _, _, seconds in calls} == {7.0}
     assert len(calls) == 4
     calls.clear()
-    run_dives(loop, ["one"], [PILOTS + ":Settled[gain=2]"], tmp_path)
+    run_rollouts(loop, ["one"], [PILOTS + ":Settled[gain=2]"], tmp_path)
     assert len(calls) == 1
     calls.clear()
     other = dataclasses.replace(SPLIT, seed=8, source=SPLIT.source.replace("seed = 7", "seed = 8"))
-    run_dives(make_loop(other, explore=counted(calls)), ["one"], ["expert"], tmp_path)
+    run_rollouts(make_loop(other, explore=counted(calls)), ["one"], ["expert"], tmp_path)
     assert len(calls) == 1
     calls.clear()
-    run_dives(loop, ["one"], ["expert"], tmp_path, again=True)
+    run_rollouts(loop, ["one"], ["expert"], tmp_path, again=True)
     assert len(calls) == 1
 
 
@@ -230,10 +239,10 @@ def test_an_interrupted_evaluation_goes_on_from_there(tmp_path):
         return counted(calls)(split, reef, pilot, **options)
 
     with pytest.raises(KeyboardInterrupt):
-        run_dives(make_loop(SPLIT, explore=stopped), ["one", "two"], REFERENCES, tmp_path)
+        run_rollouts(make_loop(SPLIT, explore=stopped), ["one", "two"], REFERENCES, tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
     calls.clear()
-    runs = run_dives(make_loop(SPLIT, explore=counted(calls)), ["one", "two"], REFERENCES, tmp_path)
+    runs = run_rollouts(make_loop(SPLIT, explore=counted(calls)), ["one", "two"], REFERENCES, tmp_path)
     assert [call[:2] for call in calls] == [("one", "random"), *(("two", pilot) for pilot in REFERENCES)]
     assert all(run.log is not None for run in runs)
 
@@ -241,8 +250,8 @@ def test_an_interrupted_evaluation_goes_on_from_there(tmp_path):
 def test_processes_make_the_dives_that_one_makes(tmp_path):
     loop = make_loop(SPLIT, explore=made_explore)
     pilots = [PILOTS + ":Reader", *REFERENCES]
-    alone = run_dives(loop, ["one", "two"], pilots, tmp_path / "1")
-    several = run_dives(loop, ["one", "two"], pilots, tmp_path / "2", workers=2)
+    alone = run_rollouts(loop, ["one", "two"], pilots, tmp_path / "1")
+    several = run_rollouts(loop, ["one", "two"], pilots, tmp_path / "2", workers=2)
     assert [run.record.metrics for run in alone] == [run.record.metrics for run in several]
     names = [sorted(path.name for path in (tmp_path / name).iterdir()) for name in "12"]
     assert names[0] == names[1]
@@ -253,14 +262,14 @@ def test_processes_make_the_dives_that_one_makes(tmp_path):
 @pytest.mark.parametrize(("pilot", "said"), [("Broken", "no such weight"), ("Short", "12 commands, got 1")])
 def test_a_pilot_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, pilot, said):
     loop = make_loop(SPLIT, explore=made_explore)
-    failed, fine = run_dives(loop, ["one"], [f"{PILOTS}:{pilot}", "random"], tmp_path)
+    failed, fine = run_rollouts(loop, ["one"], [f"{PILOTS}:{pilot}", "random"], tmp_path)
     assert said in failed.record.failure
     assert failed.record.metrics == {"oysters_per_min": 0.0}
     assert failed.log is None
     assert fine.record.metrics["oysters_per_min"] == 13 / 0.2
     assert len(list(tmp_path.iterdir())) == 1
     calls: list = []
-    run_dives(
+    run_rollouts(
         make_loop(SPLIT, explore=counted(calls)),
         ["one"],
         [f"{PILOTS}:{pilot}", "random"],
@@ -270,7 +279,7 @@ def test_a_pilot_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, pilot,
 
 
 def test_records_of_dives_say_all_that_decides_them(tmp_path):
-    (run,) = run_dives(make_loop(SPLIT, 6, explore=made_explore), ["two"], [PILOTS + ":Settled"], tmp_path)
+    (run,) = run_rollouts(make_loop(SPLIT, 6, explore=made_explore), ["two"], [PILOTS + ":Settled"], tmp_path)
     record = run.record
     assert (record.track, record.split, record.sequence) == ("exploration", "made", "two")
     assert record.settings == {"dive_s": 6.0, "start": 0}
@@ -284,7 +293,7 @@ def test_dives_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
     """The real loop, small: what a log says of itself agrees, and a second evaluation finds the same dives."""
     loop = make_loop(SPLIT, 4)
     pilots = ["straight", "random"]
-    runs = run_dives(loop, ["one"], pilots, tmp_path)
+    runs = run_rollouts(loop, ["one"], pilots, tmp_path)
     for run in runs:
         log = run.log
         assert run.record.failure is None
@@ -299,7 +308,7 @@ def test_dives_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
     assert (first.commands == 3).all()
     assert (first.states[0] == second.states[0]).all()  # all begin at the same place
     assert runs[0].record.truth_digest == runs[1].record.truth_digest
-    anew = run_dives(loop, ["one"], pilots, tmp_path / "anew")
+    anew = run_rollouts(loop, ["one"], pilots, tmp_path / "anew")
     for run, other in zip(runs, anew, strict=True):
         for field in dataclasses.fields(run.log):
             if field.name not in ("wall_s", "cpu_s"):
@@ -321,7 +330,7 @@ def test_pilots_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
     split = made_split(tuple(f"r{k}" for k in range(7)))
     reefs = [sequence.name for sequence in split.sequence]
     loop = make_loop(split, explore=made_explore)
-    runs = run_dives(loop, reefs, [PILOTS + ":Reader", *REFERENCES], tmp_path)
+    runs = run_rollouts(loop, reefs, [PILOTS + ":Reader", *REFERENCES], tmp_path)
     found = places(runs)
     assert set(found) == {PILOTS + ":Reader", "lawnmower"}
     assert found["lawnmower"].value == pytest.approx(0.5)
@@ -365,8 +374,8 @@ def test_the_bow_is_drawn_where_the_camera_would_see_it(tmp_path):
     assert ends[3, 2] == pytest.approx([cx, cy - f * np.tan(np.radians(8))])
 
 
-def test_samples_are_even_over_sequences_and_time(dives):
-    runs = evaluate_pictures(SPLIT, dives, [exploring_pilots.Reader(), exploring_pilots.Broken()])
+def test_samples_are_even_over_sequences_and_time(dives, tmp_path):
+    runs = evaluate(dives, ["Reader", "Broken"], tmp_path)
     samples = samples_of(dives, runs, 5)
     assert [sample.name for sample in samples] == ["one"] * 3 + ["two"] * 2
     assert [sample.view.time_s for sample in samples[:3]] == [4, 8, 12]

@@ -12,15 +12,13 @@ from click.testing import CliRunner
 from oysterbench.annotations import LabelledSequence
 from oysterbench.cli.main import main
 from oysterbench.core.streams import stream
-from oysterbench.evaluate.detection import DetectionSettings
-from oysterbench.evaluate.segmentation import SegmentationSettings, TruthImage
+from oysterbench.evaluate.segmentation import TruthImage
 from oysterbench.evaluate.segmentation.images import OYSTER
-from oysterbench.methods.images import Detections, Picture, Segmentation
 from oysterbench.report import dataset_tables, html_report, images_csv
 from oysterbench.results.records import ResultRecord
-from oysterbench.tracks.detection import evaluate_detection
-from oysterbench.tracks.segmentation import evaluate_segmentation
-from oysterbench_baselines.threshold import All, Colour, Nothing
+from oysterbench.tracks import TRACKS
+from oysterbench.tracks.images import PictureSequence
+from tests.helpers.track_runs import runs_of
 
 
 def make_clip(name, images=3):
@@ -45,26 +43,20 @@ def clips():
     return [make_clip("clip-a"), make_clip("clip-b", 2)]
 
 
-class Given:
-    """Answers with what a function says."""
-
-    track = "segmentation"
-
-    def __init__(self, name, answer):
-        self.name, self.answer = name, answer
-
-    def run(self, images):
-        for image in images:
-            assert type(image) is Picture  # a name and pixels: nothing that leads to the truth
-            yield self.answer(image)
+METHODS = "tests.helpers.image_methods"
 
 
-def light(image):
-    return Segmentation(image.name, oyster=image.pixels[..., 0] > 120)
+def evaluate(track, clips, methods, out):
+    """Runs and rows of the data set; methods: names, or classes of METHODS."""
+    track = TRACKS[track]
+    references = [f"{METHODS}:{name}" if name[0].isupper() else name for name in methods]
+    sequences = [PictureSequence(clip) for clip in clips]
+    found = track.show(runs_of(track, sequences, references, track.settings({}), out), sequences, None)
+    return found.runs, found.data_set
 
 
-def test_trivial_rows_are_worth_what_the_cover_says(clips):
-    runs, rows = evaluate_segmentation(None, clips, [All(), Nothing(), Given("light", light)], SegmentationSettings())
+def test_trivial_rows_are_worth_what_the_cover_says(clips, tmp_path):
+    runs, rows = evaluate("segmentation", clips, ["all", "none", "Light"], tmp_path)
     by_name = {row.method: row.metrics for row in rows}
     cover = by_name["all"]["cover"]
     assert by_name["all"]["iou"] == pytest.approx(cover)
@@ -78,29 +70,20 @@ def test_trivial_rows_are_worth_what_the_cover_says(clips):
         assert run.record.metrics["images_per_s"] > 0
 
 
-def test_a_colour_that_differs_from_its_surroundings_is_found(clips):
-    _, rows = evaluate_segmentation(None, clips, [Colour()], SegmentationSettings())
+def test_a_colour_that_differs_from_its_surroundings_is_found(clips, tmp_path):
+    _, rows = evaluate("segmentation", clips, ["colour"], tmp_path)
     assert rows[0].metrics["iou"] > 2 * rows[0].metrics["cover"]
     assert rows[0].whole.curve is not None
 
 
-def test_methods_that_fail_have_a_record_that_finds_nothing_and_the_others_go_on(clips):
-    def raises(image):
-        raise ValueError("no idea")
-
-    methods = [
-        Given("raises", raises),
-        Given("another", lambda image: Segmentation("x", oyster=image.pixels[..., 0] > 9)),
-        Given("small", lambda image: Segmentation(image.name, oyster=np.zeros((2, 2), bool))),
-        Given("array", lambda image: Given("array", image)),
-        Given("light", light),
-    ]
-    runs, rows = evaluate_segmentation(None, clips[:1], methods, SegmentationSettings())
+def test_methods_that_fail_have_a_record_that_finds_nothing_and_the_others_go_on(clips, tmp_path):
+    methods = ["Raises", "Another", "Small", "Thing", "Light"]
+    runs, rows = evaluate("segmentation", clips[:1], methods, tmp_path)
     failures = {run.record.method: run.record.failure for run in runs}
     assert failures["raises"] == "method 'raises' failed on clip-a: ValueError: no idea"
-    assert "expected an answer to clip-a/0, got one to 'x'" in failures["another"]
+    assert "expected a prediction for clip-a/0, got one for 'x'" in failures["another"]
     assert "expected an estimate of the truth's size, 64 x 48, got 2 x 2" in failures["small"]
-    assert "expected an answer to clip-a/0" in failures["array"]
+    assert "expected a Segmentation or Detections, got Picture" in failures["thing"]
     assert failures["light"] is None
     assert [row.method for row in rows] == ["light"]
     record = runs[0].record
@@ -108,29 +91,14 @@ def test_methods_that_fail_have_a_record_that_finds_nothing_and_the_others_go_on
     assert record.metrics["union_px"] == record.metrics["truth_px"] == 2 * (144 + 140)
 
 
-def test_an_answer_too_few_is_a_failure(clips):
-    class Lazy(Given):
-        def run(self, images):
-            yield light(next(iter(images)))
-
-    runs, _ = evaluate_segmentation(None, clips[:1], [Lazy("lazy", None)], SegmentationSettings())
-    assert "expected 3 answers, one to each picture, got 1" in runs[0].record.failure
+def test_an_answer_too_few_is_a_failure(clips, tmp_path):
+    runs, _ = evaluate("segmentation", clips[:1], ["Lazy"], tmp_path)
+    assert "expected 3 predictions, one for each picture, got 1" in runs[0].record.failure
 
 
-def test_what_hangs_together_is_one_oyster_and_detections_are_taken_as_they_are(clips):
-    def numbered(image):
-        numbers = cv2.connectedComponents((image.pixels[..., 0] > 120).astype(np.uint8))[1]
-        return Detections(image.name, np.full(int(numbers.max()), 0.9), numbers=numbers)
-
-    def boxed(image):
-        found = numbered(image).numbers
-        boxes = [
-            [*(float(v) for v in cv2.boundingRect((found == k).astype(np.uint8)))] for k in range(1, found.max() + 1)
-        ]
-        return Detections(image.name, np.full(len(boxes), 0.9), boxes=np.array(boxes).reshape(-1, 4))
-
-    methods = [Given("light", light), Given("numbered", numbered), Given("boxed", boxed), Nothing()]
-    runs, rows = evaluate_detection(None, clips, methods, DetectionSettings())
+def test_what_hangs_together_is_one_oyster_and_detections_are_taken_as_they_are(clips, tmp_path):
+    methods = ["Light", "Numbered", "Boxed", "none"]
+    runs, rows = evaluate("detection", clips, methods, tmp_path)
     assert all(run.record.failure is None for run in runs)
     by_name = {row.method: row.metrics for row in rows}
     for name in ("light", "numbered"):
@@ -141,8 +109,8 @@ def test_what_hangs_together_is_one_oyster_and_detections_are_taken_as_they_are(
     assert by_name["none"]["density_error_per_m2"] == pytest.approx(-6 / 10)
 
 
-def test_the_report_has_tables_curves_and_pictures(clips):
-    runs, rows = evaluate_segmentation(None, clips, [All(), Colour()], SegmentationSettings())
+def test_the_report_has_tables_curves_and_pictures(clips, tmp_path):
+    runs, rows = evaluate("segmentation", clips, ["all", "colour"], tmp_path)
     page = html_report(runs, "oysterbench eval", data_set=rows)
     for text in ("Over the data set", "IoU over the threshold of probability", "Pictures", "data:image/jpeg;base64"):
         assert text in page
@@ -152,7 +120,7 @@ def test_the_report_has_tables_curves_and_pictures(clips):
     lines = images_csv(runs).splitlines()
     assert len(lines) == 1 + 2 * 5
     assert lines[0].startswith("clip,method,run,image,iou")
-    runs, rows = evaluate_detection(None, clips, [Given("light", light)], DetectionSettings())
+    runs, rows = evaluate("detection", clips, ["Light"], tmp_path)
     assert "at an overlap of 0.5" in html_report(runs, "oysterbench eval", data_set=rows)
 
 
@@ -191,8 +159,8 @@ def test_folders_are_scored_from_the_command_line(folders):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--align", "se3"], "--align: of the track slam, not of segmentation"),
-        (["--max-detections", "9"], "--max-detections is of the track detection"),
+        (["--align", "se3"], "--align: of the track slam and density, not of segmentation"),
+        (["--max-detections", "9"], "--max-detections: of the track detection"),
         (["--threshold", "2"], "evaluator setting 'threshold'"),
         (["--estimate-kind", "classes"], "unknown class 255"),
     ],

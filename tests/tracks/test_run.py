@@ -15,13 +15,15 @@ from oysterbench.core.trajectory import Trajectory, read_trajectory, write_tum
 from oysterbench.core.trajectory.frames import poses_of_body
 from oysterbench.evaluate.slam.scoring import SlamSettings
 from oysterbench.methods import runner
-from oysterbench.methods.entrants import Command, PythonMethod
-from oysterbench.methods.inputs import FORMS, frame_pose, write_input
+from oysterbench.methods.adapters import ExternalCommand, PythonMethod
+from oysterbench.methods.interfaces.slam import FORMS, frame_pose, write_input
 from oysterbench.report.tables import results_table
 from oysterbench.sequence.export.parts import sensor_poses
 from oysterbench.sequence.truth import TRUTH_TYPES
-from oysterbench.tracks.slam_runs import Dive, dives_of, run_slam
+from oysterbench.tracks import Request
+from oysterbench.tracks.slam import TRACK, SlamSequence, own_sequences
 from tests.helpers.programs import command
+from tests.helpers.track_runs import finished_of
 
 NAME = "hand-made"
 
@@ -40,11 +42,11 @@ def answer(tmp_path, truth):
 
 @pytest.fixture
 def run(dive_file, tmp_path):
-    """Run entrants on the hand-made dive; the list of what was finished."""
+    """Run methods on the hand-made dive; the list of what was finished."""
 
-    def call(*entrants, **options):
+    def call(*methods, **options):
         options = {"limit_s": 60.0, **options}
-        return list(run_slam([Dive(NAME, dive_file)], entrants, SlamSettings(), tmp_path / "out", **options))
+        return finished_of(TRACK, [SlamSequence(NAME, dive_file)], methods, SlamSettings(), tmp_path / "out", **options)
 
     return call
 
@@ -65,7 +67,7 @@ def test_a_program_that_answers_in_the_frame_of_its_input_is_right_to_the_digit(
     if form == "kitti":  # stamps as KITTI has them: from the first image
         given = Trajectory(given.stamps_ns - truth.stamps_ns[0], given.positions, given.quaternions)
     write_tum(tmp_path / "given.tum", given)
-    (done,) = run(Command(command(tmp_path, "copies", tmp_path / "given.tum", form), "copies"))
+    (done,) = run(ExternalCommand(command(tmp_path, "copies", tmp_path / "given.tum", form), "copies"))
     record = done.scored.record
     assert record.failure is None
     assert record.metrics["ate_rmse_m"] < 1e-9
@@ -78,14 +80,14 @@ def test_poses_of_a_frame_that_was_not_said_are_named_in_the_record(run, truth, 
     turned = moved(truth, frame_pose(oysterbench.open(dive_file), "cam_left", "euroc"))
     write_tum(tmp_path / "given.tum", turned)
     template = command(tmp_path, "copies", tmp_path / "given.tum", "euroc")
-    (wrong,) = run(Command(template, "wrong"))
+    (wrong,) = run(ExternalCommand(template, "wrong"))
     assert any("are they of a camera or an IMU?" in note for note in wrong.scored.record.notes)
-    (right,) = run(Command(template, "right", poses_of="cam_left"))
+    (right,) = run(ExternalCommand(template, "right", poses_of="cam_left"))
     assert right.scored.record.metrics["ate_rmse_m"] < 1e-9
 
 
 def test_a_frame_that_the_vehicle_lacks_is_a_failure_that_lists_its_cameras(run, answer, tmp_path):
-    (done,) = run(Command(command(tmp_path, "copies", answer), "copies", poses_of="cam_top"))
+    (done,) = run(ExternalCommand(command(tmp_path, "copies", answer), "copies", poses_of="cam_top"))
     assert "expected base, imu, camera or one of its cameras: cam_left, cam_right" in done.failure
 
 
@@ -121,16 +123,16 @@ def test_an_input_is_made_once_for_all_runs_and_kept_where_that_is_asked_for(run
     made = []
     original = runner.Processes.run
 
-    def spy(self, words, limit_s, folder):
-        made.append("oysterbench.methods.inputs" in words)
-        return original(self, words, limit_s, folder)
+    def spy(self, words, *rest):
+        made.append("oysterbench.methods.interfaces.slam" in words)
+        return original(self, words, *rest)
 
     monkeypatch.setattr(runner.Processes, "run", spy)
-    run(Command(command(tmp_path, "copies", answer), "copies"), times=3, workers=2, keep_inputs=True)
+    run(ExternalCommand(command(tmp_path, "copies", answer), "copies"), runs=3, jobs=2, keep_inputs=True)
     assert made.count(True) == 1
     assert made.count(False) == 3
     assert list((tmp_path / "out" / "inputs").glob("*/*.mcap"))
-    run(Command(command(tmp_path, "copies", answer), "more"), keep_inputs=True)
+    run(ExternalCommand(command(tmp_path, "copies", answer), "more"), keep_inputs=True)
     assert made.count(True) == 1
 
 
@@ -138,13 +140,14 @@ def test_an_euroc_folder_is_run_on_like_a_file(dive_file, answer, tmp_path):
     from oysterbench.sequence.export import export_sequence
 
     folder, _ = export_sequence(oysterbench.open(dive_file), "euroc", tmp_path / "flight")
-    (dive,) = dives_of([folder])
+    (dive,) = own_sequences([folder])
     write_tum(tmp_path / "imu.tum", dive.truth)
-    entrant = Command(command(tmp_path, "copies", tmp_path / "imu.tum", "euroc"), "copies")
-    (done,) = run_slam([dive], [entrant], SlamSettings(), tmp_path / "out")
+    program = ExternalCommand(command(tmp_path, "copies", tmp_path / "imu.tum", "euroc"), "copies")
+    (done,) = finished_of(TRACK, [dive], [program], SlamSettings(), tmp_path / "out")
     assert done.scored.record.metrics["ate_rmse_m"] < 1e-9
     assert done.scored.record.split == ""
-    (refused,) = run_slam([dive], [Command(command(tmp_path, "copies", answer), "m")], SlamSettings(), tmp_path / "out")
+    program = ExternalCommand(command(tmp_path, "copies", answer), "m")
+    (refused,) = finished_of(TRACK, [dive], [program], SlamSettings(), tmp_path / "out")
     assert "{mcap} needs a sequence file" in refused.failure
 
 
@@ -153,7 +156,7 @@ def test_an_euroc_folder_is_run_on_like_a_file(dive_file, answer, tmp_path):
 
 def test_cost_command_versions_and_hardware_are_recorded(run, answer, tmp_path):
     template = command(tmp_path, "copies", answer)
-    (done,) = run(Command(template, "copies"))
+    (done,) = run(ExternalCommand(template, "copies"))
     record = done.scored.record
     assert 0 < record.metrics["cpu_s"] < 60
     assert 0 < record.metrics["wall_s"] < 60
@@ -168,7 +171,7 @@ def test_cost_command_versions_and_hardware_are_recorded(run, answer, tmp_path):
 
 
 def test_time_and_memory_of_children_count(run, answer, tmp_path):
-    (done,) = run(Command(command(tmp_path, "works", answer), "works"))
+    (done,) = run(ExternalCommand(command(tmp_path, "works", answer), "works"))
     assert done.scored.record.metrics["cpu_s"] >= 0.5
     assert 150 < done.scored.record.metrics["peak_memory_mb"] < 250
 
@@ -189,7 +192,7 @@ def test_time_and_memory_of_children_count(run, answer, tmp_path):
 )
 def test_a_program_that_fails_leaves_a_record_that_says_how(program, failure, run, answer, tmp_path):
     limit_s = 1.0 if program == "sleeps" else 60.0
-    (done,) = run(Command(command(tmp_path, program, answer), program), limit_s=limit_s)
+    (done,) = run(ExternalCommand(command(tmp_path, program, answer), program), limit_s=limit_s)
     record = done.scored.record
     assert record.failure.startswith(f"method {program!r} on hand-made: {failure}")
     assert "\n" not in record.failure
@@ -198,13 +201,13 @@ def test_a_program_that_fails_leaves_a_record_that_says_how(program, failure, ru
 
 
 def test_megabytes_of_output_do_no_harm(run, answer, tmp_path):
-    (done,) = run(Command(command(tmp_path, "talks", answer), "talks"))
+    (done,) = run(ExternalCommand(command(tmp_path, "talks", answer), "talks"))
     assert done.failure is None
     assert (tmp_path / "out/runs/talks/hand-made/1/stdout.txt").stat().st_size == 60_000 * 80
 
 
 def test_processes_that_outlive_their_program_are_killed_and_noted(run, answer, tmp_path):
-    (done,) = run(Command(command(tmp_path, "leaves", answer), "leaves"))
+    (done,) = run(ExternalCommand(command(tmp_path, "leaves", answer), "leaves"))
     assert done.scored.record.metrics["coverage"] == 1.0
     assert "1 processes were still running when it had ended: they were killed" in done.scored.record.notes
     with pytest.raises(ProcessLookupError):
@@ -214,7 +217,7 @@ def test_processes_that_outlive_their_program_are_killed_and_noted(run, answer, 
 @pytest.mark.parametrize(
     ("template", "message"),
     [
-        ("true {euroc}", "expected {out}, where the program leaves its trajectory, and one of {euroc}"),
+        ("true {euroc}", "expected {out}, where the program leaves a trajectory, and one of {euroc}"),
         ("true {out}", "and one of {euroc}, {tum}, {kitti}, {mcap}, what it reads, got {out}"),
         ("true {euroc} {mcap} {out}", "got {euroc}, {mcap}, {out}"),
         ("true {bag} {out}", "unknown placeholder {bag}; known: {euroc}"),
@@ -225,14 +228,14 @@ def test_processes_that_outlive_their_program_are_killed_and_noted(run, answer, 
 )
 def test_a_command_line_of_another_shape_is_refused_before_anything_runs(template, message):
     with pytest.raises(MethodError) as caught:
-        Command(template)
+        ExternalCommand(template)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_braces_of_the_program_itself_are_doubled(tmp_path):
-    entrant = Command("printf '{{%s}}' {euroc} {out}", "prints")
-    words = entrant.command(tmp_path / "in", tmp_path, 0)
+    program = ExternalCommand("printf '{{%s}}' {euroc} {out}", "prints")
+    words = program.command(tmp_path / "in", tmp_path, 0)
     assert words[1:] == ["{%s}", str(tmp_path / "in"), str(tmp_path / "trajectory.tum")]
 
 
@@ -240,33 +243,33 @@ def test_braces_of_the_program_itself_are_doubled(tmp_path):
 
 
 def test_two_jobs_run_at_a_time(run, answer, tmp_path):
-    entrant = Command(command(tmp_path, "meets", answer, "mcap", "2"), "meets")
-    assert [done.failure for done in run(entrant, times=2, workers=2)] == [None, None]
+    program = ExternalCommand(command(tmp_path, "meets", answer, "mcap", "2"), "meets")
+    assert [done.failure for done in run(program, runs=2, jobs=2)] == [None, None]
 
 
 def test_jobs_wait_for_memory(run, answer, tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "available_bytes", lambda: runner.ASSUMED_BYTES)
-    entrant = Command(command(tmp_path, "meets", answer, "mcap", "2"), "meets")
-    first, second = run(entrant, times=2, workers=2, limit_s=2.0)
+    program = ExternalCommand(command(tmp_path, "meets", answer, "mcap", "2"), "meets")
+    first, second = run(program, runs=2, jobs=2, limit_s=2.0)
     assert "time limit" in first.failure  # it was alone
     assert second.failure is None  # the first had left its sign
 
 
 def test_what_is_finished_is_not_run_again_unless_that_is_asked_for(run, answer, tmp_path):
-    counts = Command(command(tmp_path, "counts", answer, "mcap", "{seed}"), "counts")
+    counts = ExternalCommand(command(tmp_path, "counts", answer, "mcap", "{seed}"), "counts")
     log = tmp_path / "answer.tum.log"
-    first = run(counts, times=2)
+    first = run(counts, runs=2)
     assert [done.scored.record.seed for done in first] == [0, 1]
     assert log.read_text() == "0\n1\n"
-    second = run(counts, times=3)
+    second = run(counts, runs=3)
     assert log.read_text() == "0\n1\n2\n"
     assert [done.scored.record.to_dict() for done in second[:2]] == [done.scored.record.to_dict() for done in first]
-    run(counts, times=1, again=True)
+    run(counts, runs=1, again=True)
     assert log.read_text() == "0\n1\n2\n0\n"
 
 
 def test_what_failed_is_run_again_where_that_is_asked_for(run, answer, tmp_path):
-    refuses = Command(command(tmp_path, "refuses", answer), "refuses")
+    refuses = ExternalCommand(command(tmp_path, "refuses", answer), "refuses")
     (failed,) = run(refuses)
     (tmp_path / "refuses.py").write_text("import shutil, sys; shutil.copy(sys.argv[1], sys.argv[3])")
     (kept,) = run(refuses)
@@ -276,17 +279,18 @@ def test_what_failed_is_run_again_where_that_is_asked_for(run, answer, tmp_path)
 
 
 def test_results_of_another_command_are_not_taken_for_its_own(run, answer, tmp_path):
-    run(Command(command(tmp_path, "copies", answer), "mine"))
+    run(ExternalCommand(command(tmp_path, "copies", answer), "mine"))
     with pytest.raises(MethodError, match=r"holds run 1 of another mine .*--again runs it anew"):
-        run(Command(command(tmp_path, "counts", answer), "mine"))
+        run(ExternalCommand(command(tmp_path, "counts", answer), "mine"))
 
 
 def test_one_runner_works_in_a_folder_at_a_time(dive_file, answer, tmp_path):
-    entrant = Command(command(tmp_path, "copies", answer), "copies")
-    running = run_slam([Dive(NAME, dive_file)], [entrant], SlamSettings(), tmp_path, times=2)
+    program = ExternalCommand(command(tmp_path, "copies", answer), "copies")
+    dive = SlamSequence(NAME, dive_file)
+    running = TRACK.run([dive], [program], SlamSettings(), Request(tmp_path, runs=2, jobs=1))
     next(running)
     with pytest.raises(MethodError, match="another run is working in it"):
-        list(run_slam([Dive(NAME, dive_file)], [entrant], SlamSettings(), tmp_path))
+        finished_of(TRACK, [dive], [program], SlamSettings(), tmp_path)
     running.close()
 
 
@@ -369,7 +373,7 @@ def own_methods(tmp_path, monkeypatch):
 
 
 def test_a_class_runs_in_a_process_of_its_own_with_the_seed_of_its_run(own_methods, run):
-    runs = run(PythonMethod("own_methods:Seeded"), times=2)
+    runs = run(PythonMethod("own_methods:Seeded"), runs=2)
     assert [done.scored.record.seed for done in runs] == [40, 41]
     assert [done.scored.record.info["seed"] for done in runs] == [40, 41]
     assert runs[0].scored.record.info["noise"] == 0.5
@@ -385,7 +389,7 @@ def test_a_class_runs_in_a_process_of_its_own_with_the_seed_of_its_run(own_metho
 @pytest.mark.parametrize(
     ("name", "failure"),
     [
-        ("Raises", "method 'raises' failed on sequence hand-made: RuntimeError: out of ideas"),
+        ("Raises", "method 'raises' failed on hand-made: RuntimeError: out of ideas"),
         ("Exits", "method 'exits' on hand-made: exit status 9"),
         ("Peeks", "a method does not see the truth: Sequence.truth() is for evaluators"),
     ],

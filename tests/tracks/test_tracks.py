@@ -7,26 +7,67 @@ import numpy as np
 import pytest
 
 import oysterbench
-from oysterbench.core.streams import stream
-from oysterbench.core.trajectory import Trajectory, read_trajectory, write_tum
+from oysterbench.core.trajectory import Trajectory, read_trajectory, write_npz, write_tum
 from oysterbench.evaluate.slam.scoring import SlamSettings
+from oysterbench.tracks.slam import FRAMES_IN_REPORT, TRACK, SlamSequence, sample_frames, score_files, truth_digest
+from tests.helpers.track_runs import runs_of
+
+METHODS = """
+import numpy as np
+from oysterbench.core.streams import stream
+from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.methods import Estimate
-from oysterbench.tracks.slam import FRAMES_IN_REPORT, evaluate_slam, sample_frames, score_files, truth_digest
 
 
-class Given:
-    """Answers with a trajectory that it was given."""
+class Perfect:
+    name, track = "perfect", "slam"
 
-    track = "slam"
-
-    def __init__(self, name, trajectory):
-        self.name = name
-        self.trajectory = trajectory
+    def __init__(self, place: str = "{place}") -> None:
+        self.given = read_trajectory(place)
 
     def run(self, sequence):
-        if self.trajectory is None:
-            raise ValueError("no idea")
-        return Estimate(self.trajectory, {"guessed": True})
+        return Estimate(self.given, {{"guessed": True}})
+
+
+class Raises(Perfect):
+    name = "raises"
+
+    def run(self, sequence):
+        raise ValueError("no idea")
+
+
+class Late(Perfect):
+    name = "late"
+
+    def run(self, sequence):
+        return Estimate(Trajectory(self.given.stamps_ns + 10**12, self.given.positions, self.given.quaternions))
+
+
+class Noisy(Perfect):
+    name, seed = "noisy", 40
+
+    def run(self, sequence):
+        noise = stream(self.seed, b"", "noisy").normal(0, 0.02, self.given.positions.shape)
+        return Estimate(Trajectory(self.given.stamps_ns, self.given.positions + noise, self.given.quaternions))
+"""
+
+
+@pytest.fixture
+def evaluate(tiny_split, tiny_file, truth, tmp_path, monkeypatch):
+    """Run classes of METHODS, which know the truth from elsewhere."""
+    folder = tmp_path / "methods"
+    folder.mkdir()
+    write_npz(folder / "given.npz", truth)
+    (folder / "given_methods.py").write_text(METHODS.format(place=folder / "given.npz"))
+    monkeypatch.chdir(folder)
+    monkeypatch.syspath_prepend(str(folder))
+
+    def call(*names, **options):
+        sequence = SlamSequence("tiny-01", tiny_file, tiny_split)
+        references = [f"given_methods:{name}" for name in names]
+        return runs_of(TRACK, [sequence], references, SlamSettings(), tmp_path / "out", **options)
+
+    return call
 
 
 @pytest.fixture(scope="module")
@@ -34,57 +75,39 @@ def truth(tiny_file):
     return oysterbench.open(tiny_file).truth()
 
 
-def test_a_perfect_estimate_has_no_error_and_a_failing_method_a_record_that_says_so(
-    tiny_split, tiny_file, truth, tmp_path
-):
-    late = Trajectory(truth.stamps_ns + 10**12, truth.positions, truth.quaternions)
-    methods = [Given("perfect", truth), Given("raises", None), Given("late", late)]
-    runs = evaluate_slam(tiny_split, {"tiny-01": tiny_file}, methods, SlamSettings(), folder=tmp_path)
+def test_a_perfect_estimate_has_no_error_and_a_failing_method_a_record_that_says_so(evaluate, truth, tmp_path):
+    runs = evaluate("Perfect", "Raises", "Late")
     perfect, raises, too_late = (run.record for run in runs)
     assert perfect.metrics["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
     assert perfect.metrics["coverage"] == 1.0
     assert perfect.metrics["realtime_factor"] > 1
-    assert perfect.info == {"guessed": True}
-    assert raises.failure == "method 'raises' failed on sequence tiny-01: ValueError: no idea"
+    assert perfect.info["guessed"] is True
+    assert raises.failure == "method 'raises' failed on tiny-01: ValueError: no idea"
     assert raises.metrics["coverage"] == 0.0
     assert "time" in too_late.failure
-    assert np.allclose(read_trajectory(tmp_path / "tiny-01-perfect.tum").positions, truth.positions, atol=1e-9)
-    assert (tmp_path / "tiny-01-truth.tum").exists()
+    assert np.allclose(read_trajectory(tmp_path / "out" / "tiny-01-perfect.tum").positions, truth.positions, atol=1e-9)
+    assert (tmp_path / "out" / "tiny-01-truth.tum").exists()
 
 
-class Noisy(Given):
-    """Answers with the trajectory, shaken by a stream of its seed."""
-
-    seed = 40
-
-    def run(self, sequence):
-        noise = stream(self.seed, b"", "noisy").normal(0, 0.02, self.trajectory.positions.shape)
-        given = self.trajectory
-        return Estimate(Trajectory(given.stamps_ns, given.positions + noise, given.quaternions))
-
-
-def test_several_runs_are_recorded_each_with_its_seed(tiny_split, tiny_file, truth, tmp_path):
-    methods = [Noisy("noisy", truth), Given("fixed", truth)]
-    runs = evaluate_slam(tiny_split, {"tiny-01": tiny_file}, methods, SlamSettings(), folder=tmp_path, times=3)
+def test_several_runs_are_recorded_each_with_its_seed(evaluate, tmp_path):
+    runs = evaluate("Noisy", "Perfect", runs=3)
     records = [run.record for run in runs]
     assert [(record.method, record.run, record.seed) for record in records] == [
         ("noisy", 0, 40),
         ("noisy", 1, 41),
         ("noisy", 2, 42),
-        ("fixed", 0, None),
-        ("fixed", 1, None),
-        ("fixed", 2, None),
+        ("perfect", 0, None),
+        ("perfect", 1, None),
+        ("perfect", 2, None),
     ]
     assert len({record.metrics["ate_rmse_m"] for record in records[:3]}) == 3
-    assert methods[0].seed == 40
-    assert (tmp_path / "tiny-01-noisy-3.tum").exists()
-    again = evaluate_slam(tiny_split, {"tiny-01": tiny_file}, methods[:1], SlamSettings(), times=3)
+    assert (tmp_path / "out" / "tiny-01-noisy-3.tum").exists()
+    again = evaluate("Noisy", runs=3, again=True)
     assert [run.record.metrics["ate_rmse_m"] for run in again] == [r.metrics["ate_rmse_m"] for r in records[:3]]
 
 
-def test_conditions_and_the_digest_of_the_truth_are_kept(tiny_split, tiny_file, truth):
-    methods = [Given("perfect", truth), Given("raises", None)]
-    for run in evaluate_slam(tiny_split, {"tiny-01": tiny_file}, methods, SlamSettings()):
+def test_conditions_and_the_digest_of_the_truth_are_kept(evaluate, truth):
+    for run in evaluate("Perfect", "Raises"):
         assert run.record.conditions["water_type"] == "1C"
         assert run.record.truth_digest == truth_digest(truth)
 

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.processes import Processes
@@ -68,10 +68,10 @@ class Interface(ABC):
     out:      name of what a program leaves at {out}; leaves: the same in words
     """
 
-    forms: Mapping[str, str]
-    own_form: str
-    out: str
-    leaves: str
+    forms: ClassVar[Mapping[str, str]]
+    own_form: ClassVar[str]
+    out: ClassVar[str]
+    leaves: ClassVar[str]
 
     def input_name(self, sequence: RunSequence, form: str) -> str:
         """Name of the file or folder of an input."""

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array
@@ -134,7 +135,7 @@ def read_commands(path: Path, stamps: Sequence[int], task: SteeringRecipe) -> li
     return [found[stamp] for stamp in stamps]
 
 
-def read_classes(folder: Path, task: SteeringRecipe) -> tuple[Array, Array, Array]:
+def read_classes(folder: Path, task: SteeringRecipe) -> tuple[NDArray[np.int64], Array, Array]:
     """The commands that a run left: classes (N, 2) int, probabilities of yaw (N, Y) and of pitch (N, P).
 
     Raises MethodError where they are no commands of the task.

@@ -1,0 +1,163 @@
+"""The command that evaluates: `eval TRACK`, each track with its own options, or in short `eval --track TRACK`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from oysterbench.cli.evaluate import FOLDER, click_option, evaluate, finish, foreign_options, given_options
+from oysterbench.cli.outputs import Outputs, output_options
+
+if TYPE_CHECKING:
+    from oysterbench.tracks import Track
+
+WORKERS = "Processes that render, or drive.  [default: one per core]"
+
+
+class Tracks(click.Group):
+    """A command for each track, made when it is asked for; `--track NAME` before or behind options means the same."""
+
+    def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
+        for i, word in enumerate(args):
+            if word == "--track" and i + 1 < len(args):
+                args = [args[i + 1], *args[:i], *args[i + 2 :]]
+                break
+            if word.startswith("--track="):
+                args = [word.removeprefix("--track="), *args[:i], *args[i + 1 :]]
+                break
+        if args and args[0].startswith("-") and args[0] not in context.help_option_names:
+            context.fail(f"expected a track, one of {', '.join(self.list_commands(context))}")
+        return super().parse_args(context, args)
+
+    def list_commands(self, context: click.Context) -> list[str]:
+        from oysterbench.tracks import NAMES
+
+        return list(NAMES)
+
+    def get_command(self, context: click.Context, name: str) -> click.Command | None:
+        from oysterbench.tracks import NAMES, TRACKS
+
+        return track_command(TRACKS[name]) if name in NAMES else None
+
+
+@click.group("eval", cls=Tracks, short_help="Run methods on a split and score them, or score two files.")
+def eval_command() -> None:
+    """Run methods on a split and score them, or score files: trajectories, masks, single oysters.
+
+    \b
+    Examples:
+      oysterbench eval slam
+      oysterbench eval --track slam                 the same
+      oysterbench eval slam --truth truth.tum --estimate mine.tum --align se3
+      oysterbench eval segmentation --method my_net:MyNet --split seg-val
+      oysterbench eval segmentation --truth masks/ --estimate probabilities/ --threshold 0.4
+      oysterbench eval detection --truth instances.json --estimate results.json
+      oysterbench eval density --split slam-val --method gtsam_full
+      oysterbench eval steering --closed-loop --method my_policy:MyPolicy --split steer-val
+      oysterbench eval slam --help                  its options
+
+    The split is rendered on first use. The folder of results has them as JSON, CSV, LaTeX, Markdown and as an HTML
+    report. Run k of a method that draws random numbers has the method's seed + k.
+    """
+
+
+def track_command(track: Track) -> click.Command:
+    """The command of a track."""
+    parameters: list[click.Parameter] = [
+        click.Option(
+            ["--split", "split_name"], help=f"A split's name or a .toml recipe.  [default: {track.default_split}]"
+        ),
+        click.Option(["--sequence", "sequences"], multiple=True, metavar="NAME", help="Only this one; repeatable."),
+        click.Option(
+            ["--method", "methods"],
+            multiple=True,
+            help=f"A method; repeatable.  [default: {', '.join(track.default_methods)}]",
+        ),
+    ]
+    if track.files:
+        kind = click.Path(path_type=Path)
+        parameters += [
+            click.Option(["--truth"], type=kind, help=f"Score files: the true {track.files.rstrip(',')}."),
+            click.Option(["--estimate"], type=kind, help="Score files: the estimated ones."),
+        ]
+    parameters += [click_option(option) for option in track.options]
+    parameters += [
+        click.Option(["--out"], type=FOLDER, help="Folder of the results.  [default: under the home]"),
+        click.Option(["--workers"], type=click.IntRange(min=1), help=WORKERS),
+        click.Option(["--runs"], type=click.IntRange(min=1), help="Runs on each sequence.  [default: 1]"),
+    ]
+
+    def call(**values: Any) -> None:
+        _evaluate(track, **values)
+
+    text = f"{track.title}\n\n\b\nExamples:\n{track.examples.strip(chr(10))}\n"
+    make = click.command(track.name, cls=Evaluate, params=parameters, short_help=track.title, help=text)
+    return make(output_options(call))
+
+
+class Evaluate(click.Command):
+    """Says of which tracks an option is that its own track does not have."""
+
+    def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(context, args)
+        except click.NoSuchOption as error:
+            foreign_options(self.name or "", {error.option_name: owners(error.option_name)})
+            raise
+
+
+def owners(name: str) -> list[str]:
+    """Tracks that have an option."""
+    from oysterbench.tracks import TRACKS
+
+    return [track.name for track in TRACKS.values() if name in [option.name for option in track.options]]
+
+
+def _evaluate(
+    track: Track,
+    split_name: str | None,
+    sequences: tuple[str, ...],
+    methods: tuple[str, ...],
+    out: Path | None,
+    workers: int | None,
+    runs: int | None,
+    outputs: Outputs,
+    truth: Path | None = None,
+    estimate: Path | None = None,
+    **values: Any,
+) -> None:
+    options = given_options(track.options, values)
+    reading = [option.name for option in track.options if option.files and option.key in options]
+    if (truth is None) != (estimate is None):
+        raise click.UsageError("--truth and --estimate belong together: expected both or none")
+    if truth is not None and estimate is not None:
+        if split_name or methods or sequences or workers or runs:
+            raise click.UsageError(
+                "--truth and --estimate score two files: --split, --sequence, --method, --workers and --runs do not "
+                "apply"
+            )
+        finish(track.score_files(truth, estimate, options), out, outputs)
+        return
+    if reading:
+        raise click.UsageError(f"{', '.join(reading)}: says how to read files, but no --truth and --estimate are")
+
+    from oysterbench.recipe import load_split
+    from oysterbench.simulation.generate import split_folder
+    from oysterbench.tracks import Request
+
+    split = load_split(split_name or track.default_split)
+    folder = track.folder + ("-closed-loop" if options.get("closed_loop") else "")
+    request = Request(
+        out=out or split_folder(split) / folder.replace("results-steering-", "results-"),
+        split=split,
+        sequences=sequences,
+        methods=methods,
+        options=options,
+        runs=runs or 1,
+        jobs=1,  # one at a time, so that none takes time from another
+        workers=workers,
+        again=True,  # anew: `run` is the command that goes on
+    )
+    evaluate(track, request, outputs)

@@ -1,0 +1,135 @@
+"""What `eval` and `run` share: options of tracks, a request, and what is written, printed and said in the end."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from oysterbench.cli.outputs import Outputs, print_rich
+from oysterbench.core.errors import OysterbenchError
+
+if TYPE_CHECKING:
+    from oysterbench.tracks import Evaluation, Option, Request, Track
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+class Made(click.ParamType):  # type: ignore[type-arg]
+    """What a function makes of the text; a ValueError is a wrong one."""
+
+    def __init__(self, make: Callable[[str], Any], name: str) -> None:
+        self.make, self.name = make, name
+
+    def convert(self, value: Any, param: click.Parameter | None, context: click.Context | None) -> Any:
+        """The value."""
+        try:
+            return self.make(value) if isinstance(value, str) else value
+        except ValueError as error:
+            self.fail(str(error), param, context)
+
+
+def click_option(option: Option) -> click.Option:
+    """An option of a track as click has it."""
+    kind = option.kind
+    if isinstance(kind, tuple):
+        kind = click.Choice(kind)
+    elif kind is Path:
+        kind = click.Path(path_type=Path)
+    elif kind is bool:
+        return click.Option([option.name, argument(option)], is_flag=True, default=None, help=option.help)
+    elif not isinstance(kind, type):
+        kind = Made(kind, option.metavar or "TEXT")
+    return click.Option(
+        [option.name, argument(option)], type=kind, multiple=option.multiple, help=option.help, metavar=option.metavar
+    )
+
+
+def argument(option: Option) -> str:
+    """What an option is called among the arguments of a command: generic ones may have the same names."""
+    return f"of_track_{option.key.replace('-', '_').lower()}"
+
+
+def given_options(options: Iterable[Option], values: dict[str, Any]) -> dict[str, Any]:
+    """Key -> value of the options of a track that were given; they are taken out of a command's arguments."""
+    found = {option.key: values.pop(argument(option), None) for option in options}
+    return {key: value for key, value in found.items() if value not in (None, ())}
+
+
+def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
+    """Evaluate what is requested, with what the command line shows of it while it goes on."""
+    from dataclasses import replace
+
+    from oysterbench.cli.render import frames_bar, render_files
+    from oysterbench.results.records import write_results
+
+    results = request.out / "results.json"
+
+    def keep(runs: Sequence[Any]) -> None:
+        # After each run, so that a kill leaves a table of what was finished.
+        write_results(results, [run.record for run in runs])
+
+    shown = replace(request, render=render_files, bar=frames_bar, announce=echo, finished=keep)
+    track.settings(request.options)
+    track.adapters(request)
+    track.check(request)
+    request.out.mkdir(parents=True, exist_ok=True)
+    finish(track.evaluate(shown), request.out, outputs)
+
+
+def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
+    """Write all files, print, and say what failed; the command ends with an error where something did."""
+    from oysterbench.core.files import write_atomically
+    from oysterbench.results.records import document, dump, write_results
+
+    records, data_set = found.records, [row.as_plain() for row in found.data_set]
+    written: list[Path] = []
+    if out is not None:
+        write_results(out / "results.json", records, data_set)
+        for name, text in found.files.items():
+            write_atomically(out / name, text.encode())
+        written = [out / "results.json", *(out / name for name in found.files), *(path for path, _ in found.figures)]
+    if records:
+        figures = [figure for _, figure in found.figures]
+        written += outputs.write(found.runs, out, found.data_set, found.first, figures)
+    if outputs.as_json:
+        click.echo(dump(document(records, data_set)))
+    elif not outputs.on_stdout:
+        for table in found.printed:
+            if table.rows:
+                print_table(table)
+    for each in found.unscored:
+        if each.failure is not None:
+            echo(each.failure)
+        elif out is not None:
+            place = each.job.folder(out)
+            echo(f"{each.job.sequence.name} has no truth to score by; the predictions: {place}")
+    for path in written:
+        echo(f"written: {path}")
+    failures = {f"{one.method} failed on {one.sequence}": one.failure for one in records if one.failure is not None}
+    for what, why in failures.items():
+        echo(f"{what}: {why}")
+    if failures or any(each.failure is not None for each in found.unscored):
+        sys.exit(OysterbenchError.exit_code)
+
+
+def print_table(table: Any) -> None:
+    """A table on stdout."""
+    from oysterbench.report import terminal_table
+
+    print_rich(terminal_table(table))
+
+
+def echo(text: str) -> None:
+    """A message to the user, on stderr."""
+    click.echo(text, err=True)
+
+
+def foreign_options(track: str, options: Mapping[str, Sequence[str]]) -> None:
+    """Refuse options of other tracks. options: as they are typed -> the tracks that have them"""
+    for name, of in options.items():
+        if of:
+            raise click.UsageError(f"{name}: of the track {' and '.join(of)}, not of {track}")

@@ -1,0 +1,133 @@
+"""A policy in a process of its own, out of reach of the truth: views go in and commands come out over pipes.
+
+    python -m oysterbench.methods.policy_process REFERENCE
+
+reads a line of JSON with the task, then for each view a line of JSON and its pixels; it writes a line of JSON for each
+command, and one with `failure` or `end` when there is none any more. What a method prints goes to the log.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from oysterbench.core.errors import MethodError, OysterbenchError
+from oysterbench.core.files import home
+from oysterbench.methods.finding import find_method
+from oysterbench.methods.interfaces.steering import task_of
+from oysterbench.methods.policy import commands
+from oysterbench.methods.processes import environment, failure_of, supervised_command
+from oysterbench.methods.steering import Steering, SteeringMethod, VehicleState, View, Views
+
+LIMIT_S = 4 * 3600.0
+"""Of a rollout."""
+
+
+class PolicyProcess:
+    """A method of the track steering whose `run` takes place in a process of its own."""
+
+    track = "steering"
+
+    def __init__(self, reference: str) -> None:
+        """Raises MethodError where the method cannot be found."""
+        self.reference = reference
+        self.name = find_method(reference).name
+
+    def run(self, dive: Views) -> Iterator[Steering]:
+        """A command at each view. Raises MethodError where the policy fails."""
+        with tempfile.TemporaryDirectory(prefix="oysterbench-") as scratch:
+            report, log = Path(scratch) / "process.json", Path(scratch) / "stderr.txt"
+            words = [sys.executable, "-m", __name__, self.reference]
+            command = supervised_command(words, LIMIT_S, report, [home() / "splits"])
+            with open(log, "wb") as err:
+                process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=err,
+                    start_new_session=True,
+                    env=environment(),
+                )
+            try:
+                assert process.stdin is not None
+                assert process.stdout is not None
+                yield from self._commands(dive, process.stdin, process.stdout)
+            except (BrokenPipeError, EOFError):
+                process.wait()
+                failure = failure_of(report, LIMIT_S, Path(scratch)) or "it ended without a word"
+                raise MethodError(f"method {self.name!r}: {failure}") from None
+            finally:
+                process.terminate()  # its supervisor ends all that it started
+                process.communicate()
+
+    def _commands(self, dive: Views, down: IO[bytes], up: IO[bytes]) -> Iterator[Steering]:
+        _send(down, {"task": asdict(dive.task)})
+        for view in dive:
+            header = {"name": view.name, "time_s": view.time_s, "state": asdict(view.state)}
+            _send(down, {**header, "shape": view.pixels.shape}, np.ascontiguousarray(view.pixels).tobytes())
+            line = up.readline()
+            if not line.endswith(b"\n"):
+                raise EOFError
+            said = json.loads(line)
+            if "failure" in said:
+                raise MethodError(str(said["failure"]))
+            if "end" in said:
+                return
+            yield _steering(said)
+
+
+def _steering(said: dict[str, Any]) -> Steering:
+    """A command as the policy gave it; what is wrong with it is found where it is checked."""
+    shares = {key: np.array(said[key], dtype=float) for key in said if key.endswith("_probability")}
+    return Steering(said["name"], said.get("yaw"), said.get("pitch"), **shares)
+
+
+def _send(pipe: IO[bytes], header: dict[str, Any], data: bytes = b"") -> None:
+    pipe.write(json.dumps(header).encode() + b"\n" + data)
+    pipe.flush()
+
+
+def _received(pipe: IO[bytes]) -> Iterator[View]:
+    """The views, as they come."""
+    while line := pipe.readline():
+        header = json.loads(line)
+        shape = tuple(header["shape"])
+        data = pipe.read(int(np.prod(shape)))
+        pixels = np.frombuffer(data, np.uint8).reshape(shape).copy()
+        yield View(header["name"], pixels, VehicleState(**header["state"]), header["time_s"])
+
+
+def main(reference: str) -> None:
+    """Run the policy."""
+    up, down = os.fdopen(os.dup(1), "wb"), os.fdopen(os.dup(0), "rb")
+    os.dup2(2, 1)  # nothing but commands goes where commands go
+    task = task_of(json.loads(down.readline())["task"])
+    method: Any = find_method(reference)
+    policy: SteeringMethod = method
+    try:
+        _answer(commands(policy, task, _received(down), "rollout"), up)
+        _send(up, {"end": True})
+    except OysterbenchError as error:
+        _send(up, {"failure": str(error)})
+
+
+def _answer(made: Iterable[tuple[View, Steering, tuple[int, int]]], up: IO[bytes]) -> None:
+    for _, answer, (yaw, pitch) in made:
+        plain: dict[str, Any] = {"name": answer.name, "yaw": yaw, "pitch": pitch}
+        for key in ("yaw_probability", "pitch_probability"):
+            if (given := getattr(answer, key)) is not None:
+                plain[key] = np.asarray(given, dtype=float).tolist()
+        _send(up, plain)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,281 @@
+"""What the tracks of images have in common: pictures in, a prediction for each out, held against labelled sequences."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+
+from oysterbench.annotations import LabelledSequence, labelled_sequence, open_predictions, open_truth, read_coco
+from oysterbench.annotations.masks import Form, check_names
+from oysterbench.core.errors import LabelError, MethodError
+from oysterbench.evaluate.detection import ImageInstances
+from oysterbench.evaluate.detection.instances import Instance, from_mask, from_planes
+from oysterbench.evaluate.segmentation import EstimateImage
+from oysterbench.methods.images import Detections, Picture, Segmentation
+from oysterbench.methods.interfaces import RunSequence
+from oysterbench.methods.interfaces.images import (
+    LIMIT_OF_PICTURE_S,
+    Prediction,
+    read_predictions,
+    write_pictures,
+)
+from oysterbench.methods.outcomes import Job, Outcome
+from oysterbench.methods.processes import Processes
+from oysterbench.recipe import SplitRecipe
+from oysterbench.report import images_csv
+from oysterbench.report.images import DatasetRow, ImageRun, Sample, dataset_tables
+from oysterbench.report.overlay import sampled
+from oysterbench.results.records import ResultRecord
+from oysterbench.simulation.conditions import conditions
+from oysterbench.simulation.generate import digest
+from oysterbench.tracks.track import Evaluation, Option, Track, about_run, about_sequence, cost_of, shown_tables
+
+SAMPLES = 3  # pictures of a sequence in the report
+
+THRESHOLD = Option("threshold", "--threshold", "Called oyster from here on.  [default: 0.5]", float)
+KIND = Option(
+    "form",
+    "--estimate-kind",
+    "What the estimate's numbers are.  [default: auto]",
+    ("auto", "mask", "probability", "classes"),
+    files=True,
+)
+
+
+class PictureSequence(RunSequence):
+    """A labelled sequence whose pictures are given; places: of its files; split: that it is of, None for one's own."""
+
+    def __init__(
+        self, labelled: LabelledSequence, places: Sequence[Path] = (), split: SplitRecipe | None = None
+    ) -> None:
+        self.name = labelled.name
+        self.labelled, self.places, self.split = labelled, tuple(places), split
+
+    @property
+    def origin(self) -> str:
+        """Of a split, its recipe; else the digest of the files."""
+        return self.labelled.digest if self.split is None else f"{self.split.name} {digest(self.split)} {self.name}"
+
+    @property
+    def hidden(self) -> tuple[Path, ...]:
+        """The labelled files."""
+        return self.places
+
+    @property
+    def limit_s(self) -> float:
+        """Ten seconds a picture, and ten minutes at least."""
+        return max(LIMIT_OF_PICTURE_S * len(self.labelled.names), 600.0)
+
+    def write_input(self, form: str, out: Path, processes: Processes) -> None:
+        """The pictures alone."""
+        write_pictures(self._pictures(), out)
+
+    def _pictures(self) -> Iterator[Picture]:
+        for truth, pixels in self.labelled.images():
+            if pixels is None:
+                raise LabelError(f"{truth.name}: expected a picture to run a method on, got the truth alone")
+            yield Picture(truth.name, pixels)
+
+
+class ImageTrack(Track):
+    """A track of images."""
+
+    default_split = "seg-mini"
+    default_methods = ("all", "none", "colour")
+    files = "masks, or annotations,"
+
+    @abstractmethod
+    def evaluator(self) -> str:
+        """Name and version."""
+
+    @abstractmethod
+    def score_sequence(
+        self, labelled: LabelledSequence, get: Predictor, settings: Any, method: str
+    ) -> tuple[Any, list[Sample]]:
+        """The result of a sequence, and some of its pictures. get: of a name and a size (H, W), what is predicted."""
+
+    @abstractmethod
+    def of_prediction(self, prediction: Prediction, method: str, shape: tuple[int, int], settings: Any) -> Any:
+        """What the evaluator takes of what a method predicts."""
+
+    @abstractmethod
+    def of_coco(self, file: Any, name: str, settings: Any) -> Any:
+        """What the evaluator takes of COCO annotations."""
+
+    @abstractmethod
+    def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
+        """The result over all sequences of each method that could be scored on all of them."""
+
+    def failed_metrics(self, labelled: LabelledSequence, settings: Any) -> Mapping[str, float]:
+        """By what a failed run counts in a mean over sequences."""
+        return {}
+
+    def run_sequences(
+        self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
+    ) -> Sequence[PictureSequence]:
+        """Of a split; of one's own, whatever `annotations.open_truth` reads that has pictures."""
+        if split is not None:
+            named = files.items()
+            return [PictureSequence(labelled_sequence(p, conditions(split, n)), [p], split) for n, p in named]
+        reading = {key: options[key] for key in ("labels", "ignore_value") if key in options}
+        return [PictureSequence(one, [path]) for path in files.values() for one in open_truth(path, **reading)]
+
+    def score(self, job: Job, outcome: Outcome, out: Path, settings: Any) -> ImageRun:
+        """Score what a run predicted, picture by picture."""
+        sequence = job.sequence
+        assert isinstance(sequence, PictureSequence)
+        record = self._about(sequence.split, sequence.labelled, settings) | about_run(job, outcome)
+        failure = outcome.failure
+        if failure is None:
+            try:
+                get = self._predictor(job.folder(out), outcome, sequence.labelled, settings, job.adapter.name)
+                result, samples = self.score_sequence(sequence.labelled, get, settings, job.adapter.name)
+                metrics = {**result.metrics, **cost_of(outcome, "images_per_s", len(sequence.labelled.names))}
+                done = ResultRecord(**record, metrics=metrics, reasons=result.reasons, notes=tuple(outcome.notes))
+                return ImageRun(done, result, tuple(samples))
+            except (MethodError, LabelError) as error:
+                failure = str(error)
+        missed = self.failed_metrics(sequence.labelled, settings)
+        return ImageRun(ResultRecord(**record, failure=failure, metrics=missed, notes=tuple(outcome.notes)))
+
+    def _predictor(
+        self, folder: Path, outcome: Outcome, labelled: LabelledSequence, settings: Any, method: str
+    ) -> Predictor:
+        if not outcome.prediction["arrays"]:
+            return self.file_predictor(folder / outcome.prediction["place"], [labelled], settings)
+        coming = read_predictions(folder, labelled.names)
+
+        def get(name: str, shape: tuple[int, int]) -> Any:
+            return self.of_prediction(next(coming), method, shape, settings)
+
+        return get
+
+    def file_predictor(
+        self, place: Path, labelled: Sequence[LabelledSequence], settings: Any, form: Form = "auto"
+    ) -> Predictor:
+        """Reads what files predict for a picture. Raises LabelError where one is missing, or there is one too many."""
+        if place.suffix.lower() == ".json":
+            coco = next((one.coco for one in labelled if one.coco is not None), None)
+            ids = None if coco is None else coco.images
+            file = read_coco(place, ids)
+            names, get = file.names, lambda name, shape: self.of_coco(file, name, settings)
+        else:
+            files = open_predictions(place, form)
+            names = files.names
+
+            def get(name: str, shape: tuple[int, int]) -> Any:
+                found = files.get(name)
+                prediction = Segmentation(name, found.oyster, found.probability, found.classes)
+                return self.of_prediction(prediction, str(place), shape, settings)
+
+        check_names((name for one in labelled for name in one.names), names, place)
+        return get
+
+    def score_files(self, truth: Path, estimate: Path, options: Mapping[str, Any]) -> Evaluation:
+        """Score predictions in a folder, an .npz or COCO annotations against any truth (`annotations.open_truth`).
+
+        Raises LabelError, in one line, where a pair is missing, or a file is not what it should be.
+        """
+        settings = self.settings(options)
+        reading = {key: options[key] for key in ("labels", "ignore_value") if key in options}
+        sequences = open_truth(truth, **reading)
+        get = self.file_predictor(estimate, sequences, settings, cast(Form, options.get("form", "auto")))
+        runs = []
+        for labelled in sequences:
+            result, samples = self.score_sequence(labelled, get, settings, estimate.name)
+            about = {**self._about(None, labelled, settings), "method": estimate.name}
+            record = ResultRecord(**about, metrics=result.metrics, reasons=result.reasons)
+            runs.append(ImageRun(record, result, tuple(samples)))
+        return self.show(runs, (), None)
+
+    def _about(self, split: SplitRecipe | None, labelled: LabelledSequence, settings: Any) -> dict[str, Any]:
+        about = about_sequence(self.name, split, labelled.name, labelled.digest, settings.as_dict(), self.evaluator())
+        return {**about, "conditions": labelled.conditions}
+
+    def show(self, runs: Sequence[ImageRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
+        """The data set as a whole, and results by sequence where there are several."""
+        rows = self.dataset_rows(runs)
+        records = [run.record for run in runs]
+        several = len({record.sequence for record in records}) > 1
+        first = dataset_tables(rows)
+        printed = shown_tables(records, first) if several or not rows else first
+        return Evaluation(runs, rows, printed=printed, files={"images.csv": images_csv(runs)})
+
+
+Predictor = Callable[[str, tuple[int, int]], Any]
+"""Of the name and the size (H, W) of a picture, what is predicted for it, as the evaluator takes it."""
+
+
+def by_method(runs: Sequence[ImageRun]) -> dict[str, list[ImageRun]]:
+    """Runs by their method."""
+    groups: dict[str, list[ImageRun]] = {}
+    for run in runs:
+        groups.setdefault(run.record.method, []).append(run)
+    return groups
+
+
+def sampled_pictures(labelled: LabelledSequence, wanted: int = SAMPLES) -> frozenset[str]:
+    """Names of the pictures of a sequence that the report shows."""
+    return frozenset(sampled(labelled.names, wanted))
+
+
+def segmentation_of(prediction: Prediction, method: str) -> EstimateImage:
+    """What a method of the track segmentation predicts, checked."""
+    if not isinstance(prediction, Segmentation):
+        raise MethodError(f"method {method!r}: expected a Segmentation, got {type(prediction).__name__}")
+    return EstimateImage(prediction.name, prediction.oyster, prediction.probability, prediction.classes)
+
+
+def instances_of(prediction: Prediction, method: str, shape: tuple[int, int], threshold: float) -> ImageInstances:
+    """The single oysters of a prediction. Of a mask, or of probabilities from `threshold` on, each connected component
+    (by edges and corners) is one, its score the mean probability in it; 1 where there are no probabilities."""
+    if isinstance(prediction, Detections):
+        return _detections(prediction, method, shape)
+    estimate = segmentation_of(prediction, method)
+    mask = np.ascontiguousarray(estimate.mask(threshold))
+    count, numbers = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
+    scores = np.ones(count)
+    if estimate.probability is not None:
+        pixels = np.maximum(np.bincount(numbers.ravel(), minlength=count), 1)
+        scores = np.bincount(numbers.ravel(), weights=estimate.probability.ravel(), minlength=count) / pixels
+    return from_planes(prediction.name, np.asarray(numbers, np.int32), scores=dict(enumerate(scores.tolist())))
+
+
+def _detections(prediction: Detections, method: str, shape: tuple[int, int]) -> ImageInstances:
+    scores = np.asarray(prediction.scores, dtype=float).ravel()
+    given = [one for one in (prediction.numbers, prediction.masks, prediction.boxes) if one is not None]
+    if len(given) != 1:
+        raise MethodError(
+            f"method {method!r} on {prediction.name}: expected one of numbers, masks and boxes, got {len(given)}"
+        )
+    if prediction.numbers is not None:
+        if int(prediction.numbers.max(initial=0)) > len(scores):
+            raise MethodError(
+                f"method {method!r} on {prediction.name}: expected a score for each of "
+                f"{int(prediction.numbers.max())} oysters, got {len(scores)}"
+            )
+        return from_planes(prediction.name, prediction.numbers, scores=dict(enumerate(scores.tolist(), start=1)))
+    if len(given[0]) != len(scores):
+        raise MethodError(
+            f"method {method!r} on {prediction.name}: expected a score for each of {len(given[0])} oysters, got "
+            f"{len(scores)}"
+        )
+    if prediction.masks is not None:
+        height, width = prediction.masks.shape[1:]
+        pairs = zip(prediction.masks, scores.tolist(), strict=True)
+        return ImageInstances(prediction.name, height, width, tuple(from_mask(m, s) for m, s in pairs if m.any()))
+    boxes = np.asarray(prediction.boxes, dtype=float).reshape(-1, 4)
+    if not np.isfinite(boxes).all() or (boxes[:, 2:] < 0).any():
+        raise MethodError(
+            f"method {method!r} on {prediction.name}: expected boxes x, y, width, height in px, got {boxes[:1]}"
+        )
+    found = [
+        Instance((x, y, w, h), None, w * h, score)
+        for (x, y, w, h), score in zip(boxes.tolist(), scores.tolist(), strict=True)
+    ]
+    return ImageInstances(prediction.name, *shape, tuple(found))

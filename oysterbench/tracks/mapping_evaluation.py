@@ -1,0 +1,214 @@
+"""Maps of a sequence along true and estimated paths, each scored against the true map."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oysterbench.core.errors import LabelError, OysterbenchError
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.density.scoring import EVALUATOR, Cell, MapCount, TrueCount, score_density
+from oysterbench.evaluate.slam.alignment import fit_alignment
+from oysterbench.evaluate.slam.association import associate
+from oysterbench.evaluate.slam.settings import Align, SlamSettings
+from oysterbench.mapping import MapSettings, OysterMap, Seen, build_map, true_seen
+from oysterbench.mapping.cover import Cover
+from oysterbench.mapping.grid import Grid, Oyster, make_grid
+from oysterbench.mapping.predicted import true_states
+from oysterbench.mapping.projection import Lens, usable
+from oysterbench.mapping.survey import empty_cover
+from oysterbench.mapping.views import PoseInterpolator
+from oysterbench.recipe import SplitRecipe
+from oysterbench.report.density import DensityRun
+from oysterbench.results.records import ResultRecord
+from oysterbench.sequence import Sequence
+from oysterbench.tracks.slam import truth_digest
+from oysterbench.tracks.track import Announce, about_sequence
+
+TRUE_POSES = "true poses"
+SeenOf = Callable[[], Iterable[Seen]]
+
+
+@dataclass(frozen=True)
+class TrueMap:
+    """What is truly on the ground that a camera saw."""
+
+    count: TrueCount
+    oysters: list[Oyster]
+    cover: Cover
+
+
+@dataclass(frozen=True)
+class MappedSequence:
+    """A sequence that is mapped: along which paths, with whose masks (by name; the truth's own by default)."""
+
+    sequence: Sequence
+    camera: str
+    paths: Mapping[str, Trajectory | Exception]
+    masks: Mapping[str, SeenOf] = field(default_factory=dict)
+
+
+def labelled_camera(sequence: Sequence) -> str:
+    """The first camera with the layers depth, class and instance. Raises LabelError where there is none."""
+    topics = {topic for topic, _, _ in sequence.contents()}
+    for name in sequence.cameras:
+        if {f"/{name}/depth", f"/{name}/class", f"/{name}/instance"} <= topics:
+            return name
+    raise LabelError(
+        f"{sequence.name}: no camera has the layers depth, class and instance, of which the true map is made; "
+        "`oysterbench info` lists what there is"
+    )
+
+
+def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
+    """Of the true poses and depths, and the table of oysters: middles that lie on what was seen.
+
+    An oyster is shown where some picture has `least_px` of it within the greatest distance.
+    """
+    truth = sequence.truth()
+    way, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, sequence.cameras[camera])
+    cover = empty_cover(truth, settings)
+    most: Counter[int] = Counter()
+    for depth, picture in zip(sequence.layer(camera, "depth"), true_seen(sequence, camera), strict=True):
+        T = way.at(depth.stamp_ns)
+        if T is None:
+            continue
+        near = usable(depth.pixels, settings)
+        points = lens.points(depth.pixels.astype(float), T @ sequence.cameras[camera].T_base_cam)
+        cover.add(points[near], depth.pixels[near], None)
+        numbers, pixels = np.unique(picture.numbers[near], return_counts=True)
+        for number, count in zip(numbers.tolist(), pixels.tolist(), strict=True):
+            most[number] = max(most[number], count)
+    table, states = sequence.oysters(), true_states(sequence)
+    centres = oyster_centres(table)
+    there = cover.holds(centres[:, :2])
+    shown = np.array([most[int(number)] >= settings.least_px for number in table["id"]], dtype=bool)
+    oysters = [
+        Oyster(centre, states[int(number)], 1)
+        for centre, number in zip(centres[there & shown], table["id"][there & shown], strict=True)
+    ]
+    grid = make_grid(oysters, cover, settings, 0.0)
+    live = sum(one.state == "live" for one in oysters)
+    count = TrueCount(cells_of(grid), len(oysters), live, int((there & ~shown).sum()), float(grid.area_m2.sum()))
+    return TrueMap(count, oysters, cover)
+
+
+def oyster_centres(table: Any) -> Array:
+    """(N, 3) m in `map`: from the umbo half of the height towards the bill (the shell's x)."""
+    quaternions = table[["qx", "qy", "qz", "qw"]].to_numpy()
+    umbos, heights = table[["x", "y", "z"]].to_numpy(), table["height_m"].to_numpy()
+    if len(umbos) == 0:
+        return np.zeros((0, 3))
+    return np.asarray(umbos + 0.5 * heights[:, None] * Rotation.from_quat(quaternions).as_matrix()[:, :, 0])
+
+
+def cells_of(grid: Grid) -> dict[tuple[int, int], Cell]:
+    """Those that were seen enough, by column and row of the world."""
+    west, north = round(grid.west_m / grid.cell_m), round(grid.north_m / grid.cell_m)
+    return {
+        (west + int(column), north - 1 - int(row)): Cell(
+            float(grid.area_m2[row, column]), float(grid.live[row, column])
+        )
+        for row, column in zip(*np.nonzero(grid.known), strict=True)
+    }
+
+
+def aligned(truth: Trajectory, estimate: Trajectory, align: Align) -> Trajectory:
+    """An estimate, brought to the world of the truth as the SLAM track does."""
+    settings = SlamSettings(align=align)
+    met = associate(truth, estimate, settings)
+    fit = fit_alignment(met.truth, met.estimate, align).similarity
+    return replace(estimate, positions=fit.apply(estimate.positions), quaternions=fit.rotate(estimate.quaternions))
+
+
+def evaluate_maps(
+    mapped: MappedSequence,
+    split: SplitRecipe | None,
+    settings: MapSettings,
+    depth: str = "layer",
+    align: Align = "posyaw",
+    announce: Announce = lambda text: None,
+) -> Iterator[DensityRun]:
+    """A map along each path with the masks of each, scored; what cannot be mapped leaves a record with `failure`."""
+    sequence, camera = mapped.sequence, mapped.camera
+    truth = true_map(sequence, camera, settings)
+    poses = sequence.truth()
+    about = about_sequence(
+        "density",
+        split,
+        sequence.name,
+        truth_digest(poses),
+        {**settings.as_dict(), "depth": depth, "align": align},
+        EVALUATOR,
+    )
+    masks = mapped.masks or {"": lambda: true_seen(sequence, camera)}
+    for path_name, path in {TRUE_POSES: poses, **mapped.paths}.items():
+        for mask_name, seen in masks.items():
+            method = f"{path_name}, {mask_name}" if mask_name else path_name
+            announce(f"mapping {sequence.name} along {method}")
+            try:
+                if isinstance(path, Exception):
+                    raise path
+                way = poses if path_name == TRUE_POSES else aligned(poses, path, align)
+                owners: dict[tuple[int, int], int] = {}
+                labelled = _owned(sequence, camera, seen, owners)
+                found = build_map(sequence, way, labelled, camera, depth, settings, allow_none=True)
+            except OysterbenchError as error:
+                yield DensityRun(ResultRecord(**about, method=method, failure=str(error)))
+                continue
+            score = score_density(truth.count, map_count(found, owners))
+            yield DensityRun(
+                ResultRecord(
+                    **about, method=method, metrics=score.metrics, reasons=score.reasons, notes=found.notes
+                ),
+                found,
+            )  # fmt: skip
+
+
+def map_count(found: OysterMap, owners: Mapping[tuple[int, int], int]) -> MapCount:
+    """What is scored of a map; owners: true oyster by picture and number."""
+    behind = []
+    for track in found.tracks:
+        pixels: Counter[int] = Counter()
+        for patch in track.patches:
+            pixels[owners.get((patch.frame, patch.number), 0)] += patch.pixels
+        behind.append(max(pixels, key=lambda number: (pixels[number], -number)))
+    seen = frozenset(
+        owners.get((patch.frame, patch.number), 0) for track in found.tracks for patch in track.patches
+    ) - {0}
+    total = found.total
+    live = total.live + found.grid.live_share * total.unknown
+    return MapCount(cells_of(found.grid), total.count, live, total.count_low, total.count_high, behind, seen)
+
+
+def _owned(sequence: Sequence, camera: str, seen: SeenOf, owners: dict[tuple[int, int], int]) -> SeenOf:
+    """The same pictures; on the way, the true oyster that most of each one's pixels are of is noted."""
+
+    def noted() -> Iterator[Seen]:
+        truth = {}
+        layers = true_seen(sequence, camera)
+        for k, picture in enumerate(seen()):
+            while picture.stamp_ns not in truth:
+                layer = next(layers, None)
+                if layer is None:
+                    break
+                truth = {layer.stamp_ns: layer.numbers}
+            true = truth.get(picture.stamp_ns)
+            if true is not None and true.shape == picture.numbers.shape:
+                rows = picture.numbers > 0
+                pairs, pixels = np.unique(
+                    np.stack([picture.numbers[rows], true[rows]]), axis=1, return_counts=True
+                )  # fmt: skip
+                best: dict[int, tuple[int, int]] = {}
+                for number, own, n in zip(*pairs.tolist(), pixels.tolist(), strict=True):
+                    best[number] = max(best.get(number, (0, 0)), (n, own))
+                owners.update({(k, number): own for number, (_, own) in best.items()})
+            yield picture
+
+    return noted

@@ -1,0 +1,279 @@
+"""The SLAM track: sequences in, trajectories out, held against the true one."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from oysterbench.core.errors import MethodError, OysterbenchError, SequenceError, TrajectoryError
+from oysterbench.core.files import write_atomically
+from oysterbench.core.trajectory import ReadOptions, Trajectory, write_tum
+from oysterbench.evaluate.slam.inputs import read_pair
+from oysterbench.evaluate.slam.scoring import EVALUATOR, SlamResult, SlamSettings, score
+from oysterbench.methods.adapters import MethodAdapter
+from oysterbench.methods.interfaces import RunSequence
+from oysterbench.methods.interfaces.slam import SequencePath, read_alternatives, read_estimate
+from oysterbench.methods.map import MAP
+from oysterbench.methods.outcomes import Job, Outcome
+from oysterbench.recipe import SplitRecipe
+from oysterbench.report import SlamRun
+from oysterbench.results.records import ResultRecord
+from oysterbench.sequence import Sequence as SensorSequence
+from oysterbench.sequence import open_sequence
+from oysterbench.simulation.generate import digest
+from oysterbench.tracks.slam_options import OPTIONS, read_options
+from oysterbench.tracks.track import (
+    Evaluation,
+    Finished,
+    Request,
+    Track,
+    about_run,
+    about_sequence,
+    cost_of,
+    shown_tables,
+)
+
+FRAMES_IN_REPORT = 6
+FRAME_WIDTH = 480  # px, in the report
+
+PATH_METRICS = (
+    "ate_rmse_m",
+    "ate_percent",
+    "ate_rotation_rmse_deg",
+    "rpe_1s_translation_rmse_m",
+    "coverage",
+    "nees_position",
+)
+"""What is kept, as far as there is such, of the paths of a method that are not scored."""
+
+
+class SlamSequence(SequencePath):
+    """A sequence to run on; split: that it is of, None for one of the user's own."""
+
+    def __init__(self, name: str, path: Path, split: SplitRecipe | None = None) -> None:
+        super().__init__(name, path)
+        self.split = split
+
+    @property
+    def origin(self) -> str:
+        """Of a split, its recipe; else the file."""
+        if self.split is not None:
+            return f"{self.split.name} {digest(self.split)} {self.name}"
+        return super().origin
+
+    @cached_property
+    def truth(self) -> Trajectory | None:
+        """None where the sequence keeps it back."""
+        try:
+            return open_sequence(self.path).truth()
+        except SequenceError:
+            return None
+
+    @cached_property
+    def frames(self) -> list[tuple[int, bytes]]:
+        """For the report."""
+        return sample_frames(open_sequence(self.path))
+
+
+class SlamTrack(Track):
+    """Trajectories of the vehicle from its sensors."""
+
+    name = "slam"
+    title = "Trajectories from cameras, inertial sensors and sonars."
+    takes = ("slam",)
+    default_split = "slam-mini"
+    # One camera and an inertial unit: gtsam_full has nothing there that gtsam_vi has not, and visual_only, which has no
+    # scale, cannot be scored as they are.
+    default_methods = ("gtsam_vi", "dead_reckoning")
+    folder = "results"
+    files = "trajectories"
+    options = OPTIONS
+    examples = """
+      oysterbench eval slam
+      oysterbench eval slam --method dead_reckoning --json
+      oysterbench eval slam --runs 5 --out five-runs
+      oysterbench eval slam --truth truth.tum --estimate mine.tum --align se3 --associate nearest
+      oysterbench eval slam --truth truth.tum --estimate mine.tum --report mine.html --tex -"""
+
+    def settings(self, options: Mapping[str, Any]) -> SlamSettings:
+        """How estimate and truth meet."""
+        return SlamSettings(**{o.key: options[o.key] for o in OPTIONS if not o.files and o.key in options})
+
+    def run_sequences(
+        self, split: SplitRecipe | None, files: Mapping[str, Path], options: Mapping[str, Any]
+    ) -> Sequence[SlamSequence]:
+        """Of a split; of one's own, files or folders in EuRoC layout."""
+        if split is not None:
+            return [SlamSequence(name, path, split) for name, path in files.items()]
+        return own_sequences(list(files.values()))
+
+    def score(self, job: Job, outcome: Outcome, out: Path, settings: SlamSettings) -> SlamRun | None:
+        """Score the path that a run left, which `out` gets as TUM as well, with its other paths and its map.
+
+        SEQUENCE-METHOD.tum, of several runs SEQUENCE-METHOD-RUN.tum; other paths of a method as
+        SEQUENCE-METHOD.NAME.tum, and its landmarks as SEQUENCE-METHOD.map.ply.
+        """
+        sequence = job.sequence
+        assert isinstance(sequence, SlamSequence)
+        estimate, alternatives = None, dict[str, Trajectory]()
+        failure = outcome.failure
+        if failure is None:
+            try:
+                estimate = read_estimate(job.folder(out))
+                alternatives = read_alternatives(job.folder(out), outcome.prediction)
+                self._keep(job, outcome, out, estimate, alternatives)
+            except (MethodError, OSError) as error:
+                failure = f"method {job.adapter.name!r} on {sequence.name}: {error}"
+        if sequence.truth is None:
+            return None
+        record, result = record_outcome(sequence, job, outcome, estimate, alternatives, failure, settings)
+        return SlamRun(record, result, sequence.frames)
+
+    def _keep(
+        self, job: Job, outcome: Outcome, out: Path, estimate: Trajectory, alternatives: Mapping[str, Trajectory]
+    ) -> None:
+        name = f"{job.sequence.name}-{job.adapter.name}{f'-{job.number + 1}' if job.of > 1 else ''}"
+        write_tum(out / f"{name}.tum", estimate)
+        for path_name, path in alternatives.items():
+            write_tum(out / f"{name}.{path_name}.tum", path)
+        if outcome.prediction["map"] is not None:
+            write_atomically(out / f"{name}.{MAP}", (job.folder(out) / MAP).read_bytes())
+
+    def run(
+        self, sequences: Sequence[RunSequence], adapters: Sequence[MethodAdapter], settings: Any, request: Request
+    ) -> Iterator[Finished]:
+        """As every track; in the end, when no method runs any more, `out` gets SEQUENCE-truth.tum."""
+        truths = {request.out / f"{one.name}-truth.tum": one for one in sequences if isinstance(one, SlamSequence)}
+        for path in truths:
+            path.unlink(missing_ok=True)
+        yield from super().run(sequences, adapters, settings, request)
+        for path, sequence in truths.items():
+            if sequence.truth is not None:
+                write_tum(path, sequence.truth)
+
+    def score_files(self, truth: Path, estimate: Path, options: Mapping[str, Any]) -> Evaluation:
+        """Score one trajectory file against another; the options say what the files leave open."""
+        run = score_files(truth, estimate, self.settings(options), *read_options(options))
+        return self.show([run], (), None)
+
+    def show(self, runs: Sequence[SlamRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
+        """Results by sequence; standings over several; how the runs of one spread."""
+        return Evaluation(runs, printed=shown_tables([run.record for run in runs], runs=True))
+
+
+def own_sequences(paths: Sequence[Path]) -> list[SlamSequence]:
+    """Sequences of the user's own: files, or folders in EuRoC layout. Raises MethodError where two have one name."""
+    found = [SlamSequence(open_sequence(path).name, path) for path in paths]
+    names = [sequence.name for sequence in found]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise MethodError(f"two sequences are named {twice[0]!r}: their results would take each other's place")
+    return found
+
+
+def record_outcome(
+    sequence: SlamSequence,
+    job: Job,
+    outcome: Outcome,
+    estimate: Trajectory | None,
+    alternatives: Mapping[str, Trajectory],
+    failure: str | None,
+    settings: SlamSettings,
+) -> tuple[ResultRecord, SlamResult | None]:
+    """The record of a run on a sequence with truth; estimate, alternatives: where it did not fail."""
+    truth = sequence.truth
+    assert truth is not None
+    about = about_sequence(
+        "slam", sequence.split, sequence.name, truth_digest(truth), settings.as_dict(), EVALUATOR
+    ) | about_run(job, outcome)
+    prediction = outcome.prediction
+    if failure is None:
+        about["info"] |= paths_info(truth, prediction["scored"], alternatives, settings)
+        if prediction["map"] is not None:
+            about["info"]["map"] = dict(prediction["map"])
+    duration = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
+    cost = cost_of(outcome, "realtime_factor", duration)
+    if failure is not None or estimate is None:
+        return ResultRecord(**about, failure=failure, metrics=cost, notes=tuple(outcome.notes)), None
+    try:
+        # The notes are of the reading of its file; the one that is scored here has been read before.
+        result = score(truth, replace(estimate, notes=tuple(outcome.notes)), settings)
+    except TrajectoryError as error:
+        return ResultRecord(**about, failure=str(error), metrics=cost), None
+    metrics = {**result.metrics, **cost}
+    return ResultRecord(**about, metrics=metrics, reasons=result.reasons, notes=result.notes), result
+
+
+def paths_info(
+    truth: Trajectory, scored: str, alternatives: Mapping[str, Trajectory], settings: SlamSettings
+) -> dict[str, Any]:
+    """For the `info` of a record: which of a method's paths is scored, and what each other one reaches (PATH_METRICS).
+
+    An alternative that cannot be scored has a `failure` in their place: it costs the scored path nothing.
+    """
+    if not scored and not alternatives:
+        return {}
+    reached: dict[str, dict[str, Any]] = {}
+    for name, path in alternatives.items():
+        try:
+            metrics = score(truth, path, settings).metrics
+            reached[name] = {key: metrics[key] for key in PATH_METRICS if key in metrics}
+        except TrajectoryError as error:
+            reached[name] = {"failure": str(error)}
+    return {"paths": {"scored": scored, "alternatives": reached}}
+
+
+def score_files(
+    truth: Path,
+    estimate: Path,
+    settings: SlamSettings,
+    truth_options: ReadOptions | None = None,
+    estimate_options: ReadOptions | None = None,
+) -> SlamRun:
+    """Score one trajectory file against another; the options say what the files leave open."""
+    any_scale = settings.align in ("sim3", "scale")
+    pair = read_pair(truth, estimate, truth_options, estimate_options, settings.time_offset_s, any_scale)
+    result = score(*pair, settings)
+    about = about_sequence("slam", None, truth.name, truth_digest(pair[0]), settings.as_dict(), EVALUATOR)
+    record = ResultRecord(
+        **about, method=estimate.name, metrics=result.metrics, reasons=result.reasons, notes=result.notes
+    )
+    return SlamRun(record, result, [])
+
+
+def truth_digest(truth: Trajectory) -> str:
+    """SHA-256 of stamps and poses: whether two results speak of one truth."""
+    text = hashlib.sha256()
+    for array in (truth.stamps_ns, truth.positions, truth.quaternions):
+        text.update(array.tobytes())
+    return text.hexdigest()
+
+
+def sample_frames(sequence: SensorSequence) -> list[tuple[int, bytes]]:
+    """A few frames of the first camera, evenly over the sequence: stamp in ns and a small JPEG."""
+    camera = next(iter(sequence.cameras), None)
+    if camera is None:
+        return []
+    stamps = [image.stamp_ns for image in sequence.images(camera)]
+    wanted = {stamps[round(k * (len(stamps) - 1) / (FRAMES_IN_REPORT - 1))] for k in range(FRAMES_IN_REPORT)}
+    frames = []
+    for image in sequence.images(camera):
+        if image.stamp_ns not in wanted:
+            continue
+        height, width = image.pixels.shape[:2]
+        small = cv2.resize(
+            image.pixels, (FRAME_WIDTH, round(height * FRAME_WIDTH / width)), interpolation=cv2.INTER_AREA
+        )
+        done, jpeg = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 85])
+        if not done:
+            raise OysterbenchError(f"{sequence.name}: the frame at {image.stamp_ns} could not be encoded")
+        frames.append((image.stamp_ns, jpeg.tobytes()))
+    return frames
+
+
+TRACK = SlamTrack()

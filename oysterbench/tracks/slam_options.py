@@ -1,0 +1,119 @@
+"""Options of the SLAM track: how an estimate meets the truth, and how files of poses are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from oysterbench.core.errors import TrajectoryError
+from oysterbench.tracks.track import Option
+
+if TYPE_CHECKING:
+    from oysterbench.core.trajectory import ReadOptions
+
+ALIGNMENTS = ("none", "origin", "se3", "posyaw", "sim3", "scale")
+
+
+def seconds(text: str) -> float | str:
+    """Seconds, or the word that asks for them to be found. Raises ValueError."""
+    try:
+        return text if text == "estimate" else float(text)
+    except ValueError:
+        raise ValueError(f"expected seconds or 'estimate', got {text!r}") from None
+
+
+SETTINGS = (
+    Option("align", "--align", "How it is aligned.  [default: posyaw]", ALIGNMENTS),
+    Option("align_first", "--align-first", "Fit the alignment to so many first poses.  [default: all]", int),
+    Option("associate", "--associate", "How stamps meet.  [default: interpolate]", ("interpolate", "nearest")),
+    Option("max_gap_s", "--max-gap", "Interpolate across at most so many seconds.  [default: 0.3]", float),
+    Option("max_difference_s", "--max-difference", "Nearest poses are at most so many s away.  [default: 0.01]", float),
+    Option(
+        "time_offset_s",
+        "--time-offset",
+        "Added to the estimate's stamps; found from the motion by 'estimate'.  [default: 0]",
+        seconds,
+        metavar="SECONDS|estimate",
+    ),
+    Option("rpe_pairs", "--rpe-pairs", "Relative errors from every start, or end to end.", ("all", "consecutive")),
+    Option(
+        "subpath_m",
+        "--subpath",
+        "Length of segments in m; repeatable.  [default: shares of the path]",
+        float,
+        multiple=True,
+    ),
+)
+"""Settings of the evaluator, each with its default where it is not given."""
+
+OF_BOTH: dict[str, tuple[Any, str]] = {
+    "format": (("tum", "euroc", "kitti", "csv", "npz", "mcap", "bag"), "Format.  [default: by the content]"),
+    "topic": (str, "Topic of an MCAP file or bag; /tf:map.base_link for one transform."),
+    "time-unit": (("s", "ms", "us", "ns"), "Unit of the stamps."),
+    "quaternion": (("xyzw", "wxyz"), "Order of the quaternion."),
+    "unit": (("m", "mm"), "Unit of the positions."),
+}
+"""Options of the estimate, and with `truth-` before their names of the truth."""
+
+READING = (
+    *(
+        Option(f"{prefix}{name}", f"--{prefix}{name}", f"{whose}: {text}", kind, files=True)
+        for prefix, whose in (("", "Estimate"), ("truth-", "Truth"))
+        for name, (kind, text) in OF_BOTH.items()
+    ),
+    Option("times", "--times", "KITTI: a file with one time a line.  [default: the truth's]", Path, files=True),
+    Option("frame", "--frame", "Estimate: whose poses they are.", ("body", "optical"), files=True),
+    Option(
+        "T_body_estimate",
+        "--T-body-estimate",
+        "Estimate: where the frame of its poses is in the body: x,y,z,qx,qy,qz,qw or a 4 x 4 matrix.",
+        files=True,
+        metavar="NUMBERS|FILE",
+    ),
+    Option("sort", "--sort", "Estimate: put its poses in the order of their stamps.", bool, files=True),
+)
+
+OPTIONS = (*SETTINGS, *READING)
+
+
+def read_options(given: Mapping[str, Any]) -> tuple[ReadOptions, ReadOptions]:
+    """How the truth is read, and how the estimate."""
+    from oysterbench.core.trajectory import ReadOptions, read_times
+
+    times = read_times(given["times"]) if "times" in given else None
+    truth: dict[str, Any] = {key.replace("-", "_"): given.get(f"truth-{key}") for key in OF_BOTH}
+    estimate: dict[str, Any] = {key.replace("-", "_"): given.get(key) for key in OF_BOTH}
+    place = given.get("T_body_estimate")
+    return (
+        ReadOptions(**truth, times=times),
+        ReadOptions(
+            **estimate,
+            times=times,
+            frame=given.get("frame"),
+            T_body_estimate=None if place is None else _matrix(place),
+            sort=given.get("sort", False),
+        ),
+    )
+
+
+def _matrix(text: str) -> Any:
+    """(4, 4) from 7 or 16 numbers, or from a file that holds them."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from oysterbench.core.geometry import transform
+
+    source = Path(text).read_text(encoding="utf-8", errors="replace") if Path(text).is_file() else text
+    try:
+        numbers = np.array(source.replace(",", " ").split(), dtype=float)
+    except ValueError:
+        numbers = np.empty(0)
+    if len(numbers) == 16:
+        return numbers.reshape(4, 4)
+    if len(numbers) == 7 and np.isfinite(numbers).all() and abs(np.linalg.norm(numbers[3:]) - 1) < 2e-3:
+        return transform(Rotation.from_quat(numbers[3:]).as_matrix(), numbers[:3])
+    raise TrajectoryError(
+        "--T-body-estimate: expected x,y,z,qx,qy,qz,qw or a 4 x 4 matrix, or a file with one of them, got "
+        f"{text[:80]!r}"
+    )
