@@ -73,10 +73,6 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
         write_results(results, [run.record for run in runs])
 
     shown = replace(request, render=render_files, bar=frames_bar, announce=echo, finished=keep)
-    track.settings(request.options)
-    track.adapters(request)
-    track.check(request)
-    request.out.mkdir(parents=True, exist_ok=True)
     finish(track.evaluate(shown), request.out, outputs)
 
 

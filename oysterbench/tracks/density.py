@@ -17,7 +17,6 @@ from oysterbench.mapping.predicted import stacked
 from oysterbench.methods.adapters import PythonMethod
 from oysterbench.methods.interfaces import RunSequence
 from oysterbench.methods.interfaces.images import read_predictions
-from oysterbench.methods.interfaces.slam import read_estimate
 from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
@@ -114,8 +113,9 @@ class DensityTrack(Track):
         within = replace(request, out=request.out / "paths")
         for done in SLAM.run([sequence], methods, SlamSettings(), within) if methods else ():
             failed = done.outcome.failure
-            path = read_estimate(done.job.folder(within.out)) if failed is None else MethodError(failed)
-            found[done.job.adapter.name] = path
+            name = done.job.adapter.name
+            file = within.out / f"{sequence.name}-{name}.tum"
+            found[name] = read_trajectory(file) if failed is None else MethodError(failed)
         return found
 
     def _masks(

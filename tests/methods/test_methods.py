@@ -108,7 +108,10 @@ def test_a_variant_has_its_options_and_a_name_that_says_them():
             "loop=false",
             "has no option 'loop'; its options: output, camera, tracks, loops, grid, start.floor_m",
         ),
-        ("loops=0", "option 'loops' of method 'test_methods:Optional': expected true or false, such as true, got '0'"),
+        (
+            "loops=0",
+            "option 'loops' of method 'tests.methods.test_methods:Optional': expected true or false, such as true, got '0'",
+        ),
         ("tracks=9.5", "expected a whole number, such as 140, got '9.5'"),
         ("start.floor_m=deep", "expected a number, such as 0.5, got 'deep'"),
         ("grid=8", "expected a list, such as [5,4], got '8'"),
