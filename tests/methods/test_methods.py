@@ -110,7 +110,7 @@ def test_a_variant_has_its_options_and_a_name_that_says_them():
         ),
         (
             "loops=0",
-            "option 'loops' of method 'tests.methods.test_methods:Optional': expected true or false, such as true, got '0'",
+            "test_methods:Optional': expected true or false, such as true, got '0'",
         ),
         ("tracks=9.5", "expected a whole number, such as 140, got '9.5'"),
         ("start.floor_m=deep", "expected a number, such as 0.5, got 'deep'"),
