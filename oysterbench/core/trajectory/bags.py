@@ -30,7 +30,7 @@ POSE_TYPES = (
 LATCHED = "/tf_static"
 """Carries the places of sensors, never a trajectory."""
 
-Row = tuple[int, tuple[float, ...], Any]
+PoseRow = tuple[int, tuple[float, ...], Any]
 """Stamp in ns, x y z qx qy qz qw, covariance (36,) or None."""
 
 
@@ -114,7 +114,7 @@ def _numbers(place: Any, turn: Any) -> tuple[float, ...]:
     return (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
 
 
-def _pose_row(message: Any) -> Row:
+def _pose_row(message: Any) -> PoseRow:
     """Row of a PoseStamped, PoseWithCovarianceStamped, Odometry or TransformStamped."""
     stamp = _stamp(message.header)
     if hasattr(message, "transform"):
@@ -125,9 +125,9 @@ def _pose_row(message: Any) -> Row:
     return stamp, _numbers(message.pose.position, message.pose.orientation), None
 
 
-def _transforms(messages: Iterator[Any], frames: str, path: Path, topic: str) -> list[Row]:
+def _transforms(messages: Iterator[Any], frames: str, path: Path, topic: str) -> list[PoseRow]:
     """Rows of one transform among those of a TF topic; `frames` is `parent.child`, or empty where there is one."""
-    rows: dict[str, list[Row]] = {}
+    rows: dict[str, list[PoseRow]] = {}
     for message in messages:
         for item in message.transforms:
             name = f"{item.header.frame_id.lstrip('/')}.{item.child_frame_id.lstrip('/')}"

@@ -30,7 +30,7 @@ NO_NUMBER = re.compile(r"[+-]?(nan|inf(inity)?)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Table:
+class NumberTable:
     """The numbers of a file.
 
     stamps: (N,) texts of the stamps, ASCII; empty where the layout has none
@@ -71,7 +71,7 @@ def separator(line: str) -> str:
     return "commas" if "," in line else "semicolons" if ";" in line else "spaces"
 
 
-def read_table(text: str, begin: int, columns: Columns, path: str, compiled: bool | None = None) -> Table:
+def read_table(text: str, begin: int, columns: Columns, path: str, compiled: bool | None = None) -> NumberTable:
     """The data lines of `text` from line `begin` (counted from 0) on.
 
     compiled: whether to try the compiled reader; None: where that is worth it. What it does not take for plain
@@ -83,7 +83,7 @@ def read_table(text: str, begin: int, columns: Columns, path: str, compiled: boo
     return table or _read_lines(text, begin, columns, path)
 
 
-def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Table | None:
+def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> NumberTable | None:
     """The table by pandas' C reader, or None where anything is unusual."""
     import pandas as pd
 
@@ -130,7 +130,7 @@ def _read_compiled(text: str, begin: int, columns: Columns, path: str) -> Table 
         numbers = (n for n, line in enumerate(text.split("\n")[begin:], begin + 1) if not is_comment(line))
         return f"{path}:{next(n for i, n in enumerate(numbers) if i == row)}"
 
-    return Table(stamps, sizes, values, where)
+    return NumberTable(stamps, sizes, values, where)
 
 
 def _single_spaces(data: bytes) -> bool:
@@ -158,7 +158,7 @@ def _first_fields(data: bytes) -> NDArray[np.bytes_] | None:
     return np.asarray(fields.view(f"S{STAMP_WIDTH}").ravel())
 
 
-def _read_lines(text: str, begin: int, columns: Columns, path: str) -> Table:
+def _read_lines(text: str, begin: int, columns: Columns, path: str) -> NumberTable:
     """The table line by line. Raises TrajectoryError naming the line and what is wrong with it."""
     stamps: list[str] = []
     values: list[list[float]] = []
@@ -191,7 +191,7 @@ def _read_lines(text: str, begin: int, columns: Columns, path: str) -> Table:
             raise TrajectoryError(f"{where}: expected numbers that a float64 holds, got {_shown(line)}")
         numbers.append(number)
     table = np.array(values, dtype=float).reshape(-1, len(wanted))
-    return Table(
+    return NumberTable(
         np.array(stamps, dtype=np.bytes_), np.array(stamps, dtype=float), table, lambda row: f"{path}:{numbers[row]}"
     )
 

@@ -17,7 +17,7 @@ from oysterbench.core.trajectory.frames import METRES, scaled
 from oysterbench.core.trajectory.options import RIGID_TOLERANCE, ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import SHIFTS, scaled_integer, scaled_integers
-from oysterbench.core.trajectory.table import NUMBER, Table, is_comment, read_table, split
+from oysterbench.core.trajectory.table import NUMBER, NumberTable, is_comment, read_table, split
 
 MAX_SECONDS = 9e9
 """A stamp above this is not seconds: it would be 285 years after the epoch, and its nanoseconds leave an int64."""
@@ -158,7 +158,9 @@ def _columns(head: _Head, path: Path, options: ReadOptions) -> Columns:
     return TUM
 
 
-def _stamps(table: Table, columns: Columns, path: Path, options: ReadOptions, notes: list[str]) -> NDArray[np.int64]:
+def _stamps(
+    table: NumberTable, columns: Columns, path: Path, options: ReadOptions, notes: list[str]
+) -> NDArray[np.int64]:
     """(N,) int64 ns. Their unit is as asked for, as the layout says, or as their size leaves no doubt of."""
     sizes = np.abs(table.sizes)
     unit = options.time_unit or columns.time_unit
@@ -229,7 +231,7 @@ def _covariances(values: Array, columns: Columns, place: dict[int, int], path: P
     return covariances
 
 
-def _kitti(table: Table, path: Path, options: ReadOptions) -> Trajectory:
+def _kitti(table: NumberTable, path: Path, options: ReadOptions) -> Trajectory:
     """Poses from the top three rows of their matrices; stamps from `options.times`."""
     if options.times is None:
         raise TrajectoryError(
