@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from oysterbench.cli.main import main
 from oysterbench.core.trajectory import Trajectory, write_tum
 from tests.helpers.paths import COMMAND, ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
+from tests.helpers.waiting import until
 
 
 def run(*arguments, home=None, cwd=None):
@@ -376,8 +376,7 @@ def test_ctrl_c_is_one_line_and_the_work_goes_on_from_there(recipe, tmp_path):
     process = subprocess.Popen(
         [COMMAND, "render", str(recipe), "--out", str(out), "--workers", "2"], stderr=subprocess.PIPE, text=True
     )
-    while process.poll() is None and not list(out.glob(".parts/*/*.part")):
-        time.sleep(0.02)
+    until(lambda: process.poll() is not None or list(out.glob(".parts/*/*.part")))
     process.send_signal(signal.SIGINT)
     _, stderr = process.communicate(timeout=60)
     if process.returncode == 0:

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
@@ -17,8 +16,7 @@ from oysterbench.results.records import read_results
 from tests.helpers.paths import COMMAND
 from tests.helpers.programs import command
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
-
-PATIENCE_S = 120.0
+from tests.helpers.waiting import until
 
 
 def start(*arguments, **options):
@@ -37,15 +35,6 @@ def answer(tmp_path, dive_file):
     """The true poses of the hand-made dive as a TUM file."""
     write_tum(tmp_path / "answer.tum", oysterbench.open(dive_file).truth())
     return tmp_path / "answer.tum"
-
-
-def until(condition, process):
-    """Wait for a condition, as long as the process is there."""
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def is_alive(pid):
@@ -93,10 +82,7 @@ def test_what_was_finished_survives_and_the_same_command_goes_on(number, dive_fi
         assert process.returncode == 130
         assert "interrupted; what was finished is kept, and the same command goes on from there" in err
     pid = int(pid_file.read_text())
-    end = time.monotonic() + PATIENCE_S
-    while is_alive(pid) and time.monotonic() < end:  # its supervisor hears of the death and ends it
-        time.sleep(0.01)
-    assert not is_alive(pid)
+    until(lambda: not is_alive(pid))  # its supervisor hears of the death and ends it
     Path(f"{answer}.go").touch()
     done = run(*arguments)
     assert done.returncode == 0, done.stderr
@@ -120,10 +106,7 @@ def test_jobs_that_run_side_by_side_all_end_and_all_go_on(number, dive_file, ans
     process.send_signal(number)
     process.communicate()
     pids = [int(path.read_text()) for path in pid_files]
-    end = time.monotonic() + PATIENCE_S
-    while any(map(is_alive, pids)) and time.monotonic() < end:
-        time.sleep(0.01)
-    assert not any(map(is_alive, pids))
+    until(lambda: not any(map(is_alive, pids)))
     Path(f"{answer}.go").touch()
     done = run(*arguments)
     assert done.returncode == 0, done.stderr

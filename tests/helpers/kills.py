@@ -23,6 +23,7 @@ from oysterbench.core.streams import stream
 from oysterbench_leaderboard.submissions import sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.database import Submission, find, log, submissions
 from tests.helpers.served import Server, answers, lay, make_service
+from tests.helpers.waiting import NEVER, run_for
 
 SENDERS = 2
 
@@ -67,7 +68,7 @@ def run(folder: Path, kills: int, seed: int = 1) -> Outcome:
         while outcome.kills < kills:
             # Some die while they start, most while they receive, check, score or publish.
             begun = server.begin()
-            time.sleep(rng.uniform(0.0, longest_s))
+            run_for(begun, rng.uniform(0.0, longest_s))
             outcome.killed_at.append(_stages(folder))
             os.killpg(begun.pid, signal.SIGKILL)
             begun.wait()
@@ -124,7 +125,7 @@ def _send(server: Server, folder: Path, token: str, sender: int, outcome: Outcom
         outcome.sent[made["id"]] = method
         found = made
         while found["state"] in ("queued", "running"):
-            time.sleep(0.2)
+            NEVER.wait(0.2)
             found = _until(server, "GET", f"/api/submissions/{made['id']}", None, token, (200,))
         _until(server, "POST", f"/api/submissions/{made['id']}/publish", None, token, (200,))
 
@@ -142,7 +143,7 @@ def _until(server: Server, method: str, path: str, body: Any, token: str, good: 
         try:
             status, _, data = server.ask(method, path, body, {"Content-Type": "application/zip"}, token)
         except (OSError, http.client.HTTPException):
-            time.sleep(0.1)
+            NEVER.wait(0.1)  # until another server is there
             continue
         assert status in good, (status, data)
         return json.loads(data)

@@ -12,7 +12,6 @@ import os
 import socket
 import subprocess
 import sys
-import time
 import zipfile
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -34,6 +33,7 @@ from oysterbench_leaderboard.submissions.database import Database
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.paths import ROOT
+from tests.helpers.waiting import until
 
 NAMES = ("pool-01", "pool-02")
 EPOCH_NS = EPOCH_NS
@@ -326,11 +326,8 @@ class Server:
     def start(self) -> None:
         """Returns when it answers."""
         process = self.begin()
-        end = time.monotonic() + 60
-        while not self.alive():
-            assert process.poll() is None, (self.folder / "server.log").read_text()
-            assert time.monotonic() < end
-            time.sleep(0.05)
+        until(lambda: self.alive() or process.poll() is not None)
+        assert process.poll() is None, (self.folder / "server.log").read_text()
 
     def alive(self) -> bool:
         """Whether it answers."""
@@ -361,13 +358,14 @@ class Server:
 
     def wait(self, token: str, id: str) -> dict[str, Any]:
         """A submission when it is scored."""
-        end = time.monotonic() + 120
-        while True:
-            found = json.loads(self.ask("GET", f"/api/submissions/{id}", token=token)[2])
-            if found["state"] not in ("queued", "running"):
-                return found
-            assert time.monotonic() < end, found
-            time.sleep(0.1)
+        found: dict[str, Any] = {}
+
+        def scored() -> bool:
+            found.update(json.loads(self.ask("GET", f"/api/submissions/{id}", token=token)[2]))
+            return found["state"] not in ("queued", "running")
+
+        until(scored)
+        return found
 
     def stop(self) -> None:
         """End it in good order."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import random
 import threading
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from oysterbench.hub.sign import load_key, make_key
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
 from oysterbench.sequence.write import SequenceWriter
 from tests.helpers.hand_made_dive import RIG, all_types, calibration, messages
+from tests.helpers.waiting import until
 
 FACTS = {"split": "fake-val", "version": "1.0", "track": "slam", "rig": "hand", "summary": "Two short dives by hand"}
 DIGEST = sha256(b"the recipe")
@@ -108,9 +108,8 @@ def oysterbench_serve(tree: Path):
     server = uvicorn.Server(uvicorn.Config(**settings(tree, "127.0.0.1", 0)))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
-    while not server.started:
-        assert thread.is_alive()
-        time.sleep(0.005)
+    until(lambda: server.started or not thread.is_alive())
+    assert server.started
     port = server.servers[0].sockets[0].getsockname()[1]
     try:
         yield f"http://127.0.0.1:{port}"

@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -19,6 +18,7 @@ from oysterbench.hub.part import Part
 from tests.helpers.blobs import beginnings
 from tests.helpers.paths import HELPERS
 from tests.helpers.trees import PIECE, SIZE, Big, tree_bytes
+from tests.helpers.waiting import NEVER, until
 from tests.helpers.web import Honest, serving
 
 PROGRAM = HELPERS / "one_download.py"
@@ -27,7 +27,7 @@ PROGRAM = HELPERS / "one_download.py"
 class Slow(Honest):
     """A server that takes a second or so for the file."""
 
-    pause = staticmethod(lambda: time.sleep(0.006))
+    pause = staticmethod(lambda: NEVER.wait(0.006))
 
     def setup(self):
         self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 14)
@@ -73,10 +73,7 @@ def kill_and_go_on(big, folder, fraction):
             begun, wrong = beginnings(part, big.entry, big.data)
             assert not wrong
             kept += begun
-        for _ in range(2000):  # what was under way notices that nobody listens
-            if not site.connections:
-                break
-            time.sleep(0.005)
+        until(lambda: not site.connections)  # what was under way notices that nobody listens
         first_sent = site.sent
     done = target.exists()
     with serving(Honest, big.files) as site:
@@ -117,14 +114,13 @@ def test_ctrl_c_is_one_line_with_130_and_the_download_goes_on(big, tmp_path):
 
     def pause():
         """Slow at first; then nothing comes until the client is gone, however long that takes on a busy machine."""
-        time.sleep(0.006)
+        NEVER.wait(0.006)
         if site.sent >= SIZE // 2:
             interrupted.wait(30)
 
     with serving(Slow, big.files, pause=staticmethod(pause)) as site:
         process = subprocess.Popen([*command, "--from", site.url], stderr=subprocess.PIPE, text=True)
-        while site.sent < SIZE // 4:
-            time.sleep(0.001)
+        until(lambda: site.sent >= SIZE // 4, process)
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=20)
         interrupted.set()

@@ -6,7 +6,6 @@ import shutil
 import socket
 import subprocess
 import sys
-import time
 import urllib.request
 from contextlib import contextmanager
 
@@ -15,6 +14,7 @@ import pytest
 from oysterbench.hub.download import Hub, download, part_path
 from tests.helpers.blobs import CALM
 from tests.helpers.trees import Big, a_key, publish_split, tree_bytes, write_split
+from tests.helpers.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -43,18 +43,20 @@ def free_port():
         return probe.getsockname()[1]
 
 
+def answers(port):
+    try:
+        socket.create_connection(("127.0.0.1", port), timeout=1).close()
+    except ConnectionError:
+        return False
+    return True
+
+
 @contextmanager
 def running(command, port):
     """A server process, once it answers."""
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        for _ in range(500):
-            assert process.poll() is None, f"{command[0]} ended with {process.returncode}"
-            try:
-                socket.create_connection(("127.0.0.1", port), timeout=1).close()
-                break
-            except ConnectionError:
-                time.sleep(0.01)
+        until(lambda: answers(port), process)
         yield f"http://127.0.0.1:{port}"
     finally:
         process.terminate()

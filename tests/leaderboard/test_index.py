@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +26,7 @@ from oysterbench_leaderboard.board import BoardPage, Query
 from oysterbench_leaderboard.index import BoardIndex, open_index
 from oysterbench_leaderboard.store import RecordStore, StatusChange
 from tests.helpers.records_made import fill, record_made, records_made
+from tests.helpers.waiting import run_for
 
 ALL = Query(states=("current", "superseded", "withdrawn"))
 
@@ -352,7 +352,7 @@ def test_a_killed_rebuild_leaves_the_old_index(store):
         )
         assert process.stdout is not None
         assert process.stdout.readline() == b"begun\n"
-        time.sleep(float(draw.uniform(0, 0.4)))
+        run_for(process, float(draw.uniform(0, 0.4)))
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()

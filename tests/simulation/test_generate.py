@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -19,6 +18,7 @@ from oysterbench.core.files import locked
 from oysterbench.recipe import count
 from oysterbench.simulation.generate import digest, generate_split, plan, split_folder
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
+from tests.helpers.waiting import until
 
 
 def sha256(path):
@@ -73,8 +73,11 @@ def test_a_render_killed_again_and_again_ends_in_the_same_bytes(tiny_file, tmp_p
     parts_seen = 0
     for wanted in (1, 2, 3):
         process = subprocess.Popen(command, start_new_session=True)
-        while process.poll() is None and len(list(out.glob(".parts/*/*.part"))) < wanted and not finished.exists():
-            time.sleep(0.02)
+        until(
+            lambda process=process, wanted=wanted: (
+                process.poll() is not None or finished.exists() or len([*out.glob(".parts/*/*.part")]) >= wanted
+            )
+        )
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         assert not finished.exists() or sha256(finished) == sha256(tiny_file)
@@ -93,16 +96,10 @@ def test_workers_leave_with_a_parent_that_is_killed(tmp_path):
     rig.write_text(TINY_RIG)
     process = subprocess.Popen([sys.executable, script, recipe, rig, out], start_new_session=True)
     try:
-        while not list(out.glob(".parts/*/*.part")):
-            assert process.poll() is None
-            time.sleep(0.05)
+        until(lambda: list(out.glob(".parts/*/*.part")), process)
         process.kill()  # the parent alone: its workers notice
         process.wait()
-        for _ in range(200):
-            if not members(process.pid):
-                return
-            time.sleep(0.05)
-        pytest.fail(f"workers outlive their parent: {members(process.pid)}")
+        until(lambda: not members(process.pid))
     finally:
         if members(process.pid):
             os.killpg(process.pid, signal.SIGKILL)
