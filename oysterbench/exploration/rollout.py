@@ -20,7 +20,7 @@ from oysterbench.recipe import SplitRecipe
 from oysterbench.scene.path.disturbance import sway
 from oysterbench.simulation.simulated_sequence import build_sequence
 from oysterbench.simulation.steering.expert import Expert, best
-from oysterbench.simulation.steering.observation import Sight
+from oysterbench.simulation.steering.observation import Observation
 from oysterbench.simulation.steering.site import Site, build_site, measure_state
 from oysterbench.simulation.steering.vehicle import advance, folded, rotations, turns
 
@@ -30,7 +30,7 @@ CEILING_M = 0.3  # under the surface, of the vehicle's highest place
 Progress = Callable[[int, int], None]
 """Called with the commands done and the commands wanted."""
 
-Lesson = tuple[View, Array]
+TrainingExample = tuple[View, Array]
 """A view and what the commands are worth there, as `Expert.values` has it."""
 
 
@@ -46,7 +46,7 @@ def explore(
     progress: Progress | None = None,
     teacher: bool = False,
     mixture: float = 0.0,
-) -> tuple[RolloutLog, list[Lesson]]:
+) -> tuple[RolloutLog, list[TrainingExample]]:
     """A dive of a pilot (one of REFERENCES, or a method) over the reef of a sequence.
 
     seconds: of the dive, if not the task's. start: number of the place where it begins; the same for every pilot.
@@ -64,8 +64,8 @@ def explore(
     site = build_site(simulated, split.steering)
     streams = simulated.streams.at("steering", start)
     pictures = not isinstance(pilot, str)
-    dive = Dive(site, reef, steps, streams, progress or (lambda done, total: None), pictures)
-    lessons: list[Lesson] = []
+    dive = Rollout(site, reef, steps, streams, progress or (lambda done, total: None), pictures)
+    lessons: list[TrainingExample] = []
     if isinstance(pilot, str):
         command = reference(pilot, site, dive.state, dive.streams)
         for _ in range(steps):
@@ -86,8 +86,8 @@ def explore(
 
 
 @dataclass
-class Dive:
-    """A dive under way. pictures: whether the pilot looks at them; state (5,): as in `vehicle`; done: commands carried
+class Rollout:
+    """A rollout under way. pictures: whether the pilot looks at them; state (5,): as in `vehicle`; done: commands carried
     out."""
 
     site: Site
@@ -106,7 +106,7 @@ class Dive:
         times = np.arange(self.steps + 1) * task.step_s
         # Long under way: the sway has grown to its full size.
         self._sway = sway(np.asarray(times + plan.ramp_s, dtype=float), plan, self.streams)
-        self.sight = Sight(self.site)
+        self.sight = Observation(self.site)
         self.state = self._begin()
         self._states = [self.state]
         self._commands: list[tuple[int, int]] = []

@@ -10,7 +10,7 @@ from oysterbench.recipe import SteeringRecipe, count
 from oysterbench.sensors import clock
 from oysterbench.simulation.simulated_sequence import SimulatedSequence
 from oysterbench.simulation.steering.expert import Expert, best
-from oysterbench.simulation.steering.observation import Sight
+from oysterbench.simulation.steering.observation import Observation
 from oysterbench.simulation.steering.site import build_site, measure_state
 from oysterbench.simulation.steering.vehicle import state_of
 
@@ -18,7 +18,7 @@ from oysterbench.simulation.steering.vehicle import state_of
 def steering_csv(simulated: SimulatedSequence, task: SteeringRecipe) -> bytes:
     """Table of `Sequence.steering`, as CSV. The expert knows which oysters the pictures before have shown."""
     site = build_site(simulated, task)
-    expert, sight = Expert(site), Sight(site)
+    expert, sight = Expert(site), Observation(site)
     camera = site.camera
     n = count(simulated.recipe.duration_s, camera.rate_hz)
     stamps = clock.stamps(n, camera.rate_hz, EPOCH_NS, camera.clock_offset_ms)

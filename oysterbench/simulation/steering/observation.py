@@ -13,7 +13,7 @@ COVER_CELL_M = 0.25
 STRIDE = 3  # of the pixels that the covered bottom is made from: 5 cm of bottom at 2 m
 
 
-class Sight:
+class Observation:
     """Grows with every picture. found (N,) bool: which of the site's live oysters were seen."""
 
     def __init__(self, site: Site) -> None:

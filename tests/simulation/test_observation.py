@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oysterbench.core.geometry import transform
-from oysterbench.simulation.steering.observation import COVER_CELL_M, Sight
+from oysterbench.simulation.steering.observation import COVER_CELL_M, Observation
 from oysterbench.simulation.steering.vehicle import rotations
 from tests.helpers.flat_site import BOTTOM, flat_site
 
@@ -33,7 +33,7 @@ def pose(site):
 def test_an_oyster_counts_once(site, picture):
     depth, instances = picture
     instances[100:110, 150:160] = 2
-    sight = Sight(site)
+    sight = Observation(site)
     assert [sight.look(pose(site), depth, instances) for _ in range(2)] == [1, 0]
     assert sight.found.tolist() == [False, True]
 
@@ -41,7 +41,7 @@ def test_an_oyster_counts_once(site, picture):
 def test_too_few_pixels_do_not_count(site, picture):
     depth, instances = picture
     instances[100, 150 : 150 + site.task.view_px - 1] = 1
-    sight = Sight(site)
+    sight = Observation(site)
     assert sight.look(pose(site), depth, instances) == 0
     instances[101, 150] = 1
     assert sight.look(pose(site), depth, instances) == 1
@@ -52,7 +52,7 @@ def test_what_is_too_far_does_not_count_by_its_range_and_not_by_its_depth(site, 
     depth[:] = 1.9  # in the corner that is 2.5 m along the ray, in the middle 1.9 m
     instances[:10, :10] = 1
     instances[115:125, 155:165] = 2
-    sight = Sight(site)
+    sight = Observation(site)
     sight.look(pose(site), depth, instances)
     assert sight.found.tolist() == [False, True]
 
@@ -60,12 +60,12 @@ def test_what_is_too_far_does_not_count_by_its_range_and_not_by_its_depth(site, 
 def test_what_is_no_live_oyster_of_the_area_does_not_count(site, picture):
     depth, instances = picture
     instances[50:80, 50:80] = 3  # the vehicle's number, one more than the last
-    assert Sight(site).look(pose(site), depth, instances) == 0
+    assert Observation(site).look(pose(site), depth, instances) == 0
 
 
 def test_the_covered_share_is_that_of_the_bottom_in_sight(site):
     small = replace(site, half_m=4.0)
-    sight = Sight(small)
+    sight = Observation(small)
     T = pose(small)
     rays = sight._rays @ T[:3, :3].T
     with np.errstate(divide="ignore"):
