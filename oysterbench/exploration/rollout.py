@@ -87,8 +87,8 @@ def explore(
 
 @dataclass
 class Rollout:
-    """A rollout under way. pictures: whether the pilot looks at them; state (5,): as in `vehicle`; done: commands carried
-    out."""
+    """A rollout under way. pictures: whether the policy looks at them; state (5,): as in `vehicle`; done: commands
+    carried out."""
 
     site: Site
     reef: str
