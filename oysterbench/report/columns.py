@@ -9,17 +9,17 @@ from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.report.table import Column
 
 UNITS = {"x": "\N{MULTIPLICATION SIGN} real time"}
-"""Unit of a metric -> the same where there is room."""
+"""Second line of a narrow heading -> the unit that it stands for, where that is not the metric's own."""
 
 
 def metric_column(key: str, sort: bool = False) -> Column:
     """The column of a metric; sort: whether an address may ask for the order of its values."""
     metric = find_metric(key) or Metric("No definition is known to this version.", key)
-    unit = metric.unit or ("%" if metric.factor == 100.0 else "")
+    unit = metric.unit or ("%" if metric.factor == 100.0 else UNITS.get(metric.narrow[1], ""))
     return Column(
         key,
         metric.heading or key,
-        UNITS.get(unit, unit),
+        unit,
         "number",
         "\n".join(filter(None, metric.narrow)),
         metric.digits,

@@ -18,7 +18,7 @@ from oysterbench.report.plots import Curve, height_plot, map_plot, recall_plot, 
 from oysterbench.results.records import ResultRecord
 
 TIME = "time since start [s]"
-WAY = "way along the true path [m]"
+ALONG = "distance along the true path [m]"
 MAP_POINTS = 1500  # of one path: still fine when it is looked at ten times as near
 
 
@@ -159,7 +159,7 @@ def _last(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> tuple
             multiples = np.asarray(result.recall.error_m) / result.recall.scale_m
             curves.append(Curve(method, multiples, np.asarray(result.recall.share), styles[method]))
     title = "Position error along the path"
-    cards = [Card(title, time_plot(along, title, WAY, "error [m]", (0.0, float(way[-1]))))]
+    cards = [Card(title, time_plot(along, title, ALONG, "error [m]", (0.0, float(way[-1]))))]
     if curves:
         percent = scored[0][1].settings.recall_scale_percent
         scale = next(result.recall.scale_m for _, result in scored if result.recall is not None)

@@ -96,7 +96,7 @@ def test_dives_are_made_once_printed_and_drawn(recipe, tmp_path):
     assert first.exit_code == 0, first.output
     assert re.search(r"one +expert +195\.0", first.stdout)
     assert "Place between random and expert" in first.stdout
-    assert re.search(r"expert . lawnmower +oysters \[per min\]", first.stdout)
+    assert re.search(r"expert . lawnmower +Oysters \[per min\]", first.stdout)
     assert "8 of 8 rollouts" in first.stderr
     assert len(list((out / "rollouts").iterdir())) == 8
     for name in ("pilots", "dives-one", "dives-two"):
