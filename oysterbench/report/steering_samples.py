@@ -1,4 +1,4 @@
-"""Some labelled pictures: where the bow would point after the commands, and what each pair of commands is worth."""
+"""Some labelled pictures: where the bow would point after the commands, and the value of each pair of commands."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def samples_figure(samples: Sequence[Sample], task: SteeringRecipe, colours: Map
     sheet.text(
         MARGIN,
         58,
-        "Where the bow points, and would point after the commands; beside it what each pair is worth, in oysters",
+        "Where the bow points, and would point after the commands; beside it the value of each pair, in oysters",
         13.5,
         fill=SOFT,
     )
@@ -196,4 +196,4 @@ def _worth(
     sheet.text(left + wide, bottom + 16, f"{abs(task.yaw_deg[-1]):g} deg right", 12, "end", fill=SOFT)
     sheet.text(left - 6, top + 12, "up", 12, "end", fill=SOFT)
     sheet.text(left - 2, bottom - 3, "down", 12, "end", fill=SOFT)
-    sheet.text(left, bottom + 36, f"worth {low:.0f} (pale) to {high:.0f} (dark) oysters", 12.5)
+    sheet.text(left, bottom + 36, f"value {low:.0f} (pale) to {high:.0f} (dark) oysters", 12.5)
