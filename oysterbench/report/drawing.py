@@ -70,7 +70,7 @@ class Drawing:
     def dots(self, points: ArrayLike, r: float, fill: str | Sequence[str], stroke: str = "") -> None:
         """Discs around points (N, 2), all of one colour or each of its own."""
         x, y = np.asarray(points, dtype=float).reshape(-1, 2).T
-        edge = {"edgecolors": stroke or "none", "linewidths": 0.6 if stroke else 0.0}
+        edge: dict[str, Any] = {"edgecolors": stroke or "none", "linewidths": 0.6 if stroke else 0.0}
         self._axes.scatter(x, y, s=(2 * r) ** 2, c=fill, **edge, **self._look())
 
     def text(
@@ -91,7 +91,7 @@ class Drawing:
         weight = "bold" if bold else "normal"
         effects = [withStroke(linewidth=2 * HALO, foreground=halo)] if halo else None
         plain = text.replace("$", r"\$")  # no mathematics in names
-        about = {"ha": side, "va": "baseline", "weight": weight, "color": fill, "path_effects": effects}
+        about: dict[str, Any] = {"ha": side, "va": "baseline", "weight": weight, "color": fill, "path_effects": effects}
         # The sheet is measured for letters narrower than those of matplotlib's own font.
         self._axes.text(x, y, plain, fontsize=0.9 * size, **about, **self._look())
 
@@ -128,7 +128,7 @@ class Drawing:
 def _jpeg(found: re.Match[str]) -> str:
     """A picture within an SVG as JPEG, which is a tenth of the size."""
     data = np.frombuffer(base64.b64decode(found[1]), dtype=np.uint8)
-    done, made = cv2.imencode(".jpg", cv2.imdecode(data, cv2.IMREAD_COLOR), [cv2.IMWRITE_JPEG_QUALITY, 90])
+    done, made = cv2.imencode(".jpg", np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), [cv2.IMWRITE_JPEG_QUALITY, 90])
     if not done:
         raise OysterbenchError("a picture of a figure could not be encoded")
     return f"data:image/jpeg;base64,{base64.b64encode(made.tobytes()).decode()}"
