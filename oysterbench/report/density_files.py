@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from oysterbench.report.density_figure import density_pixels, figure, mosaic, nu
 from oysterbench.report.drawing import encoded
 from oysterbench.report.formats import csv_of
 from oysterbench.report.renderers.html import FOLDER
+from oysterbench.results.records import plain
 
 FORMAT = "oysterbench-map/1"
 
@@ -92,7 +92,7 @@ def oyster_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
 def summary(found: OysterMap) -> dict[str, Any]:
     """What is known of the whole, for JSON; null where there is no number."""
     total, grid = found.total, found.grid
-    return _plain(
+    made: dict[str, Any] = plain(
         {
             "format": FORMAT,
             "sequence": found.name,
@@ -129,6 +129,7 @@ def summary(found: OysterMap) -> dict[str, Any]:
             "settings": found.settings.as_dict(),
         }
     )
+    return made
 
 
 def map_page(found: OysterMap, drawn: str, command: str) -> str:
@@ -141,11 +142,3 @@ def map_page(found: OysterMap, drawn: str, command: str) -> str:
         "command": command,
     }
     return environment(FOLDER).get_template("map.html").render(**context)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

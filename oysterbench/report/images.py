@@ -62,15 +62,13 @@ class DatasetRow:
         intervals = {
             key: {"low": found.low, "high": found.high, "reason": found.reason} for key, found in self.intervals.items()
         }
-        return plain(
-            {
-                "method": self.method,
-                "clips": self.clips,
-                "metrics": self.metrics,
-                "reasons": self.reasons,
-                "intervals": intervals,
-            }
-        )
+        return {
+            "method": self.method,
+            "clips": self.clips,
+            "metrics": plain(self.metrics),
+            "reasons": dict(self.reasons),
+            "intervals": plain(intervals),
+        }
 
 
 def track_of(row: DatasetRow) -> str:

@@ -171,7 +171,7 @@ def bright(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """As a screen shows it best: stretched to the range that all channels have in common; murky water is dark."""
     low, high = np.percentile(pixels, [0.5, 99.5])
     stretched = (pixels.astype(float) - low) * (255.0 / max(high - low, 32.0))
-    return np.clip(stretched, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(stretched, 0, 255), dtype=np.uint8)
 
 
 def _worth(

@@ -157,8 +157,9 @@ class Expert:
         bearing = np.arctan2(away[..., 1], away[..., 0]) - states[:, None, 3]
         turn = np.abs(np.remainder(bearing + np.pi, 2 * np.pi) - np.pi)
         time_s = np.linalg.norm(away, axis=-1) / task.speed_m_s + turn / self._yaw.max() * task.step_s
-        worth = waiting[spots] * np.exp(-time_s / self.plan.patience_s)
-        return self.plan.waiting * worth.max(axis=1)
+        worth: Array = waiting[spots] * np.exp(-time_s / self.plan.patience_s)
+        best: Array = worth.max(axis=1)
+        return self.plan.waiting * best
 
     def _best_of(self, root: NDArray[np.intp], worth: Array) -> NDArray[np.intp]:
         """Indices of the best `beam` plans of each root; of equals the first."""
