@@ -11,7 +11,6 @@ from markupsafe import Markup
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.html import render
-from oysterbench.core.page import page
 from oysterbench.report.viewer.strips import path_plot, strips
 from oysterbench.sensors.panels import Panel
 from oysterbench.sequence.types import Sequence
@@ -36,6 +35,7 @@ def view_page(sequence: Sequence) -> str:
         "path": [] if path is None else path.poses,
     }
     context = {
+        "title": f"{sequence.name}: sequence",
         "name": sequence.name,
         "facts": _facts(sequence, (end - start) * 1e-9),
         "last": len(times) - 1,
@@ -44,7 +44,7 @@ def view_page(sequence: Sequence) -> str:
         "plots": strips(sequence, start, end),
         "data": Markup(json.dumps(data).replace("<", "\\u003c")),
     }
-    return page(f"{sequence.name}: sequence", render("view.html", context, __package__))
+    return render("view.html", context, __package__)
 
 
 def pictures(sequence: Sequence) -> list[Panel]:
