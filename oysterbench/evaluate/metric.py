@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
@@ -16,10 +16,10 @@ class Column:
     """
 
     heading: str
-    unit: str
+    unit: str = ""
     digits: int = 3
-    small: float = 0.1
     factor: float = 1.0
+    small: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -56,12 +56,27 @@ class Metric:
     @property
     def small(self) -> float:
         """Below it, a table shows one decimal more."""
-        return self.column.small if self.column else Column.small
+        return self.column.small if self.column else 0.1
 
     @property
     def factor(self) -> float:
         """From the value to the number that a table shows."""
         return self.column.factor if self.column else Column.factor
+
+
+def higher(heading: str, unit: str = "", column: Column | None = None, weight: str = "") -> Callable[[str], Metric]:
+    """A metric of which greater is better, once called with its definition: `higher("Recall")("Share of ...")`."""
+    return lambda text: Metric(text, heading, unit=unit, better="higher", weight=weight, column=column)
+
+
+def lower(heading: str, unit: str = "", column: Column | None = None, weight: str = "") -> Callable[[str], Metric]:
+    """A metric of which less is better; see `higher`."""
+    return lambda text: Metric(text, heading, unit=unit, better="lower", weight=weight, column=column)
+
+
+def neutral(heading: str, unit: str = "", column: Column | None = None, weight: str = "") -> Callable[[str], Metric]:
+    """A metric that has no better direction; see `higher`."""
+    return lambda text: Metric(text, heading, unit=unit, weight=weight, column=column)
 
 
 @dataclass(frozen=True)

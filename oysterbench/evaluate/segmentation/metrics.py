@@ -4,98 +4,61 @@ from __future__ import annotations
 
 import re
 
-from oysterbench.evaluate.metric import Column, Metric, TrackMetrics
+from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, higher, lower, neutral
 from oysterbench.recipe import CLASSES
 
 SEGMENTATION: dict[str, Metric] = {
-    "iou": Metric(
+    "iou": higher("IoU", column=Column("IoU"), weight="union_px")(
         "Intersection over union (0 to 1) of the class oyster over the whole data set: all pixels that are oyster in "
-        "truth and estimate, by all that are in either; the background has no part in it. 1 where neither has any.",
-        "IoU",
-        better="higher",
-        weight="union_px",
-        column=Column("IoU", "", small=0.0),
+        "truth and estimate, by all that are in either; the background has no part in it. 1 where neither has any."
     ),
-    "image_iou": Metric(
+    "image_iou": higher("IoU by image", column=Column("IoU", "by image"), weight="scored_images")(
         "Mean over images of their IoU of the class oyster, each image one vote: 1 where neither truth nor estimate "
-        "has an oyster, 0 where the truth has none and the estimate has.",
-        "IoU by image",
-        better="higher",
-        weight="scored_images",
-        column=Column("IoU", "by image", small=0.0),
+        "has an oyster, 0 where the truth has none and the estimate has."
     ),
-    "boundary_iou": Metric(
+    "boundary_iou": higher("Boundary IoU", column=Column("IoU", "boundary"), weight="boundary_union_px")(
         "Boundary IoU (Cheng et al. 2021) over the data set: intersection over union of the masks' inner borders, deep "
-        "by 2 % of the image's diagonal.",
-        "Boundary IoU",
-        better="higher",
-        weight="boundary_union_px",
-        column=Column("IoU", "boundary", small=0.0),
+        "by 2 % of the image's diagonal."
     ),
-    "precision": Metric(
-        "Share (0 to 1) of the pixels called oyster that are.",
-        "Precision",
-        better="higher",
-        weight="estimate_px",
-        column=Column("prec", "", small=0.0),
+    "precision": higher("Precision", column=Column("prec"), weight="estimate_px")(
+        "Share (0 to 1) of the pixels called oyster that are."
     ),
-    "recall": Metric(
-        "Share (0 to 1) of the oysters' pixels that are called so.",
-        "Recall",
-        better="higher",
-        weight="truth_px",
-        column=Column("recall", "", small=0.0),
+    "recall": higher("Recall", column=Column("recall"), weight="truth_px")(
+        "Share (0 to 1) of the oysters' pixels that are called so."
     ),
-    "dice": Metric(
-        "Twice the intersection by the sum of both areas, over the data set (F1 of the pixels).",
-        "Dice",
-        better="higher",
-        weight="dice_px",
-        column=Column("Dice", "", small=0.0),
+    "dice": higher("Dice", column=Column("Dice"), weight="dice_px")(
+        "Twice the intersection by the sum of both areas, over the data set (F1 of the pixels)."
     ),
-    "image_dice": Metric("Mean over images of their Dice.", "Dice by image", better="higher", weight="scored_images"),
-    "miou": Metric(
-        "Mean over all classes that truth or estimate has of their IoU; only where the estimate names classes.",
-        "mIoU",
-        better="higher",
+    "image_dice": higher("Dice by image", weight="scored_images")("Mean over images of their Dice."),
+    "miou": higher("mIoU")(
+        "Mean over all classes that truth or estimate has of their IoU; only where the estimate names classes."
     ),
-    "empty_false_positive_rate": Metric(
-        "Share (0 to 1) of the pixels of images without any oyster that are called oyster.",
-        "False on empty",
-        better="lower",
-        weight="empty_px",
-        column=Column("empty", "% false", digits=2, factor=100.0),
+    "empty_false_positive_rate": lower(
+        "False on empty", column=Column("empty", "% false", 2, factor=100.0, small=0.1), weight="empty_px"
+    )("Share (0 to 1) of the pixels of images without any oyster that are called oyster."),
+    "empty_images_called": lower("Empty images called", weight="empty_images")(
+        "Share (0 to 1) of the images without any oyster in which some pixel is called oyster."
     ),
-    "empty_images_called": Metric(
-        "Share (0 to 1) of the images without any oyster in which some pixel is called oyster.",
-        "Empty images called",
-        better="lower",
-        weight="empty_images",
+    "cover": neutral("Cover", weight="asked_px")("Share (0 to 1) of the pixels that are oyster in truth."),
+    "cover_error": neutral("Cover error", weight="asked_px")(
+        "Share of the pixels called oyster less the share that is: above 0 where too much is called oyster."
     ),
-    "cover": Metric("Share (0 to 1) of the pixels that are oyster in truth.", "Cover", weight="asked_px"),
-    "cover_error": Metric(
-        "Share of the pixels called oyster less the share that is: above 0 where too much is called oyster.",
-        "Cover error",
-        weight="asked_px",
-    ),
-    "best_iou": Metric(
+    "best_iou": higher("Best IoU")(
         "Greatest IoU over thresholds in steps of 1/256, chosen with the truth in sight: what the best threshold would "
-        "give, not what is reached.",
-        "Best IoU",
-        better="higher",
+        "give, not what is reached."
     ),
-    "best_threshold": Metric("The threshold of best_iou.", "Best threshold"),
-    "images": Metric("Number of images.", "Images"),
-    "scored_images": Metric("Number of images of which not all is ignored.", "Scored images"),
-    "empty_images": Metric("Number of images without any oyster.", "Empty images"),
-    "union_px": Metric("Pixels that are oyster in truth or estimate.", "Union", unit="px"),
-    "truth_px": Metric("Pixels that are oyster in truth.", "Truth", unit="px"),
-    "estimate_px": Metric("Pixels that are called oyster.", "Estimate", unit="px"),
-    "dice_px": Metric("Pixels of truth and of estimate, added.", "Both", unit="px"),
-    "boundary_union_px": Metric("Pixels of the border of truth or estimate.", "Border", unit="px"),
-    "asked_px": Metric("Pixels that are not ignored.", "Asked", unit="px"),
-    "ignored_px": Metric("Pixels that are ignored.", "Ignored", unit="px"),
-    "empty_px": Metric("Pixels of images without any oyster.", "Empty", unit="px"),
+    "best_threshold": neutral("Best threshold")("The threshold of best_iou."),
+    "images": neutral("Images")("Number of images."),
+    "scored_images": neutral("Scored images")("Number of images of which not all is ignored."),
+    "empty_images": neutral("Empty images")("Number of images without any oyster."),
+    "union_px": neutral("Union", "px")("Pixels that are oyster in truth or estimate."),
+    "truth_px": neutral("Truth", "px")("Pixels that are oyster in truth."),
+    "estimate_px": neutral("Estimate", "px")("Pixels that are called oyster."),
+    "dice_px": neutral("Both", "px")("Pixels of truth and of estimate, added."),
+    "boundary_union_px": neutral("Border", "px")("Pixels of the border of truth or estimate."),
+    "asked_px": neutral("Asked", "px")("Pixels that are not ignored."),
+    "ignored_px": neutral("Ignored", "px")("Pixels that are ignored."),
+    "empty_px": neutral("Empty", "px")("Pixels of images without any oyster."),
 }
 """Metrics of the segmentation track by their key."""
 

@@ -5,252 +5,162 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from oysterbench.evaluate.metric import Column, Metric, TrackMetrics
+from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, higher, lower, neutral
 
 
 def _consistency(part: str, freedom: int, of: str) -> dict[str, Metric]:
     """Metrics of one part of the pose, where the estimate has covariances."""
     band = f"end of the 95 % chi-square band of nees_{part}, for errors that are independent in time."
     return {
-        f"nees_{part}": Metric(
+        f"nees_{part}": neutral(f"NEES {part}")(
             f"Mean normalised estimation error squared, e^T C^-1 e, of the {of} with the estimate's covariance: "
             f"{freedom} where the covariances are right, more where they promise too much. Aligned by the first "
-            "matched pose, in the freedom of the alignment, and not over the whole path.",
-            f"NEES {part}",
+            "matched pose, in the freedom of the alignment, and not over the whole path."
         ),
-        f"nees_{part}_low": Metric(f"Lower {band}", f"NEES {part}, low"),
-        f"nees_{part}_high": Metric(f"Upper {band}", f"NEES {part}, high"),
-        f"within_3sigma_{part}": Metric(
+        f"nees_{part}_low": neutral(f"NEES {part}, low")(f"Lower {band}"),
+        f"nees_{part}_high": neutral(f"NEES {part}, high")(f"Upper {band}"),
+        f"within_3sigma_{part}": neutral(f"3 sigma {part}")(
             f"Share (0 to 1) of matched stamps at which the error of the {of} lies in the 3-sigma ellipsoid of the "
-            "covariance; 0.9973 where the covariances are right.",
-            f"3 sigma {part}",
+            "covariance; 0.9973 where the covariances are right."
         ),
     }
 
 
 SLAM: dict[str, Metric] = {
-    "score": Metric(
+    "score": higher("Score", column=Column("score"))(
         "Area (0 to 1) under the recall curve of the position error over ALL truth stamps, unanswered ones counted as "
         "failures: the mean of 1 / (1 + e / e0), 0 where there is no answer, with e0 = 1 % of the true path "
-        "(recall_scale_percent). An estimate that stops after a tenth is below one that ends with ten times its error.",
-        "Score",
-        better="higher",
-        column=Column("score", "", small=0.0),
+        "(recall_scale_percent). An estimate that stops after a tenth is below one that ends with ten times its error."
     ),
     **{
-        f"recall_{percent}percent": Metric(
+        f"recall_{percent}percent": higher(f"Recall {percent} %")(
             f"Share (0 to 1) of all truth stamps at which the position errs by at most {percent} % of the true path; "
-            "unanswered ones are failures.",
-            f"Recall {percent} %",
-            better="higher",
+            "unanswered ones are failures."
         )
         for percent in ("0.5", "1", "2", "5")
     },
-    "ate_rmse_m": Metric(
+    "ate_rmse_m": lower("ATE", "m", Column("ATE", "m", small=0.01))(
         "Absolute trajectory error: root mean square distance between true and aligned estimated position over all "
-        "matched truth stamps.",
-        "ATE",
-        unit="m",
-        better="lower",
-        column=Column("ATE", "m", small=0.01),
+        "matched truth stamps."
     ),
-    "ate_percent": Metric(
-        "ATE (RMSE) as a percentage of the length of the whole true path.",
-        "ATE of path",
-        unit="%",
-        better="lower",
-        column=Column("ATE", "%", digits=2),
+    "ate_percent": lower("ATE of path", "%", Column("ATE", "%", 2, small=0.1))(
+        "ATE (RMSE) as a percentage of the length of the whole true path."
     ),
-    "ate_mean_m": Metric("Mean of the distances that ate_rmse_m is taken over.", "ATE mean", unit="m", better="lower"),
-    "ate_median_m": Metric(
-        "Median of the distances that ate_rmse_m is taken over.", "ATE median", unit="m", better="lower"
-    ),
-    "ate_max_m": Metric("Largest of the distances that ate_rmse_m is taken over.", "ATE max", unit="m", better="lower"),
-    "ate_rotation_rmse_deg": Metric(
+    "ate_mean_m": lower("ATE mean", "m")("Mean of the distances that ate_rmse_m is taken over."),
+    "ate_median_m": lower("ATE median", "m")("Median of the distances that ate_rmse_m is taken over."),
+    "ate_max_m": lower("ATE max", "m")("Largest of the distances that ate_rmse_m is taken over."),
+    "ate_rotation_rmse_deg": lower("Rotation", "deg", Column("rot", "deg", 2, small=0.1))(
         "Root mean square angle of R_truth^T R_estimate over all matched truth stamps, the estimate's attitudes turned "
-        "by the alignment.",
-        "Rotation",
-        unit="deg",
-        better="lower",
-        column=Column("rot", "deg", digits=2),
+        "by the alignment."
     ),
-    "ate_rotation_median_deg": Metric(
-        "Median of the angles that ate_rotation_rmse_deg is taken over.", "Rotation median", unit="deg", better="lower"
+    "ate_rotation_median_deg": lower("Rotation median", "deg")(
+        "Median of the angles that ate_rotation_rmse_deg is taken over."
     ),
-    "ate_rotation_max_deg": Metric(
-        "Largest of the angles that ate_rotation_rmse_deg is taken over.", "Rotation max", unit="deg", better="lower"
+    "ate_rotation_max_deg": lower("Rotation max", "deg")(
+        "Largest of the angles that ate_rotation_rmse_deg is taken over."
     ),
-    "ate_yaw_rmse_deg": Metric(
+    "ate_yaw_rmse_deg": lower("Yaw", "deg")(
         "Root mean square yaw error: the angle about the vertical of R_estimate R_truth^T, taken as a tilt about a "
-        "level axis followed by a turn about the vertical.",
-        "Yaw",
-        unit="deg",
-        better="lower",
+        "level axis followed by a turn about the vertical."
     ),
-    "ate_tilt_rmse_deg": Metric(
+    "ate_tilt_rmse_deg": lower("Gravity", "deg")(
         "Root mean square angle between the true direction of gravity and the one that the estimated attitude takes "
-        "for it.",
-        "Gravity",
-        unit="deg",
-        better="lower",
+        "for it."
     ),
-    "ate_rotation_part_rmse": Metric(
-        "Root mean square Frobenius norm of R - I, with R the rotation of E = Q^-1 P (evo's rotation part).",
-        "Rotation part",
-        better="lower",
+    "ate_rotation_part_rmse": lower("Rotation part")(
+        "Root mean square Frobenius norm of R - I, with R the rotation of E = Q^-1 P (evo's rotation part)."
     ),
-    "ate_full_rmse": Metric(
+    "ate_full_rmse": lower("Full")(
         "Root mean square Frobenius norm of E - I, E = Q^-1 P, truth Q, aligned estimate P: metres and rotation in one "
-        "number (evo's full transformation).",
-        "Full",
-        better="lower",
+        "number (evo's full transformation)."
     ),
-    "rpe_1s_translation_rmse_m": Metric(
+    "rpe_1s_translation_rmse_m": lower("RPE 1 s", "m", Column("RPE 1s", "m", small=0.01))(
         "Relative pose error over 1 s: root mean square translation of (Q_i^-1 Q_j)^-1 (P_i^-1 P_j), truth Q, aligned "
-        "estimate P, over all pairs of matched truth stamps that are 1 s apart (or consecutive ones: rpe_pairs).",
-        "RPE 1 s",
-        unit="m",
-        better="lower",
-        column=Column("RPE 1s", "m", small=0.01),
+        "estimate P, over all pairs of matched truth stamps that are 1 s apart (or consecutive ones: rpe_pairs)."
     ),
-    "rpe_1s_rotation_rmse_deg": Metric(
-        "Relative pose error over 1 s: root mean square rotation angle over the same pairs.",
-        "RPE 1 s rotation",
-        unit="deg",
-        better="lower",
-        column=Column("RPE 1s", "deg", digits=2),
+    "rpe_1s_rotation_rmse_deg": lower("RPE 1 s rotation", "deg", Column("RPE 1s", "deg", 2, small=0.1))(
+        "Relative pose error over 1 s: root mean square rotation angle over the same pairs."
     ),
-    "rpe_1s_pairs": Metric("Number of pairs that the relative errors over 1 s are taken over.", "RPE 1 s pairs"),
-    "subpath_translation_percent": Metric(
+    "rpe_1s_pairs": neutral("RPE 1 s pairs")("Number of pairs that the relative errors over 1 s are taken over."),
+    "subpath_translation_percent": lower("Drift", "%")(
         "Mean over all answered segments, of all lengths, of the translation of (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) as a "
         "percentage of the length; a segment ends at the first truth stamp that is more than its length along the "
-        "whole true path (KITTI).",
-        "Drift",
-        unit="%",
-        better="lower",
+        "whole true path (KITTI)."
     ),
-    "subpath_rotation_deg_per_m": Metric(
-        "Mean over the same segments of the rotation angle by the length.",
-        "Drift rotation",
-        unit="deg/m",
-        better="lower",
+    "subpath_rotation_deg_per_m": lower("Drift rotation", "deg/m")(
+        "Mean over the same segments of the rotation angle by the length."
     ),
-    "subpath_yaw_deg_per_m": Metric(
-        "Mean over the same segments of the yaw part of the rotation by the length.",
-        "Drift yaw",
-        unit="deg/m",
-        better="lower",
+    "subpath_yaw_deg_per_m": lower("Drift yaw", "deg/m")(
+        "Mean over the same segments of the yaw part of the rotation by the length."
     ),
-    "subpath_tilt_deg_per_m": Metric(
-        "Mean over the same segments of the gravity part of the rotation by the length.",
-        "Drift gravity",
-        unit="deg/m",
-        better="lower",
+    "subpath_tilt_deg_per_m": lower("Drift gravity", "deg/m")(
+        "Mean over the same segments of the gravity part of the rotation by the length."
     ),
-    "subpath_10m_translation_percent": Metric(
-        "Mean over the answered segments of 10 m of the relative translation error by that length.",
-        "10 m",
-        unit="%",
-        better="lower",
+    "subpath_10m_translation_percent": lower("10 m", "%")(
+        "Mean over the answered segments of 10 m of the relative translation error by that length."
     ),
-    "subpath_10percent_translation_percent": Metric(
-        "Mean over the answered segments of 10 % of the true path of the relative translation error by that length.",
-        "10 % of path",
-        unit="%",
-        better="lower",
+    "subpath_10percent_translation_percent": lower("10 % of path", "%")(
+        "Mean over the answered segments of 10 % of the true path of the relative translation error by that length."
     ),
-    "subpath_segments": Metric("Number of segments that are answered at both ends.", "Segments"),
-    "subpath_coverage": Metric(
-        "Share (0 to 1) of the segments of the truth that are answered at both ends.",
-        "Segments answered",
-        better="higher",
+    "subpath_segments": neutral("Segments")("Number of segments that are answered at both ends."),
+    "subpath_coverage": higher("Segments answered")(
+        "Share (0 to 1) of the segments of the truth that are answered at both ends."
     ),
-    "subpath_scale": Metric(
+    "subpath_scale": neutral("Scale of segments")(
         "Median over the same segments of the estimated over the true distance between their ends, where these are "
-        "10 % of the length apart; 1 is right.",
-        "Scale of segments",
+        "10 % of the length apart; 1 is right."
     ),
-    "subpath_scale_error_percent": Metric(
-        "Median distance of those ratios from 1.", "Scale error", unit="%", better="lower"
+    "subpath_scale_error_percent": lower("Scale error", "%")("Median distance of those ratios from 1."),
+    "drift_percent": lower("End drift", "%")(
+        "Position error at the last matched pose when the first is laid on the truth, by the true path between them."
     ),
-    "drift_percent": Metric(
-        "Position error at the last matched pose when the first is laid on the truth, by the true path between them.",
-        "End drift",
-        unit="%",
-        better="lower",
-    ),
-    "drift_deg_per_m": Metric(
+    "drift_deg_per_m": lower("End drift rotation", "deg/m")(
         "Angle by which the attitude errs at the last matched pose when the first is laid on the truth, by the true "
-        "path between them.",
-        "End drift rotation",
-        unit="deg/m",
-        better="lower",
+        "path between them."
     ),
-    "velocity_rmse_m_per_s": Metric(
+    "velocity_rmse_m_per_s": lower("Velocity", "m/s")(
         "Root mean square length of the difference of true and estimated mean velocity, in the truth's world, over "
-        "velocity_step_s (0.2 s).",
-        "Velocity",
-        unit="m/s",
-        better="lower",
+        "velocity_step_s (0.2 s)."
     ),
-    "coverage": Metric(
+    "coverage": higher("Coverage", column=Column("cover", "%", 1, factor=100.0))(
         "Share (0 to 1) of all truth stamps that the estimate answers: those on one of its poses (matched to one, with "
-        "nearest association), or between two poses at most max_gap_s apart.",
-        "Coverage",
-        better="higher",
-        column=Column("cover", "%", digits=1, small=0.0, factor=100.0),
+        "nearest association), or between two poses at most max_gap_s apart."
     ),
-    "first_fix_s": Metric(
-        "Time from the first truth stamp to the first answered one.", "First fix", unit="s", better="lower"
+    "first_fix_s": lower("First fix", "s")("Time from the first truth stamp to the first answered one."),
+    "gaps": lower("Gaps")("Number of runs of unanswered truth stamps after the first fix."),
+    "longest_gap_s": lower("Longest gap", "s")(
+        "Longest of the gaps: from the last answered truth stamp before it to the first after it, or to the end."
     ),
-    "gaps": Metric("Number of runs of unanswered truth stamps after the first fix.", "Gaps", better="lower"),
-    "longest_gap_s": Metric(
-        "Longest of the gaps: from the last answered truth stamp before it to the first after it, or to the end.",
-        "Longest gap",
-        unit="s",
-        better="lower",
-    ),
-    "matched": Metric("Number of truth stamps that the errors are taken over.", "Matched"),
-    "path_length_m": Metric("Length of the whole true path.", "Path", unit="m"),
-    "duration_s": Metric("Time from the first to the last truth stamp.", "Duration", unit="s"),
-    "scale": Metric("Scale that the alignment put on the estimate; 1 unless by sim3 or scale.", "Scale"),
-    "alignment_condition": Metric(
+    "matched": neutral("Matched")("Number of truth stamps that the errors are taken over."),
+    "path_length_m": neutral("Path", "m")("Length of the whole true path."),
+    "duration_s": neutral("Duration", "s")("Time from the first to the last truth stamp."),
+    "scale": neutral("Scale")("Scale that the alignment put on the estimate; 1 unless by sim3 or scale."),
+    "alignment_condition": neutral("Condition")(
         "How much better the path determines the best determined turn of the alignment than the worst (the root of the "
-        "ratio of their stiffnesses; for posyaw, total over horizontal spread): 1 is best, a line has no limit.",
-        "Condition",
+        "ratio of their stiffnesses; for posyaw, total over horizontal spread): 1 is best, a line has no limit."
     ),
-    "alignment_sigma_deg": Metric(
+    "alignment_sigma_deg": neutral("Alignment sigma", "deg")(
         "Uncertainty of the least determined turn of the alignment: the estimate's error across the path's main "
-        "direction over the distances that determine the turn.",
-        "Alignment sigma",
-        unit="deg",
+        "direction over the distances that determine the turn."
     ),
-    "time_offset_s": Metric("What was added to the estimate's stamps.", "Time offset", unit="s"),
-    "time_offset_sigma_s": Metric("Standard deviation of an estimated time offset.", "Offset sigma", unit="s"),
-    "time_offset_correlation": Metric(
-        "Correlation of the true and the estimated speed at an estimated time offset; 1 is certain.", "Offset fit"
+    "time_offset_s": neutral("Time offset", "s")("What was added to the estimate's stamps."),
+    "time_offset_sigma_s": neutral("Offset sigma", "s")("Standard deviation of an estimated time offset."),
+    "time_offset_correlation": neutral("Offset fit")(
+        "Correlation of the true and the estimated speed at an estimated time offset; 1 is certain."
     ),
     **{
         key: metric
         for part, freedom, of in (("position", 3, "position"), ("rotation", 3, "attitude"), ("pose", 6, "whole pose"))
         for key, metric in _consistency(part, freedom, of).items()
     },
-    "realtime_factor": Metric(
-        "Duration of the sequence divided by the wall time of the method; above 1 it keeps up with the sensors.",
-        "Speed",
-        better="higher",
-        column=Column("speed", "x", digits=1),
+    "realtime_factor": higher("Speed", column=Column("speed", "x", 1, small=0.1))(
+        "Duration of the sequence divided by the wall time of the method; above 1 it keeps up with the sensors."
     ),
-    "wall_s": Metric("Wall time of the method.", "Wall time", unit="s", better="lower"),
-    "cpu_s": Metric(
-        "Processor time of the method, summed over its threads and processes.", "CPU time", unit="s", better="lower"
-    ),
-    "peak_memory_mb": Metric(
+    "wall_s": lower("Wall time", "s")("Wall time of the method."),
+    "cpu_s": lower("CPU time", "s")("Processor time of the method, summed over its threads and processes."),
+    "peak_memory_mb": lower("Memory", "MB")(
         "Most memory (1e6 bytes) that the method's processes had resident, the program around it included: the greater "
-        "of the largest one's peak, as the kernel kept it, and of their sum, looked at every 0.2 s.",
-        "Memory",
-        unit="MB",
-        better="lower",
+        "of the largest one's peak, as the kernel kept it, and of their sum, looked at every 0.2 s."
     ),
 }
 """Metrics of the SLAM track by their key, which carries the unit; without one a metric is a plain number."""
