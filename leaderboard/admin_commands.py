@@ -21,7 +21,7 @@ DAMAGED = 3
 """Exit code of `verify` where a file is not what it should be, as of all damaged data."""
 
 
-def say(text: str) -> None:
+def notify(text: str) -> None:
     """A message to the user, on stderr."""
     click.echo(text, err=True)
 
@@ -63,11 +63,11 @@ def add_command(
     the same method, team and board is superseded, and stays. The same results are kept once.
     """
     from oysterbench.results.records import dump
-    from oysterbench_leaderboard.publishing import Entry, keep_estimates, publish, records_of
+    from oysterbench_leaderboard.publishing import Attribution, keep_estimates, publish, records_of
 
     place = find_place(context)
-    entry = Entry(team, tier, url, summary, reason)
-    found = records_of(results, entry, say)
+    by = Attribution(team, tier, url, summary, reason)
+    found = records_of(results, by, notify)
     if estimates is not None:
         folder = results if results.is_dir() else results.parent
         found = [(keep_estimates(record, folder, estimates), curves) for record, curves in found]
@@ -173,7 +173,7 @@ def rebuild_command(context: click.Context, as_json: bool) -> None:
         click.echo(dump({"index": index.name, "revision": index.revision, **facts}))
         return
     for file, why in problems.items():
-        say(f"left out: {file[:12]}: {why}")
+        notify(f"left out: {file[:12]}: {why}")
     click.echo(f"records: {len(store.digests())}, current ones: {entries}, boards: {len(boards)}, index: {index.name}")
 
 
@@ -274,11 +274,11 @@ def rescore_command(
             raise ResultError(f"{before.digest[:8]} is of the split {record.split}, not of {split}")
         if not again and not is_outdated(record):
             continue
-        say(f"scoring {record.method} by {record.team} on {record.split}")
+        notify(f"scoring {record.method} by {record.team} on {record.split}")
         why = reason or f"Scored again by {evaluator_of(record.track)[0]}, earlier by {record.evaluator_version}."
         done = score_again(record, estimates, truth, why, recipe)
         if done.record is None:
-            say(f"{before.digest[:8]} ({record.method} on {record.split}) was not scored again: {done.why}")
+            notify(f"{before.digest[:8]} ({record.method} on {record.split}) was not scored again: {done.why}")
             continue
         made = done.record
         if not dry_run and done.curves is not None:

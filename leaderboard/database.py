@@ -147,8 +147,8 @@ class Database:
                     file.with_name(file.name + suffix).unlink(missing_ok=True)
 
     def _in_one_line(self, error: SQLAlchemyError) -> ResultError:
-        said = " ".join(str(getattr(error, "orig", None) or error).split())
-        return ResultError(f"index {self.name}: {said:.200}; `oysterbench leaderboard rebuild` makes it anew")
+        message = " ".join(str(getattr(error, "orig", None) or error).split())
+        return ResultError(f"index {self.name}: {message:.200}; `oysterbench leaderboard rebuild` makes it anew")
 
 
 def _sqlite(path: Path) -> Engine:

@@ -14,9 +14,9 @@ import msgspec
 from sqlalchemy import Connection, bindparam, delete, insert, select, update
 
 from oysterbench.core.errors import ResultError
-from oysterbench.evaluate.metrics import FAILED, find_metric
+from oysterbench.evaluate.metrics import FAILED
 from oysterbench.results.records import comparable_key
-from oysterbench.results.standings import PRIMARY, Direction, ScoreTable
+from oysterbench.results.standings import PRIMARY, ScoreTable, direction
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.board import State
 from oysterbench_leaderboard.database import BOARDS, META, MOST_COLUMNS, PROBLEMS, ROWS, SUMMARIES
@@ -195,9 +195,10 @@ def _rank(connection: Connection, board: str) -> None:
     sequences = sorted({name for k in current or range(len(found)) for name in summaries[k].sequences})
     table = ScoreTable.of([summary.scores for summary in summaries], sequences, track)
     means = table.means()
-    standings = dict(zip(current, table.take(current).standings(_better(track)), strict=True)) if current else {}
+    better = direction(PRIMARY[track])
+    standings = dict(zip(current, table.take(current).standings(better), strict=True)) if current else {}
     shared = Counter(standing.rank or standing.place or 0 for standing in standings.values())
-    sign = 1 if _better(track) == "lower" else -1
+    sign = 1 if better == "lower" else -1
     unplaced = [not ((standing := standings.get(k)) and standing.place) for k in range(len(found))]
     order = sorted(range(len(found)), key=lambda k: (unplaced[k], *_nan_last(sign * float(means[k])), found[k].digest))
     rows = []
@@ -224,11 +225,6 @@ def decode_summary(data: str) -> RecordSummary:
     scores = values["scores"]["values"]
     values["scores"]["values"] = {name: math.nan if value is None else value for name, value in scores.items()}
     return msgspec.convert(values, RecordSummary)
-
-
-def _better(track: str) -> Direction:
-    metric = find_metric(PRIMARY[track])
-    return "lower" if metric is not None and metric.better == "lower" else "higher"
 
 
 def _nan_last(value: float) -> tuple[bool, float]:

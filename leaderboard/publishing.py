@@ -27,13 +27,16 @@ SAME = 1e-6
 _FOLDERS = re.compile(r"(?<![^\s=,'\"])(?:~|\.{1,2})?/(?:[^/\s=:,'\"]+/)*")
 """Of a path, all but its last part, wherever in an argument it begins."""
 
-Say = Callable[[str], None]
+Notify = Callable[[str], None]
 """Called with a sentence for the user."""
+
+Drawn = tuple[Record, dict[str, Any] | None]
+"""A record, and the curves to be drawn on its page, if any."""
 
 
 @dataclass(frozen=True)
-class Entry:
-    """Who stands behind a record, and what is said of its method."""
+class Attribution:
+    """Who stands behind a record, and how its method is described."""
 
     team: str
     tier: Tier
@@ -42,7 +45,7 @@ class Entry:
     reason: str = ""
 
 
-def records_of(path: Path, entry: Entry, say: Say = lambda text: None) -> list[tuple[Record, dict[str, Any] | None]]:
+def records_of(path: Path, by: Attribution, notify: Notify = lambda text: None) -> list[Drawn]:
     """The records of a results.json, or of a folder that holds one, each with the curves to be drawn, if any.
 
     One for each method and split, in the order of their first appearance. Paths are those that `oysterbench run` left
@@ -60,29 +63,27 @@ def records_of(path: Path, entry: Entry, say: Say = lambda text: None) -> list[t
     found = []
     for (method, split), group in groups.items():
         _check(path, method, split, group)
-        known = _recipe(split, group[0], say)
+        known = _recipe(split, group[0], notify)
         if known is not None:
-            _check_sequences(path, method, group, known, say)
-        curves = _curves(path.parent, method, group, say) if known is not None and not known.hidden else None
+            _check_sequences(path, method, group, known, notify)
+        curves = _curves(path.parent, method, group, notify) if known is not None and not known.hidden else None
         record = Record(
             method=method,
-            team=entry.team,
-            tier=entry.tier,
+            team=by.team,
+            tier=by.tier,
             results=tuple(without_places(result) for result in group),
-            url=entry.url,
-            summary=entry.summary,
+            url=by.url,
+            summary=by.summary,
             data_set=data_sets.get(method),
             manifest=_manifest(known),
-            reason=entry.reason,
+            reason=by.reason,
             created=max(result.created for result in group),
         )
         found.append((record, curves))
     return found
 
 
-def publish(
-    store: RecordStore, records: Iterable[tuple[Record, dict[str, Any] | None]]
-) -> list[tuple[Record, str, bool]]:
+def publish(store: RecordStore, records: Iterable[Drawn]) -> list[tuple[Record, str, bool]]:
     """Keep records, each in place of the current one of its method, team and board; with their digests, and whether
     they are new: the same results are kept once."""
     done = []
@@ -150,7 +151,7 @@ def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -
     aggregate(group)  # refuses what cannot be averaged
 
 
-def _recipe(split: str, result: ResultRecord, say: Say) -> Any:
+def _recipe(split: str, result: ResultRecord, notify: Notify) -> Any:
     """The split's recipe as it is here; None where the results are of another, or it is not known."""
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import digest
@@ -158,10 +159,10 @@ def _recipe(split: str, result: ResultRecord, say: Say) -> Any:
     try:
         recipe = load_split(split)
     except RecipeError:
-        say(f"{split} is not a split of this version: its sequences were not checked, and no paths are drawn")
+        notify(f"{split} is not a split of this version: its sequences were not checked, and no paths are drawn")
         return None
     if digest(recipe) != result.split_digest:
-        say(
+        notify(
             f"the results are of another recipe of {split} ({result.split_digest[:12]}) than the one here "
             f"({digest(recipe)[:12]}): they go on a board of their own, and no paths are drawn"
         )
@@ -169,13 +170,13 @@ def _recipe(split: str, result: ResultRecord, say: Say) -> Any:
     return recipe
 
 
-def _check_sequences(path: Path, method: str, group: Sequence[ResultRecord], recipe: Any, say: Say) -> None:
+def _check_sequences(path: Path, method: str, group: Sequence[ResultRecord], recipe: Any, notify: Notify) -> None:
     names = [sequence.name for sequence in recipe.sequence]
     answered = {result.sequence for result in group}
     if odd := sorted(answered - set(names)):
         raise ResultError(f"{path}: {method} has results on {', '.join(odd):.80}, which {recipe.name} does not have")
     if lacking := [name for name in names if name not in answered]:
-        say(f"{method} has no result on {', '.join(lacking)} of {recipe.name}: these count as failed")
+        notify(f"{method} has no result on {', '.join(lacking)} of {recipe.name}: these count as failed")
 
 
 def _manifest(recipe: Any) -> str:
@@ -218,10 +219,8 @@ def _estimate(folder: Path, method: str, result: ResultRecord, runs: int) -> Pat
     return folder / f"{result.sequence}-{method}{number}.tum"
 
 
-def _curves(folder: Path, method: str, group: Sequence[ResultRecord], say: Say) -> dict[str, Any] | None:
+def _curves(folder: Path, method: str, group: Sequence[ResultRecord], notify: Notify) -> dict[str, Any] | None:
     """Of each sequence the run whose score is the median; None where no path lies beside the results."""
-    if group[0].track != "slam":
-        return None
     of_sequence: dict[str, list[ResultRecord]] = {}
     for result in group:
         of_sequence.setdefault(result.sequence, []).append(result)
@@ -230,7 +229,7 @@ def _curves(folder: Path, method: str, group: Sequence[ResultRecord], say: Say) 
         scored = [run for run in runs if run.failure is None]
         if not scored:
             continue
-        order = sorted(scored, key=lambda run: (run.metrics.get(PRIMARY["slam"], np.nan), run.run))
+        order = sorted(scored, key=lambda run: (run.metrics.get(PRIMARY[run.track], np.nan), run.run))
         median = order[(len(order) - 1) // 2]
         estimate, truth = _estimate(folder, method, median, len(runs)), folder / f"{name}-truth.tum"
         if not estimate.is_file() or not truth.is_file():
@@ -238,7 +237,7 @@ def _curves(folder: Path, method: str, group: Sequence[ResultRecord], say: Say) 
         try:
             curves[name] = _curve(truth, estimate, median)
         except TrajectoryError as error:
-            say(f"{estimate}: no path is drawn: {error}")
+            notify(f"{estimate}: no path is drawn: {error}")
     return curves_document(curves, str(group[0].settings["align"])) if curves else None
 
 
@@ -247,7 +246,7 @@ def _curve(truth: Path, estimate: Path, result: ResultRecord) -> dict[str, Any]:
     from oysterbench.evaluate.slam.scoring import score
 
     found = score(read_trajectory(truth), read_trajectory(estimate), slam_settings(result.settings))
-    for key in FAILED["slam"]:
+    for key in FAILED[result.track]:
         if abs(found.metrics[key] - result.metrics[key]) > SAME:
             raise TrajectoryError(
                 f"its {key} is {found.metrics[key]:.6g}, and that of the results {result.metrics[key]:.6g}: it is of "

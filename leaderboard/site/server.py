@@ -201,8 +201,8 @@ def application(
         if isinstance(error, PageError):
             return pages.error(request, error.status, str(error), error.hints)
         if isinstance(error, HTTPException) and error.status_code < 500:
-            said = "nothing is at this address" if error.status_code == 404 else error.detail
-            response = pages.error(request, error.status_code, said, {"/": "all boards", "/data": "data sets"})
+            message = "nothing is at this address" if error.status_code == 404 else error.detail
+            response = pages.error(request, error.status_code, message, {"/": "all boards", "/data": "data sets"})
             response.headers.update(error.headers or {})
             return response
         if isinstance(

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import sequence_means
-from oysterbench.results.comparison import Board, Entry, boards
+from oysterbench.results.comparison import Board, boards
 from oysterbench.results.records import ResultRecord, samples
 from oysterbench.results.standings import UNPREDICTED_WEIGHT
 from oysterbench_leaderboard.record import Record
@@ -72,11 +72,6 @@ def _weight(key: str, sequence: str, known: Sequence[ResultRecord]) -> float:
         if not math.isnan(value := result.metrics.get(missed, math.nan)):
             return value
     return min((result.metrics[key] for result in there if key in result.metrics), default=0.0)
-
-
-def entry(results: Sequence[ResultRecord]) -> Entry:
-    """Results of one record, to be summarised."""
-    return Entry(results[0].method, tuple(results))
 
 
 def means(results: Sequence[ResultRecord], key: str) -> Mapping[str, float]:

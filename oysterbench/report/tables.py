@@ -13,8 +13,7 @@ from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import LEVEL, Interval
 from oysterbench.report.columns import metric_column, metric_columns, name_columns
 from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow, Value, interval_column
-from oysterbench.results.comparison import Board, boards, remarks
-from oysterbench.results.comparison import Cell as SequenceCell
+from oysterbench.results.comparison import Board, SequenceRuns, boards, remarks
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
 
 COMPLETE = 0.95
@@ -273,7 +272,7 @@ def _median_column(of: Column) -> Column:
     return replace(of, heading=f"Median {of.heading}", short=short)
 
 
-def _range(cell: SequenceCell) -> Interval:
+def _range(cell: SequenceRuns) -> Interval:
     return Interval(cell.low, cell.high)
 
 

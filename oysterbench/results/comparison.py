@@ -7,13 +7,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
-from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import (
     Comparison,
     Sample,
@@ -24,11 +24,11 @@ from oysterbench.evaluate.statistics import (
     weighed_means,
 )
 from oysterbench.results.records import ResultRecord, comparable_key, method_key, plain, samples, weights_of
-from oysterbench.results.standings import PRIMARY, Direction, ScoreTable, SequenceScores, Standing
+from oysterbench.results.standings import PRIMARY, ScoreTable, SequenceScores, Standing, direction
 
 
 @dataclass(frozen=True)
-class Entry:
+class MethodRuns:
     """A method with its settings: a label that no other of the board has, and all its runs."""
 
     label: str
@@ -61,6 +61,13 @@ class Entry:
         values = {**dict.fromkeys(names, math.nan), **weighed_means(sample, weights)}
         return SequenceScores(values, None if weights is None else sequence_weights(sample, weights))
 
+    def compare(self, other: MethodRuns, key: str, sequences: Iterable[str]) -> Comparison:
+        """By how much it is better than another by a metric, on those of some sequences where both have a value."""
+        names = list(sequences)
+        own, others = self.weights(key, names), other.weights(key, names)
+        weights = None if own is None or others is None else (own, others)
+        return compare(self.sample(key, names), other.sample(key, names), direction(key), weights)
+
 
 @dataclass(frozen=True)
 class RankedMethod:
@@ -74,7 +81,7 @@ class RankedMethod:
 
 
 @dataclass(frozen=True)
-class Pair:
+class MethodPair:
     """Two methods: where (a class of conditions, or everywhere) and by how much a is better than b."""
 
     a: str
@@ -85,7 +92,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Cell:
+class SequenceRuns:
     """One method on one sequence or class of conditions: the runs' values of the ranking metric, summarised."""
 
     label: str
@@ -112,7 +119,7 @@ class Board:
     split_digest: str
     evaluator_version: str
     settings: Mapping[str, Any]
-    entries: tuple[Entry, ...]
+    entries: tuple[MethodRuns, ...]
     given: tuple[ResultRecord, ...]
     sequences: tuple[str, ...]
     left_out: tuple[str, ...]
@@ -130,12 +137,6 @@ class Board:
         return PRIMARY[self.track]
 
     @property
-    def better(self) -> Direction:
-        """Its direction."""
-        found = find_metric(self.metric)
-        return "lower" if found is not None and found.better == "lower" else "higher"
-
-    @property
     def keys(self) -> list[str]:
         """All metrics that any record holds."""
         return list(dict.fromkeys(key for entry in self.entries for record in entry.records for key in record.metrics))
@@ -145,9 +146,8 @@ class Board:
         """Methods in the order of their places, those without a value last."""
         scores = [entry.scores(self.metric, self.sequences) for entry in self.entries]
         found = []
-        for entry, standing in zip(
-            self.entries, ScoreTable.of(scores, self.sequences, self.track).standings(self.better), strict=True
-        ):
+        standings = ScoreTable.of(scores, self.sequences, self.track).standings(direction(self.metric))
+        for entry, standing in zip(self.entries, standings, strict=True):
             chosen = [record for record in entry.records if record.sequence in self.sequences]
             summaries = {key: entry.summary(key, self.sequences) for key in self.keys}
             failures = sum(record.failure is not None for record in chosen)
@@ -155,26 +155,22 @@ class Board:
         return sorted(found, key=lambda row: row.standing.place or math.inf)
 
     @cached_property
-    def pairs(self) -> list[Pair]:
+    def pairs(self) -> list[MethodPair]:
         """Every two methods, the better placed first: over all sequences, and within each class of conditions.
 
         Classes are left out where there is but one of them, which is everywhere.
         """
-        order = {entry.label: entry for entry in self.entries}
         labels = [row.label for row in self.standings]
+        by_place = zip(*(self.compare(a, b) for a, b in combinations(labels, 2)), strict=True)
+        return [pair for pairs in by_place for pair in pairs]
+
+    def compare(self, a: str, b: str) -> list[MethodPair]:
+        """Two methods by their labels: over all sequences, and within each class of conditions where there are
+        several."""
         places = [("", "", self.sequences)]
         places += [(key, name, names) for key in STRATA for name, names in self.classes(key).items()]
-        found = []
-        for condition, value, names in places:
-            for i, a in enumerate(labels):
-                for b in labels[i + 1 :]:
-                    found.append(Pair(a, b, condition, value, self._compare(order[a], order[b], names)))
-        return found
-
-    def _compare(self, a: Entry, b: Entry, names: Sequence[str]) -> Comparison:
-        of_a, of_b = (entry.weights(self.metric, names) for entry in (a, b))
-        weights = None if of_a is None or of_b is None else (of_a, of_b)
-        return compare(a.sample(self.metric, names), b.sample(self.metric, names), self.better, weights)
+        of_a, of_b = self.runs_of(a), self.runs_of(b)
+        return [MethodPair(a, b, key, value, of_a.compare(of_b, self.metric, names)) for key, value, names in places]
 
     def classes(self, condition: str) -> dict[str, tuple[str, ...]]:
         """Sequences by their class of a condition; empty where all are of one class or it is not known of all."""
@@ -187,7 +183,7 @@ class Board:
     def strata(self, condition: str) -> list[tuple[str, str, Summary]]:
         """Class, method and summary of the ranking metric, where there are several classes."""
         return [
-            (value, row.label, self._entry(row.label).summary(self.metric, names))
+            (value, row.label, self.runs_of(row.label).summary(self.metric, names))
             for value, names in self.classes(condition).items()
             for row in self.standings
         ]
@@ -207,22 +203,23 @@ class Board:
                 found[key] = numbers
         return found
 
-    def cells(self, key: str | None = None) -> list[Cell]:
+    def cells(self, key: str | None = None) -> list[SequenceRuns]:
         """Each method on each sequence: median and range over its runs of a metric, by default the one that ranks."""
         key = key or self.metric
         found = []
         for name in (*self.sequences, *self.left_out):
             for row in self.standings:
-                records = [record for record in self._entry(row.label).records if record.sequence == name]
+                records = [record for record in self.runs_of(row.label).records if record.sequence == name]
                 if not records:
                     continue
                 median, low, high = _median_and_range([record.metrics.get(key, math.nan) for record in records])
                 coverage = _median_and_range([record.metrics.get("coverage", math.nan) for record in records])[0]
                 failures = sum(record.failure is not None for record in records)
-                found.append(Cell(row.label, name, len(records), failures, median, low, high, coverage))
+                found.append(SequenceRuns(row.label, name, len(records), failures, median, low, high, coverage))
         return found
 
-    def _entry(self, label: str) -> Entry:
+    def runs_of(self, label: str) -> MethodRuns:
+        """Of the method of that label."""
         return next(entry for entry in self.entries if entry.label == label)
 
     @property
@@ -287,7 +284,7 @@ def _board(records: Sequence[ResultRecord]) -> Board:
     for record in records:
         by_method.setdefault(method_key(record), []).append(record)
     labels = _labels(list(by_method))
-    entries = tuple(Entry(labels[key], tuple(group)) for key, group in by_method.items())
+    entries = tuple(MethodRuns(labels[key], tuple(group)) for key, group in by_method.items())
     run_on = [{record.sequence for record in entry.records} for entry in entries]
     shared = set.intersection(*run_on)
     return Board(
@@ -319,27 +316,27 @@ def _labels(keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], str]:
 
 def remarks(found: Sequence[Board]) -> list[str]:
     """What a reader must know before the numbers: boards kept apart and why, sequences left out, no intervals."""
-    said = []
+    notes = []
     if len(found) > 1:
-        said.append(f"kept apart as {len(found)} comparisons, as they differ in {_differences(found)}")
+        notes.append(f"kept apart as {len(found)} comparisons, as they differ in {_differences(found)}")
     for board in found:
         where = f"{board.name}: " if len(found) > 1 else ""
         if board.left_out:
             names = ", ".join(board.left_out)
-            said.append(
+            notes.append(
                 f"{where}standings are over the {len(board.sequences)} sequences that every method was run on, without "
                 f"{names}"
             )
         reasons = dict.fromkeys(
             row.summaries[board.metric].interval.reason for row in board.standings if board.metric in row.summaries
         )
-        said += [f"{where}{reason}" for reason in reasons if reason and not reason.startswith("no run")]
-        said += [
+        notes += [f"{where}{reason}" for reason in reasons if reason and not reason.startswith("no run")]
+        notes += [
             f"{where}{row.label} has no {board.metric} and no place"
             for row in board.standings
             if row.standing.place is None and board.sequences
         ]
-    return said
+    return notes
 
 
 def _differences(found: Sequence[Board]) -> str:
@@ -360,7 +357,7 @@ def _differences(found: Sequence[Board]) -> str:
 def as_plain(board: Board) -> dict[str, Any]:
     """A board for JSON; numbers that do not exist are null, with the reason beside."""
 
-    def pair(found: Pair) -> dict[str, Any]:
+    def pair(found: MethodPair) -> dict[str, Any]:
         return {**{key: getattr(found, key) for key in ("a", "b", "condition", "value")}, **asdict(found.comparison)}
 
     document: dict[str, Any] = plain(

@@ -155,11 +155,11 @@ def checked(values: Any, kind: type[Checked], form: str, where: str, remedy: str
     try:
         return msgspec.convert(given, kind)
     except msgspec.ValidationError as error:  # "Expected `str`, got `int` - at `$.key`", of a mapping `$.key[...]`
-        said, _, place = str(error).partition(" - at `$.")
+        message, _, place = str(error).partition(" - at `$.")
         key = place.strip("`").partition("[")[0]
         if "[...]" in place:
             key = next((f"{key}.{name}" for name in given[key] if _is_odd(given, key, name, kind)), key)
-        raise ResultError(f"{where}: key {key!r}: {said[:1].lower()}{said[1:]}") from None
+        raise ResultError(f"{where}: key {key!r}: {message[:1].lower()}{message[1:]}") from None
     except ResultError as error:
         raise ResultError(f"{where}: {error}") from None
 

@@ -49,6 +49,12 @@ BATCH = 256
 Direction = Literal["lower", "higher"]
 
 
+def direction(key: str) -> Direction:
+    """Which values of a metric are better: higher ones, unless it says otherwise."""
+    found = find_metric(key)
+    return "lower" if found is not None and found.better == "lower" else "higher"
+
+
 @dataclass(frozen=True)
 class Standing:
     """A method among others.

@@ -1,4 +1,4 @@
-"""What is said below a board, in the terminal and on the site."""
+"""The notes below a board, in the terminal and on the site."""
 
 from __future__ import annotations
 
@@ -22,6 +22,6 @@ def test_a_board_of_pictures_to_learn_on_says_so(split, told, tmp_path):
     store.add(record_made(split=split, track="segmentation" if split.startswith("seg") else "slam"))
     site = Site(open_index(store, str(tmp_path / "index.sqlite")))
     (info,) = site.index.boards()
-    said = [note for note in board_page(site, info.track, split).tables[0].notes if "to learn on" in note]
-    assert said == [note for note in board_table(site.index.page(info.id, Query())).notes if "to learn on" in note]
-    assert [note.split()[-1] for note in said] == ([told] if told else [])
+    notes = [note for note in board_page(site, info.track, split).tables[0].notes if "to learn on" in note]
+    assert notes == [note for note in board_table(site.index.page(info.id, Query())).notes if "to learn on" in note]
+    assert [note.split()[-1] for note in notes] == ([told] if told else [])

@@ -11,7 +11,7 @@ from oysterbench.core.trajectory import Trajectory, write_tum
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.results.records import ResultRecord, write_results
 from oysterbench_leaderboard.curves import MOST_POINTS, curves_document, sequence_curve
-from oysterbench_leaderboard.publishing import Entry, publish, records_of, without_places
+from oysterbench_leaderboard.publishing import Attribution, publish, records_of, without_places
 from oysterbench_leaderboard.store import RecordStore
 
 EPOCH = 1_600_000_000_000_000_000
@@ -90,18 +90,18 @@ def test_paths_beside_the_results_are_drawn_and_those_of_another_run_are_not(tmp
     truth = loop()
     estimate = moved(truth, np.ones(3))
     write_results(tmp_path / "results.json", [results_of(truth, estimate)])
-    said: list[str] = []
-    assert records_of(tmp_path, Entry("x", "baseline"), said.append)[0][1] is None
+    notices: list[str] = []
+    assert records_of(tmp_path, Attribution("x", "baseline"), notices.append)[0][1] is None
     write_tum(tmp_path / "mini-01-truth.tum", truth)
     write_tum(tmp_path / "mini-01-wave.tum", estimate)
     store = RecordStore(tmp_path / "board")
-    ((record, _, new),) = publish(store, records_of(tmp_path, Entry("x", "baseline"), said.append))
+    ((record, _, new),) = publish(store, records_of(tmp_path, Attribution("x", "baseline"), notices.append))
     assert new
     assert set(store.curves(record.curves)["sequences"]) == {"mini-01"}
-    assert said == []
+    assert notices == []
     write_tum(tmp_path / "mini-01-wave.tum", moved(truth, np.ones(3), slice(0, 3000)))
-    assert records_of(tmp_path, Entry("x", "baseline"), said.append)[0][1] is None
-    assert "another run" in said[0]
+    assert records_of(tmp_path, Attribution("x", "baseline"), notices.append)[0][1] is None
+    assert "another run" in notices[0]
 
 
 def test_no_folder_of_the_machine_is_published():

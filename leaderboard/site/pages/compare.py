@@ -5,15 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
 
 from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
-from oysterbench.evaluate.metrics import find_metric
-from oysterbench.evaluate.statistics import Comparison, compare
+from oysterbench.evaluate.statistics import Comparison
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
 from oysterbench.report.table import Cell, Column, Table, TableRow, Value
-from oysterbench.results.comparison import Board, Entry, Pair, as_plain, remarks
+from oysterbench.results.comparison import Board, MethodPair, as_plain, remarks
 from oysterbench.results.comparison import boards as boards_of
 from oysterbench.results.records import ResultRecord, plain
 from oysterbench_leaderboard.board import BoardInfo, Row
@@ -53,14 +51,15 @@ def compare_page(site: Site, a: str, b: str) -> Page:
         hints = {record_path(row.digest): f"{row.method} of {row.created[:10]}" for row in rows}
         raise PageError(f"these two records may not be compared: {why[0]}", 409, hints)
     board = _board(info, sides)
-    of_a, of_b = (_entry(board, side.label) for side in sides)
+    pairs = board.compare(sides[0].label, sides[1].label)
+    of_a, of_b = (board.runs_of(side.label) for side in sides)
     metric = metric_column(info.metric)
     signed = numbers.difference_column(info.metric)
-    whole = next(pair.comparison for pair in _pairs(board, sides) if not pair.condition)
+    whole = next(pair.comparison for pair in pairs if not pair.condition)
     tables = (
         _sequences(board, info, sides),
         _metrics(board, sides),
-        *([strata] if (strata := _strata(board, sides)).rows else []),
+        *([strata] if (strata := _strata(board, sides, pairs)).rows else []),
     )
     context = {
         "sides": sides,
@@ -79,10 +78,7 @@ def compare_page(site: Site, a: str, b: str) -> Page:
         "a": asdict(sides[0].row),
         "b": asdict(sides[1].row),
         "difference": asdict(whole),
-        "pairs": [
-            {"condition": pair.condition, "value": pair.value, **asdict(pair.comparison)}
-            for pair in _pairs(board, sides)
-        ],
+        "pairs": [{"condition": pair.condition, "value": pair.value, **asdict(pair.comparison)} for pair in pairs],
         "per_sequence": as_plain(board)["per_sequence"],
     }
     query = {"a": rows[0].digest, "b": rows[1].digest}
@@ -142,29 +138,6 @@ def _board(info: BoardInfo, sides: Sequence[Side]) -> Board:
     return standing.board(everyone)
 
 
-def _entry(board: Board, label: str) -> Entry:
-    return next(entry for entry in board.entries if entry.label == label)
-
-
-def _pairs(board: Board, sides: Sequence[Side]) -> list[Pair]:
-    """All comparisons of a with b, whichever is the better."""
-    a, b = (_entry(board, side.label) for side in sides)
-    places = [("", "", board.sequences)]
-    places += [(key, value, names) for key in STRATA for value, names in board.classes(key).items()]
-    return [
-        Pair(a.label, b.label, condition, value, _compared(a, b, board.metric, names))
-        for condition, value, names in places
-    ]
-
-
-def _compared(a: Entry, b: Entry, key: str, sequences: Sequence[str]) -> Comparison:
-    metric = find_metric(key)
-    better: Literal["lower", "higher"] = "lower" if metric is not None and metric.better == "lower" else "higher"
-    of_a, of_b = a.weights(key, sequences), b.weights(key, sequences)
-    weights = None if of_a is None or of_b is None else (of_a, of_b)
-    return compare(a.sample(key, sequences), b.sample(key, sequences), better, weights)
-
-
 def verdict(sides: Sequence[Side], whole: Comparison, metric: str) -> str:
     """In a sentence."""
     a, b = (side.label for side in sides)
@@ -202,7 +175,7 @@ def _sequences(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
     """The ranking metric of both on each sequence, and coverage beside it."""
     keys = (info.metric, *(["coverage"] if any("coverage" in result.metrics for result in board.given) else []))
     known = [key for key in STRATA if any(key in r.conditions for r in board.given)]
-    means = {key: [standing.means(_entry(board, side.label).records, key) for side in sides] for key in keys}
+    means = {key: [standing.means(board.runs_of(side.label).records, key) for side in sides] for key in keys}
     difference = numbers.difference_column(info.metric)
     columns = [Column("sequence", "Sequence")]
     for key in keys:
@@ -227,7 +200,7 @@ def _sequences(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
 
 def _metrics(board: Board, sides: Sequence[Side]) -> Table:
     """Every metric of the track's tables that has a direction."""
-    a, b = (_entry(board, side.label) for side in sides)
+    a, b = (board.runs_of(side.label) for side in sides)
     keys = dict.fromkeys(column.key for column in (*OF_TRACK[board.track], *STANDING_OF_TRACK[board.track]))
     columns = (
         Column("metric", "Metric"),
@@ -243,7 +216,7 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
         metric = metric_column(key)
         if not metric.better or key not in board.keys:
             continue
-        comparison = _compared(a, b, key, board.sequences)
+        comparison = a.compare(b, key, board.sequences)
         means = [numbers.finite(entry.summary(key, board.sequences).mean) for entry in (a, b)]
         cells: tuple[Value | Cell, ...] = (
             Cell(metric.heading, about=metric.about),
@@ -258,7 +231,7 @@ def _metrics(board: Board, sides: Sequence[Side]) -> Table:
     return Table(f"{sides[0].label} against {sides[1].label}", columns, tuple(lines), notes, "metrics")
 
 
-def _strata(board: Board, sides: Sequence[Side]) -> Table:
+def _strata(board: Board, sides: Sequence[Side], pairs: Sequence[MethodPair]) -> Table:
     """The ranking metric within each class of conditions."""
     columns: tuple[Column, ...] = (
         Column("condition", "Condition"),
@@ -267,7 +240,7 @@ def _strata(board: Board, sides: Sequence[Side]) -> Table:
         *_compared_columns(sides),
     )
     lines = []
-    for pair in _pairs(board, sides):
+    for pair in pairs:
         if pair.condition:
             lead = (CONDITIONS[pair.condition].name, pair.value, pair.comparison.sequences)
             lines.append(TableRow((*lead, *_compared_cells(board.metric, pair.comparison))))

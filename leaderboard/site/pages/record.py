@@ -13,6 +13,7 @@ from oysterbench.evaluate.statistics import Summary
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow, Value, interval_column
 from oysterbench.report.tables import failures_and_notes
+from oysterbench.results.comparison import MethodRuns
 from oysterbench.results.records import ResultRecord, plain
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.board import BoardInfo, Query, Row
@@ -173,7 +174,7 @@ def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping
         Column("key", hidden=True),
     )
     known = data_set or {}
-    of = standing.entry(results)
+    of = MethodRuns(results[0].method, tuple(results))
     lines = []
     for key in keys:
         if not any(key in result.metrics for result in results):
@@ -254,10 +255,13 @@ def making(record: Record) -> dict[str, list[str]]:
             found[label].append(value)
 
     for result in record.results:
-        add("Settings of the method", said(result.method_settings))
-        add("Settings of the evaluator", said({k: v for k, v in result.settings.items() if v not in (None, [], ())}))
+        add("Settings of the method", settings_text(result.method_settings))
+        add(
+            "Settings of the evaluator",
+            settings_text({k: v for k, v in result.settings.items() if v not in (None, [], ())}),
+        )
         add("oysterbench", result.oysterbench_version)
-        add("Machine", said(result.hardware))
+        add("Machine", settings_text(result.hardware))
     seeds = [str(result.seed) for result in record.results if result.seed is not None]
     add("Seeds", ", ".join(dict.fromkeys(seeds)))
     dates = sorted(result.created[:10] for result in record.results)
@@ -265,7 +269,7 @@ def making(record: Record) -> dict[str, list[str]]:
     return {label: values for label, values in found.items() if values}
 
 
-def said(values: Mapping[str, Any]) -> str:
+def settings_text(values: Mapping[str, Any]) -> str:
     """Keys and values in one line; long values are cut, since the whole is in the record."""
     texts = {k: v if isinstance(v, str) else json.dumps(plain(v), ensure_ascii=False) for k, v in values.items()}
     return ", ".join(f"{k} = {v if len(v) <= 300 else v[:297] + '...'}" for k, v in texts.items())
