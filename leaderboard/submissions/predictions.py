@@ -38,7 +38,7 @@ LARGEST_IMAGE_PX = 1 << 26
 
 Reader = Callable[..., Any]
 """Reads a prediction when it is asked to. Of a path: takes the options that its file leaves open, returns a Trajectory;
-of a table of commands: a tuple of Steering, one for each picture; of an image: an EstimateImage
+of a table of commands: a list of Steering, one for each picture; of an image: an EstimateImage
 (segmentation) or ImageInstances (detection)."""
 
 
@@ -178,10 +178,13 @@ def _commands(
 ) -> dict[str, Reader]:
     data = read()
 
-    def commands() -> tuple[Steering, ...]:
-        from oysterbench_leaderboard.submissions.steering_tables import read_commands
+    def commands() -> list[Steering]:
+        from oysterbench.methods.interfaces.steering import parse_commands
 
-        return read_commands(data, label, sequence, wanted)
+        assert wanted.task is not None, wanted.split  # of a split of the track steering
+        stamps = sorted(int(name.rpartition("/")[2]) for name in wanted.images.get(sequence, {}))
+        with refusing(label):
+            return parse_commands(data, label, wanted.task, stamps)
 
     return {sequence: commands}
 

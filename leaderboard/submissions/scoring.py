@@ -262,10 +262,11 @@ class CommandScorer:
         return self._views.digest
 
     def score(self, readers: Mapping[str, Reader]) -> Found:
-        from oysterbench.evaluate.steering import score_pictures
-        from oysterbench_leaderboard.submissions.steering_tables import steering_commands
+        from oysterbench.evaluate.steering import Commands, score_pictures
+        from oysterbench.methods.interfaces.steering import command_arrays
 
-        self._parts.append((self._views.labels, steering_commands(readers[self._sequence](), self._task)))
+        commands = Commands(*command_arrays(readers[self._sequence](), self._task))
+        self._parts.append((self._views.labels, commands))
         found = score_pictures(*self._parts[-1])
         return Found(found.metrics, found.reasons)
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import threading
 import time
 import urllib.parse
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Protocol
@@ -51,6 +52,7 @@ class Patience:
     idle_s: float = 30.0  # without a byte
     window_s: float = 60.0  # within which `least_bytes` have to come
     least_bytes: int = 1 << 14
+    wait: Callable[[threading.Event, float], object] = threading.Event.wait  # so long, or until the transfer stops
 
 
 class Body(Protocol):

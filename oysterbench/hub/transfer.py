@@ -263,7 +263,7 @@ class Connection:
         if mirror.failure or (not came and len(self.t.alive()) > 1):
             self._change_mirror()
         if not mirror.failure:
-            self.t.stop.wait(pause_s(self._attempts[mirror], setback.wait_s, patience))
+            patience.wait(self.t.stop, pause_s(self._attempts[mirror], setback.wait_s, patience))
 
     def _ask(self, mirror: Mirror, run: list[int]) -> None:
         """Ask for the run, and strike every piece that comes off it."""

@@ -354,7 +354,7 @@ def test_commands_on_a_hidden_split_leave_rounded_numbers(served, tmp_path):
         (lambda t: t.replace(",1,1", ",1,3"), "pool-01.csv:2: pitch: expected a class from 0 to 2, got 3"),
         (lambda t: t.replace(",1,1", ",left,1"), "pool-01.csv:2: yaw: expected a whole number from 0, got 'left'"),
         (lambda t: t.replace(",1,1", ",-1,1"), "expected a whole number from 0, got '-1'"),
-        (lambda t: t + "\n5,1,1", "pool-01.csv:5: no picture of pool-01 has the stamp 5; its first is"),
+        (lambda t: t + "\n5,1,1", "pool-01.csv:5: no picture has the stamp 5; the first is"),
         (lambda t: t + "\n" + t.split("\n")[1], "pool-01.csv:5: the picture .* has two commands"),
         (lambda t: t.rpartition("\n")[0], "1 of 3 pictures have no command"),
         (lambda t: "", "pool-01.csv:1: expected the columns"),

@@ -9,6 +9,7 @@ each class is.
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -30,6 +31,9 @@ from oysterbench.recipe import SteeringRecipe
 
 VIEWS, TASK, COMMANDS = "views.csv", "task.json", "commands.npz"
 STAMP = "stamp_ns"
+SHOWN = 80
+"""Characters of a text of somebody else's in a message."""
+
 COLUMNS = (STAMP, "time_s", "heading_rad", "pitch_rad", "depth_m", "altitude_m", "view")
 
 
@@ -92,47 +96,76 @@ def task_of(values: Mapping[str, Any]) -> SteeringRecipe:
 
 
 def read_commands(path: Path, stamps: Sequence[int], task: SteeringRecipe) -> list[Steering]:
-    """The commands of a table at the views of these stamps, in their order. Raises MethodError by file and line."""
+    """The commands of a table at the views of these stamps (`parse_commands`). Raises MethodError by file and line."""
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            lines = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise MethodError(f"{path.name}: expected a table as text (CSV): {error}") from None
+        data = path.read_bytes()
+    except OSError as error:
+        raise MethodError(f"{path.name}: expected a table as text in UTF-8 (CSV): {error}") from None
+    return parse_commands(data, path.name, task, stamps)
+
+
+def parse_commands(data: bytes, label: str, task: SteeringRecipe, stamps: Sequence[int] = ()) -> list[Steering]:
+    """The commands of a table, one for each picture of these stamps, in their order; where none are given, those that
+    it has, by stamp. Probabilities need not add up to 1. Raises MethodError by file, called `label`, and line."""
+    try:
+        lines = list(csv.reader(io.StringIO(data.decode("utf-8-sig"), newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise MethodError(f"{label}: expected a table as text in UTF-8 (CSV): {error}") from None
     numbered = {axis: [f"{axis}_{i}" for i in range(len(getattr(task, f"{axis}_deg")))] for axis in AXES}
     allowed = ([STAMP, *AXES], [STAMP, *numbered["yaw"], *numbered["pitch"]])
     head = [key.strip() for key in lines[0]] if lines else []
     if head not in allowed:
-        raise MethodError(
-            f"{path.name}:1: expected the columns {','.join(allowed[0])} or {STAMP},yaw_0,...,pitch_0,..., got "
-            f"{','.join(head)!r:.80}"
-        )
-    found: dict[int, Steering] = {}
-    for number, fields in enumerate(lines[1:], start=2):
-        where = f"{path.name}:{number}"
-        if not fields:
+        both = f"{','.join(allowed[0])} or {STAMP},yaw_0,...,pitch_0,...,{allowed[1][-1]}"
+        raise MethodError(f"{label}:1: expected the columns {both}, got {','.join(head)[:SHOWN]!a}")
+    wanted, found = set(stamps), dict[int, Steering]()
+    for number, line in enumerate(lines[1:], start=2):
+        where, fields = f"{label}:{number}", [field.strip() for field in line]
+        if fields in ([], [""]):
             continue
-        try:
-            if len(fields) != len(head):
-                raise ValueError(f"expected {len(head)} values, got {len(fields)}")
-            stamp = int(fields[0])
-            if head == allowed[0]:
-                answer = Steering(fields[0], int(fields[1]), int(fields[2]))
-            else:
-                shares = np.array([float(value) for value in fields[1:]])
-                count = len(numbered["yaw"])
-                answer = Steering(fields[0], yaw_probability=shares[:count], pitch_probability=shares[count:])
-        except ValueError as error:
-            raise MethodError(f"{where}: {error}") from None
-        classes_of(answer, task, where)
+        if len(fields) != len(head):
+            raise MethodError(f"{where}: expected {len(head)} values, got {len(fields)}")
+        stamp = _whole(fields[0], where, STAMP)
+        if wanted and stamp not in wanted:
+            raise MethodError(f"{where}: no picture has the stamp {stamp}; the first is {stamps[0]}")
         if stamp in found:
-            raise MethodError(f"{where}: the view {stamp} has two commands")
-        found[stamp] = answer
+            raise MethodError(f"{where}: the picture {stamp} has two commands")
+        if head == allowed[0]:
+            command = Steering(fields[0], _whole(fields[1], where, "yaw"), _whole(fields[2], where, "pitch"))
+        else:
+            shares = np.array([_share(value, where) for value in fields[1:]])
+            yaw, pitch = np.split(shares, [len(numbered["yaw"])])
+            command = Steering(fields[0], yaw_probability=yaw, pitch_probability=pitch)
+        classes_of(command, task, where)
+        found[stamp] = command
     if missing := [stamp for stamp in stamps if stamp not in found]:
         raise MethodError(
-            f"{path.name}: expected {len(stamps)} commands, one for each view, got {len(found)}; the first that lacks "
-            f"one is {missing[0]}"
+            f"{label}: {len(missing)} of {len(stamps)} pictures have no command, the first being {missing[0]}"
         )
-    return [found[stamp] for stamp in stamps]
+    return [found[stamp] for stamp in stamps or sorted(found)]
+
+
+def _whole(text: str, where: str, key: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 20):
+        raise MethodError(f"{where}: {key}: expected a whole number from 0, got {text[:SHOWN]!a}")
+    return int(text)
+
+
+def _share(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value) or "_" in text:
+        raise MethodError(f"{where}: expected a probability, got {text[:SHOWN]!a}")
+    return value
+
+
+def command_arrays(made: Sequence[Steering], task: SteeringRecipe) -> tuple[NDArray[np.int64], Array, Array]:
+    """Classes (N, 2), probabilities of yaw (N, Y) and of pitch (N, P), of commands of the task."""
+    chosen = [classes_of(one, task, one.name) for one in made]
+    both = [probabilities(one, classes, task) for one, classes in zip(made, chosen, strict=True)]
+    yaw, pitch = (np.array([pair[k] for pair in both]).reshape(len(made), -1) for k in (0, 1))
+    return np.array(chosen, dtype=np.int64).reshape(-1, 2), yaw, pitch
 
 
 def read_classes(folder: Path, task: SteeringRecipe) -> tuple[NDArray[np.int64], Array, Array]:
@@ -156,10 +189,7 @@ def read_classes(folder: Path, task: SteeringRecipe) -> tuple[NDArray[np.int64],
 
 
 def _write(folder: Path, task: SteeringRecipe, made: Sequence[Steering]) -> None:
-    chosen = [classes_of(answer, task, answer.name) for answer in made]
-    both = [probabilities(answer, classes, task) for answer, classes in zip(made, chosen, strict=True)]
-    yaw, pitch = (np.array([pair[k] for pair in both]).reshape(len(made), -1) for k in (0, 1))
-    classes = np.array(chosen, dtype=np.int64).reshape(-1, 2)
+    classes, yaw, pitch = command_arrays(made, task)
     np.savez_compressed(folder / COMMANDS, classes=classes, yaw=yaw, pitch=pitch)
 
 
