@@ -9,14 +9,14 @@ from oysterbench.methods.steering import Steering, Views
 
 
 class Straight:
-    """Always straight on, and neither up nor down: what a policy is worth that never turns."""
+    """Always straight on, and neither up nor down: what a policy gains that never turns."""
 
     name, track = "straight", "steering"
 
-    def run(self, dive: Views) -> Iterator[Steering]:
+    def run(self, views: Views) -> Iterator[Steering]:
         """The classes that turn by 0."""
-        yaw, pitch = dive.task.yaw_deg.index(0.0), dive.task.pitch_deg.index(0.0)
-        for view in dive:
+        yaw, pitch = views.task.yaw_deg.index(0.0), views.task.pitch_deg.index(0.0)
+        for view in views:
             yield Steering(view.name, yaw, pitch)
 
 
@@ -28,12 +28,12 @@ class Chance:
     def __init__(self, seed: int = 0) -> None:
         self.seed = seed
 
-    def run(self, dive: Views) -> Iterator[Steering]:
+    def run(self, views: Views) -> Iterator[Steering]:
         """Drawn classes."""
-        for view in dive:
+        for view in views:
             generator = stream(self.seed, b"", "chance", view.name)
             yield Steering(
                 view.name,
-                int(generator.integers(len(dive.task.yaw_deg))),
-                int(generator.integers(len(dive.task.pitch_deg))),
+                int(generator.integers(len(views.task.yaw_deg))),
+                int(generator.integers(len(views.task.pitch_deg))),
             )

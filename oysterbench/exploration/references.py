@@ -1,4 +1,4 @@
-"""Pilots that every policy is compared with: the expert, a lawnmower survey and a random walk.
+"""References that every policy is compared with: the expert, a lawnmower survey and a random walk.
 
 They know the truth: the lawnmower its place, all of them their altitude over the bottom ahead.
 """
@@ -27,7 +27,7 @@ Command = Callable[[Array, NDArray[np.bool_]], tuple[int, int]]
 
 
 def reference(name: str, site: Site, state: Array, streams: Streams) -> Command:
-    """A pilot of REFERENCES for a dive that begins at a state."""
+    """A policy of REFERENCES for a rollout that begins at a state."""
     match name:
         case "expert":
             return Expert(site).command
@@ -35,7 +35,7 @@ def reference(name: str, site: Site, state: Array, streams: Streams) -> Command:
             return lawnmower(site, state)
         case "random":
             return random_walk(site, streams.generator("random walk"))
-    raise ValueError(f"no reference pilot {name!r}; expected one of {', '.join(REFERENCES)}")
+    raise ValueError(f"no reference policy {name!r}; expected one of {', '.join(REFERENCES)}")
 
 
 def swath(site: Site) -> float:
@@ -47,7 +47,7 @@ def swath(site: Site) -> float:
 
 
 def lawnmower(site: Site, state: Array) -> Command:
-    """A survey in lanes as far apart as a picture is wide, from the corner nearest to the dive's beginning."""
+    """A survey in lanes as far apart as a picture is wide, from the corner nearest to where it begins."""
     half = site.half_m - MARGIN_M
     lanes = max(2, int(np.ceil(2 * half / swath(site))) + 1)
     first = np.where(state[:2] < 0, -half, half)
@@ -94,7 +94,7 @@ def _pursued(points: Array, leg: int, place: Array) -> Array:
 
 
 def random_walk(site: Site, generator: np.random.Generator) -> Command:
-    """Turns of any class, each held for some steps, at a steady altitude."""
+    """Turns of any class, each kept for some steps, at a steady altitude."""
     yaw, _ = turns(site.task)
     held, left = 0, 0
 

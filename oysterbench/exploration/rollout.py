@@ -1,4 +1,4 @@
-"""A dive in a closed loop: a pilot commands, the vehicle moves, and what it sees next is rendered."""
+"""A rollout in a closed loop: a policy commands, the vehicle moves, and what it sees next is rendered."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from oysterbench.simulation.steering.observation import Observation
 from oysterbench.simulation.steering.site import Site, build_site, measure_state
 from oysterbench.simulation.steering.vehicle import advance, folded, rotations, turns
 
-START_SHARE = 0.7  # of the area's half side that dives begin within
+START_SHARE = 0.7  # of the area's half side that rollouts begin within
 CEILING_M = 0.3  # under the surface, of the vehicle's highest place
 
 Progress = Callable[[int, int], None]
 """Called with the commands done and the commands wanted."""
 
 TrainingExample = tuple[View, Array]
-"""A view and what the commands are worth there, as `Expert.values` has it."""
+"""A view and the action values there, as `Expert.values` has it."""
 
 
 def explore(
     split: SplitRecipe,
     reef: str,
-    pilot: str | SteeringMethod,
+    policy: str | SteeringMethod,
     *,
     salt: bytes = b"",
     seconds: float | None = None,
@@ -47,13 +47,13 @@ def explore(
     teacher: bool = False,
     mixture: float = 0.0,
 ) -> tuple[RolloutLog, list[TrainingExample]]:
-    """A dive of a pilot (one of REFERENCES, or a method) over the reef of a sequence.
+    """A rollout of a policy (one of REFERENCES, or a method) over the reef of a sequence.
 
-    seconds: of the dive, if not the task's. start: number of the place where it begins; the same for every pilot.
-    teacher: also what the expert holds each command to be worth at each view. mixture: share of the commands that are
-    the expert's instead of the pilot's, as in the first rounds of DAgger (Ross, Gordon & Bagnell 2011).
+    seconds: of the rollout, if not the task's. start: number of the place where it begins; the same for every policy.
+    teacher: also the action values of the expert at each view. mixture: share of the commands that are
+    the expert's instead of the policy's, as in the first rounds of DAgger (Ross, Gordon & Bagnell 2011).
 
-    Raises RecipeError where the split has no table [steering] or no such sequence, MethodError where the pilot fails.
+    Raises RecipeError where the split has no table [steering] or no such sequence, MethodError where the policy fails.
     """
     if split.steering is None:
         raise RecipeError(f"split {split.name} has no table [steering]; expected one of the track steering")
@@ -63,31 +63,31 @@ def explore(
     simulated = build_sequence(split, reef, salt, device)
     site = build_site(simulated, split.steering)
     streams = simulated.streams.at("steering", start)
-    pictures = not isinstance(pilot, str)
-    dive = Rollout(site, reef, steps, streams, progress or (lambda done, total: None), pictures)
-    lessons: list[TrainingExample] = []
-    if isinstance(pilot, str):
-        command = reference(pilot, site, dive.state, dive.streams)
+    pictures = not isinstance(policy, str)
+    rollout = Rollout(site, reef, steps, streams, progress or (lambda done, total: None), pictures)
+    examples: list[TrainingExample] = []
+    if isinstance(policy, str):
+        command = reference(policy, site, rollout.state, rollout.streams)
         for _ in range(steps):
-            dive.do(command(dive.state, dive.sight.found))
-        return dive.log(pilot), lessons
+            rollout.do(command(rollout.state, rollout.observation.found))
+        return rollout.log(policy), examples
     expert = Expert(site) if teacher or mixture > 0 else None
-    draws = dive.streams.generator("mixture").random(steps)
-    for view, _, (yaw, pitch) in commands(pilot, split.steering, dive.views(), f"{reef}: dive"):
+    draws = rollout.streams.generator("mixture").random(steps)
+    for view, _, (yaw, pitch) in commands(policy, split.steering, rollout.views(), f"{reef}: rollout"):
         if expert is not None:
-            values = expert.values(dive.state, dive.sight.found)
-            lessons.append((view, values))
-            if draws[dive.done] < mixture:
+            values = expert.values(rollout.state, rollout.observation.found)
+            examples.append((view, values))
+            if draws[rollout.done] < mixture:
                 yaw, pitch = best(values)
-        dive.do((yaw, pitch))
-    if dive.done < steps:
-        raise MethodError(f"method {pilot.name!r}, {reef}: expected {steps} commands, got {dive.done}")
-    return dive.log(pilot.name), lessons
+        rollout.do((yaw, pitch))
+    if rollout.done < steps:
+        raise MethodError(f"method {policy.name!r}, {reef}: expected {steps} commands, got {rollout.done}")
+    return rollout.log(policy.name), examples
 
 
 @dataclass
 class Rollout:
-    """A rollout under way. pictures: whether the policy looks at them; state (5,): as in `vehicle`; done: commands
+    """A rollout under path. pictures: whether the policy needs them; state (5,): as in `vehicle`; done: commands
     carried out."""
 
     site: Site
@@ -104,9 +104,9 @@ class Rollout:
         task, plan = self.site.task, self.site.simulated.recipe.path
         self._turns = turns(task)
         times = np.arange(self.steps + 1) * task.step_s
-        # Long under way: the sway has grown to its full size.
+        # Long under path: the sway has grown to its full size.
         self._sway = sway(np.asarray(times + plan.ramp_s, dtype=float), plan, self.streams)
-        self.sight = Observation(self.site)
+        self.observation = Observation(self.site)
         self.state = self._begin()
         self._states = [self.state]
         self._commands: list[tuple[int, int]] = []
@@ -114,7 +114,7 @@ class Rollout:
         self._seen: list[int] = []
         self._covered: list[float] = []
         self._picture = np.empty((0, 0, 3), dtype=np.uint8)
-        self._look()
+        self._render_view()
 
     def _begin(self) -> Array:
         """A place and a heading drawn in the inner area, in the middle of the altitude band, level."""
@@ -131,8 +131,8 @@ class Rollout:
         position = self.state[:3] + moved[:3]
         return transform(rotations(self.state[None])[0] @ Rotation.from_euler("ZYX", moved[3:]).as_matrix(), position)
 
-    def _look(self) -> None:
-        """See what can be seen from here; the truth alone where nobody looks at pictures."""
+    def _render_view(self) -> None:
+        """Render what can be seen from here; the truth alone for policies that need no pictures."""
         body = self.body()
         T_map_cam = body @ self.site.mount
         renderer = self.site.simulated.renderers[self.site.camera.name]
@@ -142,11 +142,11 @@ class Rollout:
             self._picture, depth, instances = frame.colour, frame.depth, frame.instances
         else:
             depth, _, instances = renderer.truth(T_map_cam)
-        self._seen.append(self.sight.look(T_map_cam, depth, instances))
-        self._covered.append(self.sight.covered)
+        self._seen.append(self.observation.observe(T_map_cam, depth, instances))
+        self._covered.append(self.observation.covered)
 
     def view(self) -> View:
-        """What the pilot is given now."""
+        """What the policy is given now."""
         time_s = self.done * self.site.task.step_s
         return View(f"{self.done:06d}", self._picture, measure_state(self.site, self.state), time_s)
 
@@ -158,11 +158,11 @@ class Rollout:
     def do(self, command: tuple[int, int]) -> None:
         """Carry a command out."""
         task = self.site.task
-        way = advance(self.state[None], self._turns[0][[command[0]]], self._turns[1][[command[1]]], task)[0]
-        way, turned = folded(way, self.site.half_m)
-        # What would touch is held above it, as a pilot's assistance does; the way goes on from there.
+        path = advance(self.state[None], self._turns[0][[command[0]]], self._turns[1][[command[1]]], task)[0]
+        path, turned = folded(path, self.site.half_m)
+        # What would touch is kept above it, as an assistance to the pilot does; the path goes on from there.
         lifted, contact = 0.0, False
-        for point in way:
+        for point in path:
             floor = float(self.site.floor(point[:1], point[1:2])[0])
             point[2] += lifted
             if point[2] < floor:
@@ -172,24 +172,24 @@ class Rollout:
             if point[2] > -CEILING_M:
                 lifted -= point[2] + CEILING_M
                 point[2] = -CEILING_M
-        self.state = way[-1]
+        self.state = path[-1]
         self.done += 1
         self._states.append(self.state)
         self._commands.append((int(command[0]), int(command[1])))
         self._contact.append(contact)
         self._turned.append(bool(turned.any()))
-        self._look()
+        self._render_view()
         self.progress(self.done, self.steps)
 
-    def log(self, pilot: str) -> RolloutLog:
-        """The dive so far."""
+    def log(self, policy: str) -> RolloutLog:
+        """The rollout so far."""
         states = np.array(self._states)
         wall, cpu = (
             now - then for now, then in zip((time.perf_counter(), time.process_time()), self._began, strict=True)
         )
         return RolloutLog(
             reef=self.reef,
-            pilot=pilot,
+            policy=policy,
             step_s=self.site.task.step_s,
             states=states,
             altitude=self.site.altitude(states),
@@ -200,7 +200,7 @@ class Rollout:
             covered=np.array(self._covered),
             half_m=self.site.half_m,
             oysters=self.site.oysters,
-            found=self.sight.found.copy(),
+            found=self.observation.found.copy(),
             wall_s=wall,
             cpu_s=cpu,
         )

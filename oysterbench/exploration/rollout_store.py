@@ -19,7 +19,7 @@ from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.methods.finding import find_method, versions_of
 
-FORMAT = "oysterbench-dive/1"
+FORMAT = "oysterbench-rollout/1"
 ARRAYS = ("states", "altitude", "commands", "seen", "contact", "turned", "covered", "oysters", "found")
 
 

@@ -42,7 +42,7 @@ class PolicyProcess:
         self.reference = reference
         self.name = find_method(reference).name
 
-    def run(self, dive: Views) -> Iterator[Steering]:
+    def run(self, views: Views) -> Iterator[Steering]:
         """A command at each view. Raises MethodError where the policy fails."""
         with tempfile.TemporaryDirectory(prefix="oysterbench-") as scratch:
             report, log = Path(scratch) / "process.json", Path(scratch) / "stderr.txt"
@@ -60,7 +60,7 @@ class PolicyProcess:
             try:
                 assert process.stdin is not None
                 assert process.stdout is not None
-                yield from self._commands(dive, process.stdin, process.stdout)
+                yield from self._commands(views, process.stdin, process.stdout)
             except (BrokenPipeError, EOFError):
                 process.wait()
                 failure = failure_of(report, LIMIT_S, Path(scratch)) or "it ended without a word"
@@ -69,9 +69,9 @@ class PolicyProcess:
                 process.terminate()  # its supervisor ends all that it started
                 process.communicate()
 
-    def _commands(self, dive: Views, down: IO[bytes], up: IO[bytes]) -> Iterator[Steering]:
-        _send(down, {"task": asdict(dive.task)})
-        for view in dive:
+    def _commands(self, views: Views, down: IO[bytes], up: IO[bytes]) -> Iterator[Steering]:
+        _send(down, {"task": asdict(views.task)})
+        for view in views:
             header = {"name": view.name, "time_s": view.time_s, "state": asdict(view.state)}
             _send(down, {**header, "shape": view.pixels.shape}, np.ascontiguousarray(view.pixels).tobytes())
             line = up.readline()

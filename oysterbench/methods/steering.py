@@ -1,14 +1,14 @@
-"""What a method of the track steering is given, and what it answers.
+"""What a method of the track steering is given, and what it predicts.
 
-    class MyPilot:
-        name, track = "my_pilot", "steering"
+    class MyPolicy:
+        name, track = "my_policy", "steering"
 
-        def run(self, dive):
-            for view in dive:
+        def run(self, views):
+            for view in views:
                 yield Steering(view.name, yaw_probability=..., pitch_probability=...)
 
-It is given views one by one and never the truth, and answers each before it takes the next: in a closed loop the next
-view is what the vehicle sees after it has done what was commanded. `dive.task` says what the classes are.
+It is given views one by one and never the truth, and commands at each before it takes the next: in a closed loop the
+next view is what the vehicle sees after it has done what was commanded. `views.task` has the classes.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from oysterbench.recipe.steering import SteeringRecipe
 
 @dataclass(frozen=True)
 class View:
-    """name: unlike that of any other view of the dive; pixels: (H, W, 3) uint8 RGB of the front camera; time_s: since
-    the first view."""
+    """name: unlike that of any other view of the rollout; pixels: (H, W, 3) uint8 RGB of the front camera; time_s:
+    since the first view."""
 
     name: str
     pixels: NDArray[np.uint8]
@@ -37,7 +37,7 @@ class View:
 
 @dataclass(frozen=True)
 class Steering:
-    """The command that answers a view: classes, or how probable each class is, from which the likeliest is taken.
+    """The command at a view: classes, or how probable each class is, from which the likeliest is taken.
 
     yaw, pitch:             numbers of the classes, from 0, in the order of the task
     yaw_probability:        (Y,) float, at least 0, not all 0; they need not add up to 1
@@ -52,7 +52,7 @@ class Steering:
 
 
 class Views(Protocol):
-    """The views of a dive, and the task that is steered for."""
+    """The views of a rollout, and the task that is steered for."""
 
     task: SteeringRecipe
 
@@ -65,6 +65,6 @@ class SteeringMethod(Protocol):
     name: str
     track: str
 
-    def run(self, dive: Views) -> Iterable[Steering]:
-        """An answer to each view, before the next one is taken."""
+    def run(self, views: Views) -> Iterable[Steering]:
+        """A command at each view, before the next one is taken."""
         ...

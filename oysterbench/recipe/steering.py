@@ -1,4 +1,4 @@
-"""What a policy that explores a reef commands, and what its dives are measured by: the table `[steering]`."""
+"""What a policy that explores a reef commands, and what its rollouts are measured by: the table `[steering]`."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class SteeringRecipe:
     pitch_deg: tuple[float, ...] = number(-90.0, 90.0)
     """Turn of the pitch of each class, bow down positive; from up to down."""
     max_pitch_deg: float = number(0.0, 80.0, 30.0)
-    """Steepest climb and dive."""
+    """Steepest climb and descent."""
     step_s: float = number(0.1, 10.0, 1.0)
     """From one command to the next."""
     speed_m_s: float = number(0.01, 3.0, 0.5)
     altitude_m: tuple[float, float] = number(0.1, 20.0)
-    """Over the bottom, lowest and highest: the band that a pilot is asked to keep."""
+    """Over the bottom, lowest and highest: the band that a policy is asked to stay in."""
     view_range_m: float = number(0.2, 10.0, 2.0)
     """An oyster is seen when it is no farther from the camera than this, ..."""
     view_lengths: float = number(0.5, 10.0, 3.0)
@@ -36,9 +36,9 @@ class SteeringRecipe:
     hull_m: float = number(0.05, 1.0, 0.2)
     """Radius of the ball that must touch nothing."""
     fence_m: float = number(0.0, 10.0, 1.0)
-    """How far inside the reef's edge the dive's area ends: there the vehicle is turned back like a ball."""
+    """How far inside the edge of the reef the area of a rollout ends: there the vehicle is turned back like a ball."""
     dive_s: float = number(1.0, 3600.0, 120.0)
-    """Length of a dive of the closed loop."""
+    """Length of a rollout."""
 
 
 def check_steering(task: SteeringRecipe, where: str) -> None:

@@ -18,7 +18,7 @@ from tests.helpers.exploring_made import REEF, RIG, SPLIT, label_table, made_exp
 from tests.helpers.paths import ROOT
 
 PAGE = ROOT / "oysterbench" / "exploration" / "README.md"
-READER = "tests.helpers.exploring_pilots:Reader"
+READER = "tests.helpers.exploring_policies:Reader"
 
 
 @pytest.fixture
@@ -119,7 +119,7 @@ def test_reefs_and_seconds_are_as_many_as_asked_for(recipe, tmp_path):
 
 @pytest.mark.parametrize("closed", [(), ("--closed-loop",)])
 def test_a_failure_is_said_and_the_others_are_there(recipe, tmp_path, closed):
-    methods = ("--method", "tests.helpers.exploring_pilots:Broken", "--method", "straight")
+    methods = ("--method", "tests.helpers.exploring_policies:Broken", "--method", "straight")
     result = run("--split", recipe, *closed, *methods, "--workers", 1, "--out", tmp_path / "out")
     assert result.exit_code == 1
     assert re.search(r"[Bb]roken failed on one: .*no such weight", result.stderr)
@@ -128,7 +128,7 @@ def test_a_failure_is_said_and_the_others_are_there(recipe, tmp_path, closed):
 
 
 def test_all_can_fail(recipe, tmp_path):
-    result = run("--split", recipe, "--method", "tests.helpers.exploring_pilots:Broken", "--out", tmp_path / "out")
+    result = run("--split", recipe, "--method", "tests.helpers.exploring_policies:Broken", "--out", tmp_path / "out")
     assert result.exit_code == 1
     assert "failed on two" in result.stderr
     assert not list((tmp_path / "out").glob("*.png"))

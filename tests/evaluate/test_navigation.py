@@ -24,8 +24,8 @@ COST = {"wall_s", "cpu_s", "pictures_per_s"}
 def made(n: int, seed: int = 0, good: float = 0.5) -> tuple[Labels, Commands]:
     """Labels of n pictures, and commands that are the expert's in some of them."""
     generator = np.random.default_rng(seed)
-    worth = generator.gamma(2.0, 5.0, (n, len(YAW), len(PITCH)))
-    best = worth.reshape(n, -1).argmax(axis=1)
+    action_values = generator.gamma(2.0, 5.0, (n, len(YAW), len(PITCH)))
+    best = action_values.reshape(n, -1).argmax(axis=1)
     classes = np.column_stack(np.unravel_index(best, (len(YAW), len(PITCH)))).astype(np.int64)
     shares = [generator.dirichlet(np.ones(k), n) for k in (len(YAW), len(PITCH))]
     for axis, share in enumerate(shares):
@@ -33,7 +33,7 @@ def made(n: int, seed: int = 0, good: float = 0.5) -> tuple[Labels, Commands]:
         share[right, classes[right, axis]] += 1.0
         share /= share.sum(axis=1, keepdims=True)
     commanded = np.column_stack([share.argmax(axis=1) for share in shares]).astype(np.int64)
-    return Labels(classes, worth, TASK), Commands(commanded, *shares)
+    return Labels(classes, action_values, TASK), Commands(commanded, *shares)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -121,10 +121,10 @@ def test_the_expert_has_a_skill_of_one_and_all_commands_together_one_of_none():
 
 def test_of_commands_that_are_worth_the_same_any_is_right():
     truth, _ = made(5, 4)
-    worth = truth.action_values.copy()
-    worth[:, 6, 6] = worth.reshape(5, -1).max(axis=1)
+    action_values = truth.action_values.copy()
+    action_values[:, 6, 6] = action_values.reshape(5, -1).max(axis=1)
     other = np.full((5, 2), 6)
-    assert labels.skill(worth, other) == 1.0
+    assert labels.skill(action_values, other) == 1.0
     alike = score_pictures(
         replace(truth, action_values=np.ones((5, 7, 7))),
         Commands(other, labels.one_hot(other[:, 0], 7), np.eye(7)[other[:, 1]]),
@@ -142,7 +142,7 @@ def test_a_miss_by_six_costs_six_times_a_miss_by_one():
 
 
 @pytest.mark.parametrize(
-    ("classes", "worth", "said"),
+    ("classes", "action_values", "said"),
     [
         ([[7, 0]], np.zeros((1, 7, 7)), "from 0 to 6"),
         ([[0, -1]], np.zeros((1, 7, 7)), "from 0 to 6"),
@@ -150,9 +150,9 @@ def test_a_miss_by_six_costs_six_times_a_miss_by_one():
         ([[0, 0]], np.full((1, 7, 7), np.nan), "picture 1"),
     ],
 )
-def test_labels_that_do_not_fit_the_task_are_refused(classes, worth, said):
+def test_labels_that_do_not_fit_the_task_are_refused(classes, action_values, said):
     with pytest.raises(LabelError, match=said):
-        Labels(np.array(classes), worth, TASK, "reef")
+        Labels(np.array(classes), action_values, TASK, "reef")
 
 
 def test_several_sequences_together_are_scored_as_one_and_resampled_whole():
@@ -253,7 +253,7 @@ def test_a_place_is_the_ratio_of_mean_differences_with_the_interval_of_its_resam
     assert found.interval.high == pytest.approx(spread[1], abs=0.03)
 
 
-def test_a_place_needs_reefs_in_common_and_an_upper_pilot_that_is_above():
+def test_a_place_needs_reefs_in_common_and_an_upper_policy_that_is_above():
     one, two = {"a": [1.0]}, {"b": [2.0]}
     assert normalised_score(one, one, two).reason == "no reef in common"
     assert "not above" in normalised_score(one, one, one).reason

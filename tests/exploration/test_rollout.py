@@ -1,4 +1,4 @@
-"""Dives in a rendered reef: repeatable, fair to all pilots, and refused where a pilot misbehaves."""
+"""Rollouts in a rendered reef: repeatable, fair to all policies, and refused where a policy misbehaves."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ class Ahead:
     def __init__(self):
         self.views = []
 
-    def run(self, dive):
-        for view in dive:
+    def run(self, views):
+        for view in views:
             self.views.append(view)
-            yield Steering(view.name, yaw=dive.task.yaw_deg.index(0.0), pitch=dive.task.pitch_deg.index(0.0))
+            yield Steering(view.name, yaw=views.task.yaw_deg.index(0.0), pitch=views.task.pitch_deg.index(0.0))
 
 
 @pytest.fixture(scope="module")
 def logs():
-    return {pilot: explore(SPLIT, REEF, pilot, seconds=25.0)[0] for pilot in REFERENCES}
+    return {policy: explore(SPLIT, REEF, policy, seconds=25.0)[0] for policy in REFERENCES}
 
 
 @pytest.fixture(scope="module")
 def ahead():
-    pilot = Ahead()
-    log, _ = explore(SPLIT, REEF, pilot, seconds=SECONDS)
-    return pilot, log
+    policy = Ahead()
+    log, _ = explore(SPLIT, REEF, policy, seconds=SECONDS)
+    return policy, log
 
 
 def same(one, other):
@@ -54,7 +54,7 @@ def same(one, other):
     )
 
 
-def test_all_pilots_begin_at_the_same_place(logs, ahead):
+def test_all_policies_begin_at_the_same_place(logs, ahead):
     starts = [log.states[0] for log in (*logs.values(), ahead[1])]
     assert all(np.array_equal(start, starts[0]) for start in starts)
     other, _ = explore(SPLIT, REEF, "random", seconds=1.0, start=1)
@@ -64,14 +64,14 @@ def test_all_pilots_begin_at_the_same_place(logs, ahead):
     assert salted.oysters.shape != other.oysters.shape
 
 
-@pytest.mark.parametrize("pilot", REFERENCES)
-def test_the_same_dive_twice_is_the_same(pilot):
-    first, second = (explore(SPLIT, REEF, pilot, seconds=4.0)[0] for _ in range(2))
+@pytest.mark.parametrize("policy", REFERENCES)
+def test_the_same_rollout_twice_is_the_same(policy):
+    first, second = (explore(SPLIT, REEF, policy, seconds=4.0)[0] for _ in range(2))
     assert same(first, second)
 
 
 def test_the_expert_sees_more_than_lawnmower_and_random_walk(logs):
-    seen = {pilot: int(log.seen.sum()) for pilot, log in logs.items()}
+    seen = {policy: int(log.seen.sum()) for policy, log in logs.items()}
     assert seen["expert"] > 1.5 * max(seen["lawnmower"], seen["random"])
 
 
@@ -97,23 +97,23 @@ def test_the_hull_is_never_below_what_it_would_touch(logs):
 
 
 def test_a_method_sees_pictures_and_what_its_sensors_tell(ahead):
-    pilot, log = ahead
+    policy, log = ahead
     camera = SPLIT.rig.camera[0]
-    assert len(pilot.views) == len(log.commands) == SECONDS
-    assert [view.name for view in pilot.views] == [f"{k:06d}" for k in range(8)]
-    for view, state, altitude in zip(pilot.views, log.states, log.altitude, strict=False):
+    assert len(policy.views) == len(log.commands) == SECONDS
+    assert [view.name for view in policy.views] == [f"{k:06d}" for k in range(8)]
+    for view, state, altitude in zip(policy.views, log.states, log.altitude, strict=False):
         assert view.pixels.shape == (camera.height, camera.width, 3)
         assert view.pixels.std() > 5
         assert view.state.altitude == pytest.approx(altitude, abs=1e-3)
         assert view.state.depth == pytest.approx(-state[2], abs=1e-3)
         assert view.state.heading == pytest.approx(state[3], abs=1e-3)
-    assert not np.array_equal(pilot.views[0].pixels, pilot.views[1].pixels)
+    assert not np.array_equal(policy.views[0].pixels, policy.views[1].pixels)
 
 
-def test_a_teacher_tells_what_the_commands_are_worth_and_takes_the_helm_as_often_as_asked():
-    log, lessons = explore(SPLIT, REEF, Ahead(), seconds=6.0, teacher=True)
-    assert [view.name for view, _ in lessons] == [f"{k:06d}" for k in range(6)]
-    assert all(values.shape == (7, 7) for _, values in lessons)
+def test_a_teacher_tells_the_action_values_and_takes_the_helm_as_often_as_asked():
+    log, examples = explore(SPLIT, REEF, Ahead(), seconds=6.0, teacher=True)
+    assert [view.name for view, _ in examples] == [f"{k:06d}" for k in range(6)]
+    assert all(values.shape == (7, 7) for _, values in examples)
     assert {tuple(command) for command in log.commands.tolist()} == {(3, 3)}
     taught, _ = explore(SPLIT, REEF, Ahead(), seconds=6.0, mixture=1.0)
     expert, _ = explore(SPLIT, REEF, "expert", seconds=6.0)
@@ -121,24 +121,24 @@ def test_a_teacher_tells_what_the_commands_are_worth_and_takes_the_helm_as_often
 
 
 class Wrong(Ahead):
-    def __init__(self, answer):
+    def __init__(self, predict):
         super().__init__()
-        self.answer = answer
+        self.predict = predict
 
-    def run(self, dive):
-        views = iter(dive)
+    def run(self, views):
+        views = iter(views)
         for view in views:
-            if self.answer == "greedy":
+            if self.predict == "greedy":
                 next(views)
-            if self.answer == "crash":
+            if self.predict == "crash":
                 raise KeyError("weights")
-            if self.answer == "stop":
+            if self.predict == "stop":
                 return
-            yield self.answer(view)
+            yield self.predict(view)
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"),
+    ("predict", "message"),
     [
         (lambda view: Steering(view.name, yaw=7, pitch=0), r"yaw: expected a class from 0 to 6, got 7"),
         (lambda view: Steering(view.name, yaw=1), r"pitch: expected a class from 0 to 6, got None"),
@@ -150,20 +150,20 @@ class Wrong(Ahead):
         ),
         (lambda view: Steering(view.name, yaw_probability=np.ones(6), pitch=1), r"yaw_probability: expected 7 numbers"),
         (lambda view: Steering(view.name, yaw_probability=-np.ones(7), pitch=1), r"none below 0"),
-        ("greedy", r"took a view before it had answered 000000"),
-        ("crash", r"'ahead' failed, mini-01: dive: KeyError"),
+        ("greedy", r"took a view before a command at 000000"),
+        ("crash", r"'ahead' failed, mini-01: rollout: KeyError"),
         ("stop", r"expected 2 commands, got 0"),
     ],
 )
-def test_a_pilot_that_misbehaves_is_named(answer, said):
-    with pytest.raises(MethodError, match=said):
-        explore(SPLIT, REEF, Wrong(answer), seconds=2.0)
+def test_a_policy_that_misbehaves_is_named(predict, message):
+    with pytest.raises(MethodError, match=message):
+        explore(SPLIT, REEF, Wrong(predict), seconds=2.0)
 
 
 def test_of_equal_probabilities_the_one_nearest_to_straight_on_is_taken():
     class Unsure(Ahead):
-        def run(self, dive):
-            for view in dive:
+        def run(self, views):
+            for view in views:
                 yield Steering(view.name, yaw_probability=np.array([1, 0, 1, 0, 0, 0, 1]), pitch_probability=np.ones(7))
 
     log, _ = explore(SPLIT, REEF, Unsure(), seconds=1.0)
@@ -177,5 +177,5 @@ def test_requests_that_cannot_be_met_are_refused():
         explore(SPLIT, "reef-9", "expert")
     with pytest.raises(RecipeError, match="at least a step of 1 s, got 0"):
         explore(SPLIT, REEF, "expert", seconds=0.0)
-    with pytest.raises(ValueError, match="no reference pilot 'shark'"):
+    with pytest.raises(ValueError, match="no reference policy 'shark'"):
         explore(SPLIT, REEF, "shark", seconds=1.0)

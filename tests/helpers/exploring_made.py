@@ -1,4 +1,4 @@
-"""Labelled pictures and dives made by hand: a sequence file with labels, and dives that follow from commands alone."""
+"""Labelled pictures and rollouts made by hand: a sequence file, and logs that follow from commands alone."""
 
 from __future__ import annotations
 
@@ -78,10 +78,10 @@ def made_split(reefs: tuple[str, ...] = ("one", "two")) -> SplitRecipe:
 
 
 def label_table(pictures: int, seed: int = 0) -> pd.DataFrame:
-    """Labels whose class is where the worth is greatest."""
+    """Labels whose class is that of the greatest action value."""
     generator = np.random.default_rng(seed)
-    worth = np.round(generator.gamma(2.0, 4.0, (pictures, len(YAW), len(PITCH))), 4)
-    best = worth.reshape(pictures, -1).argmax(axis=1)
+    action_values = np.round(generator.gamma(2.0, 4.0, (pictures, len(YAW), len(PITCH))), 4)
+    best = action_values.reshape(pictures, -1).argmax(axis=1)
     table = pd.DataFrame(
         {
             "stamp_ns": EPOCH_NS + 2_000_000_000 * np.arange(pictures),
@@ -94,7 +94,7 @@ def label_table(pictures: int, seed: int = 0) -> pd.DataFrame:
         }
     )
     keys = [f"value_{y}_{p}" for y in range(len(YAW)) for p in range(len(PITCH))]
-    return pd.concat([table, pd.DataFrame(worth.reshape(pictures, -1), columns=keys)], axis=1)
+    return pd.concat([table, pd.DataFrame(action_values.reshape(pictures, -1), columns=keys)], axis=1)
 
 
 def picture(yaw: int, pitch: int) -> np.ndarray:
@@ -132,8 +132,10 @@ def write_labelled(path: Path, name: str, table: pd.DataFrame | None, pictures: 
     return path
 
 
-def made_log(reef: str, pilot: str, steps: int, gains: list[int], oysters: int = 40, half_m: float = 3.0) -> RolloutLog:
-    """A dive in which `gains` oysters are seen at each moment, to which zeros are added; the way is a circle."""
+def made_log(
+    reef: str, policy: str, steps: int, gains: list[int], oysters: int = 40, half_m: float = 3.0
+) -> RolloutLog:
+    """A rollout in which `gains` oysters are seen at each moment, to which zeros are added; the path is a circle."""
     seen = np.array((gains + [0] * (steps + 1))[: steps + 1], dtype=np.int64)
     angle = np.arange(steps + 1) * 0.2
     states = np.column_stack([np.cos(angle), np.sin(angle), np.full(steps + 1, -2.0), angle + np.pi / 2, 0 * angle])
@@ -141,7 +143,7 @@ def made_log(reef: str, pilot: str, steps: int, gains: list[int], oysters: int =
     found = np.arange(oysters) < seen.sum()
     return RolloutLog(
         reef=reef,
-        pilot=pilot,
+        policy=policy,
         step_s=1.0,
         states=states,
         altitude=np.full(steps + 1, 1.0),
@@ -162,13 +164,13 @@ RATES = {"expert": 3, "lawnmower": 2, "random": 1}
 """Oysters that a reference sees at each moment."""
 
 
-def made_explore(split, reef, pilot, *, salt=b"", seconds=None, start=0, device="cpu", progress=None, teacher=False):
+def made_explore(split, reef, policy, *, salt=b"", seconds=None, start=0, device="cpu", progress=None, teacher=False):
     """In place of `oysterbench.exploration.explore`: no picture is rendered, and a method sees an oyster a moment."""
     steps = round(seconds / split.steering.step_s)
-    if isinstance(pilot, str):
-        return made_log(reef, pilot, steps, [RATES[pilot]] * (steps + 1)), []
+    if isinstance(policy, str):
+        return made_log(reef, policy, steps, [RATES[policy]] * (steps + 1)), []
     views = (
         View(f"{k:06d}", picture(3, 3), VehicleState(0.0, 0.0, 2.0, 1.0), float(k)) for k in range(steps)
     )  # fmt: skip
-    done = sum(1 for _ in commands(pilot, split.steering, views, reef))
-    return made_log(reef, pilot.name, done, [1] * (done + 1)), []
+    done = sum(1 for _ in commands(policy, split.steering, views, reef))
+    return made_log(reef, policy.name, done, [1] * (done + 1)), []

@@ -93,7 +93,7 @@ def test_of_equal_values_the_first_is_taken():
 
 
 def fly(site, command, steps, state=HERE):
-    """Places (steps + 1, 2) of a pilot over a flat bottom."""
+    """Places (steps + 1, 2) of a policy over a flat bottom."""
     yaw, pitch = turns(site.task)
     places = [state]
     for _ in range(steps):

@@ -1,4 +1,4 @@
-"""The track steering, run: methods over labelled pictures, and dives that are kept and found again."""
+"""The track steering, run: methods over labelled pictures, and rollouts that are kept and found again."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from oysterbench.report.steering_samples import bow_pixels, samples_of
 from oysterbench.results.records import ResultRecord
 from oysterbench.tracks.steering import TRACK, ViewSequence
 from oysterbench.tracks.steering_rollouts import REFERENCES, make_loop, run_rollouts
-from tests.helpers import exploring_pilots
+from tests.helpers import exploring_policies
 from tests.helpers.exploring_made import label_table, made_explore, made_log, made_split, write_labelled
 from tests.helpers.track_runs import runs_of
 
 SPLIT = made_split()
 
-PILOTS = "tests.helpers.exploring_pilots"
+POLICIES = "tests.helpers.exploring_policies"
 
 
-def evaluate(dives, methods, out):
-    """Runs of policies: names, or classes of PILOTS, over labelled pictures."""
-    references = [f"{PILOTS}:{name}" if name[0].isupper() else name for name in methods]
-    sequences = [ViewSequence(dive, dive.sequence.path, SPLIT) for dive in dives]
-    return runs_of(TRACK, sequences, references, None, out)
+def evaluate(sequences, methods, out):
+    """Runs of policies: names, or classes of POLICIES, over labelled pictures."""
+    references = [f"{POLICIES}:{name}" if name[0].isupper() else name for name in methods]
+    labelled = [ViewSequence(views, views.sequence.path, SPLIT) for views in sequences]
+    return runs_of(TRACK, labelled, references, None, out)
 
 
 @pytest.fixture(scope="module")
-def dives(tmp_path_factory):
+def sequences(tmp_path_factory):
     """Two labelled sequences."""
     folder = tmp_path_factory.mktemp("labelled")
     return [
@@ -44,10 +44,10 @@ def dives(tmp_path_factory):
     ]
 
 
-def test_views_come_in_time_order_with_the_state_of_their_label(dives):
+def test_views_come_in_time_order_with_the_state_of_their_label(sequences):
     table = label_table(9, 1)
-    dive = dives[0]
-    views = list(dive.views())
+    labelled = sequences[0]
+    views = list(labelled.views())
     assert [view.name for view in views] == [f"one/cam_front/{stamp}" for stamp in table["stamp_ns"]]
     assert [view.state.heading for view in views] == table["heading_rad"].tolist()
     assert [view.state.pitch for view in views] == table["pitch_rad"].tolist()
@@ -55,12 +55,12 @@ def test_views_come_in_time_order_with_the_state_of_their_label(dives):
     assert views[0].state.depth == 2.0
     assert views[0].state.altitude == 1.0
     assert views[0].pixels.shape == (24, 32, 3)
-    assert dive.labels.action_values[4, 2, 5] == table["value_2_5"][4]
-    assert (dive.labels.classes == table[["yaw", "pitch"]].to_numpy()).all()
+    assert labelled.labels.action_values[4, 2, 5] == table["value_2_5"][4]
+    assert (labelled.labels.classes == table[["yaw", "pitch"]].to_numpy()).all()
 
 
-def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(dives, tmp_path):
-    runs = evaluate(dives, ["Reader", "Unsure"], tmp_path)
+def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(sequences, tmp_path):
+    runs = evaluate(sequences, ["Reader", "Unsure"], tmp_path)
     for run in runs:
         assert run.record.failure is None
         metrics = run.record.metrics
@@ -82,20 +82,20 @@ def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(dives, 
     assert costs["unsure", "one"] == pytest.approx(spread)  # half of it on the right one, half on all alike
 
 
-def test_straight_and_chance_are_the_floor(dives, tmp_path):
-    runs = evaluate(dives, ["straight", "chance"], tmp_path)
+def test_straight_and_chance_are_the_floor(sequences, tmp_path):
+    runs = evaluate(sequences, ["straight", "chance"], tmp_path)
     assert {run.record.method: run.record.seed for run in runs} == {"straight": None, "chance": 0}
     straight, chance = runs[:2]
     assert (straight.commands.classes == 3).all()
-    again = evaluate(dives, ["chance"], tmp_path)[0]
+    again = evaluate(sequences, ["chance"], tmp_path)[0]
     assert (again.commands.classes == chance.commands.classes).all()
-    other = evaluate(dives, ["chance[seed=1]"], tmp_path)[0]
+    other = evaluate(sequences, ["chance[seed=1]"], tmp_path)[0]
     assert (other.commands.classes != chance.commands.classes).any()
     assert len(set(map(tuple, chance.commands.classes.tolist()))) > 4
 
 
 @pytest.mark.parametrize(
-    ("pilot", "said"),
+    ("policy", "message"),
     [
         ("Ahead", "took a view before a command at one/cam_front"),
         ("Wrong", "expected a Steering of the view one/cam_front"),
@@ -107,10 +107,10 @@ def test_straight_and_chance_are_the_floor(dives, tmp_path):
         ("Outside", "yaw: expected a class from 0 to 6, got 7"),
     ],
 )
-def test_a_method_that_does_not_do_as_agreed_fails_by_name_and_the_others_go_on(dives, tmp_path, pilot, said):
-    runs = evaluate(dives[:1], [pilot, "Reader"], tmp_path)
-    assert getattr(exploring_pilots, pilot).name in runs[0].record.failure
-    assert said in runs[0].record.failure
+def test_a_method_that_does_not_do_as_agreed_fails_by_name_and_the_others_go_on(sequences, tmp_path, policy, message):
+    runs = evaluate(sequences[:1], [policy, "Reader"], tmp_path)
+    assert getattr(exploring_policies, policy).name in runs[0].record.failure
+    assert message in runs[0].record.failure
     assert "\n" not in runs[0].record.failure
     assert runs[0].record.metrics == {"skill": 0.0}
     assert runs[1].record.metrics["skill"] == 1
@@ -129,9 +129,9 @@ def test_labels_and_pictures_that_do_not_belong_together_are_refused(tmp_path):
         list(labelled_views(fewer, SPLIT.steering).views())
     shifted = table.assign(stamp_ns=table["stamp_ns"] + 1)
     moved = write_labelled(tmp_path / "moved.mcap", "moved", table)
-    dive = dataclasses.replace(labelled_views(moved, SPLIT.steering), table=shifted)
+    labelled = dataclasses.replace(labelled_views(moved, SPLIT.steering), table=shifted)
     with pytest.raises(LabelError, match="expected a label of that stamp"):
-        list(dive.views())
+        list(labelled.views())
     narrow = write_labelled(tmp_path / "narrow.mcap", "narrow", table.drop(columns="value_6_6"))
     with pytest.raises(LabelError, match="value_6_6"):
         labelled_views(narrow, SPLIT.steering)
@@ -159,14 +159,14 @@ def test_what_reading_takes_is_not_the_methods():
     assert clock.wall_s == pytest.approx(3.0)
 
 
-def test_all_pictures_together_are_only_scored_of_methods_that_failed_nowhere(dives, tmp_path):
-    runs = evaluate(dives, ["Reader", "Broken"], tmp_path)
+def test_all_pictures_together_are_only_scored_of_methods_that_failed_nowhere(sequences, tmp_path):
+    runs = evaluate(sequences, ["Reader", "Broken"], tmp_path)
     wholes = whole_of(runs)
     assert list(wholes) == ["reader"]
     assert wholes["reader"].score.metrics["pictures"] == 16
 
 
-def test_a_dive_is_read_as_it_was_written():
+def test_a_rollout_is_read_as_it_was_written():
     log = made_log("one", "expert", 5, [1, 2, 3])
     data = packed(log)
     assert data == packed(log)
@@ -179,7 +179,7 @@ def test_a_dive_is_read_as_it_was_written():
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 nothing", b"\x93NUMPY"])
-def test_a_damaged_dive_is_refused_by_name(tmp_path, damage):
+def test_a_damaged_rollout_is_refused_by_name(tmp_path, damage):
     loop = make_loop(SPLIT, explore=made_explore)
     run_rollouts(loop, ["one"], ["expert"], tmp_path)
     (file,) = tmp_path.iterdir()
@@ -192,34 +192,34 @@ def test_a_damaged_dive_is_refused_by_name(tmp_path, damage):
 def counted(calls):
     """`made_explore`, which notes what it was asked for."""
 
-    def explore(split, reef, pilot, **options):
-        calls.append((reef, pilot if isinstance(pilot, str) else pilot.name, options["seconds"]))
-        return made_explore(split, reef, pilot, **options)
+    def explore(split, reef, policy, **options):
+        calls.append((reef, policy if isinstance(policy, str) else policy.name, options["seconds"]))
+        return made_explore(split, reef, policy, **options)
 
     return explore
 
 
-def test_finished_dives_are_kept_and_made_anew_where_anything_is_different(tmp_path):
+def test_finished_rollouts_are_kept_and_made_anew_where_anything_is_different(tmp_path):
     calls: list = []
     loop = make_loop(SPLIT, explore=counted(calls))
-    pilots = [PILOTS + ":Settled", *REFERENCES]
+    policies = [POLICIES + ":WithOption", *REFERENCES]
     told: list = []
     first = run_rollouts(
-        loop, ["one", "two"], pilots, tmp_path, progress=lambda done, total: told.append((done, total))
+        loop, ["one", "two"], policies, tmp_path, progress=lambda done, total: told.append((done, total))
     )
     assert len(calls) == 8
     assert told == [(k, 8) for k in range(9)]
-    assert [(run.record.sequence, run.record.method) for run in first[:4]] == [("one", pilot) for pilot in pilots]
+    assert [(run.record.sequence, run.record.method) for run in first[:4]] == [("one", policy) for policy in policies]
     calls.clear()
-    again = run_rollouts(loop, ["one", "two"], pilots, tmp_path)
+    again = run_rollouts(loop, ["one", "two"], policies, tmp_path)
     assert calls == []
     assert [run.record.metrics for run in again] == [run.record.metrics for run in first]
 
-    run_rollouts(make_loop(SPLIT, 7, explore=counted(calls)), ["one"], pilots, tmp_path)
+    run_rollouts(make_loop(SPLIT, 7, explore=counted(calls)), ["one"], policies, tmp_path)
     assert {seconds for _, _, seconds in calls} == {7.0}
     assert len(calls) == 4
     calls.clear()
-    run_rollouts(loop, ["one"], [PILOTS + ":Settled[gain=2]"], tmp_path)
+    run_rollouts(loop, ["one"], [POLICIES + ":WithOption[gain=2]"], tmp_path)
     assert len(calls) == 1
     calls.clear()
     other = dataclasses.replace(SPLIT, seed=8, source=SPLIT.source.replace("seed = 7", "seed = 8"))
@@ -233,25 +233,25 @@ def test_finished_dives_are_kept_and_made_anew_where_anything_is_different(tmp_p
 def test_an_interrupted_evaluation_goes_on_from_there(tmp_path):
     calls: list = []
 
-    def stopped(split, reef, pilot, **options):
+    def stopped(split, reef, policy, **options):
         if len(calls) == 2:
             raise KeyboardInterrupt
-        return counted(calls)(split, reef, pilot, **options)
+        return counted(calls)(split, reef, policy, **options)
 
     with pytest.raises(KeyboardInterrupt):
         run_rollouts(make_loop(SPLIT, explore=stopped), ["one", "two"], REFERENCES, tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
     calls.clear()
     runs = run_rollouts(make_loop(SPLIT, explore=counted(calls)), ["one", "two"], REFERENCES, tmp_path)
-    assert [call[:2] for call in calls] == [("one", "random"), *(("two", pilot) for pilot in REFERENCES)]
+    assert [call[:2] for call in calls] == [("one", "random"), *(("two", policy) for policy in REFERENCES)]
     assert all(run.log is not None for run in runs)
 
 
-def test_processes_make_the_dives_that_one_makes(tmp_path):
+def test_processes_make_the_rollouts_that_one_makes(tmp_path):
     loop = make_loop(SPLIT, explore=made_explore)
-    pilots = [PILOTS + ":Reader", *REFERENCES]
-    alone = run_rollouts(loop, ["one", "two"], pilots, tmp_path / "1")
-    several = run_rollouts(loop, ["one", "two"], pilots, tmp_path / "2", workers=2)
+    policies = [POLICIES + ":Reader", *REFERENCES]
+    alone = run_rollouts(loop, ["one", "two"], policies, tmp_path / "1")
+    several = run_rollouts(loop, ["one", "two"], policies, tmp_path / "2", workers=2)
     assert [run.record.metrics for run in alone] == [run.record.metrics for run in several]
     names = [sorted(path.name for path in (tmp_path / name).iterdir()) for name in "12"]
     assert names[0] == names[1]
@@ -259,11 +259,11 @@ def test_processes_make_the_dives_that_one_makes(tmp_path):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
-@pytest.mark.parametrize(("pilot", "said"), [("Broken", "no such weight"), ("Short", "12 commands, got 1")])
-def test_a_pilot_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, pilot, said):
+@pytest.mark.parametrize(("policy", "message"), [("Broken", "no such weight"), ("Short", "12 commands, got 1")])
+def test_a_policy_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, policy, message):
     loop = make_loop(SPLIT, explore=made_explore)
-    failed, fine = run_rollouts(loop, ["one"], [f"{PILOTS}:{pilot}", "random"], tmp_path)
-    assert said in failed.record.failure
+    failed, fine = run_rollouts(loop, ["one"], [f"{POLICIES}:{policy}", "random"], tmp_path)
+    assert message in failed.record.failure
     assert failed.record.metrics == {"oysters_per_min": 0.0}
     assert failed.log is None
     assert fine.record.metrics["oysters_per_min"] == 13 / 0.2
@@ -272,14 +272,14 @@ def test_a_pilot_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, pilot,
     run_rollouts(
         make_loop(SPLIT, explore=counted(calls)),
         ["one"],
-        [f"{PILOTS}:{pilot}", "random"],
+        [f"{POLICIES}:{policy}", "random"],
         tmp_path,
     )
     assert len(calls) == 1
 
 
-def test_records_of_dives_say_all_that_decides_them(tmp_path):
-    (run,) = run_rollouts(make_loop(SPLIT, 6, explore=made_explore), ["two"], [PILOTS + ":Settled"], tmp_path)
+def test_records_of_rollouts_say_all_that_decides_them(tmp_path):
+    (run,) = run_rollouts(make_loop(SPLIT, 6, explore=made_explore), ["two"], [POLICIES + ":WithOption"], tmp_path)
     record = run.record
     assert (record.track, record.split, record.sequence) == ("exploration", "made", "two")
     assert record.settings == {"dive_s": 6.0, "start": 0}
@@ -289,11 +289,11 @@ def test_records_of_dives_say_all_that_decides_them(tmp_path):
     assert ResultRecord.from_json(record.to_json()) == record
 
 
-def test_dives_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
-    """The real loop, small: what a log says of itself agrees, and a second evaluation finds the same dives."""
+def test_rollouts_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
+    """The real loop, small: what a log says of itself agrees, and a second evaluation finds the same rollouts."""
     loop = make_loop(SPLIT, 4)
-    pilots = ["straight", "random"]
-    runs = run_rollouts(loop, ["one"], pilots, tmp_path)
+    policies = ["straight", "random"]
+    runs = run_rollouts(loop, ["one"], policies, tmp_path)
     for run in runs:
         log = run.log
         assert run.record.failure is None
@@ -308,7 +308,7 @@ def test_dives_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
     assert (first.commands == 3).all()
     assert (first.states[0] == second.states[0]).all()  # all begin at the same place
     assert runs[0].record.truth_digest == runs[1].record.truth_digest
-    anew = run_rollouts(loop, ["one"], pilots, tmp_path / "anew")
+    anew = run_rollouts(loop, ["one"], policies, tmp_path / "anew")
     for run, other in zip(runs, anew, strict=True):
         for field in dataclasses.fields(run.log):
             if field.name not in ("wall_s", "cpu_s"):
@@ -316,25 +316,25 @@ def test_dives_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
 
 
 @pytest.mark.parametrize("seconds", [0, -3, float("nan"), float("inf"), 0.4])
-def test_a_dive_without_a_step_is_refused(seconds):
+def test_a_rollout_without_a_step_is_refused(seconds):
     with pytest.raises(RecipeError, match="--seconds: expected at least 1"):
         make_loop(SPLIT, seconds)
 
 
-def test_a_split_of_another_track_has_no_dives(tiny_split):
+def test_a_split_of_another_track_has_no_rollouts(tiny_split):
     with pytest.raises(RecipeError, match="is of the track 'slam'"):
         make_loop(tiny_split)
 
 
-def test_pilots_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
+def test_policies_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
     split = made_split(tuple(f"r{k}" for k in range(7)))
     reefs = [sequence.name for sequence in split.sequence]
     loop = make_loop(split, explore=made_explore)
-    runs = run_rollouts(loop, reefs, [PILOTS + ":Reader", *REFERENCES], tmp_path)
+    runs = run_rollouts(loop, reefs, [POLICIES + ":Reader", *REFERENCES], tmp_path)
     found = places(runs)
-    assert set(found) == {PILOTS + ":Reader", "lawnmower"}
+    assert set(found) == {POLICIES + ":Reader", "lawnmower"}
     assert found["lawnmower"].value == pytest.approx(0.5)
-    assert found[PILOTS + ":Reader"].value == pytest.approx(0.0)
+    assert found[POLICIES + ":Reader"].value == pytest.approx(0.0)
     assert found["lawnmower"].interval.low == pytest.approx(0.5)
     assert len(places_table(found).rows) == 2
     lines = {texts[0]: texts for texts in pilots_table(runs).texts if texts[1].startswith("Oysters")}
@@ -356,27 +356,27 @@ def test_names_at_the_ends_of_curves_do_not_meet():
 
 def test_the_bow_is_drawn_where_the_camera_would_see_it(tmp_path):
     """A camera that looks along the bow, and a level vehicle: by hand."""
-    dive = labelled_views(write_labelled(tmp_path / "one.mcap", "one", label_table(1)), SPLIT.steering)
-    view = next(dive.views())
+    labelled = labelled_views(write_labelled(tmp_path / "one.mcap", "one", label_table(1)), SPLIT.steering)
+    view = next(labelled.views())
     along = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    camera = dataclasses.replace(dive.sequence.cameras["cam_front"], T_base_cam=along)
-    dive.sequence.cameras["cam_front"] = camera
+    camera = dataclasses.replace(labelled.sequence.cameras["cam_front"], T_base_cam=along)
+    labelled.sequence.cameras["cam_front"] = camera
     level = dataclasses.replace(view, state=dataclasses.replace(view.state, pitch=0.0))
-    ends, bow = bow_pixels(dive, level)
+    ends, bow = bow_pixels(labelled, level)
     f, (cx, cy) = 19.0, (15.5, 11.5)
     assert bow == pytest.approx([cx, cy])
     assert ends[3, 3] == pytest.approx([cx, cy])
     assert ends[0, 3] == pytest.approx([cx - f * np.tan(np.radians(30)), cy])  # 30 degrees to the left
     assert ends[3, 6] == pytest.approx([cx, cy + f * np.tan(np.radians(24))])  # 24 degrees down
     steep = dataclasses.replace(view, state=dataclasses.replace(view.state, pitch=np.radians(24)))
-    ends, _ = bow_pixels(dive, steep)
+    ends, _ = bow_pixels(labelled, steep)
     assert ends[3, 6] == pytest.approx([cx, cy + f * np.tan(np.radians(6))])  # the vehicle's limit is 30 degrees
     assert ends[3, 2] == pytest.approx([cx, cy - f * np.tan(np.radians(8))])
 
 
-def test_samples_are_even_over_sequences_and_time(dives, tmp_path):
-    runs = evaluate(dives, ["Reader", "Broken"], tmp_path)
-    samples = samples_of(dives, runs, 5)
+def test_samples_are_even_over_sequences_and_time(sequences, tmp_path):
+    runs = evaluate(sequences, ["Reader", "Broken"], tmp_path)
+    samples = samples_of(sequences, runs, 5)
     assert [sample.name for sample in samples] == ["one"] * 3 + ["two"] * 2
     assert [sample.view.time_s for sample in samples[:3]] == [4, 8, 12]
     for sample in samples:

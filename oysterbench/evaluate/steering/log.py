@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 class RolloutLog:
     """A rollout of K commands, step by step; the first of K + 1 moments is before the first command.
 
-    reef: the sequence's name; pilot: the policy that steered. step_s: between two moments, s. states (K + 1, 5)
+    reef: the sequence's name; policy: the policy that steered. step_s: between two moments, s. states (K + 1, 5)
     float64: x, y, z m in `map`, heading rad (from east, counter-clockwise), pitch rad (bow down positive).
     altitude (K + 1,): over the bottom, m.
     commands (K, 2) int: classes of yaw and pitch. seen (K + 1,) int: live oysters seen for the first time.
@@ -23,7 +23,7 @@ class RolloutLog:
     """
 
     reef: str
-    pilot: str
+    policy: str
     step_s: float
     states: NDArray[np.float64]
     altitude: NDArray[np.float64]

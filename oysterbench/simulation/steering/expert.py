@@ -1,7 +1,7 @@
 """The expert: it sees the truth, looks a few steps ahead, and commands what gains the most views of live oysters.
 
 A receding-horizon beam search. For each pair of classes that a plan may begin with, the best few continuations are
-kept from step to step; a plan's worth is what its pictures show for the first time, less what leaving the altitude
+kept from step to step; a plan's value is what its pictures show for the first time, less what leaving the altitude
 band, touching and being turned at the fence cost, plus what waits where it ends: the best spot that is left, by the
 time it takes to get there. Views are reckoned on cells of bottom, by range and by the edges of the picture; what stands
 in the way of what is left to the pictures themselves.
@@ -36,9 +36,9 @@ class Plan:
     discount: float = 0.97
     """Of what a later step gains: it may turn out otherwise."""
     patience_s: float = 18.0
-    """What waits loses 1/e of its worth over so long a way."""
+    """What waits loses 1/e of its value over so long a time."""
     waiting: float = 1.0
-    """Worth of what waits, against what a picture shows."""
+    """Value of what waits, against what a picture shows."""
     band_cost: float = 300.0
     """Of a step a metre outside the altitude band."""
     contact_cost: float = 100.0
@@ -90,22 +90,22 @@ class Expert:
         classes = np.stack(np.meshgrid(np.arange(len(self._yaw)), np.arange(len(self._pitch)), indexing="ij"), axis=-1)
         roots = classes.reshape(-1, 2)
         calm = plan.turn_cost * max(1.0, float(waiting.max()))
-        states, worth = self._step(np.repeat(state[None], len(roots), axis=0), roots, 0, calm)
+        states, value = self._step(np.repeat(state[None], len(roots), axis=0), roots, 0, calm)
         shown = self._shows(states, centres)
-        worth += shown @ counts
+        value += shown @ counts
         root = np.arange(len(roots))
         onward = self._onward()
         for step in range(1, plan.steps):
             parent = np.repeat(np.arange(len(states)), len(onward))
             moved, gained = self._step(states[parent], np.tile(onward, (len(states), 1)), step, calm)
             fresh = self._shows(moved, centres) & ~shown[parent]
-            total = worth[parent] + gained + plan.discount**step * (fresh @ counts)
+            total = value[parent] + gained + plan.discount**step * (fresh @ counts)
             kept = self._best_of(root[parent], total + self._waits(moved, waiting))
-            states, worth, root = moved[kept], total[kept], root[parent][kept]
+            states, value, root = moved[kept], total[kept], root[parent][kept]
             shown = shown[parent[kept]] | fresh[kept]
-        worth = worth + self._waits(states, waiting)
+        value = value + self._waits(states, waiting)
         values = np.full(len(roots), -np.inf)
-        np.maximum.at(values, root, worth)
+        np.maximum.at(values, root, value)
         return np.round(values.reshape(len(self._yaw), len(self._pitch)), 4)
 
     def _onward(self) -> NDArray[np.intp]:
@@ -120,14 +120,14 @@ class Expert:
     def _step(self, states: Array, classes: NDArray[np.intp], step: int, calm: float) -> tuple[Array, Array]:
         """States (N, 5) after commands (N, 2), and what they cost, negative (N,); calm: of a class off straight on."""
         site, plan, task = self.site, self.plan, self.site.task
-        way = advance(states, self._yaw[classes[:, 0]], self._pitch[classes[:, 1]], task)
-        way, turned = folded(way, site.half_m)
+        path = advance(states, self._yaw[classes[:, 0]], self._pitch[classes[:, 1]], task)
+        path, turned = folded(path, site.half_m)
         low, high = task.altitude_m
-        after = way[:, -1]
+        after = path[:, -1]
         altitude = site.altitude(after)
         outside = np.maximum(low - altitude, 0.0) + np.maximum(altitude - high, 0.0)
         ahead = advance(after, np.zeros(len(after)), np.zeros(len(after)), task)
-        course = np.concatenate([way, ahead], axis=1)[:, ::2]
+        course = np.concatenate([path, ahead], axis=1)[:, ::2]
         touches = (course[..., 2] < site.floor(course[..., 0], course[..., 1])).any(axis=1)
         cost = plan.band_cost * outside + plan.contact_cost * touches + plan.fence_cost * turned.any(axis=1)
         cost += calm * np.abs(classes - self._straight).sum(axis=1)
@@ -148,7 +148,7 @@ class Expert:
         return near
 
     def _waits(self, states: Array, waiting: Array) -> Array:
-        """(N,) worth of the best spot that is left, by the time to turn to it and to go there."""
+        """(N,) value of the best spot that is left, by the time to turn to it and to go there."""
         spots = np.flatnonzero(waiting)
         if not len(spots):
             return np.zeros(len(states))
@@ -157,13 +157,13 @@ class Expert:
         bearing = np.arctan2(away[..., 1], away[..., 0]) - states[:, None, 3]
         turn = np.abs(np.remainder(bearing + np.pi, 2 * np.pi) - np.pi)
         time_s = np.linalg.norm(away, axis=-1) / task.speed_m_s + turn / self._yaw.max() * task.step_s
-        worth: Array = waiting[spots] * np.exp(-time_s / self.plan.patience_s)
-        best: Array = worth.max(axis=1)
+        value: Array = waiting[spots] * np.exp(-time_s / self.plan.patience_s)
+        best: Array = value.max(axis=1)
         return self.plan.waiting * best
 
-    def _best_of(self, root: NDArray[np.intp], worth: Array) -> NDArray[np.intp]:
+    def _best_of(self, root: NDArray[np.intp], value: Array) -> NDArray[np.intp]:
         """Indices of the best `beam` plans of each root; of equals the first."""
-        order = np.lexsort((np.arange(len(root)), -np.round(worth, 4), root))
+        order = np.lexsort((np.arange(len(root)), -np.round(value, 4), root))
         first = np.searchsorted(root[order], root[order])
         return order[np.arange(len(order)) - first < self.plan.beam]
 

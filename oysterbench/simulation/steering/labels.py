@@ -18,7 +18,7 @@ from oysterbench.simulation.steering.vehicle import state_of
 def steering_csv(simulated: SimulatedSequence, task: SteeringRecipe) -> bytes:
     """Table of `Sequence.steering`, as CSV. The expert knows which oysters the pictures before have shown."""
     site = build_site(simulated, task)
-    expert, sight = Expert(site), Observation(site)
+    expert, observation = Expert(site), Observation(site)
     camera = site.camera
     n = count(simulated.recipe.duration_s, camera.rate_hz)
     stamps = clock.stamps(n, camera.rate_hz, EPOCH_NS, camera.clock_offset_ms)
@@ -27,9 +27,9 @@ def steering_csv(simulated: SimulatedSequence, task: SteeringRecipe) -> bytes:
     for stamp, body in zip(stamps.tolist(), simulated.bodies(np.arange(n) / camera.rate_hz), strict=True):
         T_map_cam = body @ site.mount
         depth, _, instances = renderer.truth(T_map_cam)
-        sight.look(T_map_cam, depth, instances)
+        observation.observe(T_map_cam, depth, instances)
         state = state_of(body[:3, 3], body[:3, :3])
-        values = expert.values(state, sight.found)
+        values = expert.values(state, observation.found)
         yaw, pitch = best(values)
         own = measure_state(site, state)
         row: dict[str, float] = {"stamp_ns": stamp, "yaw": yaw, "pitch": pitch}

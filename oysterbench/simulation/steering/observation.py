@@ -32,7 +32,7 @@ class Observation:
         """Share of the area whose bottom was seen."""
         return float(self._covered.mean())
 
-    def look(self, T_map_cam: Array, depth: NDArray[np.float32], instances: NDArray[np.uint16]) -> int:
+    def observe(self, T_map_cam: Array, depth: NDArray[np.float32], instances: NDArray[np.uint16]) -> int:
         """Take a picture's truth in; how many live oysters it shows for the first time."""
         near = (depth > 0) & (depth * self._lengths <= self.site.range_m)
         pixels = np.bincount(instances[near].astype(np.intp), minlength=len(self._index))

@@ -1,4 +1,4 @@
-"""Where a dive takes place: the fenced part of a reef, its live oysters, and how deep a hull may come."""
+"""Where a rollout takes place: the fenced part of a reef, its live oysters, and how deep a hull may come."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Site:
 
 
 def build_site(simulated: SimulatedSequence, task: SteeringRecipe) -> Site:
-    """The site of a dive over the reef of a simulated sequence, seen by the rig's first camera.
+    """The site of a rollout over the reef of a simulated sequence, seen by the rig's first camera.
 
     Raises RecipeError where the fence leaves no room.
     """

@@ -16,23 +16,23 @@ SUBSTEPS = 5  # of a command: chords of an arc of 30 degrees, to 0.05 % of its l
 
 
 def advance(states: Array, yaw: Array, pitch: Array, task: SteeringRecipe) -> Array:
-    """States (N, SUBSTEPS, 5) on the way through a step from states (N, 5), the last being its end.
+    """States (N, SUBSTEPS, 5) passed in a step from states (N, 5), the last being its end.
 
     yaw, pitch (N,) rad: by how much heading and pitch turn, evenly over the step; pitch stops at its limit.
     """
     share = np.arange(1, SUBSTEPS + 1) / SUBSTEPS
     limit = np.radians(task.max_pitch_deg)
-    way = np.empty((len(states), SUBSTEPS, 5))
-    way[..., 3] = states[:, None, 3] + yaw[:, None] * share
-    way[..., 4] = np.clip(states[:, None, 4] + pitch[:, None] * share, -limit, limit)
+    path = np.empty((len(states), SUBSTEPS, 5))
+    path[..., 3] = states[:, None, 3] + yaw[:, None] * share
+    path[..., 4] = np.clip(states[:, None, 4] + pitch[:, None] * share, -limit, limit)
     # Each chord has the mean direction of its two ends.
-    heading = way[..., 3] - yaw[:, None] * (0.5 / SUBSTEPS)
-    before = np.concatenate([states[:, None, 4], way[:, :-1, 4]], axis=1)
-    dive = 0.5 * (before + way[..., 4])
+    heading = path[..., 3] - yaw[:, None] * (0.5 / SUBSTEPS)
+    before = np.concatenate([states[:, None, 4], path[:, :-1, 4]], axis=1)
+    slope = 0.5 * (before + path[..., 4])
     length = task.speed_m_s * task.step_s / SUBSTEPS
-    chord = np.stack([np.cos(heading) * np.cos(dive), np.sin(heading) * np.cos(dive), -np.sin(dive)], axis=-1)
-    way[..., :3] = states[:, None, :3] + np.cumsum(length * chord, axis=1)
-    return way
+    chord = np.stack([np.cos(heading) * np.cos(slope), np.sin(heading) * np.cos(slope), -np.sin(slope)], axis=-1)
+    path[..., :3] = states[:, None, :3] + np.cumsum(length * chord, axis=1)
+    return path
 
 
 def turns(task: SteeringRecipe) -> tuple[Array, Array]:

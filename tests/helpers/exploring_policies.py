@@ -12,43 +12,43 @@ class Reader:
 
     name, track = "reader", "steering"
 
-    def run(self, dive):
-        for view in dive:
+    def run(self, views):
+        for view in views:
             yaw, pitch = (round((int(value) - 20) / 30) for value in view.pixels[12, 16, :2])
             yield Steering(view.name, yaw, pitch)
 
 
 class Unsure(Reader):
-    """Knows the classes, and says so with half its probability."""
+    """Knows the classes, with half its probability."""
 
     name = "unsure"
 
-    def run(self, dive):
-        for answer in super().run(dive):
+    def run(self, views):
+        for command in super().run(views):
             yield Steering(
-                answer.name,
-                yaw_probability=np.eye(7)[answer.yaw] + 1 / 7,
-                pitch_probability=np.eye(7)[answer.pitch] + 1 / 7,
+                command.name,
+                yaw_probability=np.eye(7)[command.yaw] + 1 / 7,
+                pitch_probability=np.eye(7)[command.pitch] + 1 / 7,
             )
 
 
 class Ahead:
-    """Takes all views before it answers."""
+    """Takes all views before it commands."""
 
     name, track = "ahead", "steering"
 
-    def run(self, dive):
-        for view in list(dive):
+    def run(self, views):
+        for view in list(views):
             yield Steering(view.name, 3, 3)
 
 
 class Wrong(Ahead):
-    """Answers another view."""
+    """Commands at another view."""
 
     name = "wrong"
 
-    def run(self, dive):
-        for _ in dive:
+    def run(self, views):
+        for _ in views:
             yield Steering("another", 3, 3)
 
 
@@ -57,8 +57,8 @@ class Short(Ahead):
 
     name = "short"
 
-    def run(self, dive):
-        for view in dive:
+    def run(self, views):
+        for view in views:
             yield Steering(view.name, 3, 3)
             return
 
@@ -68,8 +68,8 @@ class Broken(Ahead):
 
     name = "broken"
 
-    def run(self, dive):
-        for _ in dive:
+    def run(self, views):
+        for _ in views:
             raise ValueError("no such\nweight")
         yield
 
@@ -79,8 +79,8 @@ class Few(Ahead):
 
     name = "few"
 
-    def run(self, dive):
-        for view in dive:
+    def run(self, views):
+        for view in views:
             yield Steering(view.name, yaw_probability=np.ones(6), pitch=3)
 
 
@@ -89,8 +89,8 @@ class NotNumbers(Ahead):
 
     name = "nan"
 
-    def run(self, dive):
-        for view in dive:
+    def run(self, views):
+        for view in views:
             yield Steering(view.name, 3, pitch_probability=np.full(7, np.nan))
 
 
@@ -99,8 +99,8 @@ class Negative(Ahead):
 
     name = "negative"
 
-    def run(self, dive):
-        for view in dive:
+    def run(self, views):
+        for view in views:
             yield Steering(view.name, 3, pitch_probability=np.array([-1.0, 1, 1, 1, 1, 1, 1]))
 
 
@@ -109,15 +109,15 @@ class Outside(Ahead):
 
     name = "outside"
 
-    def run(self, dive):
-        for view in dive:
+    def run(self, views):
+        for view in views:
             yield Steering(view.name, 7, 0)
 
 
-class Settled(Reader):
+class WithOption(Reader):
     """Has an option."""
 
-    name = "settled"
+    name = "with-option"
 
     def __init__(self, gain: float = 1.0) -> None:
         self.gain = gain
