@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterator
+import sqlite3
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 from sqlalchemy import (
@@ -22,10 +24,11 @@ from sqlalchemy import (
     Table,
     Text,
     create_engine,
+    event,
     text,
 )
-from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError, DatabaseError, SQLAlchemyError
+from sqlalchemy.engine import URL, make_url
+from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import locked
@@ -91,9 +94,11 @@ class Database:
                 raise ResultError("index: expected a file for SQLite, got none")
             self.file = Path(url.database)
             self.name = str(self.file)
-            self.engine = _sqlite(self.file)
+            # Opened for each question, as the file may be replaced by another at any time.
+            place = f"sqlite:///file:{quote(str(self.file.resolve()))}?mode=rw&uri=true"
+            self.engine = open_engine(place, poolclass=NullPool)
         elif url.get_backend_name() == "postgresql":
-            self.engine = create_engine(url, pool_size=16, max_overflow=64)
+            self.engine = open_engine(url, pool_size=16, max_overflow=64)
         else:
             raise ResultError(f"index: expected SQLite or PostgreSQL, got {url.get_backend_name()}")
 
@@ -105,9 +110,9 @@ class Database:
     def reading(self) -> Iterator[Connection]:
         """A connection whose questions are all answered from one state of the index. Raises ResultError in one line."""
         try:
-            with self.engine.connect() as connection:
-                begin = "SET TRANSACTION ISOLATION LEVEL REPEATABLE READ" if self.file is None else "BEGIN"
-                connection.execute(text(begin))
+            with self.engine.begin() as connection:
+                if self.file is None:
+                    connection.execute(text("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ"))
                 yield connection
         except SQLAlchemyError as error:
             raise self._in_one_line(error) from None
@@ -117,44 +122,56 @@ class Database:
         """The one transaction of the only writer, on any host; readers see the old state until it ends. The tables are
         made where there are none; a file that is no database is replaced."""
         try:
-            if self.file is None:
-                with self.engine.begin() as connection:
+            with contextlib.ExitStack() as stack:
+                if self.file is not None:
+                    stack.enter_context(locked(self.file.with_name(f".{self.file.name}.lock")))
+                    _make_file(self.file)
+                connection = stack.enter_context(self.engine.execution_options(writes=True).begin())
+                if self.file is None:
                     connection.execute(text(f"SELECT pg_advisory_xact_lock({_LOCK})"))
-                    METADATA.create_all(connection)
-                    yield connection
-                return
-            with locked(self.file.with_name(f".{self.file.name}.lock")):
-                self._make_file(self.file)
-                with self.engine.begin() as connection:
-                    connection.execute(text("BEGIN IMMEDIATE"))
-                    METADATA.create_all(connection)
-                    yield connection
-        except SQLAlchemyError as error:
+                METADATA.create_all(connection)
+                yield connection
+        except (SQLAlchemyError, sqlite3.Error) as error:
             raise self._in_one_line(error) from None
 
-    def _make_file(self, file: Path) -> None:
-        """An SQLite file in the mode in which readers and the writer do not wait for each other."""
-        for attempt in range(2):
-            file.touch()
-            try:
-                with self.engine.connect() as connection:
-                    connection.execute(text("PRAGMA journal_mode = WAL"))
-                return
-            except DatabaseError:
-                if attempt:
-                    raise
-                for suffix in ("", "-wal", "-shm", "-journal"):
-                    file.with_name(file.name + suffix).unlink(missing_ok=True)
-
-    def _in_one_line(self, error: SQLAlchemyError) -> ResultError:
+    def _in_one_line(self, error: Exception) -> ResultError:
         message = " ".join(str(getattr(error, "orig", None) or error).split())
         return ResultError(f"index {self.name}: {message:.200}; `oysterbench leaderboard rebuild` makes it anew")
 
 
-def _sqlite(path: Path) -> Engine:
-    """Connections that are opened for each question, as the file may be replaced by another at any time."""
-    return create_engine(
-        f"sqlite:///file:{quote(str(path.resolve()))}?mode=rw&uri=true",
-        poolclass=NullPool,
-        connect_args={"timeout": 60, "check_same_thread": False},
-    )
+def _make_file(file: Path) -> None:
+    """An SQLite file in the mode in which readers and the writer do not wait for each other."""
+    for attempt in range(2):
+        try:
+            with contextlib.closing(sqlite3.connect(file, timeout=60)) as connection:
+                connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.DatabaseError:
+            if attempt:
+                raise
+            for suffix in ("", "-wal", "-shm", "-journal"):
+                file.with_name(file.name + suffix).unlink(missing_ok=True)
+
+
+def open_engine(url: str | URL, pragmas: Iterable[str] = (), **options: Any) -> Engine:
+    """Connections to SQLite or PostgreSQL; a transaction with the execution option `writes` waits for other writers.
+
+    pragmas: of SQLite, set on every connection; options: of `create_engine`
+    """
+    if not str(url).startswith("sqlite"):
+        return create_engine(url, **options)
+    engine = create_engine(url, connect_args={"timeout": 60.0, "check_same_thread": False}, **options)
+
+    @event.listens_for(engine, "connect")
+    def connected(connection: Any, record: Any) -> None:
+        connection.isolation_level = None  # the driver begins transactions too late, and never for reading
+        for pragma in pragmas:
+            connection.execute(f"PRAGMA {pragma}")
+
+    @event.listens_for(engine, "begin")
+    def begin(connection: Connection) -> None:
+        # A writer that begins as a reader fails where another one writes between; one that says so at once waits.
+        writes = connection.get_execution_options().get("writes")
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+    return engine

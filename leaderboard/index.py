@@ -10,7 +10,7 @@ import re
 import threading
 from array import array
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,6 +35,9 @@ MOST_WANTED = 500
 
 LEAST_DIGITS = 8
 """Of a digest that is given short."""
+
+Ends = tuple[float | None, float | None]
+"""Low and high of an interval."""
 
 _PREFIX = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
 _STORED = [key for key in Row.__dataclass_fields__ if key not in ("metrics", "low", "high")]
@@ -213,12 +216,13 @@ class BoardIndex:
         return made
 
     def _rows(self, connection: Connection, found: Sequence[RowMapping]) -> list[Row]:
-        """Rows as they are asked for, with the intervals of their scores, which are computed now."""
+        """Rows as they are asked for, with the intervals of their scores, computed when first asked for."""
         boards = self._boards(connection)
-        intervals: dict[str, tuple[float | None, float | None]] = {}
+        intervals: dict[str, Ends] = self._remembered((meta(connection).get("revision"), "intervals"), dict)
         for board in {row["board"] for row in found}:
-            digests = [row["digest"] for row in found if row["board"] == board]
-            intervals |= _intervals(connection, boards[board], digests)
+            lacking = [row["digest"] for row in found if row["board"] == board and row["digest"] not in intervals]
+            if lacking:
+                intervals |= _intervals(connection, boards[board], lacking)
         rows = []
         for row in found:
             metrics = {key: row[f"m{i}"] for i, key in enumerate(boards[row["board"]].columns)}
@@ -227,9 +231,7 @@ class BoardIndex:
         return rows
 
 
-def _intervals(
-    connection: Connection, board: BoardInfo, digests: Sequence[str]
-) -> Mapping[str, tuple[float | None, float | None]]:
+def _intervals(connection: Connection, board: BoardInfo, digests: Sequence[str]) -> dict[str, Ends]:
     """Of the scores of some records of a board."""
     asked = select(SUMMARIES)
     found: dict[str, Any] = {}

@@ -7,7 +7,8 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import combinations
+from functools import partial
+from itertools import permutations
 from pathlib import Path
 
 from oysterbench.core.errors import ResultError
@@ -18,17 +19,11 @@ from oysterbench_leaderboard.site.datasets import all_data_sets
 from oysterbench_leaderboard.site.links import FileLinks, file_of, numbered, pair_path
 from oysterbench_leaderboard.site.openapi import describe
 from oysterbench_leaderboard.site.page import Page
-from oysterbench_leaderboard.site.pages.board import MOST_ROWS, STATES, board_page
-from oysterbench_leaderboard.site.pages.compare import PAIRED, compare_page
-from oysterbench_leaderboard.site.pages.data import data_page, split_page
-from oysterbench_leaderboard.site.pages.home import home_page
-from oysterbench_leaderboard.site.pages.literature import literature_page
-from oysterbench_leaderboard.site.pages.log import log_page
-from oysterbench_leaderboard.site.pages.method import method_page
-from oysterbench_leaderboard.site.pages.prose import about_page, submit_page
-from oysterbench_leaderboard.site.pages.record import record_page
+from oysterbench_leaderboard.site.pages.board import MOST_ROWS, STATES
+from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.paths import board_path, data_path, method_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.representations import represent
+from oysterbench_leaderboard.site.routes import ROUTES
 from oysterbench_leaderboard.site.site import Site
 
 MARK = ".oysterbench-board"
@@ -97,50 +92,42 @@ def files(site: Site, progress: Progress = lambda done, of: None) -> Iterator[tu
 
 
 def _work(site: Site) -> Iterator[Work]:
-    yield Work("/", lambda: home_page(site))
-    for path, make in (
-        ("/data", data_page),
-        ("/literature", literature_page),
-        ("/submit", submit_page),
-        ("/log", log_page),
-        ("/about", about_page),
-    ):
-        yield Work(path, lambda make=make: make(site))  # type: ignore[misc]
+    makers = {route.path: route.make for route in ROUTES}
+
+    def work(path: str, route: str, asked: object = (), **given: str) -> Work:
+        return Work(path, partial(makers[route], site, given, asked))
+
+    for route in ROUTES:
+        if not route.parts and not route.query:
+            yield work(route.path, route.path)
     for name in all_data_sets(site):
-        yield Work(data_path(name), lambda name=name: split_page(site, slug(name)))  # type: ignore[misc]
+        yield work(data_path(name), "/data/{split}", split=slug(name))
     pairs: set[tuple[str, str]] = set()
     for info in site.index.boards():
-        yield from _board(site, info)
+        given = {"track": slug(info.track), "split": slug(info.split)}
+        for number in range(1, site.index.page(info.id, Query(size=MOST_ROWS)).pages + 1):
+            query = Query(page=number, size=MOST_ROWS)
+            if info.newest:
+                path = numbered(split_path(info.track, info.split), number)
+                yield work(path, "/boards/{track}/{split}", query, **given)
+            path = numbered(board_path(info), number)
+            yield work(path, "/boards/{track}/{split}/{board}", query, **given, board=info.id)
         for digest in _digests(site, info):
-            yield Work(record_path(digest), lambda digest=digest: record_page(site, digest))  # type: ignore[misc]
+            yield work(record_path(digest), "/records/{digest}", digest=digest)
         if info.newest:
             first = [row.digest for row in site.index.page(info.id, Query(size=PAIRED)).rows]
-            pairs |= set(combinations(first, 2))
+            pairs |= set(permutations(first, 2))
     for method in sorted({method for method, _, _ in site.index.methods()}):
-        yield Work(method_path(method), lambda method=method: method_page(site, slug(method)))  # type: ignore[misc]
-    for a, b in sorted({(a, b) for x, y in pairs for a, b in ((x, y), (y, x))}):
-        yield Work(pair_path(a, b), lambda a=a, b=b: compare_page(site, a, b))  # type: ignore[misc]
-
-
-def _board(site: Site, info: BoardInfo) -> Iterator[Work]:
-    pages = site.index.page(info.id, Query(size=MOST_ROWS)).pages
-    for path, board in ((split_path(info.track, info.split), None), (board_path(info), info.id)):
-        for number in range(1, pages + 1) if info.newest or board else ():
-            query = Query(page=number, size=MOST_ROWS)
-            yield Work(
-                numbered(path, number),
-                lambda board=board, query=query: board_page(  # type: ignore[misc]
-                    site, slug(info.track), slug(info.split), board, query
-                ),
-            )
+        yield work(method_path(method), "/methods/{method}", method=slug(method))
+    for pair in sorted(pairs):
+        yield work(pair_path(*pair), "/compare", pair)
 
 
 def _digests(site: Site, info: BoardInfo) -> Iterator[str]:
-    number, pages = 1, 1
-    while number <= pages:
-        found = site.index.page(info.id, Query(states=STATES, page=number, size=MOST_ROWS))
-        pages, number = found.pages, number + 1
-        yield from (row.digest for row in found.rows)
+    """Of all records of a board, whatever became of them."""
+    query = Query(states=STATES, size=MOST_ROWS)
+    for number in range(1, site.index.page(info.id, query).pages + 1):
+        yield from (row.digest for row in site.index.page(info.id, replace(query, page=number)).rows)
 
 
 def _write(path: Path, data: bytes, before: Path) -> None:

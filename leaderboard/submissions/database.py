@@ -16,7 +16,6 @@ from typing import Annotated, Any, Literal, get_type_hints
 from sqlalchemy import (
     Column,
     Connection,
-    Engine,
     Float,
     Index,
     Integer,
@@ -25,8 +24,6 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
-    create_engine,
-    event,
     insert,
     select,
     update,
@@ -34,6 +31,7 @@ from sqlalchemy import (
 from sqlalchemy.exc import SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
+from oysterbench_leaderboard.database import open_engine
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 State = Literal["queued", "running", "done", "failed", "withdrawn"]
@@ -133,7 +131,8 @@ class Database:
         settings.folder.mkdir(parents=True, exist_ok=True)
         os.chmod(settings.folder, 0o700)
         try:
-            self.engine = _engine(settings.url)
+            pragmas = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON")
+            self.engine = open_engine(settings.url, pragmas, pool_pre_ping=True)
             self._writing = self.engine.execution_options(writes=True)
             metadata.create_all(self._writing)
         except (SQLAlchemyError, ImportError) as error:
@@ -155,26 +154,6 @@ class Database:
     def close(self) -> None:
         """No more connections."""
         self.engine.dispose()
-
-
-def _engine(url: str) -> Engine:
-    if not url.startswith("sqlite"):
-        return create_engine(url, pool_pre_ping=True)
-    engine = create_engine(url, connect_args={"timeout": 60.0})
-
-    @event.listens_for(engine, "connect")
-    def connected(connection: Any, record: Any) -> None:
-        connection.isolation_level = None  # the driver begins transactions too late, and never for reading
-        for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
-            connection.execute(f"PRAGMA {pragma}")
-
-    @event.listens_for(engine, "begin")
-    def begin(connection: Connection) -> None:
-        # A writer that begins as a reader fails where another one writes between; one that says so at once waits.
-        writes = connection.get_execution_options().get("writes")
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
-
-    return engine
 
 
 def log_event(connection: Connection, at: str, who: str, what: str, submission: str = "", why: str = "") -> None:
