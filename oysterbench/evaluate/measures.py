@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Score:
+    """Values by keys of a track's metrics; NaN where there is none, with the reason in `reasons`."""
+
+    metrics: Mapping[str, float]
+    reasons: Mapping[str, str]
 
 
 @dataclass

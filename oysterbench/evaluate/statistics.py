@@ -146,27 +146,12 @@ def summarise(sample: Sample, weights: Sample | None = None) -> Summary:
     means = np.array(list(weighed_means(sample, weights).values()))
     shares = None if weights is None else np.array(list(sequence_weights(sample, weights).values()))
     runs = [[value for value in values if not math.isnan(value)] for _, values in sorted(sample.items())]
-    counts: dict[str, int] = {
-        "sequences": len(means),
-        "of_sequences": len(sample),
-        "runs": sum(map(len, runs)),
-        "of_runs": sum(map(len, sample.values())),
-    }
+    counts = (len(means), len(sample), sum(map(len, runs)), sum(map(len, sample.values())))
     if not len(means):
         nan, reason = math.nan, "no run has a value"
-        return Summary(
-            **counts,
-            mean=nan,
-            median=nan,
-            low=nan,
-            high=nan,
-            sequence_deviation=nan,
-            run_deviation=nan,
-            interval=Interval(nan, nan, reason),
-            reason=reason,
-        )
+        return Summary(*counts, nan, nan, nan, nan, nan, nan, Interval(nan, nan, reason), reason)
     return Summary(
-        **counts,
+        *counts,
         mean=mean_of(means, shares),
         median=float(np.median(means)),
         low=float(means.min()),

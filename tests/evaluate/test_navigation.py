@@ -127,7 +127,7 @@ def test_of_commands_that_are_worth_the_same_any_is_right():
     assert labels.skill(action_values, other) == 1.0
     alike = score_pictures(
         replace(truth, action_values=np.ones((5, 7, 7))),
-        Commands(other, labels.one_hot(other[:, 0], 7), np.eye(7)[other[:, 1]]),
+        Commands(other, np.eye(7)[other[:, 0]], np.eye(7)[other[:, 1]]),
     )
     assert math.isnan(alike.metrics["skill"])
     assert "makes" not in alike.reasons["skill"]
@@ -137,7 +137,7 @@ def test_of_commands_that_are_worth_the_same_any_is_right():
 
 def test_a_miss_by_six_costs_six_times_a_miss_by_one():
     true = np.zeros(4, dtype=int)
-    near, far = (labels.expected_cost(true, labels.one_hot(np.full(4, c), 7), np.arange(7.0)) for c in (1, 6))
+    near, far = (labels.expected_cost(true, np.eye(7)[np.full(4, c)], np.arange(7.0)) for c in (1, 6))
     assert far == 6 * near == 6
 
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from oysterbench.evaluate.density.metrics import DENSITY as METRICS
-from oysterbench.evaluate.measures import Measures
+from oysterbench.evaluate.measures import Measures, Score
 
-__all__ = ["EVALUATOR", "METRICS", "Cell", "DensityScore", "MapCount", "TrueCount", "score_density"]
+__all__ = ["EVALUATOR", "METRICS", "Cell", "MapCount", "TrueCount", "score_density"]
 
 EVALUATOR = "density 1"
 """Name and version of this evaluator; the version rises whenever a number may change."""
@@ -64,15 +64,7 @@ class MapCount:
     found: frozenset[int]
 
 
-@dataclass(frozen=True)
-class DensityScore:
-    """Values by keys of `METRICS`; NaN where there is no sample, with the reason in `reasons`."""
-
-    metrics: Mapping[str, float]
-    reasons: Mapping[str, str]
-
-
-def score_density(truth: TrueCount, estimate: MapCount) -> DensityScore:
+def score_density(truth: TrueCount, estimate: MapCount) -> Score:
     """Score a map: cells that were truly seen are asked about, and no others."""
     measures = Measures()
     asked = len(truth.cells)
@@ -101,7 +93,7 @@ def score_density(truth: TrueCount, estimate: MapCount) -> DensityScore:
     )
     measures["area_m2"] = truth.area_m2
     measures.ratio("density_truth_live_per_m2", truth.live, truth.area_m2, "nothing was seen")
-    return DensityScore(measures.values, measures.reasons)
+    return Score(measures.values, measures.reasons)
 
 
 def _class(per_m2: float) -> int:

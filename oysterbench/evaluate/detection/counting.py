@@ -79,14 +79,11 @@ def count_metrics(counts: Sequence[ImageCount]) -> tuple[dict[str, float], dict[
     metrics["count_error"] = metrics["count_estimate"] - metrics["count_truth"]
     known = ~np.isnan(areas) & (areas > 0)
     if not known.any():
-        return {**metrics, "density_error_per_m2": math.nan, "density_mae_per_m2": math.nan}, {
-            "density_error_per_m2": NO_FOOTPRINT,
-            "density_mae_per_m2": NO_FOOTPRINT,
-        }
-    density = errors[known] / areas[known]
-    metrics["density_error_per_m2"] = float(errors[known].sum() / areas[known].sum())
-    metrics["density_mae_per_m2"] = float(np.abs(density).mean())
-    metrics["density_truth_per_m2"] = float(
-        sum(each.truth for each, k in zip(counts, known, strict=True) if k) / areas[known].sum()
-    )
+        missing = ("density_error_per_m2", "density_mae_per_m2")
+        return metrics | dict.fromkeys(missing, math.nan), dict.fromkeys(missing, NO_FOOTPRINT)
+    errors, areas = errors[known], areas[known]
+    truth = sum(each.truth for each, k in zip(counts, known, strict=True) if k)
+    metrics["density_error_per_m2"] = float(errors.sum() / areas.sum())
+    metrics["density_mae_per_m2"] = float(np.abs(errors / areas).mean())
+    metrics["density_truth_per_m2"] = float(truth / areas.sum())
     return metrics, {}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,7 @@ class PanopticCounts:
     missed: int = 0
 
     def __add__(self, other: PanopticCounts) -> PanopticCounts:
-        return PanopticCounts(
-            self.matched + other.matched,
-            self.overlap + other.overlap,
-            self.extra + other.extra,
-            self.missed + other.missed,
-        )
+        return PanopticCounts(*map(add, astuple(self), astuple(other)))
 
     @property
     def quality(self) -> tuple[float, float, float]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.segmentation.images import EstimateImage, TruthImage, check_pair
-from oysterbench.evaluate.segmentation.measures import measure
+from oysterbench.evaluate.segmentation.measures import measure, weights
 from oysterbench.evaluate.segmentation.settings import SegmentationSettings
 from oysterbench.evaluate.segmentation.tally import Tally, add, tally_image
 from oysterbench.evaluate.segmentation.thresholds import STEPS, ThresholdCurve, curve, histogram
@@ -104,25 +104,3 @@ def join(results: list[ClipResult]) -> ClipResult:
     counts = np.sum(histograms, axis=0) if len(histograms) == len(results) else None
     images = tuple(image for result in results for image in result.images)
     return finish(add([result.tally for result in results]), counts, images, results[0].settings)
-
-
-def weights(tally: Mapping[str, float]) -> dict[str, float]:
-    """The denominators: by them clips count in a mean (`Metric.weight`)."""
-    hit, extra, missed = (tally[f"{name}_px"] for name in ("true_positive", "false_positive", "false_negative"))
-    found = {key: tally[key] for key in ("images", "scored_images", "empty_images", "empty_px", "ignored_px")}
-    found |= {
-        "union_px": hit + extra + missed,
-        "truth_px": hit + missed,
-        "estimate_px": hit + extra,
-        "dice_px": 2 * hit + extra + missed,
-        "asked_px": hit + extra + missed + tally["true_negative_px"],
-        "boundary_union_px": tally["boundary_union_px"],
-    }
-    for key, value in tally.items():
-        if key.startswith("range_") and key.endswith("_true_positive_px"):
-            name = key.removeprefix("range_").removesuffix("_true_positive_px")
-            others = sum(tally[f"range_{name}_{part}_px"] for part in ("false_positive", "false_negative"))
-            found[f"weight_iou_range_{name}_px"] = value + others
-        elif key.startswith(("area_", "height_")) and key.endswith("_truth_px"):
-            found[f"weight_recall_{key.removesuffix('_truth_px')}_px"] = value
-    return found

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from oysterbench.evaluate.segmentation.metrics import SEGMENTATION
 from oysterbench.recipe import CLASSES
 
 NO_OYSTER = "there is no oyster in the truth"
@@ -15,6 +16,16 @@ NOTHING_CALLED = "nothing is called oyster"
 NO_EMPTY_IMAGE = "there is no image without oysters"
 NO_IMAGE = "there is no image with pixels to be asked about"
 ABSENT = "neither truth nor estimate has it"
+_REASONS = {
+    "precision": NOTHING_CALLED,
+    "recall": NO_OYSTER,
+    **dict.fromkeys(("empty_false_positive_rate", "empty_images_called"), NO_EMPTY_IMAGE),
+    **dict.fromkeys(("image_iou", "image_dice", "cover", "cover_error"), NO_IMAGE),
+}
+ONE_IF_EMPTY = ("iou", "dice", "boundary_iou")
+"""Right where neither truth nor estimate has an oyster."""
+
+_PARTS = ("true_positive", "false_positive", "false_negative")
 
 _RANGE = re.compile(r"range_(\w[\w.]*)_true_positive_px")
 _SIZE = re.compile(r"((?:area|height)_\w[\w.]*)_truth_px")
@@ -25,43 +36,53 @@ def measure(tally: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
 
     Counts may be numbers, or arrays (R,) of resamples; the metrics are alike. Of arrays, no reasons are given.
     """
-    hit, extra, missed = (
-        np.asarray(tally[f"{name}_px"], dtype=float) for name in ("true_positive", "false_positive", "false_negative")
-    )
-    union = hit + extra + missed
-    values: dict[str, Any] = {
-        "iou": _ratio(hit, union, 1.0),
-        "dice": _ratio(2 * hit, 2 * hit + extra + missed, 1.0),
-        "precision": _ratio(hit, hit + extra),
-        "recall": _ratio(hit, hit + missed),
-        "boundary_iou": _ratio(tally["boundary_intersection_px"], tally["boundary_union_px"], 1.0),
-        "image_iou": _ratio(tally["image_iou_sum"], tally["scored_images"]),
-        "image_dice": _ratio(tally["image_dice_sum"], tally["scored_images"]),
-        "empty_false_positive_rate": _ratio(tally["empty_called_px"], tally["empty_px"]),
-        "empty_images_called": _ratio(tally["empty_images_called"], tally["empty_images"]),
-        "cover": _ratio(hit + missed, union + tally["true_negative_px"]),
-        "cover_error": _ratio(extra - missed, union + tally["true_negative_px"]),
-    }
-    reasons = {
-        "precision": NOTHING_CALLED,
-        "recall": NO_OYSTER,
-        "empty_false_positive_rate": NO_EMPTY_IMAGE,
-        "empty_images_called": NO_EMPTY_IMAGE,
-        **dict.fromkeys(("image_iou", "image_dice", "cover", "cover_error"), NO_IMAGE),
-    }
+    values = {key: _ratio(*parts, 1.0 if key in ONE_IF_EMPTY else np.nan) for key, parts in _of_all(tally).items()}
     values |= _classes(tally)
-    for key in tally:
-        if (match := _RANGE.fullmatch(key)) is not None:
-            parts = [np.asarray(tally[f"range_{match[1]}_{part}_px"], float) for part in _PARTS]
-            values[f"iou_range_{match[1]}"] = _ratio(parts[0], sum(parts))
-        elif (match := _SIZE.fullmatch(key)) is not None:
-            values[f"recall_{match[1]}"] = _ratio(tally[f"{match[1]}_found_px"], tally[key])
+    values |= {key: _ratio(*parts) for key, parts in _of_strata(tally).items()}
     return values, {
-        key: reasons.get(key, ABSENT) for key, value in values.items() if np.ndim(value) == 0 and np.isnan(value)
+        key: _REASONS.get(key, ABSENT) for key, value in values.items() if np.ndim(value) == 0 and np.isnan(value)
     }
 
 
-_PARTS = ("true_positive", "false_positive", "false_negative")
+def weights(tally: Mapping[str, float]) -> dict[str, float]:
+    """The denominators: by them clips count in a mean (`Metric.weight`)."""
+    found = {key: tally[key] for key in ("images", "scored_images", "empty_images", "empty_px", "ignored_px")}
+    parts = _of_all(tally)
+    for key in ("iou", "recall", "precision", "dice", "cover", "boundary_iou"):
+        found[SEGMENTATION[key].weight] = parts[key][1]
+    return found | {f"weight_{key}_px": below for key, (_, below) in _of_strata(tally).items()}
+
+
+def _of_all(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Numerator and denominator of each metric of all pixels or images."""
+    hit, extra, missed = (tally[f"{part}_px"] for part in _PARTS)
+    union = hit + extra + missed
+    asked = union + tally["true_negative_px"]
+    return {
+        "iou": (hit, union),
+        "dice": (2 * hit, 2 * hit + extra + missed),
+        "precision": (hit, hit + extra),
+        "recall": (hit, hit + missed),
+        "boundary_iou": (tally["boundary_intersection_px"], tally["boundary_union_px"]),
+        "image_iou": (tally["image_iou_sum"], tally["scored_images"]),
+        "image_dice": (tally["image_dice_sum"], tally["scored_images"]),
+        "empty_false_positive_rate": (tally["empty_called_px"], tally["empty_px"]),
+        "empty_images_called": (tally["empty_images_called"], tally["empty_images"]),
+        "cover": (hit + missed, asked),
+        "cover_error": (extra - missed, asked),
+    }
+
+
+def _of_strata(tally: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Numerator and denominator of each metric of a class of range, area or height."""
+    found = {}
+    for key in tally:
+        if match := _RANGE.fullmatch(key):
+            hit, *others = (tally[f"range_{match[1]}_{part}_px"] for part in _PARTS)
+            found[f"iou_range_{match[1]}"] = (hit, hit + sum(others))
+        elif match := _SIZE.fullmatch(key):
+            found[f"recall_{match[1]}"] = (tally[f"{match[1]}_found_px"], tally[key])
+    return found
 
 
 def _classes(tally: Mapping[str, Any]) -> dict[str, Any]:

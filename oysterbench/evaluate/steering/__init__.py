@@ -2,7 +2,7 @@
 
 from oysterbench.evaluate.steering.log import RolloutLog
 from oysterbench.evaluate.steering.pictures import Commands, Labels, PictureScore, score_pictures
-from oysterbench.evaluate.steering.rollouts import NormalisedScore, RolloutScore, normalised_score, score_rollout
+from oysterbench.evaluate.steering.rollouts import NormalisedScore, normalised_score, score_rollout
 
 EVALUATOR = "navigation 1"
 """Name and version of this evaluator; the version rises whenever a number may change."""
@@ -14,7 +14,6 @@ __all__ = [
     "NormalisedScore",
     "PictureScore",
     "RolloutLog",
-    "RolloutScore",
     "normalised_score",
     "score_pictures",
     "score_rollout",

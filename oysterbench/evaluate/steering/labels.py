@@ -67,11 +67,6 @@ def expected_cost(truth: Classes, probability: Array, turns: Array) -> float:
     return _mean((probability * off).sum(axis=1))
 
 
-def one_hot(commanded: Classes, classes: int) -> Array:
-    """(N, C) probabilities of who only says which."""
-    return np.eye(classes)[commanded]
-
-
 def regrets(action_values: Array, commanded: Classes) -> Array:
     """(N,) what each command (N, 2) loses against the best one, in oysters: at least 0."""
     best: Array = action_values.max(axis=(1, 2))

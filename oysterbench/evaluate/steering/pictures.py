@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
+from oysterbench.evaluate.measures import Score
 from oysterbench.evaluate.steering import labels
 from oysterbench.recipe.steering import SteeringRecipe
 
@@ -57,14 +57,10 @@ class Commands:
 
 
 @dataclass(frozen=True)
-class PictureScore:
-    """Values by keys of `metrics.PICTURES`; NaN where there is none, with the reason in `reasons`.
+class PictureScore(Score):
+    """Values by keys of `metrics.PICTURES`; yaw, pitch: pictures by the expert's class, the row, and the commanded one,
+    the column."""
 
-    yaw, pitch: pictures by the expert's class, the row, and the commanded one, the column.
-    """
-
-    metrics: Mapping[str, float]
-    reasons: Mapping[str, str]
     yaw: NDArray[np.int64]
     pitch: NDArray[np.int64]
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
-from oysterbench.evaluate.measures import Measures
+from oysterbench.evaluate.measures import Measures, Score
 from oysterbench.evaluate.statistics import (
     Interval,
     Sample,
@@ -21,14 +20,6 @@ from oysterbench.evaluate.statistics import (
 )
 from oysterbench.evaluate.steering.log import RolloutLog
 from oysterbench.recipe.steering import SteeringRecipe
-
-
-@dataclass(frozen=True)
-class RolloutScore:
-    """Values by keys of `metrics.ROLLOUTS`; NaN where there is none, with the reason in `reasons`."""
-
-    metrics: Mapping[str, float]
-    reasons: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -44,8 +35,8 @@ class NormalisedScore:
     reason: str = ""
 
 
-def score_rollout(log: RolloutLog, task: SteeringRecipe) -> RolloutScore:
-    """Measure a rollout."""
+def score_rollout(log: RolloutLog, task: SteeringRecipe) -> Score:
+    """Measure a rollout: values by keys of `metrics.ROLLOUTS`."""
     measures = Measures()
     steps = len(log.commands)
     minutes = steps * log.step_s / 60.0
@@ -69,7 +60,7 @@ def score_rollout(log: RolloutLog, task: SteeringRecipe) -> RolloutScore:
     measures.ratio("steps_per_s", steps, log.wall_s, "no time was measured")
     measures["dive_s"] = steps * log.step_s
     measures["wall_s"], measures["cpu_s"] = float(log.wall_s), float(log.cpu_s)
-    return RolloutScore(measures.values, measures.reasons)
+    return Score(measures.values, measures.reasons)
 
 
 def episodes(marked: NDArray[np.bool_]) -> int:
