@@ -60,7 +60,10 @@ ROWS = Table(
     *(Column(key, TEXT) for key in ("board", "method", "team", "words", "tier", "url", "summary", "created")),
     *(Column(key, TEXT) for key in ("supersedes", "state")),
     *(Column(key, Integer) for key in ("position", "place", "rank", "sequences", "runs", "failures")),
-    *(Column(key, Float(53)) for key in ("score", "data_set", "coverage", *(f"m{i}" for i in range(MOST_COLUMNS)))),
+    *(
+        Column(key, Float(53))
+        for key in ("score", "low", "high", "data_set", "coverage", *(f"m{i}" for i in range(MOST_COLUMNS)))
+    ),
     Column("tied", Boolean),
     Index("oysterbench_rows_in_order", "board", "position"),
     Index("oysterbench_rows_of_method", "method", "team"),
@@ -68,7 +71,7 @@ ROWS = Table(
 """`board.Row`. words: method and team, for searching; m0, m1, ...: `COLUMNS` of the track, in their order."""
 
 SUMMARIES = Table("oysterbench_summaries", METADATA, Column("digest", TEXT, primary_key=True), Column("data", TEXT))
-"""`RecordSummary` as JSON: what a board is ranked by, and its intervals are made of."""
+"""`RecordSummary` as JSON: what a board is ranked by."""
 
 PROBLEMS = Table("oysterbench_problems", METADATA, Column("file", TEXT, primary_key=True), Column("reason", TEXT))
 """Files that were left out, and why."""

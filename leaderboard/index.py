@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
 import re
 import threading
@@ -20,10 +19,9 @@ from oysterbench.core.errors import ResultError
 from oysterbench.core.files import home
 from oysterbench.evaluate.statistics import sequence_means
 from oysterbench.results.records import samples
-from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row
-from oysterbench_leaderboard.database import BOARDS, METADATA, PROBLEMS, ROWS, SUMMARIES, Database
-from oysterbench_leaderboard.index_writer import Progress, decode_summary, inputs_of, meta, schema, write
+from oysterbench_leaderboard.database import BOARDS, METADATA, PROBLEMS, ROWS, Database
+from oysterbench_leaderboard.index_writer import Progress, inputs_of, meta, schema, write
 from oysterbench_leaderboard.record_summary import COLUMNS
 from oysterbench_leaderboard.store import RecordStore
 
@@ -36,11 +34,8 @@ MOST_WANTED = 500
 LEAST_DIGITS = 8
 """Of a digest that is given short."""
 
-Ends = tuple[float | None, float | None]
-"""Low and high of an interval."""
-
 _PREFIX = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
-_STORED = [key for key in Row.__dataclass_fields__ if key not in ("metrics", "low", "high")]
+_STORED = [key for key in Row.__dataclass_fields__ if key != "metrics"]
 
 
 def open_index(store: RecordStore, url: str | None = None) -> BoardIndex:
@@ -216,40 +211,13 @@ class BoardIndex:
         return made
 
     def _rows(self, connection: Connection, found: Sequence[RowMapping]) -> list[Row]:
-        """Rows as they are asked for, with the intervals of their scores, computed when first asked for."""
+        """Rows as they are asked for."""
         boards = self._boards(connection)
-        intervals: dict[str, Ends] = self._remembered((meta(connection).get("revision"), "intervals"), dict)
-        for board in {row["board"] for row in found}:
-            lacking = [row["digest"] for row in found if row["board"] == board and row["digest"] not in intervals]
-            if lacking:
-                intervals |= _intervals(connection, boards[board], lacking)
         rows = []
         for row in found:
             metrics = {key: row[f"m{i}"] for i, key in enumerate(boards[row["board"]].columns)}
-            low, high = intervals[row["digest"]]
-            rows.append(Row(**{key: row[key] for key in _STORED}, low=low, high=high, metrics=metrics))
+            rows.append(Row(**{key: row[key] for key in _STORED}, metrics=metrics))
         return rows
-
-
-def _intervals(connection: Connection, board: BoardInfo, digests: Sequence[str]) -> dict[str, Ends]:
-    """Of the scores of some records of a board."""
-    asked = select(SUMMARIES)
-    found: dict[str, Any] = {}
-    for i in range(0, len(digests), MOST_WANTED):
-        wanted = asked.where(SUMMARIES.c.digest.in_(digests[i : i + MOST_WANTED]))
-        found |= {digest: decode_summary(data) for digest, data in connection.execute(wanted)}
-    lacks = any(set(board.sequences) - set(found[digest].scores.values) for digest in digests)
-    if lacks and found[digests[0]].scores.unpredicted is not None:  # others tell what a lacking sequence weighs
-        every = asked.join(ROWS, ROWS.c.digest == SUMMARIES.c.digest).where(ROWS.c.board == board.id)
-        found |= {digest: decode_summary(data) for digest, data in connection.execute(every)}
-    table = ScoreTable.of([found[digest].scores for digest in found], board.sequences, board.track)
-    places = {digest: k for k, digest in enumerate(found)}
-    ends = table.take([places[digest] for digest in digests]).intervals()
-    return {digest: (_number(low), _number(high)) for digest, (low, high) in zip(digests, ends.tolist(), strict=True)}
-
-
-def _number(value: float) -> float | None:
-    return None if math.isnan(value) else value
 
 
 def _positions(board: BoardInfo, query: Query) -> Select[tuple[int]]:

@@ -24,7 +24,7 @@ from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.record_summary import COLUMNS, RecordSummary, read_record, summarise_record
 from oysterbench_leaderboard.store import RecordStore, StatusChange
 
-SCHEMA = "5"
+SCHEMA = "6"
 """Rises with every change of a table, or of what is put into it: an index of another is made anew."""
 
 CHUNK = 1000
@@ -177,15 +177,14 @@ def _row(record: Record, digest: str, summary: RecordSummary) -> dict[str, Any]:
 
 
 def _rank(connection: Connection, board: str) -> None:
-    """Sequences and entries of a board; score, place and rank of its records; a board without records goes.
+    """Sequences and entries of a board; score, interval, place and rank of its records; a board without records goes.
 
     Its sequences are those of the current records, or of all where none is current: what was withdrawn takes no part.
     Records that are not current have a score alone, and follow in the order of their scores.
     """
     track = connection.scalar(select(BOARDS.c.track).where(BOARDS.c.id == board)) or ""
-    asked = select(ROWS.c.digest, ROWS.c.state, ROWS.c.created, SUMMARIES.c.data).join(
-        SUMMARIES, SUMMARIES.c.digest == ROWS.c.digest
-    )
+    columns = [ROWS.c[key] for key in ("digest", "state", "created", "low", "high")]
+    asked = select(*columns, SUMMARIES.c.data).join(SUMMARIES, SUMMARIES.c.digest == ROWS.c.digest)
     found = connection.execute(asked.where(ROWS.c.board == board).order_by(ROWS.c.digest)).all()
     if not found:
         connection.execute(delete(BOARDS).where(BOARDS.c.id == board))
@@ -195,6 +194,14 @@ def _rank(connection: Connection, board: str) -> None:
     sequences = sorted({name for k in current or range(len(found)) for name in summaries[k].sequences})
     table = ScoreTable.of([summary.scores for summary in summaries], sequences, track)
     means = table.means()
+    before = connection.scalar(select(BOARDS.c.sequences).where(BOARDS.c.id == board))
+    # An interval costs half a millisecond; it stays while the board's sequences do, and the record has them all.
+    stays = [
+        row.low is not None and before == json.dumps(sequences) and set(sequences) <= summary.scores.values.keys()
+        for row, summary in zip(found, summaries, strict=True)
+    ]
+    changed = [k for k in range(len(found)) if not stays[k]]
+    intervals = dict(zip(changed, table.take(changed).intervals().tolist(), strict=True))
     better = direction(PRIMARY[track])
     standings = dict(zip(current, table.take(current).standings(better), strict=True)) if current else {}
     shared = Counter(standing.rank or standing.place or 0 for standing in standings.values())
@@ -205,10 +212,12 @@ def _rank(connection: Connection, board: str) -> None:
     for position, k in enumerate(order):
         standing = standings.get(k)
         coverage = _coverage(summaries[k], sequences, track)
-        values: dict[str, Any] = {"coverage": coverage, "score": None if math.isnan(means[k]) else float(means[k])}
+        values: dict[str, Any] = {"coverage": coverage, "score": _number(float(means[k]))}
         if "coverage" in COLUMNS[track]:
             values[f"m{COLUMNS[track].index('coverage')}"] = coverage
         of_rank = (standing.rank or standing.place or 0) if standing else 0
+        low, high = intervals.get(k) or (found[k].low, found[k].high)
+        values |= {"low": _number(low), "high": _number(high)}
         values |= {"place": standing and standing.place, "rank": standing and standing.rank}
         values |= {"tied": of_rank > 0 and shared[of_rank] > 1}
         failures = summaries[k].failed + len(set(sequences) - set(summaries[k].sequences))
@@ -225,6 +234,10 @@ def decode_summary(data: str) -> RecordSummary:
     scores = values["scores"]["values"]
     values["scores"]["values"] = {name: math.nan if value is None else value for name, value in scores.items()}
     return msgspec.convert(values, RecordSummary)
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or math.isnan(value) else value
 
 
 def _nan_last(value: float) -> tuple[bool, float]:

@@ -123,7 +123,11 @@ class ScoreTable:
 
     def intervals(self) -> Array:
         """(R, 2) low and high of the means, NaN where there is none."""
-        return bootstrap_intervals(self.values, self.weights)
+        found = [np.empty((0, 2))]
+        for start in range(0, len(self.values), BATCH):
+            part = self.take(slice(start, start + BATCH))
+            found.append(bootstrap_intervals(part.values, part.weights))
+        return np.concatenate(found)
 
     def standings(self, better: Direction) -> list[Standing]:
         """Of each method, in the order of the table."""
