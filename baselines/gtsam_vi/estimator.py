@@ -32,7 +32,7 @@ from oysterbench_baselines.gtsam_vi.covariance import (
     pose_covariances,
     set_state,
 )
-from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, Observations, Tracks
+from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Observations
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, Initialiser, Start
 from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation, is_keyframe, is_stationary
@@ -123,7 +123,7 @@ class Estimator:
     def step(
         self,
         stamp_ns: int,
-        tracks: Tracks = NO_TRACKS,
+        tracks: FeatureTracks = NO_TRACKS,
         match_second: MatchSecond | None = None,
         image: NDArray[np.uint8] | None = None,
         pixels: NDArray[np.uint8] | None = None,
@@ -163,7 +163,7 @@ class Estimator:
 
     # The parts of a step.
 
-    def _associate(self, tracks: Tracks) -> tuple[Observations, NDArray[np.int64], NDArray[np.intp]]:
+    def _associate(self, tracks: FeatureTracks) -> tuple[Observations, NDArray[np.int64], NDArray[np.intp]]:
         """What the frame observes, by landmark; the landmarks (N,) of its tracks, and their order."""
         segment, self._since_frame = Segment.join(self._since_frame), []
         landmarks = self._association.landmarks(tracks.ids, tracks.rays, segment, self.gyro_bias)

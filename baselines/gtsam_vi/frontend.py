@@ -16,7 +16,7 @@ from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 
 
 @dataclass(frozen=True)
-class Tracks:
+class FeatureTracks:
     """Tracked corners of one frame: ids (N,) int64, pixels (N, 2) as seen, rays (N, 2) undistorted at depth 1."""
 
     ids: NDArray[np.int64]
@@ -24,7 +24,7 @@ class Tracks:
     rays: Array
 
 
-NO_TRACKS = Tracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
+NO_TRACKS = FeatureTracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
 """Those of a frame that is missing."""
 
 
@@ -130,7 +130,7 @@ class FrontEnd:
         self._taken: NDArray[np.uint8] | None = None  # the latest, as it was taken
         self._tracks = NO_TRACKS
 
-    def track(self, pixels: NDArray[np.uint8], R_before_now: Array, elapsed_s: float = 0.0) -> Tracks:
+    def track(self, pixels: NDArray[np.uint8], R_before_now: Array, elapsed_s: float = 0.0) -> FeatureTracks:
         """Corners in the next frame.
 
         pixels (H, W, 3) RGB or (H, W) grey, uint8. R_before_now (3, 3): rotation of the camera since the last frame,
@@ -155,7 +155,7 @@ class FrontEnd:
         grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
         return even_contrast(np.asarray(grey, dtype=np.uint8), self.settings)
 
-    def _follow(self, last: NDArray[np.uint8], image: NDArray[np.uint8], R_before_now: Array) -> Tracks:
+    def _follow(self, last: NDArray[np.uint8], image: NDArray[np.uint8], R_before_now: Array) -> FeatureTracks:
         """The last frame's tracks in this one: Lucas-Kanade forth and back, then the epipolar check."""
         settings, tracks = self.settings, self._tracks
         turned = homogeneous(tracks.rays) @ R_before_now  # where the rotation alone would take them
@@ -165,9 +165,9 @@ class FrontEnd:
         rays = undistort(now, self.calibration)
         tolerance = settings.epipolar_error_px / self._focal
         keep = epipolar_inliers(before, rays, R_before_now.T, tolerance, settings.epipolar_trials, self._generator)
-        return Tracks(ids[keep], now[keep], rays[keep])
+        return FeatureTracks(ids[keep], now[keep], rays[keep])
 
-    def _replenish(self, image: NDArray[np.uint8]) -> Tracks:
+    def _replenish(self, image: NDArray[np.uint8]) -> FeatureTracks:
         """New corners where there are few tracks."""
         settings, tracks = self.settings, self._tracks
         # Looking for corners costs as much as tracking them: only when it pays.
@@ -176,7 +176,7 @@ class FrontEnd:
         pixels = find_corners(image, tracks.pixels, settings)
         ids = np.arange(self._next_id, self._next_id + len(pixels), dtype=np.int64)
         self._next_id += len(pixels)
-        return Tracks(
+        return FeatureTracks(
             np.concatenate([tracks.ids, ids]),
             np.concatenate([tracks.pixels, pixels]),
             np.concatenate([tracks.rays, undistort(pixels, self.calibration)]),

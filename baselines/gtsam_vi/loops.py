@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.types import CameraCalibration
 from oysterbench_baselines.gtsam_vi.graph import Model
-from oysterbench_baselines.gtsam_vi.merging import Loop, join
+from oysterbench_baselines.gtsam_vi.merging import LoopClosure, join
 from oysterbench_baselines.gtsam_vi.places import (
     GroundViewer,
     Index,
@@ -43,7 +43,7 @@ class LoopCloser:
     model: Model
     settings: GtsamViSettings
     places: list[Place] = field(default_factory=list)
-    loops: list[Loop] = field(default_factory=list)
+    loops: list[LoopClosure] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.viewer = GroundViewer(self.calibration, self.settings)
@@ -53,7 +53,7 @@ class LoopCloser:
         self._waiting: list[tuple[int, bytes]] = []  # key frames whose state is not known yet, with their pictures
         self._settled = 0  # places in the pose graph: their key frames have left the window
         self._centres: list[Array] = []  # of the ground view of each place, in its level frame
-        self._weak: list[Loop] = []  # those with few landmarks, which wait for a neighbour that says the same
+        self._weak: list[LoopClosure] = []  # those with few landmarks, which wait for a neighbour that says the same
 
     @property
     def correction(self) -> Array:
@@ -193,7 +193,7 @@ class LoopCloser:
         part[:3, 3] = centre + share * end - part[:3, :3] @ centre
         return first @ part
 
-    def _has_neighbour(self, keyframes: list[Keyframe], loop: Loop) -> bool:
+    def _has_neighbour(self, keyframes: list[Keyframe], loop: LoopClosure) -> bool:
         """Whether another loop between neighbours of its places says the same, odometry being certain over so few."""
         settings = self.settings
         level = [level_pose(keyframes[self.places[n].keyframe].estimate.matrix) for n in (loop.first, loop.second)]
@@ -233,7 +233,9 @@ class LoopCloser:
             good.append(n)
         return good
 
-    def _verify(self, n: int, now: int, anchor: int, T_odom_now: Array, picture: NDArray[np.uint8]) -> Loop | None:
+    def _verify(
+        self, n: int, now: int, anchor: int, T_odom_now: Array, picture: NDArray[np.uint8]
+    ) -> LoopClosure | None:
         settings, first, second = self.settings, self.places[n], self.places[now]
         T, agree = self.verifier.align(first, second)
         if agree < settings.loops.align_inliers:
@@ -249,7 +251,7 @@ class LoopCloser:
             return None
         if np.linalg.norm(off[:3, 3]) > settings.recognition.prior_sigmas * (sigma + settings.loops.position_floor_m):
             return None
-        return Loop(n, now, T, covariance, first.ids[index], pixels, rays)
+        return LoopClosure(n, now, T, covariance, first.ids[index], pixels, rays)
 
 
 def _moved(state: State, T: Array) -> State:

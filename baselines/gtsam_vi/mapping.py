@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.geometry import invert
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import LandmarkMap
-from oysterbench_baselines.gtsam_vi.frontend import Tracks
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe
 
@@ -28,7 +28,7 @@ class Palette:
     _ids: list[NDArray[np.int64]] = field(default_factory=list)
     _colours: list[NDArray[np.uint8]] = field(default_factory=list)
 
-    def add(self, pixels: NDArray[np.uint8], tracks: Tracks) -> None:
+    def add(self, pixels: NDArray[np.uint8], tracks: FeatureTracks) -> None:
         """The picture of a key frame, (H, W, 3) RGB or (H, W) grey, and its tracks."""
         mean = cv2.blur(pixels, (PATCH_PX, PATCH_PX))
         columns, rows = np.round(tracks.pixels).astype(np.int64).T

@@ -23,7 +23,7 @@ from oysterbench_baselines.gtsam_vi.states import Keyframe
 
 
 @dataclass(frozen=True)
-class Loop:
+class LoopClosure:
     """A verified loop between places `first` and `second`: T_first_second (4, 4) of their level frames, covariance
     (4, 4) of heading and position; ids (M,) of landmarks of the first and their pixels and rays (M, 2) in the
     second."""
@@ -84,9 +84,9 @@ class Ties:
     def __init__(self, step: int) -> None:
         self._step = step
         self._anchors: set[int] = set()
-        self.loops: list[Loop] = []
+        self.loops: list[LoopClosure] = []
 
-    def offer(self, loop: Loop) -> None:
+    def offer(self, loop: LoopClosure) -> None:
         """A loop, not earlier than those before."""
         if self.loops and loop.second < self.loops[-1].second + self._step:
             return
@@ -96,7 +96,7 @@ class Ties:
             self.loops.append(loop)
 
 
-def tie(loop: Loop, first: Keyframe, second: Keyframe, settings: GtsamViSettings) -> gtsam.NonlinearFactor:
+def tie(loop: LoopClosure, first: Keyframe, second: Keyframe, settings: GtsamViSettings) -> gtsam.NonlinearFactor:
     """A loop as a relative pose of its key frames: heading and position as it says, roll and pitch as they are, loosely
     (they are known by gravity)."""
     tilts = [invert(level_pose(k.estimate.matrix)) @ k.estimate.matrix for k in (first, second)]
@@ -115,7 +115,7 @@ def tie(loop: Loop, first: Keyframe, second: Keyframe, settings: GtsamViSettings
     )
 
 
-def join(keyframes: list[Keyframe], places: list[Place], loops: list[Loop], model: Model) -> list[Keyframe]:
+def join(keyframes: list[Keyframe], places: list[Place], loops: list[LoopClosure], model: Model) -> list[Keyframe]:
     """The key frames with the tracks of different passes merged, with the views that loops have added, and with ties.
 
     A landmark found again within `merge_px` of a track is that track. Where the merged views of a landmark do not

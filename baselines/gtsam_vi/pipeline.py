@@ -14,7 +14,7 @@ from oysterbench.methods import Estimate
 from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, Tracks
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs
 
@@ -104,6 +104,6 @@ def estimate_of(estimator: Estimator, output: Output, settings: GtsamViSettings,
     return Estimate(paths[output], info, output, others, estimator.map())
 
 
-def _match(matcher: StereoMatcher, front_end: FrontEnd, tracks: Tracks, other: Image) -> Array:
+def _match(matcher: StereoMatcher, front_end: FrontEnd, tracks: FeatureTracks, other: Image) -> Array:
     assert front_end.image is not None
     return matcher.match(front_end.image, front_end.equalise(other.pixels), tracks)

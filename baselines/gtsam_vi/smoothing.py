@@ -30,20 +30,20 @@ def between(model: Model, keyframes: list[Keyframe], states: list[State], frames
     What the measurements of a whole interval miss at its end is spread evenly over it.
     """
     steps = zip(states, states[1:], keyframes[1:], strict=False)
-    slips = [_slip(model, before, after, keyframe.segment) for before, after, keyframe in steps]
+    residuals = [_residual(model, before, after, keyframe.segment) for before, after, keyframe in steps]
     poses = []
     for frame in frames:
         pose = forward(states[frame.keyframe], frame.since, model.params).matrix
-        if frame.keyframe < len(slips):
+        if frame.keyframe < len(residuals):
             share = frame.since.duration / max(keyframes[frame.keyframe + 1].segment.duration, 1e-9)
-            turn, shift = slips[frame.keyframe]
+            turn, shift = residuals[frame.keyframe]
             pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
             pose[:3, 3] += share * shift
         poses.append(pose)
     return poses
 
 
-def _slip(model: Model, before: State, after: State, segment: Segment) -> tuple[Array, Array]:
+def _residual(model: Model, before: State, after: State, segment: Segment) -> tuple[Array, Array]:
     """What is missing from the state before a segment, moved on by it, to the state after."""
     reached, wanted = forward(before, segment, model.params).matrix, after.matrix
     return Rotation.from_matrix(reached[:3, :3].T @ wanted[:3, :3]).as_rotvec(), wanted[:3, 3] - reached[:3, 3]

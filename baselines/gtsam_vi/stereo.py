@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
 from oysterbench.sequence.types import CameraCalibration, Sequence
-from oysterbench_baselines.gtsam_vi.frontend import Tracks, distort, follow, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, distort, follow, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, StereoSettings
 
 
@@ -70,7 +70,7 @@ class StereoMatcher:
         self._known: dict[int, float] = {}  # inverse depth, 1/m, of tracks in the last pair
         self._plane: Array | None = None  # inverse depth = plane @ (x, y, 1), of the last pair
 
-    def match(self, first: NDArray[np.uint8], second: NDArray[np.uint8], tracks: Tracks) -> Array:
+    def match(self, first: NDArray[np.uint8], second: NDArray[np.uint8], tracks: FeatureTracks) -> Array:
         """Rays (N, 2) of the second camera at depth 1 to the tracks; NaN where it does not see them.
 
         first, second (H, W): both pictures as the front end equalised them.
@@ -95,7 +95,7 @@ class StereoMatcher:
         self._plane = _fit_plane(tracks.rays[best], inverse[best])
         return found
 
-    def _guesses(self, tracks: Tracks) -> list[Array]:
+    def _guesses(self, tracks: FeatureTracks) -> list[Array]:
         """Inverse depths (N,) to begin at: one set once there is a plane, several while there is none."""
         if self._plane is None:
             return [np.full(len(tracks.ids), 1 / depth) for depth in self.settings.stereo.depths_m]

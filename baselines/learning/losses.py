@@ -18,10 +18,10 @@ def bce_dice(logits: torch.Tensor, truth: torch.Tensor, known: torch.Tensor) -> 
     weight = known.expand_as(logits)
     entropy = functional.binary_cross_entropy_with_logits(logits, truth, weight=weight, reduction="sum")
     entropy = entropy / weight.sum().clamp(min=1)
-    answer = torch.sigmoid(logits) * weight
+    prediction = torch.sigmoid(logits) * weight
     truth = truth * weight
-    both = 2 * (answer * truth).sum(dim=(0, 2, 3)) + SMOOTH
-    dice = both / (answer.sum(dim=(0, 2, 3)) + truth.sum(dim=(0, 2, 3)) + SMOOTH)
+    both = 2 * (prediction * truth).sum(dim=(0, 2, 3)) + SMOOTH
+    dice = both / (prediction.sum(dim=(0, 2, 3)) + truth.sum(dim=(0, 2, 3)) + SMOOTH)
     return entropy + 1 - dice.mean()
 
 

@@ -23,13 +23,13 @@ class Real:
 def real_data(
     labelled: LabelledSet,
     hold_out: tuple[str, ...],
-    alike: float,
+    min_correlation: float,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Real:
     """The sides of a set of real images, as its manifest has them.
 
     hold_out: clips of the training side that are tested on in place of the test side, which is then not looked at: to
-    choose settings by. Training images that nearly are test images, by a correlation of `alike`, are left out.
+    choose settings by. Training images that correlate with a test image by `min_correlation` are left out.
     """
     train, test = labelled.of_split("train"), labelled.of_split("test")
     for clip in hold_out:
@@ -38,7 +38,7 @@ def real_data(
     if hold_out:
         test = train.where(lambda entry: entry.clip in hold_out, f"{labelled.name} held out")
         train = train.where(lambda entry: entry.clip not in hold_out)
-    leaks = near_duplicates(train, test, alike, lambda done: progress(done, len(train)))
+    leaks = near_duplicates(train, test, min_correlation, lambda done: progress(done, len(train)))
     leaking = {leak.one for leak in leaks}
     kept = train.where(lambda entry: entry.name not in leaking)
     if not len(kept):

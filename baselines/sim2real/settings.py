@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from oysterbench.annotations.duplicates import ALIKE
+from oysterbench.annotations.duplicates import MIN_CORRELATION
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.loop import FitSettings
 from oysterbench_baselines.unet.network import UNetworkSettings
@@ -47,7 +47,7 @@ class ExperimentSettings:
     batch: int = 8
     schedule: Schedule = SCHEDULES["tuned"]
     block: int = 8
-    alike: float = ALIKE
+    alike: float = MIN_CORRELATION
     network: UNetworkSettings = field(default_factory=lambda: UNetworkSettings(base=8, scale=0.2))
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=56))
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1200, warm_up=20, threads=1))

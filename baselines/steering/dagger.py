@@ -193,7 +193,7 @@ def rollout(
         made_by=np.array(made_by[reef.name]),
         pixels=np.stack([small(view.pixels, network) for view, _ in taught]),
         senses=np.stack([senses_of(view.state, task) for view, _ in taught]),
-        looked=np.stack([memory.look(view.state, view.time_s) for view, _ in taught]),
+        looked=np.stack([memory.observe(view.state, view.time_s) for view, _ in taught]),
         action_values=np.stack([action_values for _, action_values in taught]).astype(np.float32),
     )
     return data.getvalue()

@@ -131,7 +131,7 @@ def read_examples(path: Path, settings: SteeringNetworkSettings) -> TrainingExam
         pixels.append(small(image.pixels, settings))
         state = VehicleState(*states[row].tolist())
         senses.append(senses_of(state, task))
-        looked.append(memory.look(state, image.stamp_ns * 1e-9))
+        looked.append(memory.observe(state, image.stamp_ns * 1e-9))
         kept.append(row)
     if not kept:
         raise LabelError(f"{path}: expected pictures with labels of steering, got none")

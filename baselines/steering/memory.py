@@ -30,7 +30,7 @@ class Memory:
         columns = (ASIDE - 0.5 - np.arange(SHAPE[1])) * CELL_M
         self._cells = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
 
-    def look(self, state: VehicleState, time_s: float) -> NDArray[np.uint8]:
+    def observe(self, state: VehicleState, time_s: float) -> NDArray[np.uint8]:
         """SHAPE uint8, 1 where the bottom has been near in a picture; this one is included. Rows from ahead to behind,
         columns from left to right, the vehicle between the cells of the middle. time_s: from any beginning."""
         if self._last is not None:

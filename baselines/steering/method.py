@@ -38,7 +38,7 @@ class SteeringNet:
         model.check(views.task)
         memory = Memory(views.task)
         for view in views:
-            looked = memory.look(view.state, view.time_s)
+            looked = memory.observe(view.state, view.time_s)
             yaw, pitch = model.probabilities(view.pixels, view.state, looked, views.task)
             yield Steering(view.name, yaw_probability=yaw, pitch_probability=pitch)
 

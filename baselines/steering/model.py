@@ -26,7 +26,7 @@ AT_ONCE = 64
 
 @dataclass
 class SteeringModel:
-    """A network with its weights, ready to answer. yaw_deg, pitch_deg: turns of its classes."""
+    """A network with its weights, ready to predict. yaw_deg, pitch_deg: turns of its classes."""
 
     network: SteeringNetwork
     settings: SteeringNetworkSettings

@@ -19,7 +19,7 @@ MAP_CHANNELS = (8, 16)
 class SteeringNetworkSettings:
     """width, height: px, at which pictures are looked at. channels: of the levels, each half the size of the one
     before. groups: of channels that are normalised together. columns: channels that are kept place by place, as where
-    in the picture a patch lies is what steering is about; hidden: units between them and the answers. dropout: of
+    in the picture a patch lies is what steering is about; hidden: units between them and the predictions. dropout: of
     hidden units. memory: whether it is told where the vehicle has looked already."""
 
     width: int = 96

@@ -31,7 +31,7 @@ class Score:
 
 def score(model: SteeringModel, examples: TrainingExamples) -> Score:
     """Of the likeliest classes."""
-    commanded = np.stack([answer.argmax(axis=1) for answer in model.predictions(examples)], axis=1)
+    commanded = np.stack([prediction.argmax(axis=1) for prediction in model.predictions(examples)], axis=1)
     action_values = examples.action_values.astype(float)
     flat = action_values.reshape(len(action_values), -1).argmax(axis=1)
     truth = np.stack(np.unravel_index(flat, action_values.shape[1:]), axis=1)

@@ -26,7 +26,7 @@ MARGIN = 64
 
 @dataclass
 class UNetModel:
-    """A network with its weights, ready to answer."""
+    """A network with its weights, ready to predict."""
 
     network: UNetwork
     settings: UNetworkSettings
@@ -52,14 +52,14 @@ class UNetModel:
         """(2, h, w) float32 logits of oyster and core at the working scale, of a picture (H, W, 3) uint8 RGB."""
         small = shrink(pixels, self.settings.scale)
         values = standardised(small, *statistics(small))
-        answer = np.empty((2, *small.shape[:2]), dtype=np.float32)
+        prediction = np.empty((2, *small.shape[:2]), dtype=np.float32)
         for rows, inner_rows in _parts(small.shape[0]):
             for columns, inner_columns in _parts(small.shape[1]):
                 part = self._logits(values[rows, columns])
-                answer[:, inner_rows, inner_columns] = part[
+                prediction[:, inner_rows, inner_columns] = part[
                     :, _within(inner_rows, rows.start), _within(inner_columns, columns.start)
                 ]
-        return answer
+        return prediction
 
     def logits(self, pixels: NDArray[np.uint8]) -> Floats:
         """(2, H, W) float32 logits of oyster and core at the size of the picture (H, W, 3) uint8 RGB."""

@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 OUTPUTS = ("oyster", "core")
-"""What the channels of the answer are logits of."""
+"""What the channels of the prediction are logits of."""
 
 
 @dataclass(frozen=True)
@@ -63,5 +63,5 @@ class UNetwork(nn.Module):
             levels.append(found)
         for grow, block, beside in zip(self.grow, self.up, reversed(levels[:-1]), strict=True):
             found = block(torch.cat([beside, grow(found)], dim=1))
-        answer: torch.Tensor = self.head(found)
-        return answer
+        prediction: torch.Tensor = self.head(found)
+        return prediction

@@ -19,7 +19,7 @@ from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.visual_only.lens import Lens
 from oysterbench_baselines.visual_only.odometry import Frame, MatchRight, Odometry
 from oysterbench_baselines.visual_only.settings import VisualOnlySettings
-from oysterbench_baselines.visual_only.tracks import Tracker, Tracks, follow
+from oysterbench_baselines.visual_only.tracks import FeatureTracks, Tracker, follow
 from oysterbench_baselines.visual_only.views import homogeneous
 
 
@@ -124,7 +124,7 @@ class Pair:
         self.left, self.right, self.settings = left, right, settings
         self.T_right_left = invert(T_left_right)
 
-    def matcher(self, tracker: Tracker, tracks: Tracks, pixels: NDArray[np.uint8]) -> MatchRight:
+    def matcher(self, tracker: Tracker, tracks: FeatureTracks, pixels: NDArray[np.uint8]) -> MatchRight:
         """Of the frame that the tracker has just taken, and the right image (H, W, 3) of its stamp."""
         left_image = tracker.image
         assert left_image is not None

@@ -14,7 +14,7 @@ from oysterbench_baselines.visual_only.settings import VisualOnlySettings
 
 
 @dataclass(frozen=True)
-class Tracks:
+class FeatureTracks:
     """Corners of one frame: ids (N,) int64, the same as long as a corner is followed, and pixels (N, 2)."""
 
     ids: NDArray[np.int64]
@@ -52,7 +52,7 @@ class Tracker:
     def __init__(self, settings: VisualOnlySettings) -> None:
         self.settings = settings
         self.image: NDArray[np.uint8] | None = None
-        self.tracks = Tracks(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+        self.tracks = FeatureTracks(np.empty(0, dtype=np.int64), np.empty((0, 2)))
         self._clahe = cv2.createCLAHE(settings.clahe_clip, (settings.clahe_tiles, settings.clahe_tiles))
         self._next_id = 0
         self._unusable = 0
@@ -62,7 +62,7 @@ class Tracker:
         grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
         return np.asarray(self._clahe.apply(grey), dtype=np.uint8)
 
-    def add(self, pixels: NDArray[np.uint8]) -> Tracks | None:
+    def add(self, pixels: NDArray[np.uint8]) -> FeatureTracks | None:
         """Tracks in the next frame (H, W, 3) RGB or (H, W) grey, uint8.
 
         None where too few are found in it: the next frame is then followed from the last usable one, until patience
@@ -75,7 +75,7 @@ class Tracker:
                 self._unusable += 1
                 if self._unusable <= settings.patience_frames:
                     return None
-            self.tracks = Tracks(self.tracks.ids[good], end[good])
+            self.tracks = FeatureTracks(self.tracks.ids[good], end[good])
         self.image, self._unusable = image, 0
         self._replenish()
         return self.tracks
@@ -110,4 +110,4 @@ class Tracker:
             room[cell] -= 1
         ids = self._next_id + np.arange(chosen.sum(), dtype=np.int64)
         self._next_id += len(ids)
-        self.tracks = Tracks(np.append(tracks.ids, ids), np.vstack([tracks.pixels, corners[chosen]]))
+        self.tracks = FeatureTracks(np.append(tracks.ids, ids), np.vstack([tracks.pixels, corners[chosen]]))

@@ -16,7 +16,7 @@ SIDE = 32
 """px, of the small grey images that are compared: finer than water and noise change from frame to frame."""
 BLUR = 3
 """px, standard deviation at which the small image is smoothed to find its slow changes of light."""
-ALIKE = 0.4
+MIN_CORRELATION = 0.4
 """Correlation from which two images are taken to show the same place. Measured on 306 real images: of different clips
 0.28 at most, neighbouring frames of a moving camera 0.35 to 0.85, one image under two names 1.0."""
 
@@ -40,9 +40,12 @@ def fingerprint(pixels: NDArray[np.uint8]) -> NDArray[np.complex64]:
 
 
 def near_duplicates(
-    one: LabelledSet, other: LabelledSet, alike: float = ALIKE, progress: Callable[[int], None] = lambda done: None
+    one: LabelledSet,
+    other: LabelledSet,
+    min_correlation: float = MIN_CORRELATION,
+    progress: Callable[[int], None] = lambda done: None,
 ) -> list[Duplicate]:
-    """For each image of `one` the image of `other` that is most like it, where they are alike; the most alike first.
+    """For each image of `one` the image of `other` that is most like it, by a `min_correlation` at least; best first.
 
     Correlation of the images at `SIDE` px without their slow changes of brightness, at the shift that suits them best,
     so that a camera's way between two frames does not hide that they show one place.
@@ -52,13 +55,13 @@ def near_duplicates(
     for k, image in enumerate(one):
         scores = np.fft.irfft2(fingerprint(image.pixels) * spectra.conj()).max(axis=(1, 2))
         best = int(scores.argmax())
-        if scores[best] >= alike:
+        if scores[best] >= min_correlation:
             found.append(Duplicate(image.name, other.entries[best].name, round(float(scores[best]), 3)))
         progress(k + 1)
     return sorted(found, key=lambda pair: (-pair.correlation, pair.one))
 
 
-def check_leakage(train: LabelledSet, test: LabelledSet, alike: float = ALIKE) -> list[Duplicate]:
+def check_leakage(train: LabelledSet, test: LabelledSet, min_correlation: float = MIN_CORRELATION) -> list[Duplicate]:
     """The test images that a training image nearly is; the caller says so, or refuses.
 
     Raises LabelError where an image, or a clip, is on both sides and the sets do not say that its parts are apart.
@@ -66,4 +69,4 @@ def check_leakage(train: LabelledSet, test: LabelledSet, alike: float = ALIKE) -
     shared = {entry.name for entry in train.entries} & {entry.name for entry in test.entries}
     if shared:
         raise LabelError(f"{min(shared)!r} and {len(shared) - 1} more images are for training and for the test as well")
-    return near_duplicates(test, train, alike)
+    return near_duplicates(test, train, min_correlation)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 WORKERS = "Processes that render, or drive.  [default: one per core]"
 
 
-class Tracks(click.Group):
+class TrackCommands(click.Group):
     """A command for each track, made when it is asked for; `--track NAME` before or behind options means the same."""
 
     def parse_args(self, context: click.Context, args: list[str]) -> list[str]:
@@ -42,7 +42,7 @@ class Tracks(click.Group):
         return track_command(TRACKS[name]) if name in NAMES else None
 
 
-@click.group("eval", cls=Tracks, short_help="Run methods on a split and score them, or score two files.")
+@click.group("eval", cls=TrackCommands, short_help="Run methods on a split and score them, or score two files.")
 def eval_command() -> None:
     """Run methods on a split and score them, or score files: trajectories, masks, single oysters.
 

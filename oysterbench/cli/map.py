@@ -86,7 +86,7 @@ def map_command(
         )
     if masks is None:
         facts = _cloud(sequence, trajectory, out, given["source"] or "pictures", cameras, given["voxel_m"], far_m)
-        said = facts.pop("said")
+        summary = facts.pop("summary")
     else:
         if len(cameras) > 1:
             raise click.UsageError("--camera: a map is made of one camera's pictures, got several")
@@ -95,8 +95,8 @@ def map_command(
             chosen["far_m"] = far_m
         camera = cameras[0] if cameras else None
         facts = _oysters(sequence, trajectory, masks, out, camera, given["depth"], given["kind"] or "auto", chosen)
-        said = facts.pop("said")
-    click.echo(json.dumps(facts, indent=2) if as_json else said)
+        summary = facts.pop("summary")
+    click.echo(json.dumps(facts, indent=2) if as_json else summary)
 
 
 def _cloud(
@@ -136,7 +136,7 @@ def _cloud(
         "cpu_s": round(time.process_time() - start, 1),
     }
     sides = " x ".join(f"{high - low:.1f}" for low, high in zip(facts["low_m"], facts["high_m"], strict=True))
-    return {**facts, "said": f"{out}: {len(cloud)} points from {source}, {sides} m"}
+    return {**facts, "summary": f"{out}: {len(cloud)} points from {source}, {sides} m"}
 
 
 def _oysters(
@@ -186,4 +186,4 @@ def _oysters(
     facts["cpu_s"] = round(time.process_time() - start, 1)
     lines = [f"{out}: {written[0].name} and {len(written) - 1} more files"]
     lines += [line.replace("\N{SUPERSCRIPT TWO}", "2") for line in numbers(found.total, found.grid.shares())]
-    return {**facts, "said": "\n".join(lines)}
+    return {**facts, "summary": "\n".join(lines)}

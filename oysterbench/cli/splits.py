@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Row:
+class SplitRow:
     """A version of a split. `size_bytes` of it are here, in files that are whole; `full_bytes` is its size, or None
     where neither a manifest nor a complete set of files tells. `duration_s`: None where only the hub knows it."""
 
@@ -87,7 +87,7 @@ def splits(ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: boo
     print_rich(table)
 
 
-def _known(splits: dict[Path, SplitRecipe]) -> Iterator[Row]:
+def _known(splits: dict[Path, SplitRecipe]) -> Iterator[SplitRow]:
     """Splits that this oysterbench can render, by their folders."""
     from oysterbench.hub.manifest import released_manifest
     from oysterbench.hub.verify import kept_manifest
@@ -99,7 +99,7 @@ def _known(splits: dict[Path, SplitRecipe]) -> Iterator[Row]:
         complete = len(files) == len(split.sequence)
         manifest = kept_manifest(folder) or released_manifest(split.name, split.version)
         full = size if complete else manifest.size if manifest else None
-        yield Row(
+        yield SplitRow(
             name=split.name,
             version=split.version,
             track=split.track,
@@ -115,7 +115,7 @@ def _known(splits: dict[Path, SplitRecipe]) -> Iterator[Row]:
         )
 
 
-def _kept(rendered: Collection[Path]) -> Iterator[Row]:
+def _kept(rendered: Collection[Path]) -> Iterator[SplitRow]:
     """Splits that were downloaded and that this oysterbench would render differently, or not at all."""
     from oysterbench.core.files import home
     from oysterbench.hub.verify import kept_manifest
@@ -125,7 +125,7 @@ def _kept(rendered: Collection[Path]) -> Iterator[Row]:
         if manifest is None:
             continue
         here = [entry for entry in manifest.files if _is_whole(folder / entry.name, entry.size)]
-        yield Row(
+        yield SplitRow(
             name=manifest.split,
             version=manifest.version,
             track=manifest.track,
@@ -141,7 +141,7 @@ def _kept(rendered: Collection[Path]) -> Iterator[Row]:
         )
 
 
-def _with_hub(rows: list[Row], places: tuple[str, ...], key: str | None) -> Iterator[Row]:
+def _with_hub(rows: list[SplitRow], places: tuple[str, ...], key: str | None) -> Iterator[SplitRow]:
     """The rows with sizes that the hub knows, and its splits that are not among them."""
     from dataclasses import replace
 
@@ -158,7 +158,7 @@ def _with_hub(rows: list[Row], places: tuple[str, ...], key: str | None) -> Iter
         release = releases.pop((row.name, row.version), None)
         yield replace(row, full_bytes=release.size) if release and row.full_bytes is None else row
     for (name, version), release in releases.items():
-        yield Row(
+        yield SplitRow(
             name=name,
             version=version,
             track=release.track,

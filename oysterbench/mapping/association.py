@@ -20,7 +20,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.mapping.overlap import overlaps, own_overlaps
 from oysterbench.mapping.projection import Patch
 from oysterbench.mapping.settings import MapSettings
-from oysterbench.mapping.track import Track
+from oysterbench.mapping.track import OysterTrack
 
 FORBIDDEN = 1e6
 FAR_COST = 0.3  # of two middles that are reach_m apart, beside an overlap of 1: it decides between equal overlaps
@@ -28,12 +28,12 @@ ROUNDS = 5  # of putting parts together, each of which joins a part to one other
 SHIFT_FROM = 5  # pairs, for the common error of a picture to be taken out
 
 
-class Tracks:
+class OysterTracks:
     """The oysters of a map, as pictures come in."""
 
     def __init__(self, settings: MapSettings) -> None:
         self.settings = settings
-        self.tracks: list[Track] = []
+        self.tracks: list[OysterTrack] = []
         self.exact = True
 
     def add(self, found: Sequence[Patch]) -> None:
@@ -50,9 +50,9 @@ class Tracks:
         for i, j in pairs:
             known[j].add([found[i]], found[i].points)
         taken = {i for i, _ in pairs}
-        self.tracks += [Track(patch) for i, patch in enumerate(found) if i not in taken]
+        self.tracks += [OysterTrack(patch) for i, patch in enumerate(found) if i not in taken]
 
-    def _near(self, found: Sequence[Patch]) -> list[Track]:
+    def _near(self, found: Sequence[Patch]) -> list[OysterTrack]:
         """Those that the picture may show."""
         if not self.tracks:
             return []
@@ -61,7 +61,7 @@ class Tracks:
         near = np.isfinite(np.asarray(tree.query(centres, distance_upper_bound=self.settings.reach_m)[0]))
         return [track for track, is_near in zip(self.tracks, near, strict=True) if is_near]
 
-    def _assign(self, found: Sequence[Patch], known: Sequence[Track]) -> list[tuple[int, int]]:
+    def _assign(self, found: Sequence[Patch], known: Sequence[OysterTrack]) -> list[tuple[int, int]]:
         """Indices of those that are one."""
         if not known:
             return []
@@ -69,7 +69,7 @@ class Tracks:
         rows, columns = linear_sum_assignment(cost)
         return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if cost[i, j] < FORBIDDEN]
 
-    def _overlap_cost(self, found: Sequence[Patch], known: Sequence[Track]) -> Array:
+    def _overlap_cost(self, found: Sequence[Patch], known: Sequence[OysterTrack]) -> Array:
         settings = self.settings
         overlap = overlaps(found, known, settings)
         between = np.array([patch.centre for patch in found])[:, None] - np.array([track.centre for track in known])
@@ -77,11 +77,11 @@ class Tracks:
         cost = 1.0 - overlap + FAR_COST * apart / settings.reach_m
         return np.where((overlap < settings.least_overlap) | (apart > settings.reach_m), FORBIDDEN, cost)
 
-    def _distance_cost(self, found: Sequence[Patch], known: Sequence[Track]) -> Array:
+    def _distance_cost(self, found: Sequence[Patch], known: Sequence[OysterTrack]) -> Array:
         squared = distances(found, known, self.settings)
         return np.where(squared > self.settings.gate, FORBIDDEN, squared)
 
-    def joined(self) -> list[Track]:
+    def joined(self) -> list[OysterTrack]:
         """The oysters, after parts of one shell are put together, the surest pair first.
 
         Those that might be one, and those that might be two, keep that doubt: half at what divides the two.
@@ -131,7 +131,7 @@ class Tracks:
         return {(i, j): chance for (i, j), chance in chances.items() if not frames[i] & frames[j]}
 
 
-def distances(found: Sequence[Patch], known: Sequence[Track], settings: MapSettings) -> Array:
+def distances(found: Sequence[Patch], known: Sequence[OysterTrack], settings: MapSettings) -> Array:
     """(N, M) squared Mahalanobis distances of middles and sizes of N oysters of a picture and M known ones."""
     between = np.array([track.centre for track in known])[None] - np.array([patch.centre for patch in found])[:, None]
     covariances = np.array([patch.covariance for patch in found])[:, None] + np.array([t.covariance for t in known])
@@ -139,7 +139,7 @@ def distances(found: Sequence[Patch], known: Sequence[Track], settings: MapSetti
     return _squared(between, covariances, sizes, settings)
 
 
-def own_distances(tracks: Sequence[Track], settings: MapSettings) -> dict[tuple[int, int], float]:
+def own_distances(tracks: Sequence[OysterTrack], settings: MapSettings) -> dict[tuple[int, int], float]:
     """The same between each two of the known ones that are near each other."""
     centres = np.array([track.centre for track in tracks])
     pairs = cKDTree(centres).query_pairs(settings.reach_m, output_type="ndarray")

@@ -21,7 +21,7 @@ class Oyster:
     """An oyster of a map.
 
     centre (3,) m in the world frame of the trajectory; state: live, dead or unknown; views: pictures that show it;
-    weight: what it counts, 1/2 where no picture shows it whole; doubt, score: see `association.Track`
+    weight: what it counts, 1/2 where no picture shows it whole; doubt, score: see `association.OysterTrack`
     """
 
     centre: Array

@@ -12,13 +12,13 @@ from scipy.spatial import cKDTree
 from oysterbench.core.geometry import Array
 from oysterbench.mapping.projection import Patch
 from oysterbench.mapping.settings import MapSettings
-from oysterbench.mapping.track import Track
+from oysterbench.mapping.track import OysterTrack
 
 Numbers = NDArray[np.integer]
 NEIGHBOURS = 6  # points near a point that are asked whose they are
 
 
-def overlaps(found: Sequence[Patch], known: Sequence[Track], settings: MapSettings) -> Array:
+def overlaps(found: Sequence[Patch], known: Sequence[OysterTrack], settings: MapSettings) -> Array:
     """(N, M) from 0 to 1: how far N oysters of a picture and M known ones lie on one another, by the lesser of both."""
     own = np.repeat(np.arange(len(found)), [len(patch.points) for patch in found])
     theirs = np.repeat(np.arange(len(known)), [len(track.points) for track in known])
@@ -30,7 +30,7 @@ def overlaps(found: Sequence[Patch], known: Sequence[Track], settings: MapSettin
     return np.maximum(there, back.T)
 
 
-def own_overlaps(tracks: Sequence[Track], settings: MapSettings) -> dict[tuple[int, int], float]:
+def own_overlaps(tracks: Sequence[OysterTrack], settings: MapSettings) -> dict[tuple[int, int], float]:
     """Overlap of each two of an area that have some, by the lesser of both."""
     owners = np.repeat(np.arange(len(tracks)), [len(track.points) for track in tracks])
     points = np.concatenate([track.points for track in tracks])

@@ -11,13 +11,13 @@ import numpy as np
 from oysterbench.core.errors import LabelError, SequenceError, TrajectoryError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.mapping.association import Tracks
+from oysterbench.mapping.association import OysterTracks
 from oysterbench.mapping.cover import Cover, raster_around
 from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, make_grid, total
 from oysterbench.mapping.projection import Lens, Seen, patches, usable
 from oysterbench.mapping.settings import MapSettings
-from oysterbench.mapping.track import Track
+from oysterbench.mapping.track import OysterTrack
 from oysterbench.mapping.views import PoseInterpolator, check_time
 from oysterbench.sequence.types import Sequence
 
@@ -37,7 +37,7 @@ class OysterMap:
     camera: str
     depth: str
     oysters: list[Oyster]
-    tracks: list[Track]
+    tracks: list[OysterTrack]
     cover: Cover
     path: Array
     settings: MapSettings
@@ -87,7 +87,7 @@ def build_map(
     depth_of = depth_source(depth, source, camera, lens, poses, settings)
     T_base_cam = sequence.cameras[camera].T_base_cam
     cover = empty_cover(trajectory, settings)
-    tracks = Tracks(settings)
+    tracks = OysterTracks(settings)
     places, counts = [], {"pictures": 0, "without_pose": 0, "without_depth": 0}
     any_oyster = False
     for k, picture in enumerate(seen()):
@@ -139,7 +139,7 @@ def sigma_of(depth: str, settings: MapSettings) -> float:
     return SIGMA[depth] if settings.depth_sigma is None else settings.depth_sigma
 
 
-def _oyster(track: Track) -> Oyster:
+def _oyster(track: OysterTrack) -> Oyster:
     weight = 1.0 if track.whole else CUT_WEIGHT
     return Oyster(track.centre, track.state, len(track.frames), weight, track.doubt, track.score)
 

@@ -13,7 +13,7 @@ from oysterbench.mapping.projection import Patch
 KEPT = 200  # points of an oyster
 
 
-class Track:
+class OysterTrack:
     """An oyster, seen in one picture or more.
 
     points: (N, 3) m, some of all that is seen of it; doubt: chance that it is the part of another one, or that another

@@ -40,14 +40,14 @@ def commands(
                 raise MethodError(f"method {policy.name!r}, {where}: took a view before a command at {view.name}")
 
     try:
-        for answer in policy.run(_Views(task, remembered())):
-            if not last or not isinstance(answer, Steering) or answer.name != last[0].name:
+        for command in policy.run(_Views(task, remembered())):
+            if not last or not isinstance(command, Steering) or command.name != last[0].name:
                 raise MethodError(
                     f"method {policy.name!r}, {where}: expected a Steering of the view "
-                    f"{last[0].name if last else '(none was taken)'}, got {answer!r:.80}"
+                    f"{last[0].name if last else '(none was taken)'}, got {command!r:.80}"
                 )
             view = last.pop()
-            yield view, answer, classes_of(answer, task, f"method {policy.name!r}, {where}, view {view.name}")
+            yield view, command, classes_of(command, task, f"method {policy.name!r}, {where}, view {view.name}")
     except OysterbenchError:
         raise
     except Exception as error:
@@ -55,11 +55,11 @@ def commands(
         raise MethodError(f"method {policy.name!r} failed, {where}: {line}") from error
 
 
-def classes_of(answer: Steering, task: SteeringRecipe, where: str) -> tuple[int, int]:
+def classes_of(command: Steering, task: SteeringRecipe, where: str) -> tuple[int, int]:
     """The classes of yaw and pitch that a command names, or finds likeliest; of equals the one nearest to straight."""
     found = []
     for axis, degrees in (("yaw", task.yaw_deg), ("pitch", task.pitch_deg)):
-        number, shares = getattr(answer, axis), getattr(answer, f"{axis}_probability")
+        number, shares = getattr(command, axis), getattr(command, f"{axis}_probability")
         if shares is not None:
             shares = np.asarray(shares, dtype=float)
             if (
@@ -80,11 +80,11 @@ def classes_of(answer: Steering, task: SteeringRecipe, where: str) -> tuple[int,
     return found[0], found[1]
 
 
-def probabilities(answer: Steering, classes: tuple[int, int], task: SteeringRecipe) -> tuple[Array, Array]:
+def probabilities(command: Steering, classes: tuple[int, int], task: SteeringRecipe) -> tuple[Array, Array]:
     """Of each class of yaw (Y,) and of pitch (P,), adding up to 1; of a command that was checked."""
     found = []
     for axis, chosen, degrees in zip(AXES, classes, (task.yaw_deg, task.pitch_deg), strict=True):
-        given = getattr(answer, f"{axis}_probability")
+        given = getattr(command, f"{axis}_probability")
         if given is None:
             found.append(np.eye(len(degrees))[chosen])
         else:

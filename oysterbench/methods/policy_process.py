@@ -77,18 +77,18 @@ class PolicyProcess:
             line = up.readline()
             if not line.endswith(b"\n"):
                 raise EOFError
-            said = json.loads(line)
-            if "failure" in said:
-                raise MethodError(str(said["failure"]))
-            if "end" in said:
+            reply = json.loads(line)
+            if "failure" in reply:
+                raise MethodError(str(reply["failure"]))
+            if "end" in reply:
                 return
-            yield _steering(said)
+            yield _steering(reply)
 
 
-def _steering(said: dict[str, Any]) -> Steering:
+def _steering(reply: dict[str, Any]) -> Steering:
     """A command as the policy gave it; what is wrong with it is found where it is checked."""
-    shares = {key: np.array(said[key], dtype=float) for key in said if key.endswith("_probability")}
-    return Steering(said["name"], said.get("yaw"), said.get("pitch"), **shares)
+    shares = {key: np.array(reply[key], dtype=float) for key in reply if key.endswith("_probability")}
+    return Steering(reply["name"], reply.get("yaw"), reply.get("pitch"), **shares)
 
 
 def _send(pipe: IO[bytes], header: dict[str, Any], data: bytes = b"") -> None:
@@ -114,17 +114,17 @@ def main(reference: str) -> None:
     method: Any = find_method(reference)
     policy: SteeringMethod = method
     try:
-        _answer(commands(policy, task, _received(down), "rollout"), up)
+        _send_commands(commands(policy, task, _received(down), "rollout"), up)
         _send(up, {"end": True})
     except OysterbenchError as error:
         _send(up, {"failure": str(error)})
 
 
-def _answer(made: Iterable[tuple[View, Steering, tuple[int, int]]], up: IO[bytes]) -> None:
-    for _, answer, (yaw, pitch) in made:
-        plain: dict[str, Any] = {"name": answer.name, "yaw": yaw, "pitch": pitch}
+def _send_commands(made: Iterable[tuple[View, Steering, tuple[int, int]]], up: IO[bytes]) -> None:
+    for _, command, (yaw, pitch) in made:
+        plain: dict[str, Any] = {"name": command.name, "yaw": yaw, "pitch": pitch}
         for key in ("yaw_probability", "pitch_probability"):
-            if (given := getattr(answer, key)) is not None:
+            if (given := getattr(command, key)) is not None:
                 plain[key] = np.asarray(given, dtype=float).tolist()
         _send(up, plain)
 

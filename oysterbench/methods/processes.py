@@ -115,8 +115,8 @@ def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:
         failure = "its supervisor was ended by SIGTERM"
     elif report["status"]:
         failure = f"exit status {report['status']}"
-    if failure is not None and (said := tail(folder / STDERR) or tail(folder / STDOUT)):
-        failure = f"{failure}; it last said: {said}"
+    if failure is not None and (last := tail(folder / STDERR) or tail(folder / STDOUT)):
+        failure = f"{failure}; it last said: {last}"
     return Ended(report["wall_s"], report["cpu_s"], report["peak_bytes"], report["left_behind"], failure)
 
 

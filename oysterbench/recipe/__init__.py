@@ -21,7 +21,7 @@ from oysterbench.recipe.scene import (
     WaterRecipe,
 )
 from oysterbench.recipe.sensors import SensorRecipe
-from oysterbench.recipe.split import SplitRecipe, carry, load_split, parse_split, split_names, vary_split
+from oysterbench.recipe.split import SplitRecipe, load_split, parse_split, split_names, vary_split, with_rig
 from oysterbench.recipe.steering import SteeringRecipe
 
 __all__ = [
@@ -44,11 +44,11 @@ __all__ = [
     "SteeringRecipe",
     "WaterRecipe",
     "as_plain",
-    "carry",
     "count",
     "draw",
     "load_split",
     "parse_split",
     "split_names",
     "vary_split",
+    "with_rig",
 ]

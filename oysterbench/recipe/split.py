@@ -120,7 +120,7 @@ def _merged(under: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]
     return merged
 
 
-def carry(split: SplitRecipe, rig_name: str, where: str) -> SplitRecipe:
+def with_rig(split: SplitRecipe, rig_name: str, where: str) -> SplitRecipe:
     """The split with another rig, by its name or the path of its file beside `where`."""
     source = _rig_text(rig_name, where)
     other = dataclasses.replace(split, rig=_read_rig(source, f"rig {rig_name}"), rig_source=source)

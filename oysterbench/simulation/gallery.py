@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.files import write_atomically
-from oysterbench.recipe import CameraRecipe, RigRecipe, SplitRecipe, carry, count, load_split, vary_split
+from oysterbench.recipe import CameraRecipe, RigRecipe, SplitRecipe, count, load_split, vary_split, with_rig
 
 Picture = NDArray[np.uint8]
 Progress = Callable[[int, int], None]
@@ -134,7 +134,7 @@ def panels(table: Path, progress: Progress = lambda done, total: None) -> tuple[
 def vary_panel(split: SplitRecipe, row: dict[str, Any], table: Path) -> SplitRecipe:
     """The split of a panel."""
     where = f"{table}: panel {row['caption']!r}"
-    carried = carry(split, row["rig"], where) if "rig" in row else split
+    carried = with_rig(split, row["rig"], where) if "rig" in row else split
     cameras = [camera.name for camera in carried.rig.camera]
     if row.get("camera", cameras[0]) not in cameras:
         raise RecipeError(f"{where}: key 'camera': expected one of {', '.join(cameras)}, got {row['camera']!r}")

@@ -10,7 +10,7 @@ from oysterbench.tracks.track import Evaluation, Option, Request, Track
 NAMES = ("slam", "segmentation", "detection", "density", "steering")
 
 
-class Tracks(Mapping[str, Track]):
+class TrackRegistry(Mapping[str, Track]):
     """Name -> track; what a track needs is loaded when it is asked for."""
 
     def __getitem__(self, name: str) -> Track:
@@ -27,6 +27,6 @@ class Tracks(Mapping[str, Track]):
         return len(NAMES)
 
 
-TRACKS: Mapping[str, Track] = Tracks()
+TRACKS: Mapping[str, Track] = TrackRegistry()
 
 __all__ = ["NAMES", "TRACKS", "Evaluation", "Option", "Request", "Track"]

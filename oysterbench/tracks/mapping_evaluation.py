@@ -72,11 +72,11 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
     An oyster is shown where some picture has `least_px` of it within the greatest distance.
     """
     truth = sequence.truth()
-    way, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, sequence.cameras[camera])
+    interpolator, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, sequence.cameras[camera])
     cover = empty_cover(truth, settings)
     most: Counter[int] = Counter()
     for depth, picture in zip(sequence.layer(camera, "depth"), true_seen(sequence, camera), strict=True):
-        T = way.at(depth.stamp_ns)
+        T = interpolator.at(depth.stamp_ns)
         if T is None:
             continue
         near = usable(depth.pixels, settings)
@@ -155,10 +155,10 @@ def evaluate_maps(
             try:
                 if isinstance(path, Exception):
                     raise path
-                way = poses if path_name == TRUE_POSES else aligned(poses, path, align)
+                path_poses = poses if path_name == TRUE_POSES else aligned(poses, path, align)
                 owners: dict[tuple[int, int], int] = {}
                 labelled = _owned(sequence, camera, seen, owners)
-                found = build_map(sequence, way, labelled, camera, depth, settings, allow_none=True)
+                found = build_map(sequence, path_poses, labelled, camera, depth, settings, allow_none=True)
             except OysterbenchError as error:
                 yield DensityRun(ResultRecord(**about, method=method, failure=str(error)))
                 continue

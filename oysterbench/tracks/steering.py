@@ -22,7 +22,7 @@ from oysterbench.report.steering_figures import picture_figures
 from oysterbench.results.records import ResultRecord
 from oysterbench.simulation.generate import check_workers, digest
 from oysterbench.simulation.salt import salt_for
-from oysterbench.tracks.steering_rollouts import REFERENCES, make_loop, run_rollouts, show_rollouts
+from oysterbench.tracks.steering_rollouts import REFERENCES, plan_rollouts, run_rollouts, show_rollouts
 from oysterbench.tracks.track import (
     Evaluation,
     Option,
@@ -166,11 +166,11 @@ class SteeringTrack(Track):
         count = options.get("reefs", len(reefs))
         if not 1 <= count <= len(reefs):
             raise RecipeError(f"--reefs: expected at most {len(reefs)}, as many as there are, got {count}")
-        loop = make_loop(split, options.get("seconds"), salt=salt_for(split.name, split.hidden))
+        plan = plan_rollouts(split, options.get("seconds"), salt=salt_for(split.name, split.hidden))
         workers = check_workers(request.workers)
         with request.bar(f"driving over {split.name}", "rollouts") as progress:
             runs = run_rollouts(
-                loop,
+                plan,
                 reefs[:count],
                 [*policies, *REFERENCES],
                 request.out / "rollouts",

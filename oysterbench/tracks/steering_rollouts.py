@@ -60,7 +60,7 @@ class RolloutJob:
 
 
 @dataclass(frozen=True)
-class Loop:
+class RolloutPlan:
     """What all rollouts have in common. seconds: of each, whole steps; start: number of the place where it begins."""
 
     split: SplitRecipe
@@ -76,13 +76,13 @@ class Loop:
         return round(self.seconds / self.split.steering.step_s)
 
 
-def make_loop(
+def plan_rollouts(
     split: SplitRecipe,
     seconds: float | None = None,
     start: int = 0,
     salt: bytes = b"",
     explore: Explore | None = None,
-) -> Loop:
+) -> RolloutPlan:
     """What rollouts of so many seconds have in common, or of as many as the task says.
 
     Raises RecipeError where the split is of another track, or a rollout would have no step.
@@ -96,11 +96,11 @@ def make_loop(
         raise RecipeError(
             f"--seconds: expected at least {task.step_s:g}, the time of one command of {split.name}, got {chosen:g}"
         )
-    return Loop(split, steps * task.step_s, start, Salt(salt), explore)
+    return RolloutPlan(split, steps * task.step_s, start, Salt(salt), explore)
 
 
 def run_rollouts(
-    loop: Loop,
+    plan: RolloutPlan,
     reefs: Sequence[str],
     policies: Sequence[str],
     folder: Path,
@@ -115,7 +115,7 @@ def run_rollouts(
     jobs = [RolloutJob(reef, policy) for reef in reefs for policy in policies]
     identities = {policy: _policy(policy) for policy in policies}
     files = {
-        job: rollout_file(folder, job.reef, job.policy, _identity(loop, job, identities[job.policy])) for job in jobs
+        job: rollout_file(folder, job.reef, job.policy, _identity(plan, job, identities[job.policy])) for job in jobs
     }
     found: dict[RolloutJob, RolloutLog | str] = {}
     for job in jobs:
@@ -124,7 +124,7 @@ def run_rollouts(
             found[job] = kept
     todo = [job for job in jobs if job not in found]
     progress(len(found), len(jobs))
-    with contextlib.closing(_results(loop, todo, workers)) as results:
+    with contextlib.closing(_results(plan, todo, workers)) as results:
         for job, data in results:
             if data.startswith(FAILED):
                 found[job] = data.removeprefix(FAILED).decode()
@@ -132,33 +132,33 @@ def run_rollouts(
                 write_atomically(files[job], data)
                 found[job] = unpacked(data)
             progress(len(found), len(jobs))
-    return [_run(loop, job, found[job], identities[job.policy]) for job in jobs]
+    return [_run(plan, job, found[job], identities[job.policy]) for job in jobs]
 
 
-def _results(loop: Loop, jobs: Sequence[RolloutJob], workers: int) -> Results[RolloutJob]:
-    task = partial(make_rollout, loop)
+def _results(plan: RolloutPlan, jobs: Sequence[RolloutJob], workers: int) -> Results[RolloutJob]:
+    task = partial(make_rollout, plan)
     if workers > 1 and len(jobs) > 1:
-        return run_in_processes(task, jobs, workers, partial(_warm_up, loop))
+        return run_in_processes(task, jobs, workers, partial(_warm_up, plan))
     return run_here(task, jobs)
 
 
-def _warm_up(loop: Loop) -> None:
+def _warm_up(plan: RolloutPlan) -> None:
     """Compile the kernels once; the other processes find them."""
-    if loop.explore is None:
+    if plan.explore is None:
         from oysterbench.render.camera import warm_up
 
         warm_up("cpu")
 
 
-def make_rollout(loop: Loop, job: RolloutJob) -> bytes:
+def make_rollout(plan: RolloutPlan, job: RolloutJob) -> bytes:
     """A rollout, as its file, or why the policy failed."""
-    explore = loop.explore or _explore()
+    explore = plan.explore or _explore()
     try:
         policy = job.policy if job.policy in REFERENCES else PolicyProcess(job.policy)
-        log, _ = explore(loop.split, job.reef, policy, salt=loop.salt, seconds=loop.seconds, start=loop.start)
-        if len(log.commands) < loop.steps:
+        log, _ = explore(plan.split, job.reef, policy, salt=plan.salt, seconds=plan.seconds, start=plan.start)
+        if len(log.commands) < plan.steps:
             raise MethodError(
-                f"method {job.policy!r} on {job.reef}: expected {loop.steps} commands, got {len(log.commands)}"
+                f"method {job.policy!r} on {job.reef}: expected {plan.steps} commands, got {len(log.commands)}"
             )
     except MethodError as error:
         return FAILED + str(error).encode()
@@ -175,24 +175,24 @@ def _policy(policy: str) -> dict[str, Any]:
     return {"reference": policy} if policy in REFERENCES else method_identity(policy)
 
 
-def _identity(loop: Loop, job: RolloutJob, policy: Mapping[str, Any]) -> dict[str, Any]:
+def _identity(plan: RolloutPlan, job: RolloutJob, policy: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "program": PROGRAM,
         "steering": steering_source(),
-        "split": digest(loop.split, loop.salt),
+        "split": digest(plan.split, plan.salt),
         "reef": job.reef,
         "policy": policy,
-        "seconds": loop.seconds,
-        "start": loop.start,
+        "seconds": plan.seconds,
+        "start": plan.start,
     }
 
 
-def _run(loop: Loop, job: RolloutJob, made: RolloutLog | str, policy: Mapping[str, Any]) -> DiveRun:
-    split = loop.split
-    settings = {"dive_s": loop.seconds, "start": loop.start}
+def _run(plan: RolloutPlan, job: RolloutJob, made: RolloutLog | str, policy: Mapping[str, Any]) -> DiveRun:
+    split = plan.split
+    settings = {"dive_s": plan.seconds, "start": plan.start}
     about = {
         **about_sequence(TRACK, split, job.reef, "", settings, EVALUATOR),
-        "split_digest": digest(split, loop.salt),
+        "split_digest": digest(split, plan.salt),
         "method": job.policy,
         "seed": policy.get("seed"),
         "method_settings": json.loads(json.dumps(policy.get("settings", {}), default=str)),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from oysterbench.annotations import check_leakage, near_duplicates, open_labelled
-from oysterbench.annotations.duplicates import ALIKE
+from oysterbench.annotations.duplicates import MIN_CORRELATION
 from oysterbench.core.errors import LabelError
 from tests.helpers.labelled_folders import picture, write_png
 
@@ -68,4 +68,4 @@ def test_the_real_images_repeat_one_scene_across_their_clips(shared_data):
     assert [round(one.correlation, 2) for one in again] == [1.0, 1.0]
     far = real.where(lambda entry: entry.clip == "quadrat-a" and entry.name <= "quadrat-a-0003")
     assert near_duplicates(far, starts) == []
-    assert ALIKE < 0.5
+    assert MIN_CORRELATION < 0.5

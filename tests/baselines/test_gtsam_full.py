@@ -21,7 +21,7 @@ from oysterbench_baselines.gtsam_full import GtsamFull, GtsamFullSettings
 from oysterbench_baselines.gtsam_full.method import aided_estimator
 from oysterbench_baselines.gtsam_full.settings import BesideDvlSettings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import Tracks, undistort
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, undistort
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from tests.helpers import sensor_dive as dive
 from tests.helpers import synthetic_dive
@@ -75,7 +75,7 @@ def estimate(sequence: Sequence, frames: list, settings: GtsamFullSettings | Non
 def see(estimator: Estimator, samples: SampleBuffer, frame) -> None:
     stamp, ids, pixels = frame
     estimator.propagate(samples.cut(stamp))
-    estimator.step(stamp, Tracks(ids, pixels, undistort(pixels, camera())))
+    estimator.step(stamp, FeatureTracks(ids, pixels, undistort(pixels, camera())))
 
 
 def errors(sequence: dive.SensorDive, trajectory: Trajectory) -> Array:

@@ -18,7 +18,7 @@ from oysterbench.sequence.types import Image, ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import Tracks, undistort
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, undistort
 from oysterbench_baselines.gtsam_vi.settings import InitialisationSettings
 from tests.helpers import synthetic_dive as dive
 from tests.helpers.paths import SHARED_DATA
@@ -34,7 +34,7 @@ def estimate(measured: dive.Dive, settings: GtsamViSettings | None = None) -> Es
             continue
         stamp, ids, pixels = item
         estimator.propagate(samples.cut(stamp))
-        estimator.step(stamp, Tracks(ids, pixels, undistort(pixels, measured.camera)))
+        estimator.step(stamp, FeatureTracks(ids, pixels, undistort(pixels, measured.camera)))
     estimator.finish()
     return estimator
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from oysterbench.core.geometry import align_yaw
 from oysterbench_baselines.gtsam_vi import GtsamVi
-from oysterbench_baselines.gtsam_vi.frontend import Tracks
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks
 from oysterbench_baselines.gtsam_vi.mapping import Palette
 from tests.baselines.test_gtsam_vi import FlatBottom, position_error
 from tests.helpers import synthetic_dive as dive
@@ -47,13 +47,13 @@ def test_a_track_has_the_mean_colour_of_the_key_frames_that_saw_it():
         picture = np.zeros((40, 60, 3), dtype=np.uint8)
         picture[:, :30], picture[:, 30:] = (level, 0, 100), (0, 50, level)
         ids = np.array([7, 3]) if level == 10 else np.array([3, 9])
-        palette.add(picture, Tracks(ids, np.array([[10.0, 5.0], [59.4, 39.4]]), np.zeros((2, 2))))
+        palette.add(picture, FeatureTracks(ids, np.array([[10.0, 5.0], [59.4, 39.4]]), np.zeros((2, 2))))
     np.testing.assert_array_equal(palette.of(np.array([3, 7, 9])), [[15, 25, 55], [10, 0, 100], [0, 50, 30]])
 
 
 def test_a_grey_camera_gives_greys():
     palette = Palette()
-    palette.add(np.full((20, 20), 77, np.uint8), Tracks(np.array([1]), np.array([[4.0, 4.0]]), np.zeros((1, 2))))
+    palette.add(np.full((20, 20), 77, np.uint8), FeatureTracks(np.array([1]), np.array([[4.0, 4.0]]), np.zeros((1, 2))))
     np.testing.assert_array_equal(palette.of(np.array([1])), [[77, 77, 77]])
 
 

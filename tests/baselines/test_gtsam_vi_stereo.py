@@ -18,7 +18,7 @@ from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings, GtsamViStereo
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import FrontEnd, Tracks, homogeneous, undistort
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs
 from tests.helpers import synthetic_dive as dive
 
@@ -36,7 +36,7 @@ def estimate(measured: dive.Dive, blind_right: bool = False) -> Estimator:
         right = np.full((len(ids), 2), np.nan) if blind_right else undistort(measured.right[frame], camera)
         rays = undistort(pixels, measured.camera)
         estimator.propagate(samples.cut(stamp))
-        estimator.step(stamp, Tracks(ids, pixels, rays), lambda right=right: right)
+        estimator.step(stamp, FeatureTracks(ids, pixels, rays), lambda right=right: right)
         frame += 1
     estimator.finish()
     return estimator

@@ -14,7 +14,7 @@ from oysterbench_baselines.common.inertial import SampleBuffer, Segment
 from oysterbench_baselines.gtsam_vi import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.fixed_lag import FixedLagSmoother
-from oysterbench_baselines.gtsam_vi.frontend import Tracks, undistort
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, undistort
 from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation
 from oysterbench_baselines.gtsam_vi.settings import LandmarkSettings, LoopSettings
 from tests.helpers import synthetic_dive as dive
@@ -93,7 +93,7 @@ def test_heading_is_never_learnt_from_what_cannot_tell_it():
         stamp, ids, pixels = item
         before = len(estimator.keyframes)
         estimator.propagate(samples.cut(stamp))
-        estimator.step(stamp, Tracks(ids, pixels, undistort(pixels, measured.camera)))
+        estimator.step(stamp, FeatureTracks(ids, pixels, undistort(pixels, measured.camera)))
         if estimator.window is not None and len(estimator.keyframes) > before:
             known.append(information_on_turn(estimator.window._smoother))
     assert len(known) >= 20

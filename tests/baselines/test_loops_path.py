@@ -14,8 +14,8 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import Tracks, undistort
-from oysterbench_baselines.gtsam_vi.merging import Loop, Merger, Ties, join, tie
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, undistort
+from oysterbench_baselines.gtsam_vi.merging import LoopClosure, Merger, Ties, join, tie
 from oysterbench_baselines.gtsam_vi.places import Place, heading_pose, level_pose, project
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, LandmarkSettings, LoopSettings
 from tests.helpers import synthetic_dive as dive
@@ -81,7 +81,7 @@ def estimate(measured: dive.Dive, loops: bool, false_m: float = 0.0, **settings:
             continue
         stamp, ids, pixels = item
         estimator.propagate(samples.cut(stamp))
-        estimator.step(stamp, Tracks(ids, pixels, undistort(pixels, measured.camera)), image=GREY)
+        estimator.step(stamp, FeatureTracks(ids, pixels, undistort(pixels, measured.camera)), image=GREY)
     estimator.finish()
     return estimator
 
@@ -182,7 +182,7 @@ def test_what_does_not_meet_in_a_point_stays_apart(plain):
     )
     # Landmarks of one place said to be where others are in the other.
     rays = second.observations.rays[:20]
-    loop = Loop(0, 1, np.eye(4), np.eye(4), ids, rays, rays)
+    loop = LoopClosure(0, 1, np.eye(4), np.eye(4), ids, rays, rays)
     joined = join(keyframes, [place, there], [loop], model)
     assert np.isin(joined[second.index].observations.ids, ids).sum() <= 1
     assert len(joined[second.index].observations.ids) <= len(second.observations.ids) + 1
@@ -215,7 +215,7 @@ def test_ties_are_few_and_go_to_the_same_places_pass_after_pass():
     empty = np.empty((0, 2))
     for second in range(100, 1000):
         first = second % 100
-        ties.offer(Loop(first, second, np.eye(4), np.eye(4), np.empty(0, dtype=np.int64), empty, empty))
+        ties.offer(LoopClosure(first, second, np.eye(4), np.eye(4), np.empty(0, dtype=np.int64), empty, empty))
     assert len(ties.loops) == 900 / 4
     assert len({loop.first for loop in ties.loops}) == 100 / 4
 
@@ -227,7 +227,7 @@ def test_a_tie_measures_heading_and_position_in_level_frames(plain):
     variances = np.array([0.003, 0.01, 0.02, 0.03]) ** 2
     empty = np.empty((0, 2))
     true = invert(levels[0]) @ levels[1]
-    loop = Loop(0, 1, true, np.diag(variances), np.empty(0, dtype=np.int64), empty, empty)
+    loop = LoopClosure(0, 1, true, np.diag(variances), np.empty(0, dtype=np.int64), empty, empty)
     factor = tie(loop, first, second, settings)
 
     def error(T_odom_second: Array) -> float:

@@ -159,7 +159,7 @@ def level(heading_deg: float, altitude: float = 1.0) -> VehicleState:
 
 
 def test_what_is_before_the_vehicle_has_been_looked_at_and_what_lies_behind_has_not():
-    looked = Memory(TASK).look(level(77.0), 5.0)
+    looked = Memory(TASK).observe(level(77.0), 5.0)
     ahead, behind = looked[:8], looked[8:]
     assert ahead[-2, 5:7].all()  # 1.1 m straight on
     assert not ahead[:5].any()  # from 2.25 m on
@@ -170,12 +170,12 @@ def test_what_is_before_the_vehicle_has_been_looked_at_and_what_lies_behind_has_
 def test_the_map_turns_and_moves_with_the_vehicle():
     """After a way straight on, what was ahead lies behind; after a turn to the left, it lies to the right."""
     memory = Memory(TASK)
-    first = memory.look(level(20.0), 4.0)
-    moved = memory.look(level(20.0, altitude=5.0), 7.0)  # 1.5 m, two cells; so high that nothing is near
+    first = memory.observe(level(20.0), 4.0)
+    moved = memory.observe(level(20.0, altitude=5.0), 7.0)  # 1.5 m, two cells; so high that nothing is near
     assert np.array_equal(moved[2:], first[:-2])
     memory = Memory(TASK)
-    memory.look(level(20.0), 0.0)
-    turned = memory.look(level(110.0, altitude=5.0), 0.0)
+    memory.observe(level(20.0), 0.0)
+    turned = memory.observe(level(110.0, altitude=5.0), 0.0)
     assert turned[:, 6:].any()
     assert not turned[:, :6].any()
 

@@ -62,7 +62,7 @@ def test_lessons_are_the_pictures_of_a_file_with_the_labels_of_their_moment(file
         pixels, senses, looked, action_values = found[k]
         assert np.array_equal(pixels, small(images[k].pixels, NETWORK))
         assert np.array_equal(senses, senses_of(state, SPLIT.steering))
-        assert np.array_equal(looked, memory.look(state, 2.0 * k))
+        assert np.array_equal(looked, memory.observe(state, 2.0 * k))
         assert action_values[row.yaw, row.pitch] == action_values.max()
         assert action_values[2, 5] == np.float32(row.value_2_5)
 

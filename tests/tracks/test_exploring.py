@@ -17,7 +17,7 @@ from oysterbench.report.rollout_paths import apart
 from oysterbench.report.steering_samples import bow_pixels, samples_of
 from oysterbench.results.records import ResultRecord
 from oysterbench.tracks.steering import TRACK, ViewSequence
-from oysterbench.tracks.steering_rollouts import REFERENCES, make_loop, run_rollouts
+from oysterbench.tracks.steering_rollouts import REFERENCES, plan_rollouts, run_rollouts
 from tests.helpers import exploring_policies
 from tests.helpers.exploring_made import label_table, made_explore, made_log, made_split, write_labelled
 from tests.helpers.track_runs import runs_of
@@ -180,13 +180,13 @@ def test_a_rollout_is_read_as_it_was_written():
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 nothing", b"\x93NUMPY"])
 def test_a_damaged_rollout_is_refused_by_name(tmp_path, damage):
-    loop = make_loop(SPLIT, explore=made_explore)
-    run_rollouts(loop, ["one"], ["expert"], tmp_path)
+    plan = plan_rollouts(SPLIT, explore=made_explore)
+    run_rollouts(plan, ["one"], ["expert"], tmp_path)
     (file,) = tmp_path.iterdir()
     file.write_bytes(damage)
     with pytest.raises(ResultError, match=rf"{file.name}.*--again"):
-        run_rollouts(loop, ["one"], ["expert"], tmp_path)
-    assert run_rollouts(loop, ["one"], ["expert"], tmp_path, again=True)[0].log is not None
+        run_rollouts(plan, ["one"], ["expert"], tmp_path)
+    assert run_rollouts(plan, ["one"], ["expert"], tmp_path, again=True)[0].log is not None
 
 
 def counted(calls):
@@ -201,32 +201,32 @@ def counted(calls):
 
 def test_finished_rollouts_are_kept_and_made_anew_where_anything_is_different(tmp_path):
     calls: list = []
-    loop = make_loop(SPLIT, explore=counted(calls))
+    plan = plan_rollouts(SPLIT, explore=counted(calls))
     policies = [POLICIES + ":WithOption", *REFERENCES]
     told: list = []
     first = run_rollouts(
-        loop, ["one", "two"], policies, tmp_path, progress=lambda done, total: told.append((done, total))
+        plan, ["one", "two"], policies, tmp_path, progress=lambda done, total: told.append((done, total))
     )
     assert len(calls) == 8
     assert told == [(k, 8) for k in range(9)]
     assert [(run.record.sequence, run.record.method) for run in first[:4]] == [("one", policy) for policy in policies]
     calls.clear()
-    again = run_rollouts(loop, ["one", "two"], policies, tmp_path)
+    again = run_rollouts(plan, ["one", "two"], policies, tmp_path)
     assert calls == []
     assert [run.record.metrics for run in again] == [run.record.metrics for run in first]
 
-    run_rollouts(make_loop(SPLIT, 7, explore=counted(calls)), ["one"], policies, tmp_path)
+    run_rollouts(plan_rollouts(SPLIT, 7, explore=counted(calls)), ["one"], policies, tmp_path)
     assert {seconds for _, _, seconds in calls} == {7.0}
     assert len(calls) == 4
     calls.clear()
-    run_rollouts(loop, ["one"], [POLICIES + ":WithOption[gain=2]"], tmp_path)
+    run_rollouts(plan, ["one"], [POLICIES + ":WithOption[gain=2]"], tmp_path)
     assert len(calls) == 1
     calls.clear()
     other = dataclasses.replace(SPLIT, seed=8, source=SPLIT.source.replace("seed = 7", "seed = 8"))
-    run_rollouts(make_loop(other, explore=counted(calls)), ["one"], ["expert"], tmp_path)
+    run_rollouts(plan_rollouts(other, explore=counted(calls)), ["one"], ["expert"], tmp_path)
     assert len(calls) == 1
     calls.clear()
-    run_rollouts(loop, ["one"], ["expert"], tmp_path, again=True)
+    run_rollouts(plan, ["one"], ["expert"], tmp_path, again=True)
     assert len(calls) == 1
 
 
@@ -239,19 +239,19 @@ def test_an_interrupted_evaluation_goes_on_from_there(tmp_path):
         return counted(calls)(split, reef, policy, **options)
 
     with pytest.raises(KeyboardInterrupt):
-        run_rollouts(make_loop(SPLIT, explore=stopped), ["one", "two"], REFERENCES, tmp_path)
+        run_rollouts(plan_rollouts(SPLIT, explore=stopped), ["one", "two"], REFERENCES, tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
     calls.clear()
-    runs = run_rollouts(make_loop(SPLIT, explore=counted(calls)), ["one", "two"], REFERENCES, tmp_path)
+    runs = run_rollouts(plan_rollouts(SPLIT, explore=counted(calls)), ["one", "two"], REFERENCES, tmp_path)
     assert [call[:2] for call in calls] == [("one", "random"), *(("two", policy) for policy in REFERENCES)]
     assert all(run.log is not None for run in runs)
 
 
 def test_processes_make_the_rollouts_that_one_makes(tmp_path):
-    loop = make_loop(SPLIT, explore=made_explore)
+    plan = plan_rollouts(SPLIT, explore=made_explore)
     policies = [POLICIES + ":Reader", *REFERENCES]
-    alone = run_rollouts(loop, ["one", "two"], policies, tmp_path / "1")
-    several = run_rollouts(loop, ["one", "two"], policies, tmp_path / "2", workers=2)
+    alone = run_rollouts(plan, ["one", "two"], policies, tmp_path / "1")
+    several = run_rollouts(plan, ["one", "two"], policies, tmp_path / "2", workers=2)
     assert [run.record.metrics for run in alone] == [run.record.metrics for run in several]
     names = [sorted(path.name for path in (tmp_path / name).iterdir()) for name in "12"]
     assert names[0] == names[1]
@@ -261,8 +261,8 @@ def test_processes_make_the_rollouts_that_one_makes(tmp_path):
 
 @pytest.mark.parametrize(("policy", "message"), [("Broken", "no such weight"), ("Short", "12 commands, got 1")])
 def test_a_policy_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, policy, message):
-    loop = make_loop(SPLIT, explore=made_explore)
-    failed, fine = run_rollouts(loop, ["one"], [f"{POLICIES}:{policy}", "random"], tmp_path)
+    plan = plan_rollouts(SPLIT, explore=made_explore)
+    failed, fine = run_rollouts(plan, ["one"], [f"{POLICIES}:{policy}", "random"], tmp_path)
     assert message in failed.record.failure
     assert failed.record.metrics == {"oysters_per_min": 0.0}
     assert failed.log is None
@@ -270,7 +270,7 @@ def test_a_policy_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, polic
     assert len(list(tmp_path.iterdir())) == 1
     calls: list = []
     run_rollouts(
-        make_loop(SPLIT, explore=counted(calls)),
+        plan_rollouts(SPLIT, explore=counted(calls)),
         ["one"],
         [f"{POLICIES}:{policy}", "random"],
         tmp_path,
@@ -279,7 +279,7 @@ def test_a_policy_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, polic
 
 
 def test_records_of_rollouts_say_all_that_decides_them(tmp_path):
-    (run,) = run_rollouts(make_loop(SPLIT, 6, explore=made_explore), ["two"], [POLICIES + ":WithOption"], tmp_path)
+    (run,) = run_rollouts(plan_rollouts(SPLIT, 6, explore=made_explore), ["two"], [POLICIES + ":WithOption"], tmp_path)
     record = run.record
     assert (record.track, record.split, record.sequence) == ("exploration", "made", "two")
     assert record.settings == {"dive_s": 6.0, "start": 0}
@@ -291,9 +291,9 @@ def test_records_of_rollouts_say_all_that_decides_them(tmp_path):
 
 def test_rollouts_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
     """The real loop, small: what a log says of itself agrees, and a second evaluation finds the same rollouts."""
-    loop = make_loop(SPLIT, 4)
+    plan = plan_rollouts(SPLIT, 4)
     policies = ["straight", "random"]
-    runs = run_rollouts(loop, ["one"], policies, tmp_path)
+    runs = run_rollouts(plan, ["one"], policies, tmp_path)
     for run in runs:
         log = run.log
         assert run.record.failure is None
@@ -308,7 +308,7 @@ def test_rollouts_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
     assert (first.commands == 3).all()
     assert (first.states[0] == second.states[0]).all()  # all begin at the same place
     assert runs[0].record.truth_digest == runs[1].record.truth_digest
-    anew = run_rollouts(loop, ["one"], policies, tmp_path / "anew")
+    anew = run_rollouts(plan, ["one"], policies, tmp_path / "anew")
     for run, other in zip(runs, anew, strict=True):
         for field in dataclasses.fields(run.log):
             if field.name not in ("wall_s", "cpu_s"):
@@ -318,19 +318,19 @@ def test_rollouts_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
 @pytest.mark.parametrize("seconds", [0, -3, float("nan"), float("inf"), 0.4])
 def test_a_rollout_without_a_step_is_refused(seconds):
     with pytest.raises(RecipeError, match="--seconds: expected at least 1"):
-        make_loop(SPLIT, seconds)
+        plan_rollouts(SPLIT, seconds)
 
 
 def test_a_split_of_another_track_has_no_rollouts(tiny_split):
     with pytest.raises(RecipeError, match="is of the track 'slam'"):
-        make_loop(tiny_split)
+        plan_rollouts(tiny_split)
 
 
 def test_policies_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
     split = made_split(tuple(f"r{k}" for k in range(7)))
     reefs = [sequence.name for sequence in split.sequence]
-    loop = make_loop(split, explore=made_explore)
-    runs = run_rollouts(loop, reefs, [POLICIES + ":Reader", *REFERENCES], tmp_path)
+    plan = plan_rollouts(split, explore=made_explore)
+    runs = run_rollouts(plan, reefs, [POLICIES + ":Reader", *REFERENCES], tmp_path)
     found = places(runs)
     assert set(found) == {POLICIES + ":Reader", "lawnmower"}
     assert found["lawnmower"].value == pytest.approx(0.5)

@@ -69,8 +69,8 @@ class DetectionScorer:
         """Of all images so far. Raises LabelError where there is none."""
         if not self._truths:
             raise LabelError("expected at least one image to score, got none")
-        said = [one for image in self._estimates for one in image.instances]
-        masks = all(one.mask is not None for one in said) and all(
+        detections = [one for image in self._estimates for one in image.instances]
+        masks = all(one.mask is not None for one in detections) and all(
             one.mask is not None for image in self._truths for one in image.instances
         )
         kinds: tuple[Kind, ...] = ("mask", "box") if masks else ("box",)

@@ -40,18 +40,20 @@ def count(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> 
     """Estimates from a score on, without those that lie on crowd regions by more than half."""
     crowds = [one for one in truth.instances if one.crowd]
     true = [one for one in truth.instances if not one.crowd]
-    said = [one for one in estimate.instances if one.score >= threshold]
-    if crowds and said:
+    detections = [one for one in estimate.instances if one.score >= threshold]
+    if crowds and detections:
         tools = mask_tools()
-        boxes = any(one.mask is None for one in (*said, *crowds))
+        boxes = any(one.mask is None for one in (*detections, *crowds))
         with numpy_2():
-            parts = np.array([one.box for one in said]) if boxes else [one.mask for one in said]
+            parts = np.array([one.box for one in detections]) if boxes else [one.mask for one in detections]
             regions = np.array([one.box for one in crowds]) if boxes else [tools.merge([one.mask for one in crowds])]
             share = tools.iou(parts, regions, [True] * len(regions)).max(axis=1)
-        said = [one for one, on_crowd in zip(said, share, strict=True) if on_crowd <= 0.5]
+        detections = [one for one, on_crowd in zip(detections, share, strict=True) if on_crowd <= 0.5]
     footprint = math.nan if truth.footprint_m2 is None else truth.footprint_m2
-    cells = tuple(int(np.abs(_in_cells(said, truth, level) - _in_cells(true, truth, level)).sum()) for level in LEVELS)
-    return ImageCount(truth.name, len(true), len(said), footprint, cells)
+    cells = tuple(
+        int(np.abs(_in_cells(detections, truth, level) - _in_cells(true, truth, level)).sum()) for level in LEVELS
+    )
+    return ImageCount(truth.name, len(true), len(detections), footprint, cells)
 
 
 def _in_cells(instances: Sequence[Instance], image: ImageInstances, level: int) -> Array:

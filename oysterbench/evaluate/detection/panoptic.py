@@ -59,11 +59,11 @@ def panoptic(truth: ImageInstances, estimate: ImageInstances, threshold: float) 
     is no error (section 4.2).
     """
     true = sorted((one for one in truth.instances if not one.crowd), key=lambda one: -one.area)
-    said = sorted((one for one in estimate.instances if one.score >= threshold), key=lambda one: one.score)
-    truths, estimates = paint(truth, true), paint(estimate, said)
+    detections = sorted((one for one in estimate.instances if one.score >= threshold), key=lambda one: one.score)
+    truths, estimates = paint(truth, true), paint(estimate, detections)
     void = paint(truth, [one for one in truth.instances if one.crowd]) > 0
     void &= truths == 0
-    n = len(said) + 1
+    n = len(detections) + 1
     pairs = np.bincount((truths * n + estimates).ravel(), minlength=(len(true) + 1) * n).reshape(-1, n)
     on_void = np.bincount(estimates[void], minlength=n)
     of_truth, of_estimate = pairs.sum(axis=1)[:, None], pairs.sum(axis=0)

@@ -53,10 +53,10 @@ def read_pair(
             notes = estimate.notes
             estimate = read_trajectory(estimate_path, options)
             estimate = replace(estimate, notes=tuple(dict.fromkeys((*notes, *estimate.notes))))
-            said = f"{Path(estimate_path).name}: {finding.sentence}; they are read so ({finding.decide})"
+            note = f"{Path(estimate_path).name}: {finding.sentence}; they are read so ({finding.decide})"
         else:
-            said = str(finding)
-        estimate = replace(estimate, notes=(*estimate.notes, said))
+            note = str(finding)
+        estimate = replace(estimate, notes=(*estimate.notes, note))
     return truth, estimate
 
 

@@ -50,7 +50,7 @@ class SteeringInterface(Interface):
         task, rows = read_task(given), _rows(given)
         views = (_view(given, row) for row in rows)
         with watch:
-            made = [answer for _, answer, _ in commands(method, task, watch.leave_out(views), given.name)]
+            made = [command for _, command, _ in commands(method, task, watch.leave_out(views), given.name)]
         if len(made) < len(rows):
             raise MethodError(
                 f"method {method.name!r} on {given.name}: expected {len(rows)} commands, one for each view, got "
