@@ -8,14 +8,16 @@ errors of chosen estimates would tell where the truth lies.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from oysterbench.core.errors import LabelError, MethodError, TrajectoryError
 from oysterbench.results.records import ResultRecord, plain
-from oysterbench_leaderboard.submissions.catalogue import Kind, Wanted, why
+from oysterbench.tracks import TRACKS
+from oysterbench_leaderboard.submissions.catalogue import SCORED, Kind, Wanted, why
 from oysterbench_leaderboard.submissions.predictions import Predictions, Reader
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
@@ -52,23 +54,10 @@ DIGITS = 4
 def evaluator(track: str) -> tuple[str, dict[str, Any]]:
     """Name and version of a track's evaluator, and its settings: those that boards rank by. Raises Refusal for a track
     that cannot be submitted."""
-    if track == "slam":
-        from oysterbench.evaluate.slam import scoring as slam
-
-        return slam.EVALUATOR, slam.SlamSettings().as_dict()
-    if track == "segmentation":
-        from oysterbench.evaluate import segmentation
-
-        return segmentation.EVALUATOR, segmentation.SegmentationSettings().as_dict()
-    if track == "detection":
-        from oysterbench.evaluate import detection
-
-        return detection.EVALUATOR, detection.DetectionSettings().as_dict()
-    if track == "steering":
-        from oysterbench.evaluate import steering
-
-        return steering.EVALUATOR, {}
-    raise Refusal("split", f"the track {track!r:.60} cannot be submitted{why(track)}")
+    if track not in SCORED:
+        raise Refusal("split", f"the track {track!r:.60} cannot be submitted{why(track)}")
+    settings = TRACKS[track].settings({})
+    return TRACKS[track].evaluator, {} if settings is None else settings.as_dict()
 
 
 @dataclass(frozen=True)
@@ -90,24 +79,27 @@ class Found:
     notes: tuple[str, ...] = ()
 
 
-class Scorer(Protocol):
+class Scorer(ABC):
     """Of a kind of predictions, over the sequences of a split, one after the other."""
 
+    def __init__(self, wanted: Wanted, method: str) -> None:
+        self.wanted, self.method = wanted, method
+
+    @abstractmethod
     def open(self, path: Path, sequence: str) -> str:
         """Go to a sequence; the digest of its truth."""
-        ...
 
+    @abstractmethod
     def score(self, readers: Mapping[str, Reader]) -> Found:
         """Hold the predictions against the truth. Raises Refusal, TrajectoryError, LabelError, MethodError."""
-        ...
 
-    def failed(self) -> dict[str, float]:
+    def failed(self) -> Mapping[str, float]:
         """The metrics by which a sequence that has no score counts."""
-        ...
+        return {}
 
+    @abstractmethod
     def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
         """With what is known over all sequences."""
-        ...
 
 
 def score_predictions(
@@ -132,7 +124,7 @@ def score_predictions(
         "settings": settings,
         "evaluator_version": version,
     }
-    scorer: Scorer = SCORERS[predictions.kind](wanted, method)
+    scorer = SCORERS[predictions.kind](wanted, method)
     given = predictions.sequences(wanted)
     results = []
     for sequence in wanted.sequences:
@@ -154,11 +146,11 @@ def score_predictions(
     return Scored(tuple(_discreet(record) for record in scored.results), _rounded(scored.data_set))
 
 
-class PathScorer:
+class PathScorer(Scorer):
     """Of the track slam."""
 
     def __init__(self, wanted: Wanted, method: str) -> None:
-        self._hidden = wanted.hidden
+        super().__init__(wanted, method)
         self._curves: dict[str, Any] = {}
 
     def open(self, path: Path, sequence: str) -> str:
@@ -169,12 +161,12 @@ class PathScorer:
         return truth_digest(self._truth)
 
     def score(self, readers: Mapping[str, Reader]) -> Found:
-        from oysterbench.evaluate.slam.scoring import SlamSettings, score
+        from oysterbench.evaluate.slam.scoring import score
         from oysterbench_leaderboard.curves import sequence_curve
 
         estimate, notes = self._read(readers[self._sequence])
-        found = score(self._truth, estimate, SlamSettings())
-        if not self._hidden:
+        found = score(self._truth, estimate, TRACKS["slam"].settings({}))
+        if not self.wanted.hidden:
             self._curves[self._sequence] = sequence_curve(found, 0)
         return Found(found.metrics, found.reasons, notes)
 
@@ -195,9 +187,6 @@ class PathScorer:
                 notes.append(READ_AS.format(f"'{cause}'"))
         return replace(estimate, notes=()), tuple(dict.fromkeys(notes))
 
-    def failed(self) -> dict[str, float]:
-        return {}
-
     def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
         from oysterbench_leaderboard.curves import curves_document
 
@@ -205,54 +194,50 @@ class PathScorer:
         return Scored(results, curves=curves_document(self._curves, align) if self._curves else None)
 
 
-class ImageScorer:
+class ImageScorer(Scorer):
     """Of the tracks segmentation and detection."""
 
     def __init__(self, wanted: Wanted, method: str) -> None:
-        self._wanted = wanted
+        from oysterbench.tracks.images import ImageTrack
+
+        super().__init__(wanted, method)
+        track = TRACKS[wanted.track]
+        assert isinstance(track, ImageTrack), wanted.track
+        self._track, self._settings = track, track.settings({})
         self._scores: dict[str, Any] = {}
 
     def open(self, path: Path, sequence: str) -> str:
         from oysterbench.annotations import labelled_sequence
 
-        self._labelled = labelled_sequence(path, self._wanted.conditions[sequence])
+        self._labelled = labelled_sequence(path, self.wanted.conditions[sequence])
         self._sequence = sequence
         return self._labelled.digest
 
     def score(self, readers: Mapping[str, Reader]) -> Found:
-        from oysterbench.evaluate.detection import DetectionScorer, DetectionSettings
-        from oysterbench.evaluate.segmentation import ClipScorer, SegmentationSettings
+        def get(name: str, shape: tuple[int, int]) -> Any:
+            return readers[name]()
 
-        segmentation = self._wanted.track == "segmentation"
-        scorer: Any = ClipScorer(SegmentationSettings()) if segmentation else DetectionScorer(DetectionSettings())
-        for true, _ in self._labelled.images() if segmentation else self._labelled.single():
-            scorer.add(true, readers[true.name]())
-        found = self._scores[self._sequence] = scorer.result()
+        found, _ = self._track.score_sequence(self._labelled, get, self._settings, self.method, samples_wanted=0)
+        self._scores[self._sequence] = found
         return Found(found.metrics, found.reasons)
 
-    def failed(self) -> dict[str, float]:
-        if self._wanted.track != "segmentation":
-            return {}
-        from oysterbench.evaluate.segmentation import SegmentationSettings
-        from oysterbench.tracks.segmentation import all_missed
-
-        return all_missed(self._labelled, SegmentationSettings())
+    def failed(self) -> Mapping[str, float]:
+        return self._track.failed_metrics(self._labelled, self._settings)
 
     def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
         from oysterbench.report.images import ImageRun
-        from oysterbench.tracks import detection, segmentation
 
-        track = segmentation if self._wanted.track == "segmentation" else detection
-        rows = track.dataset_rows([ImageRun(record, self._scores.get(record.sequence)) for record in results])
+        rows = self._track.dataset_rows([ImageRun(record, self._scores.get(record.sequence)) for record in results])
         return Scored(results, plain(rows[0].as_plain()) if rows else None)
 
 
-class CommandScorer:
+class CommandScorer(Scorer):
     """Of the track steering, at labelled pictures."""
 
     def __init__(self, wanted: Wanted, method: str) -> None:
+        super().__init__(wanted, method)
         assert wanted.task is not None, wanted.split
-        self._task, self._method = wanted.task, method
+        self._task = wanted.task
         self._parts: list[Any] = []
 
     def open(self, path: Path, sequence: str) -> str:
@@ -270,9 +255,6 @@ class CommandScorer:
         found = score_pictures(*self._parts[-1])
         return Found(found.metrics, found.reasons)
 
-    def failed(self) -> dict[str, float]:
-        return {}
-
     def whole(self, results: tuple[ResultRecord, ...]) -> Scored:
         from oysterbench.evaluate.steering.dataset import over_sequences
 
@@ -281,10 +263,10 @@ class CommandScorer:
         whole = over_sequences(self._parts)
         intervals = {k: {"low": v.low, "high": v.high, "reason": v.reason} for k, v in whole.intervals.items()}
         known = {"metrics": whole.score.metrics, "reasons": whole.score.reasons, "intervals": intervals}
-        return Scored(results, plain({"method": self._method, "clips": whole.sequences, **known}))
+        return Scored(results, plain({"method": self.method, "clips": whole.sequences, **known}))
 
 
-SCORERS: dict[Kind, type[PathScorer] | type[ImageScorer] | type[CommandScorer]] = {
+SCORERS: dict[Kind, type[Scorer]] = {
     "poses": PathScorer,
     "predictions": ImageScorer,
     "commands": CommandScorer,

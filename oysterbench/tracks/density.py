@@ -11,6 +11,7 @@ from typing import Any
 from oysterbench.annotations import labelled_sequence
 from oysterbench.core.errors import MethodError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory, read_trajectory
+from oysterbench.evaluate.density.scoring import EVALUATOR
 from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.mapping import MapSettings, Seen, read_seen
 from oysterbench.mapping.predicted import stacked
@@ -44,6 +45,7 @@ class DensityTrack(Track):
     default_split = "slam-mini"
     default_methods = ("dead_reckoning",)
     folder = "results-density"
+    evaluator = EVALUATOR
     options = (
         Option("poses", "--poses", "Folder of SEQUENCE-METHOD.tum, as `run` leaves it.", Path),
         Option("masks", "--masks", "Oysters in the pictures.  [default: true]", Path),

@@ -11,9 +11,9 @@ from oysterbench.evaluate.detection import EVALUATOR, DetectionClip, DetectionSc
 from oysterbench.evaluate.detection.clip import over_clips
 from oysterbench.evaluate.detection.panoptic import paint
 from oysterbench.methods.interfaces.images import Prediction
-from oysterbench.report.images import DatasetRow, ImageRun, Sample
-from oysterbench.report.overlay import overlay
-from oysterbench.tracks.images import KIND, THRESHOLD, ImageTrack, Predictor, by_method, instances_of, sampled_pictures
+from oysterbench.report.images import DatasetRow, Sample
+from oysterbench.report.overlay import overlay, sampled
+from oysterbench.tracks.images import KIND, SAMPLES, THRESHOLD, ImageTrack, Predictor, instances_of
 from oysterbench.tracks.track import Option
 
 
@@ -24,6 +24,7 @@ class DetectionTrack(ImageTrack):
     title = "Single oysters in pictures: found, outlined, counted."
     takes = ("detection", "segmentation")
     folder = "results-detection"
+    evaluator = EVALUATOR
     options = (
         THRESHOLD,
         Option("max_detections", "--max-detections", "Of an image, at most.  [default: 300]", int),
@@ -32,10 +33,6 @@ class DetectionTrack(ImageTrack):
     examples = """
       oysterbench eval detection --method my_net:MyNet --split seg-val
       oysterbench eval detection --truth instances.json --estimate results.json"""
-
-    def evaluator(self) -> str:
-        """Name and version."""
-        return EVALUATOR
 
     def settings(self, options: Mapping[str, Any]) -> DetectionSettings:
         """Of the evaluator."""
@@ -52,10 +49,15 @@ class DetectionTrack(ImageTrack):
         return file.instances(name, scored=True)
 
     def score_sequence(
-        self, labelled: LabelledSequence, get: Predictor, settings: DetectionSettings, method: str
+        self,
+        labelled: LabelledSequence,
+        get: Predictor,
+        settings: DetectionSettings,
+        method: str,
+        samples_wanted: int = SAMPLES,
     ) -> tuple[DetectionClip, list[Sample]]:
         """Oyster by oyster; pictures are painted where there are masks to paint."""
-        scorer, wanted, samples = DetectionScorer(settings), sampled_pictures(labelled), []
+        scorer, wanted, samples = DetectionScorer(settings), sampled(labelled.names, samples_wanted), []
         for instances, seen in labelled.single():
             estimate = get(instances.name, (instances.height, instances.width))
             scorer.add(instances, estimate)
@@ -64,20 +66,10 @@ class DetectionTrack(ImageTrack):
                 samples.append(overlay(*seen, paint(estimate, counted) > 0, method))
         return scorer.result(), samples
 
-    def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
+    def over_dataset(self, method: str, results: Sequence[DetectionClip]) -> DatasetRow:
         """All pictures together."""
-        return dataset_rows(runs)
-
-
-def dataset_rows(runs: Sequence[ImageRun]) -> list[DatasetRow]:
-    """The result over all sequences of each method that could be scored on all of them."""
-    rows = []
-    for method, group in by_method(runs).items():
-        results = [run.result for run in group if isinstance(run.result, DetectionClip)]
-        if len(results) == len(group):
-            whole, intervals = over_clips(results)
-            rows.append(DatasetRow(method, whole.metrics, whole.reasons, intervals, len(results), whole))
-    return rows
+        whole, intervals = over_clips(results)
+        return DatasetRow(method, whole.metrics, whole.reasons, intervals, len(results), whole)
 
 
 TRACK = DetectionTrack()

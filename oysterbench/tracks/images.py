@@ -29,7 +29,6 @@ from oysterbench.methods.processes import Processes
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report import images_csv
 from oysterbench.report.images import DatasetRow, ImageRun, Sample, dataset_tables
-from oysterbench.report.overlay import sampled
 from oysterbench.results.records import ResultRecord
 from oysterbench.simulation.conditions import conditions
 from oysterbench.simulation.generate import digest
@@ -90,14 +89,13 @@ class ImageTrack(Track):
     files = "masks, or annotations,"
 
     @abstractmethod
-    def evaluator(self) -> str:
-        """Name and version."""
-
-    @abstractmethod
     def score_sequence(
-        self, labelled: LabelledSequence, get: Predictor, settings: Any, method: str
+        self, labelled: LabelledSequence, get: Predictor, settings: Any, method: str, samples_wanted: int = SAMPLES
     ) -> tuple[Any, list[Sample]]:
-        """The result of a sequence, and some of its pictures. get: of a name and a size (H, W), what is predicted."""
+        """The result of a sequence, and so many of its pictures with what was found in them.
+
+        get: of a name and a size (H, W), what is predicted
+        """
 
     @abstractmethod
     def of_prediction(self, prediction: Prediction, method: str, shape: tuple[int, int], settings: Any) -> Any:
@@ -108,8 +106,20 @@ class ImageTrack(Track):
         """What the evaluator takes of COCO annotations."""
 
     @abstractmethod
+    def over_dataset(self, method: str, results: Sequence[Any]) -> DatasetRow:
+        """The result of a method over all sequences."""
+
     def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
         """The result over all sequences of each method that could be scored on all of them."""
+        groups: dict[str, list[ImageRun]] = {}
+        for run in runs:
+            groups.setdefault(run.record.method, []).append(run)
+        rows = []
+        for method, group in groups.items():
+            results = [run.result for run in group if run.result is not None]
+            if len(results) == len(group):
+                rows.append(self.over_dataset(method, results))
+        return rows
 
     def failed_metrics(self, labelled: LabelledSequence, settings: Any) -> Mapping[str, float]:
         """By what a failed run counts in a mean over sequences."""
@@ -194,7 +204,7 @@ class ImageTrack(Track):
         return self.show(runs, (), None)
 
     def _about(self, split: SplitRecipe | None, labelled: LabelledSequence, settings: Any) -> dict[str, Any]:
-        about = about_sequence(self.name, split, labelled.name, labelled.digest, settings.as_dict(), self.evaluator())
+        about = about_sequence(self.name, split, labelled.name, labelled.digest, settings.as_dict(), self.evaluator)
         return {**about, "conditions": labelled.conditions}
 
     def show(self, runs: Sequence[ImageRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:
@@ -209,19 +219,6 @@ class ImageTrack(Track):
 
 Predictor = Callable[[str, tuple[int, int]], Any]
 """Of the name and the size (H, W) of a picture, what is predicted for it, as the evaluator takes it."""
-
-
-def by_method(runs: Sequence[ImageRun]) -> dict[str, list[ImageRun]]:
-    """Runs by their method."""
-    groups: dict[str, list[ImageRun]] = {}
-    for run in runs:
-        groups.setdefault(run.record.method, []).append(run)
-    return groups
-
-
-def sampled_pictures(labelled: LabelledSequence, wanted: int = SAMPLES) -> frozenset[str]:
-    """Names of the pictures of a sequence that the report shows."""
-    return frozenset(sampled(labelled.names, wanted))
 
 
 def segmentation_of(prediction: Prediction, method: str) -> EstimateImage:

@@ -11,15 +11,14 @@ from oysterbench.annotations import CocoFile, LabelledSequence
 from oysterbench.evaluate.segmentation import EVALUATOR, ClipResult, ClipScorer, EstimateImage, SegmentationSettings
 from oysterbench.evaluate.segmentation.dataset import over_dataset
 from oysterbench.methods.interfaces.images import Prediction
-from oysterbench.report.images import DatasetRow, ImageRun, Sample
-from oysterbench.report.overlay import overlay
+from oysterbench.report.images import DatasetRow, Sample
+from oysterbench.report.overlay import overlay, sampled
 from oysterbench.tracks.images import (
     KIND,
+    SAMPLES,
     THRESHOLD,
     ImageTrack,
     Predictor,
-    by_method,
-    sampled_pictures,
     segmentation_of,
 )
 from oysterbench.tracks.track import Option
@@ -32,6 +31,7 @@ class SegmentationTrack(ImageTrack):
     title = "Which pixels of pictures are oysters."
     takes = ("segmentation",)
     folder = "results-segmentation"
+    evaluator = EVALUATOR
     options = (
         THRESHOLD,
         KIND,
@@ -43,10 +43,6 @@ class SegmentationTrack(ImageTrack):
     examples = """
       oysterbench eval segmentation --method my_net:MyNet --split seg-val
       oysterbench eval segmentation --truth masks/ --estimate probabilities/ --threshold 0.4"""
-
-    def evaluator(self) -> str:
-        """Name and version."""
-        return EVALUATOR
 
     def settings(self, options: Mapping[str, Any]) -> SegmentationSettings:
         """Of the evaluator."""
@@ -63,10 +59,15 @@ class SegmentationTrack(ImageTrack):
         return file.mask(name, settings.threshold)
 
     def score_sequence(
-        self, labelled: LabelledSequence, get: Predictor, settings: SegmentationSettings, method: str
+        self,
+        labelled: LabelledSequence,
+        get: Predictor,
+        settings: SegmentationSettings,
+        method: str,
+        samples_wanted: int = SAMPLES,
     ) -> tuple[ClipResult, list[Sample]]:
         """Pixel by pixel."""
-        scorer, wanted, samples = ClipScorer(settings), sampled_pictures(labelled), []
+        scorer, wanted, samples = ClipScorer(settings), sampled(labelled.names, samples_wanted), []
         for truth, pixels in labelled.images():
             estimate = get(truth.name, truth.classes.shape)
             scorer.add(truth, estimate)
@@ -75,33 +76,17 @@ class SegmentationTrack(ImageTrack):
         return scorer.result(), samples
 
     def failed_metrics(self, labelled: LabelledSequence, settings: SegmentationSettings) -> Mapping[str, float]:
-        """All oysters are missed."""
-        return all_missed(labelled, settings)
+        """The pixels of the truth, none of which were found."""
+        scorer = ClipScorer(settings)
+        for truth, _ in labelled.images():
+            scorer.add(truth, EstimateImage(truth.name, oyster=np.zeros(truth.classes.shape, dtype=bool)))
+        metrics = scorer.result().metrics
+        return {key: value for key, value in metrics.items() if key.endswith(("_px", "images"))}
 
-    def dataset_rows(self, runs: Sequence[ImageRun]) -> list[DatasetRow]:
+    def over_dataset(self, method: str, results: Sequence[ClipResult]) -> DatasetRow:
         """All pictures together."""
-        return dataset_rows(runs)
-
-
-def all_missed(labelled: LabelledSequence, settings: SegmentationSettings) -> dict[str, float]:
-    """By what a failed run counts in a mean over sequences: the pixels of the truth, none of which it found."""
-    scorer = ClipScorer(settings)
-    for truth, _ in labelled.images():
-        scorer.add(truth, EstimateImage(truth.name, oyster=np.zeros(truth.classes.shape, dtype=bool)))
-    metrics = scorer.result().metrics
-    return {key: value for key, value in metrics.items() if key.endswith(("_px", "images"))}
-
-
-def dataset_rows(runs: Sequence[ImageRun]) -> list[DatasetRow]:
-    """The result over all sequences of each method that could be scored on all of them."""
-    rows = []
-    for method, group in by_method(runs).items():
-        results = [run.result for run in group if isinstance(run.result, ClipResult)]
-        if len(results) == len(group):
-            found = over_dataset(results)
-            whole = found.whole
-            rows.append(DatasetRow(method, whole.metrics, whole.reasons, found.intervals, found.clips, whole))
-    return rows
+        found = over_dataset(results)
+        return DatasetRow(method, found.whole.metrics, found.whole.reasons, found.intervals, found.clips, found.whole)
 
 
 TRACK = SegmentationTrack()

@@ -92,6 +92,7 @@ class SlamTrack(Track):
     # scale, cannot be scored as they are.
     default_methods = ("gtsam_vi", "dead_reckoning")
     folder = "results"
+    evaluator = EVALUATOR
     files = "trajectories"
     options = OPTIONS
     examples = """

@@ -77,6 +77,7 @@ class SteeringTrack(Track):
     default_split = "steer-mini"
     default_methods = ("straight", "chance")
     folder = "results-steering"
+    evaluator = EVALUATOR
     options = (
         Option("closed_loop", "--closed-loop", "Let the policies drive, beside the references.", bool),
         *LOOP_OPTIONS,

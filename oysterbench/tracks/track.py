@@ -137,6 +137,7 @@ class Track(ABC):
 
     takes:   tracks of the methods that take part, its own first
     folder:  of the results, under that of the split
+    evaluator: name and version of what scores it
     files:   what --truth and --estimate are; empty where no files can be scored
     options: of its own
     """
@@ -147,6 +148,7 @@ class Track(ABC):
     default_split: str
     default_methods: tuple[str, ...]
     folder: str
+    evaluator: str
     files: str = ""
     options: tuple[Option, ...] = ()
     examples: str = ""
