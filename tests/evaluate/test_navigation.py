@@ -182,7 +182,7 @@ def test_a_macro_f1_of_resamples_is_that_of_their_pictures():
 
     parts = [made(9, 40 + k) for k in range(6)]
     counts = resample_counts(6)[:5]
-    fast = dataset._macro_f1(counts, [dataset._confusion(part, "yaw") for part in parts])
+    fast = dataset._macro_f1(counts, [score_pictures(*part).yaw.astype(float) for part in parts])
     for row, value in zip(counts, fast, strict=True):
         chosen = [part for part, n in zip(parts, row, strict=True) for _ in range(int(n))]
         assert value == pytest.approx(over_sequences(chosen).score.metrics["yaw_macro_f1"])

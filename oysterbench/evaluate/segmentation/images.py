@@ -55,7 +55,7 @@ class EstimateImage:
     classes: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
-        given = [a for a in (self.oyster, self.probability, self.classes) if a is not None]
+        given = self._given
         if len(given) != 1:
             raise LabelError(f"{self.name}: expected one of oyster, probability and classes, got {len(given)}")
         if given[0].ndim != 2:
@@ -89,10 +89,11 @@ class EstimateImage:
     @property
     def shape(self) -> tuple[int, ...]:
         """(H, W)."""
-        for array in (self.oyster, self.probability, self.classes):
-            if array is not None:
-                return array.shape
-        raise AssertionError("checked when it was made")
+        return self._given[0].shape
+
+    @property
+    def _given(self) -> list[NDArray[Any]]:
+        return [array for array in (self.oyster, self.probability, self.classes) if array is not None]
 
     def mask(self, threshold: float) -> NDArray[np.bool_]:
         """(H, W) where it says that there is an oyster."""

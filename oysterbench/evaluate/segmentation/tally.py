@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -82,10 +83,9 @@ def _tally_classes(true: NDArray[np.uint8], classes: NDArray[np.uint8], asked: N
     confusion = np.array(_histogram(true * np.uint8(n) + classes, asked, n * n)).reshape(n, n)
     tally: Tally = {}
     for number, name in CLASSES.items():
-        tally[f"class_{name}_intersection_px"] = int(confusion[number, number])
-        tally[f"class_{name}_union_px"] = int(confusion[number].sum() + confusion[:, number].sum()) - int(
-            confusion[number, number]
-        )
+        both = int(confusion[number, number])
+        tally[f"class_{name}_intersection_px"] = both
+        tally[f"class_{name}_union_px"] = int(confusion[number].sum() + confusion[:, number].sum()) - both
     return tally
 
 
@@ -135,8 +135,4 @@ def _tally_size(
 
 def add(tallies: list[Tally]) -> Tally:
     """Sums, over all that have a count."""
-    total: Tally = {}
-    for tally in tallies:
-        for key, value in tally.items():
-            total[key] = total.get(key, 0) + value
-    return total
+    return {key: sum(tally.get(key, 0) for tally in tallies) for key in dict.fromkeys(chain(*tallies))}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,13 +68,7 @@ def shift(trajectory: Trajectory, offset_s: float) -> Trajectory:
     """The trajectory with offset_s added to its stamps, to the nanosecond."""
     if offset_s == 0.0:
         return trajectory
-    return Trajectory(
-        trajectory.stamps_ns + round(offset_s * 1e9),
-        trajectory.positions,
-        trajectory.quaternions,
-        trajectory.covariances,
-        trajectory.notes,
-    )
+    return replace(trajectory, stamps_ns=trajectory.stamps_ns + round(offset_s * 1e9))
 
 
 def _median_step(trajectory: Trajectory) -> float:

@@ -147,12 +147,8 @@ def _segments(matched: Matched, settings: SlamSettings, path_m: Array, measures:
         lengths = {f"{length:g}m": float(length) for length in settings.subpath_m}
     else:
         lengths = {f"{percent}percent": percent / 100 * total_m for percent in SUBPATH_PERCENTS}
-    sums: dict[str, list[Array]] = {
-        "translation_percent": [],
-        "rotation_deg_per_m": [],
-        "yaw_deg_per_m": [],
-        "tilt_deg_per_m": [],
-    }
+    turns = ("rotation", "yaw", "tilt")
+    sums: dict[str, list[Array]] = {"translation_percent": [], **{f"{turn}_deg_per_m": [] for turn in turns}}
     ratios: list[Array] = []
     possible = 0
     for name, length_m in lengths.items():
@@ -170,12 +166,8 @@ def _segments(matched: Matched, settings: SlamSettings, path_m: Array, measures:
         percent = 100.0 / length_m * errors.translation_m
         measures[key] = float(np.mean(percent))
         sums["translation_percent"].append(percent)
-        for part, angle in (
-            ("rotation", errors.rotation_rad),
-            ("yaw", errors.yaw_rad),
-            ("tilt", errors.tilt_rad),
-        ):
-            sums[f"{part}_deg_per_m"].append(np.rad2deg(angle) / length_m)
+        for turn in turns:
+            sums[f"{turn}_deg_per_m"].append(np.rad2deg(getattr(errors, f"{turn}_rad")) / length_m)
         ratios.append(_scale_ratios(met.truth, matched.aligned, pairs, MIN_CHORD * length_m))
     keys = [f"subpath_{name}" for name in sums]
     measures["subpath_segments"] = sum(len(part) for part in sums["translation_percent"])
@@ -187,11 +179,8 @@ def _segments(matched: Matched, settings: SlamSettings, path_m: Array, measures:
             measures[key] = float(np.mean(np.concatenate(parts)))
     ratio = np.concatenate(ratios) if ratios else np.empty(0)
     if not len(ratio):
-        measures.missing(
-            f"no segment is answered at ends that are {MIN_CHORD:.0%} of its length apart",
-            "subpath_scale",
-            "subpath_scale_error_percent",
-        )
+        reason = f"no segment is answered at ends that are {MIN_CHORD:.0%} of its length apart"
+        measures.missing(reason, "subpath_scale", "subpath_scale_error_percent")
         return
     measures["subpath_scale"] = float(np.median(ratio))
     measures["subpath_scale_error_percent"] = float(100.0 * np.median(np.abs(ratio - 1.0)))

@@ -31,19 +31,20 @@ class Whole:
 
 def over_sequences(parts: Sequence[tuple[Labels, Commands]]) -> Whole:
     """Score the commands at the pictures of at least one sequence together; all are of one task."""
-    score = score_pictures(*_together(parts))
+    score, scores = score_pictures(*_together(parts)), [score_pictures(*part) for part in parts]
     n = len(parts)
     counts = resample_counts(n)
     if counts is None:
         unknown = Interval(math.nan, math.nan, too_few(n))
-        return Whole(score, dict.fromkeys(_sums(parts), unknown) | dict.fromkeys(_F1, unknown), n)
+        return Whole(score, dict.fromkeys((*_sums(parts, scores), *_F1), unknown), n)
     intervals = {}
     with np.errstate(divide="ignore", invalid="ignore"):
-        for key, (tops, bottoms) in _sums(parts).items():
+        for key, (tops, bottoms) in _sums(parts, scores).items():
             ratios = (counts @ tops) / (counts @ bottoms)
             intervals[key] = resampled_interval(1.0 - ratios if key == "skill" else ratios, n)
     for axis, key in zip(AXES, _F1, strict=True):
-        intervals[key] = resampled_interval(_macro_f1(counts, [_confusion(part, axis) for part in parts]), n)
+        confusions = [getattr(each, axis).astype(float) for each in scores]
+        intervals[key] = resampled_interval(_macro_f1(counts, confusions), n)
     return Whole(score, intervals, n)
 
 
@@ -66,25 +67,18 @@ def _together(parts: Sequence[tuple[Labels, Commands]]) -> tuple[Labels, Command
     )
 
 
-def _sums(parts: Sequence[tuple[Labels, Commands]]) -> dict[str, tuple[Array, Array]]:
+def _sums(parts: Sequence[tuple[Labels, Commands]], scores: Sequence[PictureScore]) -> dict[str, tuple[Array, Array]]:
     """Metric -> numerators and denominators (n,) of the sequences; of skill, those of what it lacks to 1."""
     pictures = np.array([len(truth.classes) for truth, _ in parts], dtype=float)
     regret = np.array([labels.regrets(truth.action_values, made.classes).sum() for truth, made in parts])
     chance = np.array([labels.chance_regrets(truth.action_values).sum() for truth, _ in parts])
     found = {"skill": (regret, chance), "regret_oysters": (regret, pictures)}
-    for k, axis in enumerate(AXES):
-        right = [float((truth.classes[:, k] == made.classes[:, k]).sum()) for truth, made in parts]
-        found[f"{axis}_accuracy"] = (np.array(right), pictures)
-        costs = [score_pictures(*part).metrics[f"{axis}_cost_deg"] for part in parts]
+    for axis in AXES:
+        right = np.array([np.trace(getattr(each, axis)) for each in scores], dtype=float)
+        found[f"{axis}_accuracy"] = (right, pictures)
+        costs = [each.metrics[f"{axis}_cost_deg"] for each in scores]
         found[f"{axis}_cost_deg"] = (np.nan_to_num(np.array(costs)) * pictures, pictures)
     return found
-
-
-def _confusion(part: tuple[Labels, Commands], axis: str) -> Array:
-    truth, made = part
-    k = AXES.index(axis)
-    classes = len((truth.task.yaw_deg, truth.task.pitch_deg)[k])
-    return labels.confusion(truth.classes[:, k], made.classes[:, k], classes).astype(float)
 
 
 def _macro_f1(counts: Array, confusions: Sequence[Array]) -> Array:
