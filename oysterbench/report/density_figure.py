@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.geometry import Array
 from oysterbench.mapping.grid import Total
 from oysterbench.mapping.survey import OysterMap
-from oysterbench.report.drawing import INK, SOFT, Drawing, rgb
+from oysterbench.report.figures import INK, POINTS_PER_INCH, add_note, add_scale_bar, figure_style, new_figure, rgb
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLOURS = ("#ffffcc", "#c7e9b4", "#7fcdbb", "#41b6c4", "#2c7fb8", "#253494")
 """YlGnBu of ColorBrewer, which the colour-blind can read, and a printer in grey: light is few."""
 EDGES = (5.0, 15.0, 30.0, 50.0, 100.0)
 """Live oysters per m^2 between them; 15 and 50 divide the classes of restoration."""
-LIVE, DEAD, UNKNOWN = "#f7f7f7", "#d95f02", "#ffd92f"
-STATE_COLOURS = {"live": LIVE, "dead": DEAD, "unknown": UNKNOWN}
+STATES = {
+    "live": ("#f7f7f7", "live"),
+    "dead": ("#d95f02", "dead (boxes, single valves)"),
+    "unknown": ("#ffd92f", "live or dead not told"),
+}
+"""Of oysters: their colours and names."""
 NONE = "#e5e8eb"
 DEPTHS = {
     "stereo": "depth from the pair of cameras",
@@ -27,52 +35,61 @@ DEPTHS = {
     "layer": "true depth",
 }
 
-PANEL, MARGIN, TOP, FOOT = 560.0, 28.0, 118.0, 128.0
 SQUARED = "\N{SUPERSCRIPT TWO}"
 MOSAIC_PX = 1200  # along the longer side
-TEXT_CELL = 26.0  # units of a cell's edge, from which on its number is written into it
+PANEL = 7.0  # inches of the longer side of a panel
+TEXT_CELL = 26.0  # points of a cell's edge, from which on its number is written into it
 
 
-def figure(found: OysterMap) -> Drawing:
+@figure_style()
+def figure(found: OysterMap) -> Figure:
     """Two panels of the same ground, north up, with scale bar, grid, legend and totals."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import from_levels_and_colors
+    from matplotlib.patheffects import withStroke
+
     raster, seen = found.cover.raster, found.cover.closed()
-    frame = _frame(seen, raster.edge_m, found.settings.cell_m)
-    rows, columns = frame[1] - frame[0], frame[3] - frame[2]
-    per_square = PANEL / max(rows, columns)
-    width, height = max(columns * per_square, 380.0), rows * per_square
-    sheet = Drawing(3 * MARGIN + 2 * width, TOP + height + FOOT, f"Oysters of {found.name}")
-    _heading(sheet, found)
-    lefts = (MARGIN, 2 * MARGIN + width)
-    panels = [_Panel(found, frame, left + 0.5 * (width - columns * per_square), TOP, per_square) for left in lefts]
-    _mosaic(sheet, panels[0], found, seen)
-    _cells(sheet, panels[1], found, seen)
-    for panel, title in zip(
-        panels, ("Seen from above, every oyster a dot", f"Live oysters per m{SQUARED}"), strict=True
-    ):
-        sheet.rect(panel.left, panel.top, panel.width, panel.height, stroke=SOFT)
-        sheet.text(panel.left, panel.top - 8, title, 14, bold=True)
-    _scale_bar(sheet, panels[0])
-    _north(sheet, panels[0].left + panels[0].width - 22, TOP + 34)
-    _legends(sheet, lefts, TOP + height + 24, found)
-    return sheet
-
-
-class _Panel:
-    """Where metres come to lie."""
-
-    def __init__(
-        self, found: OysterMap, frame: tuple[int, int, int, int], left: float, top: float, scale: float
-    ) -> None:
-        self.rows, self.columns = slice(*frame[:2]), slice(*frame[2:])
-        raster = found.cover.raster
-        self.left, self.top, self.per_m = left, top, scale / raster.edge_m
-        self.west = raster.west_m + frame[2] * raster.edge_m
-        self.north = raster.north_m - frame[0] * raster.edge_m
-        self.width, self.height = (frame[3] - frame[2]) * scale, (frame[1] - frame[0]) * scale
-
-    def place(self, x: float, y: float) -> tuple[float, float]:
-        """Of metres of the world."""
-        return self.left + (x - self.west) * self.per_m, self.top + (self.north - y) * self.per_m
+    first, last, left, right = _frame(seen, raster.edge_m, found.settings.cell_m)
+    inch_m = max(last - first, right - left) * raster.edge_m / PANEL
+    height, width = (last - first) * raster.edge_m / inch_m, (right - left) * raster.edge_m / inch_m
+    made = new_figure(f"Oysters of {found.name}", 2 * max(width, 4.6) + 1.0, height + 3.2)
+    panels = made.subplots(1, 2)
+    west, north = raster.west_m + left * raster.edge_m, raster.north_m - first * raster.edge_m
+    extent = (west, west + width * inch_m, north - height * inch_m, north)
+    for axes, pixels in zip(panels, (mosaic(found, seen), _cell_pixels(found, seen)), strict=True):
+        axes.imshow(_small(pixels[first:last, left:right]), extent=extent)
+        axes.set(xticks=(), yticks=())
+        axes.spines[:].set_visible(True)
+    panels[0].set_title("Seen from above, every oyster a dot")
+    panels[1].set_title(f"Live oysters per m{SQUARED}")
+    _oysters(panels[0], found, POINTS_PER_INCH / inch_m)
+    _cells(panels[1], found, seen, found.settings.cell_m * POINTS_PER_INCH / inch_m)
+    add_scale_bar(panels[0], width * inch_m)
+    light = [withStroke(linewidth=5, foreground="white")]
+    arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 2, "path_effects": light}
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 2}
+    panels[0].annotate(
+        "N",
+        (0.95, 0.98),
+        (0.95, 0.86),
+        xycoords="axes fraction",
+        ha="center",
+        weight="bold",
+        arrowprops=arrow,
+        bbox=box,
+    )
+    cmap, norm = from_levels_and_colors((0.0, *EDGES), COLOURS, extend="max")
+    classes = "below the threshold: under 15; at the target: from 50"
+    made.colorbar(ScalarMappable(norm, cmap), ax=panels[1], location="bottom", label=classes, aspect=30)
+    add_note(
+        made,
+        *numbers(found.total, found.grid.shares()),
+        f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}",
+        "What no picture shows, as others lie on it, is not counted.",
+        "An oyster that the edge always cuts counts a half.",
+        "? the 95 % interval reaches into another class. Grey: too little seen. N is +y of the path.",
+    )
+    return made
 
 
 def _frame(seen: NDArray[np.bool_], edge_m: float, cell_m: float) -> tuple[int, int, int, int]:
@@ -114,20 +131,15 @@ def _count(n: float) -> str:
     return f"{n:,.0f}".replace(",", " ")
 
 
-def _heading(sheet: Drawing, found: OysterMap) -> None:
-    sheet.text(MARGIN, 30, f"Oysters of {found.name}", 21, bold=True)
-    for k, line in enumerate(numbers(found.total, found.grid.shares())):
-        sheet.text(MARGIN, 52 + 18 * k, line, 13.5, fill=INK if k < 2 else SOFT)
-
-
-def _mosaic(sheet: Drawing, panel: _Panel, found: OysterMap, seen: NDArray[np.bool_]) -> None:
-    sheet.image(
-        panel.left, panel.top, panel.width, panel.height, _small(mosaic(found, seen)[panel.rows, panel.columns])
-    )
-    radius = min(3.2, max(1.3, 0.025 * panel.per_m))
-    oysters = sorted(found.oysters, key=lambda one: one.state == "live")
-    places = [panel.place(float(one.centre[0]), float(one.centre[1])) for one in oysters]
-    sheet.dots(places, radius, [STATE_COLOURS[one.state] for one in oysters], INK)
+def _oysters(axes: Axes, found: OysterMap, points_per_m: float) -> None:
+    radius = min(3.2, max(1.3, 0.025 * points_per_m))
+    for state, (colour, name) in sorted(STATES.items(), key=lambda item: item[0] == "live"):
+        places = np.array([one.centre[:2] for one in found.oysters if one.state == state])
+        if len(places):
+            look: dict[str, Any] = {"s": (2 * radius) ** 2, "color": colour, "edgecolors": INK, "linewidths": 0.6}
+            axes.scatter(*places.T, label=name, **look)
+    if found.oysters:
+        axes.legend(loc="upper left", bbox_to_anchor=(0, 0), ncols=3, markerscale=2)
 
 
 def mosaic(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -162,73 +174,38 @@ def density_pixels(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint
     return made
 
 
-def _cells(sheet: Drawing, panel: _Panel, found: OysterMap, seen: NDArray[np.bool_]) -> None:
-    pixels = density_pixels(found, seen)[panel.rows, panel.columns]
-    plain = np.where(pixels[..., 3:] > 0, pixels[..., :3], np.array(rgb(NONE), dtype=np.uint8))
-    plain[(pixels[..., 3] == 0) & seen[panel.rows, panel.columns]] = rgb("#c5ccd3")
-    sheet.image(panel.left, panel.top, panel.width, panel.height, _small(plain.astype(np.uint8)))
-    grid, edge = found.grid, found.settings.cell_m * panel.per_m
-    for k in range(1, round(panel.width / edge)):
-        sheet.line(panel.left + k * edge, panel.top, panel.left + k * edge, panel.top + panel.height, "#9aa5b1", 0.5)
-    for k in range(1, round(panel.height / edge)):
-        sheet.line(panel.left, panel.top + k * edge, panel.left + panel.width, panel.top + k * edge, "#9aa5b1", 0.5)
+def _cell_pixels(found: OysterMap, seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """(rows, columns, 3): the colours of the cells on paper, two greys where there is no number."""
+    pixels = density_pixels(found, seen)
+    clear = pixels[..., 3] == 0
+    plain = np.where(clear[..., None], np.array(rgb(NONE), dtype=np.uint8), pixels[..., :3])
+    plain[clear & seen] = rgb("#c5ccd3")
+    return np.asarray(plain, dtype=np.uint8)
+
+
+def _cells(axes: Axes, found: OysterMap, seen: NDArray[np.bool_], edge: float) -> None:
+    """Lines between the cells, and in each its number where there is room for it. edge: of a cell, points."""
+    from matplotlib.patheffects import withStroke
+
+    grid, (west, east), (south, north) = found.grid, axes.get_xlim(), axes.get_ylim()
+    axes.vlines(np.arange(west, east, grid.cell_m)[1:], south, north, color="#9aa5b1", linewidth=0.5)
+    axes.hlines(np.arange(north, south, -grid.cell_m)[1:], west, east, color="#9aa5b1", linewidth=0.5)
     if edge < TEXT_CELL:
         return
-    density: Array = grid.density
     per_cell = round(grid.cell_m / found.cover.raster.edge_m)
     for row, column in zip(*np.nonzero(grid.known), strict=True):
         part = seen[row * per_cell : (row + 1) * per_cell, column * per_cell : (column + 1) * per_cell]
         down, right = (float(np.mean(at) + 0.5) * found.cover.raster.edge_m for at in np.nonzero(part))
-        x, y = panel.place(grid.west_m + column * grid.cell_m + right, grid.north_m - row * grid.cell_m - down)
-        value = float(density[row, column])
+        x, y = grid.west_m + column * grid.cell_m + right, grid.north_m - row * grid.cell_m - down
+        value = float(grid.density[row, column])
         level = int(np.searchsorted(EDGES, value, side="right"))
         text = f"{value:.0f}" if value >= 9.95 or value == 0 else f"{value:.1f}"
         text += "" if grid.sure[row, column] else "?"
-        fill = "#ffffff" if level >= 4 else INK
         # Where the cell is seen in shreds, letters would stand on the paper beside them.
-        sheet.text(x, y + 4, text, min(14.0, 0.34 * edge), "middle", fill=fill, halo=COLOURS[level])
-
-
-def _scale_bar(sheet: Drawing, panel: _Panel) -> None:
-    wanted = 0.3 * panel.width / panel.per_m
-    metres = max((m for m in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if m <= wanted), default=0.1)
-    length = metres * panel.per_m
-    x, y = panel.left + 12, panel.top + panel.height - 14
-    sheet.rect(x - 7, y - 24, length + 14, 32, "#ffffff", SOFT, 0.6)
-    for k in range(4):
-        sheet.rect(x + k * length / 4, y - 4, length / 4, 6, INK if k % 2 == 0 else "#ffffff", INK, 0.8)
-    sheet.text(x + length / 2, y - 9, f"{metres:g} m", 13, "middle")
-
-
-def _north(sheet: Drawing, x: float, y: float) -> None:
-    sheet.polygon([(x, y - 22), (x + 7, y - 2), (x, y - 7), (x - 7, y - 2)], INK)
-    sheet.text(x - 12, y - 4, "N", 14, "end", bold=True)
-
-
-def _legends(sheet: Drawing, lefts: tuple[float, float], top: float, found: OysterMap) -> None:
-    x = lefts[0]
-    for state, name in (
-        ("live", "live"),
-        ("dead", "dead (boxes, single valves)"),
-        ("unknown", "live or dead not told"),
-    ):
-        if any(one.state == state for one in found.oysters):
-            sheet.dot(x + 6, top - 4, 5, STATE_COLOURS[state], INK)
-            sheet.text(x + 17, top, name, 13)
-            x += 34 + 7.2 * len(name)
-    pictures = f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}"
-    sheet.text(lefts[0], top + 26, pictures, 12.5, fill=SOFT)
-    sheet.text(lefts[0], top + 44, "What no picture shows, as others lie on it, is not counted.", 12.5, fill=SOFT)
-    sheet.text(lefts[0], top + 62, "An oyster that the edge always cuts counts a half.", 12.5, fill=SOFT)
-    sheet.text(lefts[0], top + 80, "N is +y of the path.", 12.5, fill=SOFT)
-    box = 56.0
-    left = lefts[1]
-    for k, colour in enumerate(COLOURS):
-        sheet.rect(left + k * box, top - 14, box, 16, colour, SOFT, 0.6)
-    for k, edge in enumerate((0.0, *EDGES)):
-        sheet.text(left + k * box, top + 17, f"{edge:g}", 12.5, "start" if k == 0 else "middle")
-    for first, last, name in ((0, 2, "below threshold"), (2, 4, "threshold"), (4, 6, "target")):
-        sheet.line(left + first * box + 2, top + 25, left + last * box - 2, top + 25, INK, 1.4)
-        sheet.text(left + (first + last) / 2 * box, top + 41, name, 12.5, "middle")
-    sheet.text(left, top + 62, "? the 95 % interval reaches into another class.", 12.5, fill=SOFT)
-    sheet.text(left, top + 80, "Grey: too little seen.", 12.5, fill=SOFT)
+        halo = [withStroke(linewidth=3.2, foreground=COLOURS[level])]
+        look: dict[str, Any] = {
+            "size": min(12.6, 0.31 * edge),
+            "color": "white" if level >= 4 else INK,
+            "path_effects": halo,
+        }
+        axes.text(x, y, text, ha="center", va="center", **look)

@@ -15,7 +15,7 @@ from oysterbench.mapping.intervals import LEVEL
 from oysterbench.mapping.settings import CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2
 from oysterbench.mapping.survey import OysterMap
 from oysterbench.report.density_figure import density_pixels, figure, mosaic, numbers
-from oysterbench.report.drawing import encoded
+from oysterbench.report.figures import encoded, png_of, svg_of
 from oysterbench.report.formats import csv_of
 from oysterbench.report.renderers.html import FOLDER
 from oysterbench.results.records import plain
@@ -27,12 +27,13 @@ def write_map(found: OysterMap, folder: Path, command: str = "") -> list[Path]:
     """Write all files of a map; returns them. Rasters lie in the world frame of the trajectory, m, north up."""
     seen = found.cover.closed()
     drawn = figure(found)
+    svg = svg_of(drawn)
     world = world_file(found)
     clear = np.where(found.cover.views > 0, 255, 0).astype(np.uint8)
     files: dict[str, bytes] = {
-        "map.html": map_page(found, drawn.svg(), command).encode(),
-        "map.png": drawn.png(),
-        "map.svg": drawn.svg().encode(),
+        "map.html": map_page(found, svg, command).encode(),
+        "map.png": png_of(drawn),
+        "map.svg": svg.encode(),
         "summary.json": (json.dumps(summary(found), indent=2, allow_nan=False) + "\n").encode(),
         "grid.csv": csv_of(list(grid_rows(found))).encode(),
         "oysters.csv": csv_of(list(oyster_rows(found))).encode(),

@@ -2,68 +2,54 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from oysterbench.evaluate.statistics import LEVEL, summarise
-from oysterbench.report.drawing import INK, SOFT, Drawing
-from oysterbench.report.plots import nice_ticks
+from oysterbench.report.figures import INK, add_note, figure_style, new_figure
 
-MARGIN, LEFT, TOP, HEIGHT, FOOT = 30.0, 78.0, 92.0, 320.0, 96.0
-STEP, MEANS = 78.0, 170.0
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+STEP = 0.14
+"""Between policies on a reef, in distances of reefs."""
 
 
+@figure_style()
 def ladder_figure(
     split: str, values: Mapping[str, Mapping[str, Sequence[float]]], colours: Mapping[str, str]
-) -> Drawing:
+) -> Figure:
     """values: policy -> reef -> oysters per minute; at least one of each. A failed rollout is at 0."""
     reefs = list(dict.fromkeys(reef for of in values.values() for reef in of))
-    right = LEFT + max(STEP * len(reefs), 520.0)
-    sheet = Drawing(right + 60 + MEANS + MARGIN, TOP + HEIGHT + FOOT, f"Oysters per minute on {split}")
-    known = [value for of in values.values() for runs in of.values() for value in runs if not math.isnan(value)]
     summaries = {policy: summarise(of) for policy, of in values.items()}
-    tops = [s.interval.high for s in summaries.values() if s.interval.known]
-    most = 1.08 * max([1.0, *known, *tops])
-
-    def at(value: float) -> float:
-        return TOP + HEIGHT - value / most * HEIGHT
-
-    sheet.text(MARGIN, 34, f"Oysters per minute on {split}", 21, bold=True)
-    sheet.text(MARGIN, 56, "Live oysters seen in a rollout, each once, by its length", 13.5, fill=SOFT)
-    x = MARGIN
-    for policy in values:
-        sheet.dot(x + 5, 73, 5, colours[policy])
-        sheet.text(x + 15, 78, policy, 14, bold=True, fill=colours[policy])
-        x += 40 + 8.6 * len(policy)
-    for value, label in nice_ticks(0.0, most, 6):
-        sheet.line(LEFT, at(value), right, at(value), "#e3e7eb", 1)
-        sheet.line(right + 60, at(value), right + 60 + MEANS, at(value), "#e3e7eb", 1)
-        sheet.text(LEFT - 10, at(value) + 5, label, 13, "end", fill=SOFT)
-    n = len(values)
-    for k, reef in enumerate(reefs):
-        middle = LEFT + (k + 0.5) * (right - LEFT) / len(reefs)
-        sheet.text(middle, TOP + HEIGHT + 24, reef, 13, "middle")
-        for i, (policy, of) in enumerate(values.items()):
-            x = middle + (i - (n - 1) / 2) * 11
-            for value in of.get(reef, ()):
-                if not math.isnan(value):
-                    sheet.line(x, at(0), x, at(value), colours[policy], 1.2)
-                    sheet.dot(x, at(value), 4.6, colours[policy])
-    sheet.line(LEFT, at(0), right, at(0), SOFT, 1)
-    sheet.line(right + 60, at(0), right + 60 + MEANS, at(0), SOFT, 1)
-    sheet.text(right + 60 + MEANS / 2, TOP + HEIGHT + 24, f"mean of {len(reefs)}", 13, "middle", bold=True)
-    for i, (policy, summary) in enumerate(summaries.items()):
-        if summary.reason:
-            continue
-        x = right + 60 + (i + 0.5) * MEANS / n
-        if summary.interval.known:
-            low, high = at(summary.interval.low), at(summary.interval.high)
-            sheet.line(x, low, x, high, colours[policy], 3)
-            for y in (low, high):
-                sheet.line(x - 6, y, x + 6, y, colours[policy], 3)
-        sheet.dot(x, at(summary.mean), 6, colours[policy], INK)
-        sheet.text(x, at(0) + 46 + 16 * (i % 2), f"{summary.mean:.1f}", 13, "middle", fill=colours[policy])
+    wide, narrow = max(1.0 * len(reefs), 7.0), max(0.6 * len(values), 2.4)
+    figure = new_figure(f"Oysters per minute on {split}", wide + narrow, 6.0)
+    single, mean = figure.subplots(1, 2, sharey=True, width_ratios=(wide, narrow))
+    for i, (policy, of) in enumerate(values.items()):
+        shift = STEP * (i - (len(values) - 1) / 2)
+        points = [(k + shift, value) for k, reef in enumerate(reefs) for value in of.get(reef, ())]
+        x, y = zip(*points, strict=True) if points else ((), ())
+        single.vlines(x, 0, y, color=colours[policy], linewidth=1.2)
+        single.plot(x, y, "o", color=colours[policy], label=policy)
+        summary = summaries[policy]
+        if not summary.reason:
+            low, high = summary.interval.low, summary.interval.high
+            bar = [[summary.mean - low], [high - summary.mean]] if summary.interval.known else None
+            look = {"color": colours[policy], "linewidth": 3, "capsize": 5, "capthick": 3}
+            mean.errorbar(i, summary.mean, bar, fmt="o", markersize=9, markeredgecolor=INK, **look)
+    single.set_xticks(range(len(reefs)), reefs)
+    single.set(xlim=(-0.5, len(reefs) - 0.5), ylim=(0, None))
+    single.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=6, labelcolor="linecolor")
+    mean.set_title(f"mean of {len(reefs)}", loc="center")
+    mean.set_xlim(-0.5, len(values) - 0.5)
+    mean.set_xticks(range(len(values)), ["" if s.reason else f"{s.mean:.1f}" for s in summaries.values()])
+    for label, policy in zip(mean.get_xticklabels(), values, strict=True):
+        label.set_color(colours[policy])
+    for axes in (single, mean):
+        axes.grid(axis="y")
+        axes.spines["left"].set_visible(False)
+        axes.tick_params(length=0)
     reason = next((s.interval.reason for s in summaries.values() if not s.interval.known), "")
-    said = reason or f"Bars: {LEVEL:.0%} intervals of the mean, by resampling the reefs."
-    sheet.text(LEFT, TOP + HEIGHT + 78, said, 12.5, fill=SOFT)
-    return sheet
+    intervals = reason or f"Bars: {LEVEL:.0%} intervals of the mean, by resampling the reefs."
+    add_note(figure, "Live oysters seen in a rollout, each once, by its length.", intervals)
+    return figure

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.evaluate.steering.rollouts import episodes, seen_so_far
-from oysterbench.report.drawing import INK, SOFT, Drawing
-from oysterbench.report.plots import nice_ticks
+from oysterbench.report.figures import INK, add_scale_bar, figure_style, new_figure
 
-PANEL, GAP, MARGIN, TOP, HEAD, FOOT = 340.0, 26.0, 30.0, 96.0, 44.0, 54.0
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 PER_ROW = 4
-CHART, AXIS = 250.0, 56.0
 GROUND, UNSEEN, CONTACT = "#f3efe6", "#c3bcae", "#d1001f"
+AROUND = 1.04
+"""Of the area, what a panel shows of each side."""
 
 OWN = {"expert": "#00805d", "lawnmower": "#0067a5", "random": "#a33d86"}
 """Colours of the references, alike in all figures; ..."""
@@ -27,138 +31,60 @@ def colours_of(policies: Sequence[str]) -> dict[str, str]:
     return {policy: OWN.get(policy) or OTHERS[methods.index(policy) % len(OTHERS)] for policy in policies}
 
 
-def dives_figure(reef: str, logs: Mapping[str, RolloutLog], colours: Mapping[str, str]) -> Drawing:
+@figure_style()
+def rollouts_figure(reef: str, logs: Mapping[str, RolloutLog], colours: Mapping[str, str]) -> Figure:
     """Rollouts of policies, at least one, over one reef."""
     rows = math.ceil(len(logs) / PER_ROW)
     columns = math.ceil(len(logs) / rows)
-    width = 2 * MARGIN + columns * PANEL + (columns - 1) * GAP
-    width = max(width, 2 * MARGIN + 2 * PANEL + GAP)
-    below = TOP + rows * (HEAD + PANEL + GAP) + FOOT
-    sheet = Drawing(width, below + 30 + CHART + AXIS + 10, f"Rollouts over {reef}")
+    figure = new_figure(f"Rollouts over {reef}", max(4.0 * columns, 9.0), 4.6 * rows + 4.6)
+    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[4.6] * rows + [3.0])
+    panels = [figure.add_subplot(grid[divmod(k, columns)]) for k in range(len(logs))]
+    for panel, (policy, log) in zip(panels, logs.items(), strict=True):
+        _from_above(panel, policy, log, colours[policy])
     first = next(iter(logs.values()))
-    sheet.text(MARGIN, 36, f"Rollouts over {reef}", 21, bold=True)
-    seconds = max(log.step_s * len(log.commands) for log in logs.values())
-    sheet.text(
-        MARGIN,
-        60,
-        f"{seconds:g} s each, from the same place; {len(first.oysters)} live oysters on "
-        f"{2 * first.half_m:g} m x {2 * first.half_m:g} m within the fence",
-        14,
-        fill=SOFT,
+    add_scale_bar(panels[0], 2 * first.half_m)
+    _over_time(figure.add_subplot(grid[rows, :]), logs, colours)
+    seconds, side = max(log.step_s * len(log.commands) for log in logs.values()), 2 * first.half_m
+    about = (
+        f"{seconds:g} s each, from the same place; {len(first.oysters)} live oysters on {side:g} m x {side:g} m within "
+        "the fence.\nFrom above; up is +y of the map, right is +x. The frame is the fence."
     )
-    for k, (policy, log) in enumerate(logs.items()):
-        left = MARGIN + (k % columns) * (PANEL + GAP)
-        top = TOP + (k // columns) * (HEAD + PANEL + GAP) + HEAD
-        _from_above(sheet, left, top, policy, log, colours[policy])
-    _scale_bar(sheet, MARGIN, below - FOOT + 14, PANEL / _span(first))
-    _legend(sheet, MARGIN + 200, below - FOOT + 14)
-    _over_time(sheet, below + 30, width, logs, colours)
-    return sheet
+    handles, labels = panels[0].get_legend_handles_labels()
+    legend = figure.legend(handles, labels, loc="outside lower left", ncols=5, title=about, alignment="left")
+    for handle in legend.legend_handles[:2]:
+        handle.set_sizes([36.0])  # type: ignore[union-attr]
+    return figure
 
 
-def _span(log: RolloutLog) -> float:
-    """Metres that a panel shows: the area and a little around."""
-    return 2 * log.half_m * 1.04
+def _from_above(axes: Axes, policy: str, log: RolloutLog, colour: str) -> None:
+    from matplotlib.patches import Rectangle
+
+    minutes, contacts = log.step_s * len(log.commands) / 60.0, episodes(log.contact)
+    about = f"{log.seen.sum()} seen" + (f", {log.seen.sum() / minutes:.0f} per min" if minutes else "")
+    about += f"; {log.covered[-1]:.0%} covered; {contacts} contact{'' if contacts == 1 else 's'}"
+    axes.set_title(policy, color=colour, pad=22)
+    axes.annotate(about, (0, 1), (0, 6), xycoords="axes fraction", textcoords="offset points", size=10)
+    for seen, shade, name in ((False, UNSEEN, "not seen"), (True, colour, "seen")):
+        x, y, _ = log.oysters[log.found == seen].T
+        axes.scatter(x, y, s=9, color=shade, label=name)
+    half = log.half_m
+    axes.add_patch(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, edgecolor=INK, linewidth=1.2))
+    x, y = log.states[:, :2].T
+    axes.plot(x, y, color="white", linewidth=4.4)
+    axes.plot(x, y, color=INK, linewidth=2)
+    axes.plot(x[:1], y[:1], "o", color="white", markeredgecolor=INK, markersize=10, label="begin")
+    axes.plot(x[-1:], y[-1:], "s", color=INK, markersize=9, label="end")
+    axes.plot(x[log.contact], y[log.contact], "x", color=CONTACT, markersize=10, markeredgewidth=2.2, label="contact")
+    reach = AROUND * half
+    axes.set(aspect="equal", xlim=(-reach, reach), ylim=(-reach, reach), facecolor=GROUND, xticks=(), yticks=())
+    axes.spines[:].set_visible(False)
 
 
-def _from_above(sheet: Drawing, left: float, top: float, policy: str, log: RolloutLog, colour: str) -> None:
-    per_m = PANEL / _span(log)
-    middle = (left + PANEL / 2, top + PANEL / 2)
-
-    def place(x: float, y: float) -> tuple[float, float]:
-        return middle[0] + x * per_m, middle[1] - y * per_m
-
-    minutes = log.step_s * len(log.commands) / 60.0
-    sheet.text(left, top - 27, policy, 16, bold=True, fill=colour)
-    contacts = episodes(log.contact)
-    said = f"{log.seen.sum()} seen" + (f", {log.seen.sum() / minutes:.0f} per min" if minutes else "")
-    said += f"; {log.covered[-1]:.0%} covered; {contacts} contact{'' if contacts == 1 else 's'}"
-    sheet.text(left, top - 9, said, 13, fill=INK)
-    sheet.rect(left, top, PANEL, PANEL, GROUND)
-    radius = min(2.6, max(1.1, 0.07 * per_m))
-    for seen in (False, True):
-        at = [place(x, y) for x, y in log.oysters[log.found == seen, :2].tolist()]
-        sheet.dots(at, radius, colour if seen else UNSEEN)
-    corner = place(-log.half_m, log.half_m)
-    sheet.rect(*corner, 2 * log.half_m * per_m, 2 * log.half_m * per_m, stroke=INK, thick=1.2)
-    way = [place(x, y) for x, y in log.states[:, :2].tolist()]
-    for thick, stroke in ((4.4, "#ffffff"), (2.0, INK)):
-        sheet.path(way, stroke, thick)
-    for (x, y), touched in zip(way, log.contact.tolist(), strict=True):
-        if touched:
-            _cross(sheet, x, y)
-    sheet.dot(*way[0], 5.0, "#ffffff", INK)
-    sheet.rect(way[-1][0] - 4.5, way[-1][1] - 4.5, 9, 9, INK)
-
-
-def _cross(sheet: Drawing, x: float, y: float) -> None:
-    sheet.line(x - 5, y - 5, x + 5, y + 5, CONTACT, 2.2)
-    sheet.line(x - 5, y + 5, x + 5, y - 5, CONTACT, 2.2)
-
-
-def _scale_bar(sheet: Drawing, x: float, y: float, per_m: float) -> None:
-    metres = max((m for m in (0.5, 1, 2, 5, 10, 20, 50) if m * per_m <= 0.35 * PANEL), default=0.5)
-    for k in range(4):
-        sheet.rect(x + k * metres * per_m / 4, y - 6, metres * per_m / 4, 7, INK if k % 2 == 0 else "#ffffff", INK, 0.8)
-    sheet.text(x + metres * per_m + 10, y + 2, f"{metres:g} m", 13)
-
-
-def _legend(sheet: Drawing, x: float, y: float) -> None:
-    sheet.dot(x, y - 2, 4, UNSEEN)
-    sheet.text(x + 10, y + 2, "not seen", 13)
-    for k, colour in enumerate((*list(OWN.values())[:2], OTHERS[0])):
-        sheet.dot(x + 90 + 9 * k, y - 2, 4, colour)
-    sheet.text(x + 120, y + 2, "seen", 13)
-    sheet.dot(x + 172, y - 2, 5, "#ffffff", INK)
-    sheet.text(x + 183, y + 2, "begin", 13)
-    sheet.rect(x + 236, y - 6.5, 9, 9, INK)
-    sheet.text(x + 251, y + 2, "end", 13)
-    _cross(sheet, x + 300, y - 2)
-    sheet.text(x + 312, y + 2, "contact", 13)
-    sheet.text(x, y + 24, "From above; up is +y of the map, right is +x. The frame is the fence.", 12.5, fill=SOFT)
-
-
-def _over_time(
-    sheet: Drawing, top: float, width: float, logs: Mapping[str, RolloutLog], colours: Mapping[str, str]
-) -> None:
-    """Curves, each named at its end; names that would meet are moved apart."""
-    room = max(100.0, 8.6 * max(map(len, logs)) + 14.0)
-    left, right, bottom = MARGIN + 44, width - MARGIN - room, top + CHART
-    curves = {policy: seen_so_far(log) for policy, log in logs.items()}
-    end = max(float(time[-1]) for time, _ in curves.values()) or 1.0
-    most = max(1.0, *(float(seen[-1]) for _, seen in curves.values())) * 1.05
-    sheet.text(MARGIN, top - 12, "Live oysters seen so far", 15, bold=True)
-    for value, label in nice_ticks(0.0, most, 5):
-        y = bottom - value / most * CHART
-        sheet.line(left, y, right, y, "#e3e7eb", 1)
-        sheet.text(left - 8, y + 5, label, 13, "end", fill=SOFT)
-    for value, label in nice_ticks(0.0, end, 8):
-        x = left + value / end * (right - left)
-        sheet.line(x, bottom, x, bottom + 5, SOFT, 1)
-        sheet.text(x, bottom + 21, label, 13, "middle", fill=SOFT)
-    sheet.text(right, bottom + 42, "time, s", 13, "end", fill=SOFT)
-    sheet.line(left, bottom, right, bottom, SOFT, 1)
-    ends = {}
-    for policy, (time, seen) in curves.items():
-        across, up = left + time / end * (right - left), bottom - seen / most * CHART
-        points = list(zip(across.tolist(), up.tolist(), strict=True))
-        sheet.path(points, colours[policy], 2.6)
-        ends[policy] = points[-1][1]
-    names = sorted(ends, key=lambda policy: ends[policy])
-    places = apart([ends[policy] for policy in names], 18.0, bottom - 5.0)
-    for policy, y in zip(names, places, strict=True):
-        sheet.text(right + 8, y + 5, policy, 14, bold=True, fill=colours[policy])
-
-
-def apart(places: Sequence[float], room: float, last: float = math.inf) -> list[float]:
-    """Rising places moved so that each has so much room, as little as can be in the sum of squares; those that touch
-    keep their middle. The greatest is `last` at most."""
-    blocks: list[tuple[float, int]] = []  # sums and numbers of those that touch, each less the room before it
-    for k, place in enumerate(places):
-        blocks.append((place - k * room, 1))
-        while len(blocks) > 1 and blocks[-2][0] / blocks[-2][1] > blocks[-1][0] / blocks[-1][1]:
-            total, n = blocks.pop()
-            blocks[-1] = (blocks[-1][0] + total, blocks[-1][1] + n)
-    level = [total / n for total, n in blocks for _ in range(n)]
-    count = len(level)
-    return [min(value + k * room, last - (count - 1 - k) * room) for k, value in enumerate(level)]
+def _over_time(axes: Axes, logs: Mapping[str, RolloutLog], colours: Mapping[str, str]) -> None:
+    """Curves, in the legend in the order of their ends."""
+    for policy, log in sorted(logs.items(), key=lambda item: -item[1].seen.sum()):
+        axes.plot(*seen_so_far(log), color=colours[policy], linewidth=2.6, label=policy)
+    axes.set(title="Live oysters seen so far", xlabel="time, s", ylim=(0, None))
+    axes.margins(x=0)
+    axes.grid(axis="y")
+    axes.legend(loc="upper left", labelcolor="linecolor")

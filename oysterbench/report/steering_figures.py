@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.steering import RolloutLog
@@ -11,12 +12,15 @@ from oysterbench.evaluate.steering.dataset import Whole
 from oysterbench.exploration.labelled_views import LabelledViews
 from oysterbench.report.cards import Card
 from oysterbench.report.confusion import confusion_figure
-from oysterbench.report.drawing import Drawing
+from oysterbench.report.figures import png_of, svg_of
 from oysterbench.report.ladder import ladder_figure
-from oysterbench.report.rollout_paths import colours_of, dives_figure
+from oysterbench.report.rollout_paths import colours_of, rollouts_figure
 from oysterbench.report.steering import DiveRun, PictureRun
 from oysterbench.report.steering_samples import samples_figure, samples_of
 from oysterbench.results.records import samples as values_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Figures = list[tuple[Path, Card]]
 """Each with the file of its PNG."""
@@ -59,13 +63,15 @@ def dive_figures(runs: Sequence[DiveRun], folder: Path) -> Figures:
             run.record.method: run.log for run in runs if run.record.sequence == reef and run.log is not None
         }
         if logs:
-            made.append(_kept(folder / f"dives-{reef}.png", dives_figure(reef, logs, colours), f"Rollouts over {reef}"))
+            made.append(
+                _kept(folder / f"dives-{reef}.png", rollouts_figure(reef, logs, colours), f"Rollouts over {reef}")
+            )
     return made
 
 
-def _kept(path: Path, drawing: Drawing, title: str) -> tuple[Path, Card]:
-    write_atomically(path, drawing.png())
-    return path, Card(title, drawing.svg())
+def _kept(path: Path, figure: Figure, title: str) -> tuple[Path, Card]:
+    write_atomically(path, png_of(figure))
+    return path, Card(title, svg_of(figure))
 
 
 def _safe(name: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -15,29 +16,30 @@ from oysterbench.core.geometry import Array
 from oysterbench.exploration.labelled_views import LabelledViews
 from oysterbench.methods.steering import View
 from oysterbench.recipe import SteeringRecipe
-from oysterbench.report.drawing import INK, SOFT, Drawing
+from oysterbench.report.figures import INK, SOFT, figure_style, new_figure
 from oysterbench.report.steering import PictureRun
 
-PICTURE, CELL, GAP, MARGIN, TOP, HEAD = 380.0, 33.0, 36.0, 30.0, 112.0, 26.0
-SIDE = 44.0  # between a picture and the worths beside it
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 PER_ROW = 2
 SHOWN = 8
 RING = "#ffd92f"  # of the expert
-PALE, DEEP = (247, 252, 240), (8, 64, 129)
 INSET = 0.03  # of a picture: where marks are shown that lie outside
 
 
 @dataclass(frozen=True)
 class Sample:
-    """A labelled picture of a sequence: the expert's classes, what all pairs are worth (Y, P), and the classes of each
-    method."""
+    """A labelled picture of a sequence: the expert's classes, the action values (Y, P) of all pairs, oysters, and the
+    classes of each method."""
 
     name: str
     view: View
     ends: Array  # (Y, P, 2) px, where the bow would point; NaN behind the camera
     bow: Array  # (2,) px, where it points
     expert: tuple[int, int]
-    worth: Array
+    action_values: Array
     commanded: Mapping[str, tuple[int, int]]
 
 
@@ -90,81 +92,55 @@ def bow_pixels(dive: LabelledViews, view: View) -> tuple[Array, Array]:
     return at[:-1].reshape(*yaw.shape, 2), at[-1]
 
 
-def samples_figure(samples: Sequence[Sample], task: SteeringRecipe, colours: Mapping[str, str]) -> Drawing:
-    """Pictures, at least one, with the worths of all commands beside them."""
-    height, width = samples[0].view.pixels.shape[:2]
-    tall = PICTURE * height / width
-    across = PICTURE + SIDE + CELL * len(task.yaw_deg)
+@figure_style()
+def samples_figure(samples: Sequence[Sample], task: SteeringRecipe, colours: Mapping[str, str]) -> Figure:
+    """Pictures, at least one, with the values of all commands beside them."""
     columns = min(PER_ROW, len(samples))
     rows = math.ceil(len(samples) / columns)
-    down = HEAD + max(tall, CELL * len(task.pitch_deg) + 40.0) + GAP
-    sheet = Drawing(2 * MARGIN + columns * across + (columns - 1) * GAP, TOP + rows * down, "Labelled pictures")
-    sheet.text(MARGIN, 36, "Labelled pictures", 21, bold=True)
-    sheet.text(
-        MARGIN,
-        58,
-        "Where the bow points, and would point after the commands; beside it the value of each pair, in oysters",
-        13.5,
-        fill=SOFT,
-    )
-    _legend(sheet, colours)
+    figure = new_figure("Labelled pictures", 8.0 * columns, 4.0 * rows + 1.4)
+    panels = figure.subplots(rows, 2 * columns, width_ratios=[4, 3] * columns, squeeze=False).ravel()
     for k, sample in enumerate(samples):
-        left = MARGIN + (k % columns) * (across + GAP)
-        top = TOP + (k // columns) * down + HEAD
-        _picture(sheet, left, top, tall, sample, colours)
-        _worth(sheet, left + PICTURE + SIDE, top, sample, task, colours)
-    return sheet
+        _picture(panels[2 * k], sample, colours)
+        _action_values(panels[2 * k + 1], sample, task, colours)
+    for panel in panels[2 * len(samples) :]:
+        panel.set_axis_off()
+    about = "Where the bow points, and would point after the commands;\nbeside it the value of each pair, in oysters."
+    for method, colour in colours.items():
+        panels[0].plot([], [], "o", color=colour, label=method)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower left", ncols=4 * columns, title=about, alignment="left")
+    return figure
 
 
-def _legend(sheet: Drawing, colours: Mapping[str, str]) -> None:
-    x, y = MARGIN + 8, 84.0
-    _plus(sheet, x, y - 4)
-    sheet.text(x + 14, y, "bow now", 13)
-    x += 90
-    _ring(sheet, x, y - 4)
-    sheet.text(x + 17, y, "expert", 13)
-    x += 82
-    for name, colour in colours.items():
-        sheet.dot(x, y - 4, 5, colour, "#ffffff")
-        sheet.text(x + 12, y, name, 13)
-        x += 34 + 7.6 * len(name)
+def _picture(axes: Axes, sample: Sample, colours: Mapping[str, str]) -> None:
+    from matplotlib.patheffects import withStroke
+
+    height, width = sample.view.pixels.shape[:2]
+    axes.imshow(bright(sample.view.pixels))
+    axes.set_title(f"{sample.name}, {sample.view.time_s:g} s", color=SOFT, weight="normal")
+    axes.set_axis_off()
+    margin = INSET * width
+    ends, bow = (np.clip(at, margin, (width - margin, height - margin)) for at in (sample.ends, sample.bow))
+    ink = [withStroke(linewidth=4.0, foreground=INK)]
+    axes.plot(*bow[:, None], "+", color="white", markersize=14, markeredgewidth=1.8, path_effects=ink, label="bow now")
+    for method, classes in sample.commanded.items():
+        axes.plot(*np.stack([bow, ends[classes]], axis=-1), color=colours[method], linewidth=1.6)
+        axes.plot(*ends[classes][:, None], "o", color=colours[method], markersize=10, markeredgecolor="white")
+    _ring(axes, *ends[sample.expert])
 
 
-def _plus(sheet: Drawing, x: float, y: float) -> None:
-    for colour, thick in ((INK, 4.0), ("#ffffff", 1.8)):
-        sheet.line(x - 7, y, x + 7, y, colour, thick)
-        sheet.line(x, y - 7, x, y + 7, colour, thick)
+def _ring(axes: Axes, x: float, y: float) -> None:
+    """Around what the expert commands."""
+    from matplotlib.patheffects import withStroke
 
-
-def _ring(sheet: Drawing, x: float, y: float) -> None:
-    corners = [(x + 9 * math.cos(t), y + 9 * math.sin(t)) for t in np.linspace(0, 2 * math.pi, 24, endpoint=False)]
-    sheet.polygon(corners, stroke=INK, thick=4.6)
-    sheet.polygon(corners, stroke=RING, thick=2.6)
-
-
-def _picture(sheet: Drawing, left: float, top: float, tall: float, sample: Sample, colours: Mapping[str, str]) -> None:
-    scale = PICTURE / sample.view.pixels.shape[1]
-    sheet.text(left, top - 8, f"{sample.name}, {sample.view.time_s:g} s", 13, fill=SOFT)
-    sheet.image(left, top, PICTURE, tall, bright(sample.view.pixels))
-
-    def place(pixel: Array) -> tuple[float, float] | None:
-        if np.isnan(pixel).any():
-            return None
-        x, y = np.clip(pixel * scale, INSET * PICTURE, [(1 - INSET) * PICTURE, tall - INSET * PICTURE])
-        return left + float(x), top + float(y)
-
-    bow = place(sample.bow)
-    if bow is not None:
-        _plus(sheet, *bow)
-    for name, classes in sample.commanded.items():
-        end = place(sample.ends[classes])
-        if end is not None:
-            if bow is not None:
-                sheet.line(*bow, *end, colours[name], 1.6)
-            sheet.dot(*end, 5.4, colours[name], "#ffffff")
-    end = place(sample.ends[sample.expert])
-    if end is not None:
-        _ring(sheet, *end)
+    look: dict[str, Any] = {
+        "clip_on": False,
+        "markersize": 16,
+        "markeredgewidth": 2.6,
+        "markeredgecolor": RING,
+        "fillstyle": "none",
+    }
+    axes.plot([x], [y], "o", path_effects=[withStroke(linewidth=4.6, foreground=INK)], label="expert", **look)
 
 
 def bright(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -174,26 +150,19 @@ def bright(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(np.clip(stretched, 0, 255), dtype=np.uint8)
 
 
-def _worth(
-    sheet: Drawing, left: float, top: float, sample: Sample, task: SteeringRecipe, colours: Mapping[str, str]
-) -> None:
+def _action_values(axes: Axes, sample: Sample, task: SteeringRecipe, colours: Mapping[str, str]) -> None:
     """A cell for each pair: yaw from left to right, pitch from up to down, as they turn the picture."""
-    worth = sample.worth
-    low, high = float(worth.min()), float(worth.max())
-    span = max(high - low, 1e-9)
-    for y in range(worth.shape[0]):
-        for p in range(worth.shape[1]):
-            share = (float(worth[y, p]) - low) / span
-            colour = "#" + "".join(f"{round(a + share * (b - a)):02x}" for a, b in zip(PALE, DEEP, strict=True))
-            sheet.rect(left + y * CELL, top + p * CELL, CELL, CELL, colour, "#ffffff", 0.6)
-    for k, (name, (y, p)) in enumerate(sample.commanded.items()):
-        shift = 5.0 * (k - (len(sample.commanded) - 1) / 2)
-        sheet.dot(left + (y + 0.5) * CELL + shift, top + (p + 0.5) * CELL, 4.4, colours[name], "#ffffff")
-    _ring(sheet, left + (sample.expert[0] + 0.5) * CELL, top + (sample.expert[1] + 0.5) * CELL)
-    bottom = top + worth.shape[1] * CELL
-    wide = worth.shape[0] * CELL
-    sheet.text(left, bottom + 16, f"{abs(task.yaw_deg[0]):g} deg left", 12, fill=SOFT)
-    sheet.text(left + wide, bottom + 16, f"{abs(task.yaw_deg[-1]):g} deg right", 12, "end", fill=SOFT)
-    sheet.text(left - 6, top + 12, "up", 12, "end", fill=SOFT)
-    sheet.text(left - 2, bottom - 3, "down", 12, "end", fill=SOFT)
-    sheet.text(left, bottom + 36, f"value {low:.0f} (pale) to {high:.0f} (dark) oysters", 12.5)
+    values = sample.action_values
+    axes.pcolormesh(values.T, cmap="GnBu", edgecolors="white", linewidth=0.6)
+    for k, (method, (yaw, pitch)) in enumerate(sample.commanded.items()):
+        shift = 0.15 * (k - (len(sample.commanded) - 1) / 2)
+        axes.plot(yaw + 0.5 + shift, pitch + 0.5, "o", color=colours[method], markersize=9, markeredgecolor="white")
+    _ring(axes, sample.expert[0] + 0.5, sample.expert[1] + 0.5)
+    axes.set(aspect="equal", ylim=(values.shape[1], 0))
+    axes.set_xticks(
+        [0.5, values.shape[0] - 0.5], [f"{abs(task.yaw_deg[0]):g} deg left", f"{abs(task.yaw_deg[-1]):g} deg right"]
+    )
+    axes.set_yticks([0.5, values.shape[1] - 0.5], ["up", "down"])
+    axes.set_xlabel(f"value {values.min():.0f} (pale) to {values.max():.0f} (dark) oysters")
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)

@@ -22,6 +22,7 @@ from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
 from oysterbench.report.density_figure import figure
+from oysterbench.report.figures import svg_of
 from oysterbench.sequence import Sequence as SensorSequence
 from oysterbench.sequence import open_sequence
 from oysterbench.tracks.images import PictureSequence, instances_of
@@ -94,7 +95,7 @@ class DensityTrack(Track):
             )
             depth, align = options.get("depth", "layer"), options.get("align", "posyaw")
             for run in evaluate_maps(mapped, sequence.split, settings, depth, align, request.announce):
-                drawn = "" if run.result is None else figure(run.result).svg()
+                drawn = "" if run.result is None else svg_of(figure(run.result))
                 runs.append(replace(run, figure=drawn, result=None))
         return self.show(runs, sequences, request.out)
 

@@ -12,7 +12,7 @@ from scipy.stats import poisson
 from oysterbench.mapping.depth import carried_on, fit_plane
 from oysterbench.mapping.grid import Oyster, live_share, restoration_class
 from oysterbench.mapping.intervals import clumping, count_interval, doubt_variance
-from oysterbench.report.drawing import Drawing
+from oysterbench.report.figures import figure_style, new_figure, png_of, svg_of
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 60])
@@ -76,17 +76,19 @@ def test_a_plane_is_found_through_echoes_with_some_from_fish():
     assert c == pytest.approx(-3.0, abs=0.05)
 
 
-def test_a_drawing_is_the_same_as_page_and_as_picture():
-    sheet = Drawing(100, 50, "a & b")
-    sheet.rect(10, 10, 30, 20, fill="#ff0000")
-    sheet.dot(70, 20, 8, "#0000ff")
-    sheet.text(10, 45, "m\N{SUPERSCRIPT TWO} < 3", 10)
-    pixels = cv2.imdecode(np.frombuffer(sheet.png(2.0), np.uint8), cv2.IMREAD_COLOR)
-    assert pixels.shape == (100, 200, 3)
-    assert pixels[40, 40].tolist() == [0, 0, 255]
-    assert pixels[40, 140].tolist() == [255, 0, 0]
-    assert pixels[70:95, 20:100].min() < 128
-    svg = sheet.svg()
+def test_a_figure_is_the_same_each_time_as_page_and_as_picture():
+    def made():
+        with figure_style():
+            figure = new_figure("a & b", 4.0, 3.0)
+            figure.subplots(2, 1)[0].plot([0, 1], [0, 2], label="m\N{SUPERSCRIPT TWO} < $3$")
+            figure.legend(loc="outside lower left")
+        return figure
+
+    once = made()
+    pixels = cv2.imdecode(np.frombuffer(png_of(once), np.uint8), cv2.IMREAD_COLOR)
+    assert pixels.shape == (432, 576, 3)
+    assert pixels.min() < 128
+    svg = svg_of(once)
     assert "a &amp; b" in svg
-    assert svg == sheet.svg()
+    assert svg == svg_of(once) == svg_of(made())
     ElementTree.fromstring(svg)

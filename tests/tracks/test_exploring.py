@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from oysterbench.exploration.labelled_views import labelled_views
 from oysterbench.exploration.rollout_store import packed, unpacked
 from oysterbench.methods.interfaces import Stopwatch
 from oysterbench.report.exploring import pilots_table, places, places_table, whole_of
-from oysterbench.report.rollout_paths import apart
 from oysterbench.report.steering_samples import bow_pixels, samples_of
 from oysterbench.results.records import ResultRecord
 from oysterbench.tracks.steering import TRACK, ViewSequence
@@ -344,16 +342,6 @@ def test_policies_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
     assert places([run for run in runs if run.record.method != "random"]) == {}
 
 
-def test_names_at_the_ends_of_curves_do_not_meet():
-    places = [10.0, 11.0, 12.0, 90.0]
-    moved = apart(places, 18.0)
-    assert all(b - a >= 18.0 - 1e-9 for a, b in pairwise(moved))
-    assert np.mean(moved) == pytest.approx(np.mean(places))
-    assert moved[-1] == 90.0  # nobody is near it
-    assert apart([], 5.0) == []
-    assert apart([10.0, 11.0], 4.0, last=11.0) == [7.0, 11.0]
-
-
 def test_the_bow_is_drawn_where_the_camera_would_see_it(tmp_path):
     """A camera that looks along the bow, and a level vehicle: by hand."""
     labelled = labelled_views(write_labelled(tmp_path / "one.mcap", "one", label_table(1)), SPLIT.steering)
@@ -381,4 +369,4 @@ def test_samples_are_even_over_sequences_and_time(sequences, tmp_path):
     assert [sample.view.time_s for sample in samples[:3]] == [4, 8, 12]
     for sample in samples:
         assert sample.commanded == {"reader": sample.expert}
-        assert sample.worth[sample.expert] == sample.worth.max()
+        assert sample.action_values[sample.expert] == sample.action_values.max()
