@@ -32,31 +32,31 @@ def routes(auth: Auth) -> list[Route]:
         request.state.team = holder.team
         return holder.team
 
+    async def answer(found: Submission, status: int = 200) -> Response:
+        return JSONResponse(await run_in_threadpool(shown, service, found), status)
+
     async def splits(request: Request) -> Response:
         limits = {key: getattr(service.settings, key) for key in ("file_bytes", "upload_bytes", "per_day", "per_split")}
         return JSONResponse({"splits": service.catalogue.public(), "limits": limits})
 
     async def send(request: Request) -> Response:
         made, new = await auth.submit(request, await team(request))
-        return JSONResponse(await run_in_threadpool(shown, service, made), 201 if new else 200)
+        return await answer(made, 201 if new else 200)
 
     async def listed(request: Request) -> Response:
         found = await run_in_threadpool(service.of_team, await team(request))
         return JSONResponse({"submissions": [brief(one) for one in found]})
 
     async def one(request: Request) -> Response:
-        found = await run_in_threadpool(service.get, await team(request), request.path_params["id"])
-        return JSONResponse(await run_in_threadpool(shown, service, found))
+        return await answer(await run_in_threadpool(service.get, await team(request), request.path_params["id"]))
 
     async def publish(request: Request) -> Response:
-        found = await run_in_threadpool(service.publish, await team(request), request.path_params["id"])
-        return JSONResponse(await run_in_threadpool(shown, service, found))
+        return await answer(await run_in_threadpool(service.publish, await team(request), request.path_params["id"]))
 
     async def withdraw(request: Request) -> Response:
         of = await team(request)
         reason = (await small_body(request)).decode(errors="replace")
-        found = await run_in_threadpool(service.withdraw, of, request.path_params["id"], reason)
-        return JSONResponse(await run_in_threadpool(shown, service, found))
+        return await answer(await run_in_threadpool(service.withdraw, of, request.path_params["id"], reason))
 
     async def refuse(request: Request, refusal: Refusal) -> Response:
         headers = {"WWW-Authenticate": "Bearer"} if refusal.kind == "token" else {}

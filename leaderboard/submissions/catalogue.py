@@ -222,17 +222,14 @@ def _images_of(path: Path, track: str, cache: Path | None) -> dict[str, tuple[in
 def local_wanted(split_name: str, track: str) -> Wanted:
     """What a client knows of a split: its recipe and, where it was downloaded or rendered, its images."""
     from oysterbench.recipe import load_split
-    from oysterbench.simulation.generate import is_complete, split_folder
+    from oysterbench.simulation.generate import digest, is_complete, split_folder
 
     split = load_split(split_name)
     if not split.hidden and is_complete(split, split_folder(split)):
         try:
-            served = serve_split(split_name)
-            return served.wanted[track]
+            return serve_split(split_name).wanted[track]
         except (OysterbenchError, KeyError):
             pass
-    from oysterbench.simulation.generate import digest
-
     names = tuple(sequence.name for sequence in split.sequence)
     return Wanted(track, split.name, digest(split), split.hidden, names, task=split.steering)
 

@@ -119,13 +119,16 @@ def methods_in(path: Path) -> list[str]:
 def split_in(place: Path) -> tuple[str, str]:
     """Split and track that a results.json, or a folder with one, is of; empty where there is none."""
     path = place / RESULTS if place.is_dir() else place
-    if path.name.endswith(".json") and path.is_file():
-        try:
-            rows = json.loads(path.read_bytes())["results"]
-            return str(rows[0]["split"]), str(rows[0]["track"])
-        except (ValueError, LookupError, TypeError, RecursionError):
-            pass
-    return "", ""
+    found = _first_result(path) if path.name.endswith(".json") and path.is_file() else {}
+    return str(found.get("split", "")), str(found.get("track", ""))
+
+
+def _first_result(path: Path) -> dict[str, Any]:
+    """The first row of a results.json, as it says of itself; empty where the file is none."""
+    try:
+        return dict(json.loads(path.read_bytes())["results"][0])
+    except (ValueError, LookupError, TypeError, RecursionError):
+        return {}
 
 
 def wanted_of(split: str, track: str, known: dict[str, Any]) -> Wanted:
@@ -152,16 +155,10 @@ def packed(found: Found, wanted: Wanted, limits: dict[str, int]) -> Iterator[Pac
             most = limits["upload_bytes"] // 1_000_000
             raise ResultError(f"{path.name}: {size / 1e6:.0f} MB to be sent; the server takes at most {most} MB")
         within = Limits(limits["file_bytes"], limits["file_bytes"], 1 << 30, 1 << 40, NO_RATIO)
-        known = wanted if wanted.split_digest else replace(wanted, split_digest=_digest_in(path))
+        known = wanted
+        if not wanted.split_digest:  # then nothing is known but what results say of themselves
+            known = replace(wanted, split_digest=str(_first_result(path).get("split_digest", "")))
         facts = check_predictions(open_predictions(path, known, within), known)
         with open(path, "rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
         yield Package(path, kind, digest, size, wanted, facts)
-
-
-def _digest_in(path: Path) -> str:
-    """What results say of themselves, where nothing else is known."""
-    try:
-        return str(json.loads(path.read_bytes())["results"][0]["split_digest"])
-    except (ValueError, LookupError, TypeError, RecursionError, UnicodeDecodeError):
-        return ""
