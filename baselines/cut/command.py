@@ -60,7 +60,7 @@ def train_command(
       oysterbench train cut --source seg-train --target my-dives --method cut --size full --device auto --out cut-full
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
 
-    Leaves checkpoint.pt, losses.csv, losses.png and samples/, sheets of some twenty stages. May be
+    Leaves checkpoint.pt, losses.csv, losses.png and samples/, sheets of some twenty steps. May be
     interrupted, even killed: the same command goes on from the last checkpoint, to the same weights.
     """
     from oysterbench.cli.labelled import open_all, open_data

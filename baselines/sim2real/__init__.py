@@ -1,1 +1,1 @@
-"""What rendered images are worth: trainings with more and more real ones, with and without them."""
+"""What rendered images add: trainings with more and more real ones, with and without them."""

@@ -11,7 +11,7 @@ import click
 from oysterbench_baselines.learning.trained import device_option
 
 
-@click.command("sim2real", short_help="What rendered images are worth on real ones.")
+@click.command("sim2real", short_help="What rendered images add to real ones.")
 @click.option("--real", required=True, metavar="PATH", help="Labelled real images, with manifest.csv: clip and split.")
 @click.option(
     "--synthetic",

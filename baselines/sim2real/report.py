@@ -11,7 +11,7 @@ from oysterbench.report.table import Column, Estimate, Table, TableRow
 from oysterbench_baselines.sim2real.plot import plot
 from oysterbench_baselines.sim2real.table import VariantRow
 
-TITLE = "What rendered images are worth"
+TITLE = "What rendered images add"
 
 COLUMNS = (
     Column("training", "training"),

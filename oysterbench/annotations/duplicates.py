@@ -48,7 +48,7 @@ def near_duplicates(
     """For each image of `one` the image of `other` that is most like it, by a `min_correlation` at least; best first.
 
     Correlation of the images at `SIDE` px without their slow changes of brightness, at the shift that suits them best,
-    so that a camera's way between two frames does not hide that they show one place.
+    so that the path of a camera between two frames does not hide that they show one place.
     """
     spectra = np.array([fingerprint(image.pixels) for image in other])
     found = []

@@ -57,7 +57,7 @@ class LabelledSequence:
             return self.coco.instances(truth.name, scored=False)
         if truth.instances is None:
             raise LabelError(
-                f"{truth.name}: single oysters are not told apart in the truth, which is a mask; expected COCO "
+                f"{truth.name}: the truth is a mask, which does not separate single oysters; expected COCO "
                 "annotations, YOLO polygons, masks with instances/, or sequences"
             )
         numbers = np.where(truth.oyster, truth.instances, 0)

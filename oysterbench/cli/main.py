@@ -78,7 +78,7 @@ def main() -> None:
       oysterbench download slam-mini                from a hub, or rendered where none is set
       oysterbench info mini-01.mcap
       oysterbench export mini-01.mcap --format euroc --out mini-01
-      oysterbench map val-01.mcap --trajectory poses.tum --masks answers --out map    oysters per m2
+      oysterbench map val-01.mcap --trajectory poses.tum --masks masks --out map    oysters per m2
       oysterbench map mini-01.mcap --trajectory poses.tum --out mini-01.ply
       oysterbench view mini-01.mcap                 one page to look through it
       oysterbench gallery                           waters, lights, reefs and views on one sheet

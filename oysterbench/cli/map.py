@@ -55,7 +55,7 @@ def map_command(
 
     \b
     Examples:
-      oysterbench map val-01.mcap --trajectory val-01-gtsam_full.tum --masks answers/ --out map
+      oysterbench map val-01.mcap --trajectory val-01-gtsam_full.tum --masks masks/ --out map
       oysterbench map val-01.mcap --trajectory poses.tum --masks instances.json --depth plane --cell 0.5 --out map
       oysterbench map val-01.mcap --trajectory val-01-truth.tum --masks truth --depth layer --out true-map
       oysterbench map mini-01.mcap --trajectory results/mini-01-gtsam_vi.tum --out mini-01.ply
@@ -68,16 +68,16 @@ def map_command(
 
     \b
     Depths:
-      stereo   between two cameras that see the same       motion   between pictures on one camera's way
+      stereo   between two cameras that see the same       motion   between pictures of one moving camera
       plane    the bottom as a plane under DVL, altimeter  layer    the truth of a rendered sequence
 
     The folder gets map.html and map.png to look at, grid.csv, oysters.csv, summary.json, and the rasters mosaic.png and
     density.png with world files, in the trajectory's frame.
 
-    A cloud of pictures has the depths between two cameras that see the same, or, of one camera, between its frames on
-    the way. One of echoes has those of DVL, altimeters and imaging sonars, coloured from the pictures; a fan of a sonar
-    tells no elevation, so that its first echo is put on its lower edge. No cloud uses the truth: `export --format ply`
-    does that.
+    A cloud of pictures has depths between two cameras that see the same, or, of one camera, between its frames on
+    the path. One of echoes has those of DVL, altimeters and imaging sonars, coloured from the pictures; a fan of a
+    sonar tells no elevation, so that its first echo is put on its lower edge. No cloud uses the truth: `export --format
+    ply` does that.
     """
     apart, what = (MAP_OPTIONS, "a map: expected --masks") if masks is None else (CLOUD_OPTIONS, "a cloud")
     if names := [option for key, option in apart.items() if given[key] is not None]:

@@ -116,7 +116,7 @@ def run_command(
     if template is not None and len(names) > 1:
         raise click.UsageError(f"--command runs one program: expected one name for it at most, got {', '.join(names)}")
     if template is None and poses_of is not None:
-        raise click.UsageError("--poses-of is for --command: a method of Python answers with the poses of base_link")
+        raise click.UsageError("--poses-of is for --command: a method of Python gives the poses of base_link")
     if template is not None and (settings or ablate):
         raise click.UsageError("--set and --ablate are for methods of Python: a program takes options in its --command")
     if places and sequences:

@@ -38,7 +38,7 @@ class MapSettings:
     size_sigma: float = 0.7  # 1 sigma of the logarithm of its area, as different pictures show it
     gate: float = 11.34  # squared Mahalanobis distance of what may be one: 99 % of three dimensions
     join_gate: float = 4.0  # the same for parts of one shell that were never seen side by side
-    exact_m: float = 0.012  # of places surer than this, shells are told apart by how far they overlap
+    exact_m: float = 0.012  # of places surer than this, shells are distinguished by how far they overlap
     least_overlap: float = 0.4  # of the lesser of two shells, for them to be one
     join_overlap: float = 0.25  # the same of parts of one shell that were never seen side by side
     reach_m: float = 0.3  # between the middles of two views of one shell: more than any shell

@@ -62,7 +62,7 @@ class Pinhole:
 
 
 class PoseInterpolator:
-    """Poses of base_link (4, 4) at any stamp that a trajectory answers."""
+    """Poses of base_link (4, 4) at any stamp that a trajectory covers."""
 
     def __init__(self, trajectory: Trajectory, max_gap_s: float) -> None:
         self.trajectory, self._max_gap_ns = trajectory, max_gap_s * 1e9

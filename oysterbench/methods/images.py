@@ -1,4 +1,4 @@
-"""What a method of the tracks segmentation and detection is given, and what it answers.
+"""What a method of the tracks segmentation and detection is given, and what it predicts.
 
     class MyNet:
         name, track = "my_net", "segmentation"
@@ -7,7 +7,7 @@
             for image in images:
                 yield Segmentation(image.name, probability=self.net(image.pixels))
 
-It is given the pictures of a clip one by one and never the truth, and answers in the same order. It may read ahead, to
+It is given the pictures of a clip one by one and never the truth, and predicts in the same order. It may read ahead, to
 make batches; what it reads ahead is what is kept in memory. A method of the track segmentation may take part in the
 track detection as well: what hangs together in its masks is then taken for one oyster.
 """
@@ -32,7 +32,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Segmentation:
-    """What is said of the pixels of a picture, one of three, at its size.
+    """What is predicted for the pixels of a picture, one of three, at its size.
 
     oyster:      (H, W) bool, where there is an oyster
     probability: (H, W) float from 0 to 1, that there is one; bring logits to the picture's size before the sigmoid
@@ -68,7 +68,7 @@ class SegmentationMethod(Protocol):
     track: str
 
     def run(self, images: Iterable[Picture]) -> Iterable[Segmentation]:
-        """An answer to each picture, in the order in which they are given."""
+        """A prediction for each picture, in the order in which they are given."""
         ...
 
 
@@ -79,5 +79,5 @@ class DetectionMethod(Protocol):
     track: str
 
     def run(self, images: Iterable[Picture]) -> Iterable[Detections]:
-        """An answer to each picture, in the order in which they are given."""
+        """A prediction for each picture, in the order in which they are given."""
         ...

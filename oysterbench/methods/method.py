@@ -1,4 +1,4 @@
-"""What a method is, and what it answers."""
+"""What a method is, and what it estimates."""
 
 from __future__ import annotations
 

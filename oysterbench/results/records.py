@@ -62,7 +62,7 @@ class ResultRecord:
     metrics:                 by keys that carry their unit (`evaluate.metrics`); NaN where there is no value
     reasons:                 why, for every metric that is NaN
     failure:                 why there is no estimate, or it cannot be scored; None for a run that was scored.
-                             A failed run answers nothing: its score and coverage are 0 and its errors do not exist.
+                             A failed run has no estimate: its score and coverage are 0 and its errors do not exist.
     settings:                of the evaluator
     notes:                   what a reader of the numbers should know, in sentences
     info:                    what the method wants to keep with the result

@@ -72,8 +72,8 @@ def clump_centres(count: int, side: float, spacing: float, patchiness: float, ge
     waves = generator.standard_normal((12, 2)) * 2 * np.pi / PATCH_M
     phases = generator.uniform(0, 2 * np.pi, 12)
     patches = np.sin(np.einsum("pi,wi->pw", centres, waves) + phases).sum(axis=1) / np.sqrt(6.0)
-    worth = patchiness * patches + (1 - patchiness) * generator.standard_normal(len(centres))
-    keep = np.argsort(-np.round(worth, 6), kind="stable")[:count]
+    preference = patchiness * patches + (1 - patchiness) * generator.standard_normal(len(centres))
+    keep = np.argsort(-np.round(preference, 6), kind="stable")[:count]
     centres = centres[np.sort(keep)]
     for _ in range(PUSHES):
         pairs = cKDTree(centres).query_pairs(spacing, output_type="ndarray") if count > 1 else np.zeros((0, 2), int)

@@ -24,7 +24,7 @@ GRASS_M = (0.12, 0.32)  # length of a tuft's longest blade
 ALGAE_M = (0.05, 0.13)
 TUFTS_PER_M2 = 45.0  # where plants cover the bottom
 FOOTPRINT_CELL_M = 0.02
-TAKEN = 20.0  # loss of a place that something hard covers, in units of a meadow's worth
+TAKEN = 20.0  # loss of a place that something hard covers, in units of the strength of a meadow
 MEADOW_M = 3.0  # wavelength of plant patches
 SPONGE_M = (0.006, 0.022)
 SPONGE_COLOURS = ((0.32, 0.19, 0.08), (0.27, 0.24, 0.13), (0.26, 0.12, 0.08), (0.22, 0.23, 0.12))
@@ -82,8 +82,8 @@ def place_plants(reef: ReefRecipe, terrain: Terrain, library: Library, hard: Ins
     candidates = generator.uniform(-half, half, (3 * n, 2))
     waves = generator.standard_normal((10, 2)) * 2 * np.pi / MEADOW_M
     patch = np.sin(candidates @ waves.T + generator.uniform(0, 2 * np.pi, 10)).sum(axis=1)
-    worth = patch + 1.2 * generator.standard_normal(3 * n) - TAKEN * _covered(candidates, hard, library.meshes)
-    best = np.argsort(-np.round(worth, 6), kind="stable")[:n]
+    preference = patch + 1.2 * generator.standard_normal(3 * n) - TAKEN * _covered(candidates, hard, library.meshes)
+    best = np.argsort(-np.round(preference, 6), kind="stable")[:n]
     places = candidates[np.sort(best)]
     kind = np.sin(places @ (waves[:3, ::-1].T * 0.4)).sum(axis=1) + 0.8 * generator.standard_normal(n)
     broad = kind < -0.6

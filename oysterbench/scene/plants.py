@@ -17,7 +17,7 @@ BLADE_WIDTH = (0.012, 0.022)
 
 @dataclass(frozen=True)
 class _Course:
-    """The way of a blade from its root: s (R,) from 0 to 1, middle (R, 3), and unit-ish directions across the blade
+    """The course of a blade from its root: s (R,) from 0 to 1, middle (R, 3), and unit-ish directions across the blade
     in its plane, wide (R, 3), and out of it, thick (R, 3).
     """
 
@@ -72,7 +72,7 @@ def _frond(generator: np.random.Generator, lean: float) -> Mesh:
 
 
 def _course(generator: np.random.Generator, rings: int, heading: float, waver: float) -> _Course:
-    """A blade's way: up from its root and bending over to a heading, wavering to its sides, slowly turning."""
+    """Course of a blade: up from its root and bending over to a heading, wavering to its sides, slowly turning."""
     length = generator.uniform(0.45, 1.0)
     s = np.linspace(0, 1, rings)
     rise = np.pi / 2 - generator.uniform(0.05, 0.5) - generator.uniform(0.2, 1.3) * s**1.5

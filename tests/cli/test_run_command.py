@@ -148,7 +148,7 @@ def test_a_split_is_rendered_and_run_on(tmp_path):
             ("a", "b", "--split", "slam-mini", "--command", "x {euroc} {out}"),
             "expected one name for it at most, got a, b",
         ),
-        (("a", "--split", "slam-mini", "--poses-of", "imu"), "a method of Python answers with the poses of base_link"),
+        (("a", "--split", "slam-mini", "--poses-of", "imu"), "a method of Python gives the poses of base_link"),
         (("--split", "slam-mini", "--command", "x {euroc} {out}", "--set", "a=1"), "are for methods of Python"),
         (("a", "--on", "x.mcap"), "--on needs --out"),
         (("a", "--on", "x.mcap", "--out", "o", "--sequence", "s"), "--sequence chooses from a split"),

@@ -57,7 +57,7 @@ def conditions_made(sequence: str) -> dict[str, float | str]:
 
 def slam_metrics(method: str, sequence: str, run: int, skill: float) -> dict[str, float]:
     """Metrics that belong together; skill: about the score (0 to 1). The error of a sequence is its own, so that
-    methods of nearly one skill cannot be told apart."""
+    methods of nearly one skill do not differ significantly."""
     shared = STREAMS.generator("slam", sequence).normal()
     own = STREAMS.generator("slam", sequence, method, run).normal(size=3)
     score = 1 / (1 + math.exp(-(math.log(skill / (1 - skill)) + 0.5 * shared + 0.3 * own[0])))
@@ -220,10 +220,10 @@ DATA_SET = {
 def records_made() -> dict[str, Record]:
     """A small leaderboard by short names.
 
-    On slam-val "carp" and "cod" cannot be told apart, "drift" is far behind, "eel" failed on two sequences and "gap"
-    was not run on one; "carp2" takes the place of "carp1", "fraud" is to be withdrawn (`fill`), three names are nasty.
-    "old" is of an earlier evaluator. Two methods are on a board of segmentation, two on one of steering, of which
-    "straight" is worse than chance, and one on one of detection, whose AP over all images is not the mean over clips.
+    On slam-val "carp" and "cod" do not differ significantly, "drift" is far behind, "eel" failed on two sequences and
+    "gap" was not run on one; "carp2" takes the place of "carp1", "fraud" is to be withdrawn (`fill`), three names are
+    nasty. "old" is of an earlier evaluator. Two methods are on a board of segmentation, two on one of steering, of
+    which "straight" is worse than chance, and one on one of detection, whose AP over all images is no mean of clips.
     """
     carp = record_made(skill=0.84, runs=3, tier="baseline", url="https://example.org/carp", summary="Smooths a window.")
     segmented: dict[str, Any] = {"track": "segmentation", "split": "seg-val", "tier": "baseline"}

@@ -61,7 +61,7 @@ class RunSequence(ABC):
 
 
 class Interface(ABC):
-    """The way of a kind of method.
+    """How methods of a kind are given their input and leave their predictions.
 
     forms:    placeholder of a command line -> what is put in its place
     own_form: what a method of Python is given
