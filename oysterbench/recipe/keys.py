@@ -48,21 +48,8 @@ def build(kind: type[Kind], table: Any, where: str, prefix: str) -> Kind:
     return kind(**values)
 
 
-_KINDS: dict[Any, tuple[str, tuple[type, ...]]] = {
-    str: ("text", (str,)),
-    bool: ("true or false", (bool,)),
-    int: ("a whole number", (int,)),
-    float: ("a number", (int, float)),
-}
-"""Type of a key -> how it is called, and what a file may have for it; true and false are no numbers."""
-
-
 def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: str, key: str) -> Any:
     """One value, checked against its type and range."""
-
-    def refusal(expected: str) -> RecipeError:
-        return RecipeError(f"{where}: key {key!r}: expected {expected}, got {value!r}")
-
     if isinstance(hint, types.UnionType):  # a key that may be left out
         if value is None:
             return None
@@ -73,21 +60,27 @@ def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: s
     if typing.get_origin(hint) is tuple:
         inner = typing.get_args(hint)
         if not isinstance(value, list):
-            raise refusal("a list")
-        if inner[1:] == (Ellipsis,):
-            inner = inner[:1] * len(value)
+            raise RecipeError(f"{where}: key {key!r}: expected a list, got {value!r}")
+        if len(inner) == 2 and inner[1] is Ellipsis:
+            return tuple(_convert(item, inner[0], definition, where, key) for item in value)
         if len(value) != len(inner):
-            raise refusal(f"{len(inner)} numbers")
+            raise RecipeError(f"{where}: key {key!r}: expected {len(inner)} numbers, got {value!r}")
         return tuple(_convert(v, t, definition, where, key) for v, t in zip(value, inner, strict=True))
-    wanted, kinds = _KINDS[hint]
-    options = definition.metadata.get("options", (value,))
-    if value not in options:
-        raise refusal(_one_of(options))
-    if not isinstance(value, kinds) or isinstance(value, bool) != (hint is bool):
-        raise refusal(f"{wanted}{_allowed(definition)}")
+    if hint is str:
+        options = definition.metadata.get("options")
+        if not isinstance(value, str) or (options and value not in options):
+            raise RecipeError(f"{where}: key {key!r}: expected {_text(options)}, got {value!r}")
+        return value
+    if hint is bool:
+        if not isinstance(value, bool):
+            raise RecipeError(f"{where}: key {key!r}: expected true or false, got {value!r}")
+        return value
+    if isinstance(value, bool) or not isinstance(value, int if hint is int else (int, float)):
+        wanted = "a whole number" if hint is int else "a number"
+        raise RecipeError(f"{where}: key {key!r}: expected {wanted}{_allowed(definition)}, got {value!r}")
     low, high = definition.metadata.get("range", (-math.inf, math.inf))
-    if hint is not str and not low <= value <= high:
-        raise refusal(f"{low:g} to {high:g}")
+    if not low <= value <= high:
+        raise RecipeError(f"{where}: key {key!r}: expected {low:g} to {high:g}, got {value!r}")
     return hint(value)
 
 
@@ -100,12 +93,12 @@ def _allowed(definition: dataclasses.Field[Any]) -> str:
         low, high = definition.metadata["range"]
         return f" from {low:g} to {high:g}"
     if "options" in definition.metadata:
-        return f" ({_one_of(definition.metadata['options'])})"
+        return f" ({_text(definition.metadata['options'])})"
     return ""
 
 
-def _one_of(options: tuple[str, ...]) -> str:
-    return "one of " + ", ".join(options)
+def _text(options: tuple[str, ...] | None) -> str:
+    return "one of " + ", ".join(options) if options else "text"
 
 
 def stated(value: Any) -> Any:
