@@ -11,7 +11,7 @@ from oysterbench.evaluate.statistics import Interval, compare
 from oysterbench.evaluate.steering.dataset import Whole, over_sequences
 from oysterbench.evaluate.steering.rollouts import NormalisedScore, normalised_score
 from oysterbench.report.columns import metric_column, metric_columns, name_columns
-from oysterbench.report.steering import DiveRun, PictureRun
+from oysterbench.report.steering import PictureRun, RolloutRun
 from oysterbench.report.table import MINUS, Cell, Column, Table, TableRow, interval_column
 from oysterbench.report.tables import difference_column
 from oysterbench.results.records import ResultRecord, samples
@@ -61,14 +61,14 @@ def _interval(whole: Whole, column: Column) -> Interval:
     return whole.intervals[column.key.removesuffix("_interval")]
 
 
-def _policies(runs: Sequence[DiveRun]) -> dict[str, list[ResultRecord]]:
+def _policies(runs: Sequence[RolloutRun]) -> dict[str, list[ResultRecord]]:
     found: dict[str, list[ResultRecord]] = {}
     for run in runs:
         found.setdefault(run.record.method, []).append(run.record)
     return found
 
 
-def pilots_table(runs: Sequence[DiveRun]) -> Table:
+def policies_table(runs: Sequence[RolloutRun]) -> Table:
     """Every policy against each that comes after it: differences on the same reefs, of several metrics."""
     policies = _policies(runs)
     names = list(policies)
@@ -100,7 +100,7 @@ def pilots_table(runs: Sequence[DiveRun]) -> Table:
     return Table("Policy against policy", columns, tuple(rows))
 
 
-def places(runs: Sequence[DiveRun]) -> dict[str, NormalisedScore]:
+def places(runs: Sequence[RolloutRun]) -> dict[str, NormalisedScore]:
     """Where each policy stands between LOWER and UPPER, by oysters per minute; none where one of these is not there."""
     policies = {name: samples(records, "oysters_per_min") for name, records in _policies(runs).items()}
     if LOWER not in policies or UPPER not in policies:

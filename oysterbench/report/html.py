@@ -26,7 +26,7 @@ from oysterbench.report.images import LEGEND, DatasetRow, ImageRun, curves_group
 from oysterbench.report.plots import Curve, point_swatch, scatter_plot, swatch
 from oysterbench.report.renderers.html import FOLDER
 from oysterbench.report.sequences import SequencePlots, SlamRun, sequence_plots
-from oysterbench.report.steering import DiveRun, PictureRun
+from oysterbench.report.steering import PictureRun, RolloutRun
 from oysterbench.report.table import Table
 from oysterbench.report.tables import (
     COMPLETE,
@@ -52,7 +52,7 @@ LIMITS = {
     "SHOWN_FIGURES": 40,  # each is some 50 KB
 }
 
-Runs = Sequence[SlamRun] | Sequence[ImageRun] | Sequence[DensityRun] | Sequence[PictureRun] | Sequence[DiveRun]
+Runs = Sequence[SlamRun] | Sequence[ImageRun] | Sequence[DensityRun] | Sequence[PictureRun] | Sequence[RolloutRun]
 
 TITLES = {
     "slam": "SLAM",

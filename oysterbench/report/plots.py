@@ -197,7 +197,7 @@ def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str
 
 
 def _shape(style: int) -> str:
-    """Corners of a point about the origin: methods are told apart by shape, not by colour alone."""
+    """Corners of a point about the origin: methods are distinguished by shape, not by colour alone."""
     corners, turn = SHAPES[(style - 1) % len(SHAPES)]
     size = 4.2 * (2 * math.pi / (corners * math.sin(2 * math.pi / corners))) ** 0.5  # of equal area
     angles = [math.radians(turn) + 2 * math.pi * k / corners for k in range(corners)]

@@ -1,4 +1,4 @@
-"""What the track steering shows besides the tables of every track: confusions over pictures, and dives from above."""
+"""What steering shows besides the tables of every track: confusions over pictures, and rollouts from above."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class PictureRun:
 
 
 @dataclass(frozen=True)
-class DiveRun:
-    """A dive of a pilot over a reef; without a log where it failed."""
+class RolloutRun:
+    """A rollout of a policy over a reef; without a log where it failed."""
 
     record: ResultRecord
     log: RolloutLog | None = None

@@ -15,7 +15,7 @@ from oysterbench.report.confusion import confusion_figure
 from oysterbench.report.figures import png_of, svg_of
 from oysterbench.report.ladder import ladder_figure
 from oysterbench.report.rollout_paths import colours_of, rollouts_figure
-from oysterbench.report.steering import DiveRun, PictureRun
+from oysterbench.report.steering import PictureRun, RolloutRun
 from oysterbench.report.steering_samples import samples_figure, samples_of
 from oysterbench.results.records import samples as values_of
 
@@ -47,24 +47,24 @@ def picture_figures(
     return made
 
 
-def dive_figures(runs: Sequence[DiveRun], folder: Path) -> Figures:
-    """Pilots over all reefs, then each reef from above with its dives; none where all dives failed."""
-    pilots = list(dict.fromkeys(run.record.method for run in runs))
+def rollout_figures(runs: Sequence[RolloutRun], folder: Path) -> Figures:
+    """Policies over all reefs, then each reef from above with its rollouts; none where all failed."""
+    policies = list(dict.fromkeys(run.record.method for run in runs))
     reefs = list(dict.fromkeys(run.record.sequence for run in runs))
-    colours = colours_of(pilots)
+    colours = colours_of(policies)
     if all(run.log is None for run in runs):
         return []
-    of_pilots = {pilot: [run.record for run in runs if run.record.method == pilot] for pilot in pilots}
-    values = {pilot: values_of(records, "oysters_per_min") for pilot, records in of_pilots.items()}
+    of_policies = {policy: [run.record for run in runs if run.record.method == policy] for policy in policies}
+    values = {policy: values_of(records, "oysters_per_min") for policy, records in of_policies.items()}
     split = runs[0].record.split
-    made = [_kept(folder / "pilots.png", ladder_figure(split, values, colours), "Policies over all reefs")]
+    made = [_kept(folder / "policies.png", ladder_figure(split, values, colours), "Policies over all reefs")]
     for reef in reefs:
         logs: dict[str, RolloutLog] = {
             run.record.method: run.log for run in runs if run.record.sequence == reef and run.log is not None
         }
         if logs:
             made.append(
-                _kept(folder / f"dives-{reef}.png", rollouts_figure(reef, logs, colours), f"Rollouts over {reef}")
+                _kept(folder / f"rollouts-{reef}.png", rollouts_figure(reef, logs, colours), f"Rollouts over {reef}")
             )
     return made
 

@@ -29,9 +29,9 @@ from oysterbench.exploration.rollout_store import (
 from oysterbench.methods.policy_process import PolicyProcess
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report import results_table
-from oysterbench.report.exploring import pilots_table, places, places_table
-from oysterbench.report.steering import DiveRun
-from oysterbench.report.steering_figures import dive_figures
+from oysterbench.report.exploring import places, places_table, policies_table
+from oysterbench.report.steering import RolloutRun
+from oysterbench.report.steering_figures import rollout_figures
 from oysterbench.report.tables import standings_table
 from oysterbench.results.comparison import boards
 from oysterbench.results.records import ResultRecord
@@ -107,7 +107,7 @@ def run_rollouts(
     workers: int = 1,
     again: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> list[DiveRun]:
+) -> list[RolloutRun]:
     """Each policy over each reef, in that order; rollouts that `folder` holds already are not made again.
 
     A policy that fails leaves a record with `failure`, which is not kept: the next time it is tried again.
@@ -187,7 +187,7 @@ def _identity(plan: RolloutPlan, job: RolloutJob, policy: Mapping[str, Any]) -> 
     }
 
 
-def _run(plan: RolloutPlan, job: RolloutJob, made: RolloutLog | str, policy: Mapping[str, Any]) -> DiveRun:
+def _run(plan: RolloutPlan, job: RolloutJob, made: RolloutLog | str, policy: Mapping[str, Any]) -> RolloutRun:
     split = plan.split
     settings = {"dive_s": plan.seconds, "start": plan.start}
     about = {
@@ -198,22 +198,22 @@ def _run(plan: RolloutPlan, job: RolloutJob, made: RolloutLog | str, policy: Map
         "method_settings": json.loads(json.dumps(policy.get("settings", {}), default=str)),
     }
     if isinstance(made, str):
-        return DiveRun(ResultRecord(**about, failure=made))
+        return RolloutRun(ResultRecord(**about, failure=made))
     assert split.steering is not None
     score = score_rollout(made, split.steering)
     about["truth_digest"] = hashlib.sha256(made.oysters.round(6).tobytes()).hexdigest()
-    return DiveRun(ResultRecord(**about, metrics=score.metrics, reasons=score.reasons), made)
+    return RolloutRun(ResultRecord(**about, metrics=score.metrics, reasons=score.reasons), made)
 
 
-def show_rollouts(runs: Sequence[DiveRun], out: Path) -> Evaluation:
+def show_rollouts(runs: Sequence[RolloutRun], out: Path) -> Evaluation:
     """Policies over all reefs, each against each, and the reefs from above.
 
     Pairs by the metric that ranks, and classes of conditions, are left to the files: they fill a screen.
     """
-    first = [pilots_table(runs)]
+    first = [policies_table(runs)]
     if found := places(runs):
         first.insert(0, places_table(found))
     records = [run.record for run in runs]
     standings = [standings_table(board) for board in boards(records) if len(board.sequences) > 1]
     printed = [results_table(records), *standings, *first]
-    return Evaluation(runs, first=first, printed=printed, figures=dive_figures(runs, out))
+    return Evaluation(runs, first=first, printed=printed, figures=rollout_figures(runs, out))

@@ -99,7 +99,7 @@ def test_dives_are_made_once_printed_and_drawn(recipe, tmp_path):
     assert re.search(r"expert . lawnmower +Oysters \[per min\]", first.stdout)
     assert "8 of 8 rollouts" in first.stderr
     assert len(list((out / "rollouts").iterdir())) == 8
-    for name in ("pilots", "dives-one", "dives-two"):
+    for name in ("policies", "rollouts-one", "rollouts-two"):
         assert picture_of(out / f"{name}.png").shape[2] == 3
     assert (out / "report.html").read_text().count("<svg xmlns") == 3
     times = {path: path.stat().st_mtime_ns for path in (out / "rollouts").iterdir()}

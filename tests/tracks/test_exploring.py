@@ -11,7 +11,7 @@ from oysterbench.core.errors import LabelError, RecipeError, ResultError
 from oysterbench.exploration.labelled_views import labelled_views
 from oysterbench.exploration.rollout_store import packed, unpacked
 from oysterbench.methods.interfaces import Stopwatch
-from oysterbench.report.exploring import pilots_table, places, places_table, whole_of
+from oysterbench.report.exploring import places, places_table, policies_table, whole_of
 from oysterbench.report.steering_samples import bow_pixels, samples_of
 from oysterbench.results.records import ResultRecord
 from oysterbench.tracks.steering import TRACK, ViewSequence
@@ -335,7 +335,7 @@ def test_policies_are_compared_on_the_same_reefs_and_have_a_place(tmp_path):
     assert found[POLICIES + ":Reader"].value == pytest.approx(0.0)
     assert found["lawnmower"].interval.low == pytest.approx(0.5)
     assert len(places_table(found).rows) == 2
-    lines = {texts[0]: texts for texts in pilots_table(runs).texts if texts[1].startswith("Oysters")}
+    lines = {texts[0]: texts for texts in policies_table(runs).texts if texts[1].startswith("Oysters")}
     assert len(lines) == 6
     assert lines["expert \N{MINUS SIGN} random"][2:] == ("+130.0", "+130.0 to +130.0", "7 / 0 / 0", "better")
     assert lines["expert \N{MINUS SIGN} lawnmower"][2] == "+65.0"
