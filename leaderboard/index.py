@@ -101,15 +101,6 @@ class BoardIndex:
         with self.database.reading() as connection:
             return [each for each in self._boards(connection).values() if track in (None, each.track)]
 
-    def find_board(self, track: str, split: str, board: str | None = None) -> BoardInfo:
-        """The newest board of a split, or the one with that id. Raises ResultError naming what there is."""
-        known = self.boards()
-        found = [b for b in known if (b.track, b.split) == (track, split) and board in (None, b.id)]
-        if not found:
-            there = ", ".join(dict.fromkeys(f"{each.track} {each.split}" for each in known)) or "none yet"
-            raise ResultError(f"no board {board or ''} of {track} on {split}; there are: {there}".replace("  ", " "))
-        return found[0]
-
     def page(self, board: str, query: Query) -> BoardPage:
         """Rows of a board."""
         with self.database.reading() as connection:

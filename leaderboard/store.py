@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -109,7 +108,9 @@ class RecordStore:
 
     def names(self, kind: str) -> list[str]:
         """Digests of all files of a kind, in order."""
-        return sorted(_stems(self.folder / kind))
+        folder = self.folder / kind  # a killed writer's files, which have other names, are passed over
+        names = os.listdir(folder) if folder.is_dir() else []
+        return sorted(name[:64] for name in names if name[64:] == ".json" and SHA256.fullmatch(name[:64]))
 
     def _keep(self, kind: str, data: bytes) -> str:
         digest = sha256(data)
@@ -127,14 +128,3 @@ class RecordStore:
         if sha256(data) != digest:
             raise ResultError(f"{path}: its bytes are not those it is named for; it was changed, and was not used")
         return data
-
-
-def _stems(folder: Path) -> Iterator[str]:
-    """Names of content in a folder; files that a killed writer left are passed over."""
-    if not folder.is_dir():
-        return
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            stem, dot, suffix = entry.name.partition(".")
-            if dot and suffix == "json" and SHA256.fullmatch(stem):
-                yield stem

@@ -13,7 +13,7 @@ from typing import Any
 import anyio
 import anyio.to_thread
 from starlette.applications import Starlette
-from starlette.convertors import Convertor, register_url_convertor
+from starlette.convertors import StringConvertor, register_url_convertor
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
@@ -58,21 +58,8 @@ CHANGING, FOREVER = "no-cache", "public, max-age=31536000, immutable"
 HTML = "text/html; charset=utf-8"
 
 
-def _part(name: str) -> Convertor[str]:
-    class Part(Convertor[str]):
-        regex = PATTERNS[name]
-
-        def convert(self, value: str) -> str:
-            return value
-
-        def to_string(self, value: str) -> str:
-            return value
-
-    return Part()
-
-
-for _name in PATTERNS:
-    register_url_convertor(f"board_{_name}", _part(_name))
+for _name, _pattern_of in PATTERNS.items():
+    register_url_convertor(f"board_{_name}", type("Part", (StringConvertor,), {"regex": _pattern_of})())
 
 
 class Pages:
@@ -205,9 +192,7 @@ def application(
             response = pages.error(request, error.status_code, message, {"/": "all boards", "/data": "data sets"})
             response.headers.update(error.headers or {})
             return response
-        if isinstance(
-            error, OysterbenchError
-        ):  # it may name files, which are nobody's business; others are logged anyhow
+        if isinstance(error, OysterbenchError):  # it may name files, which are nobody's business
             LOG.error("%s: %s", request.url.path, error)
         response = pages.error(request, 500, "this page could not be made; it has been noted", {"/": "all boards"})
         for name, value in SECURITY.items():  # what answers a failure stands outside of `Secured`
@@ -226,12 +211,7 @@ def application(
             HttpRoute("/robots.txt", robots),
         ],
         middleware=[Middleware(HeaderLimit), Middleware(Secured)],
-        exception_handlers={
-            PageError: answer_error,
-            OysterbenchError: answer_error,
-            HTTPException: answer_error,
-            Exception: answer_error,
-        },
+        exception_handlers=dict.fromkeys((PageError, OysterbenchError, HTTPException, Exception), answer_error),
     )
 
 

@@ -122,11 +122,6 @@ class ResultRecord:
             values = {**values, "metrics": metrics}
         return checked(values, cls, FORMAT, where, "; evaluate again with this version of oysterbench")
 
-    @classmethod
-    def from_json(cls, text: str, where: str = "result") -> ResultRecord:
-        """A record from JSON text."""
-        return cls.from_dict(_load(text, where), where)
-
 
 _MAPPINGS = [each.name for each in fields(ResultRecord) if str(each.type).startswith("Mapping")]
 

@@ -22,7 +22,7 @@ from oysterbench.evaluate.statistics import summarise
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.results.records import samples, weights_of
 from oysterbench.results.standings import ScoreTable
-from oysterbench_leaderboard.board import BoardPage, Query
+from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query
 from oysterbench_leaderboard.index import BoardIndex, open_index
 from oysterbench_leaderboard.store import RecordStore, StatusChange
 from tests.helpers.records_made import fill, record_made, records_made
@@ -44,6 +44,11 @@ def pages(index: BoardIndex, query: Query = ALL) -> list[BoardPage]:
     return [index.page(board.id, query) for board in index.boards()]
 
 
+def board_of(index: BoardIndex, track: str = "slam", split: str = "slam-val") -> BoardInfo:
+    """The newest board of a split."""
+    return next(board for board in index.boards(track) if board.split == split)
+
+
 def state_of(index: BoardIndex, digest: str) -> str:
     return index.row(digest).state
 
@@ -56,7 +61,7 @@ def test_rows_hold_the_means_of_the_statistics(store):
         for key, value in row.metrics.items():
             expected = summarise(samples(record.results, key), weights_of(record.results, key)).mean
             assert value == pytest.approx(expected, rel=1e-14), key
-        board = index.find_board(record.track, record.split)
+        board = board_of(index, record.track, record.split)
         expected = summarise(samples(record.results, board.metric), weights_of(record.results, board.metric))
         assert row.score == expected.mean
         assert (row.low, row.high) == pytest.approx((expected.interval.low, expected.interval.high), rel=1e-11)
@@ -138,7 +143,7 @@ def test_what_one_record_more_does_not_change_is_not_ranked_again(store, monkeyp
         if row.digest != lacking:
             (store.folder / "records" / f"{row.digest}.json").unlink()
     index.refresh()
-    assert len(index.find_board("slam", "slam-val").sequences) == 7
+    assert len(board_of(index).sequences) == 7
 
 
 def test_the_revision_changes_with_every_change_and_not_without(store):
@@ -224,7 +229,7 @@ def test_damaged_records_are_named_and_left_out_and_the_rest_goes_on(store):
     index = opened(store)
     assert set(index.problems()) == {digests["cod"], *wrong}
     assert all(index.problems().values())
-    assert [row.method for row in index.page(index.find_board("slam", "slam-val").id, Query()).rows][:2] == [
+    assert [row.method for row in index.page(board_of(index).id, Query()).rows][:2] == [
         "carp",
         "gap",
     ]
@@ -257,7 +262,7 @@ def test_a_record_that_is_taken_away_leaves_the_board(store):
 def test_pages_sort_search_and_choose(store):
     digests = fill(store)
     index = opened(store)
-    board = index.find_board("slam", "slam-val").id
+    board = board_of(index).id
 
     def methods(**query: object) -> list[str]:
         return [row.method for row in index.page(board, Query(**query)).rows]  # type: ignore[arg-type]
@@ -290,10 +295,7 @@ def test_the_newest_evaluator_has_the_board(store):
     index = opened(store)
     boards = index.boards("slam")
     assert [(board.evaluator_version, board.newest) for board in boards] == [("slam 3", True), ("slam 2", False)]
-    assert index.find_board("slam", "slam-val").evaluator_version == "slam 3"
-    assert index.find_board("slam", "slam-val", boards[1].id).evaluator_version == "slam 2"
-    with pytest.raises(ResultError, match="slam slam-val, segmentation seg-val"):
-        index.find_board("slam", "nowhere")
+    assert board_of(index).evaluator_version == "slam 3"
 
 
 def test_sequence_means_are_those_of_the_runs(store):

@@ -75,7 +75,7 @@ def test_every_page_of_the_site_is_whole_latex(site):
 
 
 def test_names_are_on_paper_what_they_are(site):
-    info = site.index.find_board("slam", "slam-val")
+    info = site.index.boards("slam")[0]
     rows = site.index.page(info.id, Query(size=100)).rows
     page = next(one for one in _work(site) if one.path == "/boards/slam/slam-val").make()
     cells = [row[1] for row in read(represent(page, ".tex").decode())[0].rows[2:]]

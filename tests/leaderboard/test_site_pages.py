@@ -113,7 +113,7 @@ def test_no_name_becomes_markup_and_no_script_stands_in_a_page(pages):
 
 
 def test_ranks_are_those_of_the_index_and_ties_are_marked(site):
-    rows = site.index.page(site.index.find_board("slam", "slam-val").id, Query()).rows
+    rows = site.index.page(site.index.boards("slam")[0].id, Query()).rows
     table = board_page(site, "slam", "slam-val").table
     shown = [texts[0] for texts in table.texts]
     assert [text.lstrip("=") for text in shown] == [str(row.rank) for row in rows]

@@ -282,7 +282,7 @@ def test_results_of_a_hidden_split_are_refused(served, tmp_path):
 
 
 def test_results_with_half_a_character_are_refused(served, tmp_path):
-    row = ResultRecord.from_json(json.dumps(json.loads(reported(served, tmp_path))["results"][0]))
+    row = ResultRecord.from_dict(json.loads(reported(served, tmp_path))["results"][0])
     text = json.dumps(document([replace(row, info={"x": "MARK"})])).replace("MARK", "\\ud800")
     with pytest.raises(Refusal):
         opened(tmp_path, text.encode(), wanted_of(served, "pool-val"))

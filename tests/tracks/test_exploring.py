@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -72,7 +73,7 @@ def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(sequenc
             "made",
             "navigation 1",
         )
-        assert ResultRecord.from_json(run.record.to_json()) == run.record
+        assert ResultRecord.from_dict(json.loads(run.record.to_json())) == run.record
     costs = {(run.record.method, run.record.sequence): run.record.metrics["yaw_cost_classes"] for run in runs}
     assert costs["reader", "one"] == 0
     classes = label_table(9, 1)["yaw"]
@@ -284,7 +285,7 @@ def test_records_of_rollouts_say_all_that_decides_them(tmp_path):
     assert record.method_settings == {"gain": 1.0}
     assert record.conditions["water_type"] == "5C"
     assert record.truth_digest
-    assert ResultRecord.from_json(record.to_json()) == record
+    assert ResultRecord.from_dict(json.loads(record.to_json())) == record
 
 
 def test_rollouts_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
