@@ -27,8 +27,10 @@ class TrackCommands(click.Group):
             if word.startswith("--track="):
                 args = [word.removeprefix("--track="), *args[:i], *args[i + 1 :]]
                 break
-        if args and args[0].startswith("-") and args[0] not in context.help_option_names:
-            context.fail(f"expected a track, one of {', '.join(self.list_commands(context))}")
+        tracks = self.list_commands(context)
+        if args and args[0] not in (*tracks, *context.help_option_names):
+            got = "" if args[0].startswith("-") else f", got {args[0]!r}"
+            context.fail(f"expected a track, one of {', '.join(tracks)}{got}")
         return super().parse_args(context, args)
 
     def list_commands(self, context: click.Context) -> list[str]:

@@ -128,4 +128,5 @@ def foreign_options(track: str, options: Mapping[str, Sequence[str]]) -> None:
     """Refuse options of other tracks. options: as they are typed -> the tracks that have them"""
     for name, of in options.items():
         if of:
-            raise click.UsageError(f"{name}: of the track {' and '.join(of)}, not of {track}")
+            kind = "track" if len(of) == 1 else "tracks"
+            raise click.UsageError(f"{name}: of the {kind} {' and '.join(of)}, not of {track}")

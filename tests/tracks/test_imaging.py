@@ -159,7 +159,7 @@ def test_folders_are_scored_from_the_command_line(folders):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--align", "se3"], "--align: of the track slam and density, not of segmentation"),
+        (["--align", "se3"], "--align: of the tracks slam and density, not of segmentation"),
         (["--max-detections", "9"], "--max-detections: of the track detection"),
         (["--threshold", "2"], "evaluator setting 'threshold'"),
         (["--estimate-kind", "classes"], "unknown class 255"),
