@@ -9,6 +9,12 @@ class OysterbenchError(Exception):
     exit_code = 1
 
 
+class OptionError(OysterbenchError):
+    """An option was given a value that it cannot have."""
+
+    exit_code = 2
+
+
 class RecipeError(OysterbenchError):
     """A split, rig or recipe is unknown, unreadable or holds a bad value."""
 

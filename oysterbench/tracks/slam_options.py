@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.errors import OptionError
 from oysterbench.tracks.track import Option
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _matrix(text: str) -> Any:
         return numbers.reshape(4, 4)
     if len(numbers) == 7 and np.isfinite(numbers).all() and abs(np.linalg.norm(numbers[3:]) - 1) < 2e-3:
         return transform(Rotation.from_quat(numbers[3:]).as_matrix(), numbers[:3])
-    raise TrajectoryError(
+    raise OptionError(
         "--T-body-estimate: expected x,y,z,qx,qy,qz,qw or a 4 x 4 matrix, or a file with one of them, got "
         f"{text[:80]!r}"
     )
