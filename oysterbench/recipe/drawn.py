@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from oysterbench.core.errors import RecipeError
-from oysterbench.recipe.keys import as_plain, build
+from oysterbench.recipe.keys import Table, as_plain, build
 from oysterbench.recipe.scene import SequenceRecipe
 
 
@@ -23,7 +23,7 @@ def draw(recipe: SequenceRecipe, share: Callable[[str], float], where: str) -> S
     """
     if not recipe.drawn:
         return recipe
-    table = as_plain(dataclasses.replace(recipe, drawn=()))
+    table = as_plain(dataclasses.replace(recipe, drawn=(), rig=Table()))  # a rig is public: nothing of it is drawn
     for drawn in recipe.drawn:
         low, high = drawn.between
         place: Any = table
@@ -39,4 +39,4 @@ def draw(recipe: SequenceRecipe, share: Callable[[str], float], where: str) -> S
             )
         value = low + (high - low) * share(drawn.key)
         known[name] = round(value) if isinstance(old, int) else value
-    return build(SequenceRecipe, table, where, "")
+    return dataclasses.replace(build(SequenceRecipe, table, where, ""), rig=recipe.rig)

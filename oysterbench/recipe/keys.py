@@ -6,7 +6,7 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -16,6 +16,34 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 Kind = TypeVar("Kind", bound="DataclassInstance")
+
+
+class Table(Mapping[str, Any]):
+    """A table of a recipe that is kept as it is written, to be checked where it is used: like a dict, but hashable."""
+
+    def __init__(self, items: Mapping[str, Any] | None = None) -> None:
+        self._items = {key: _frozen(value) for key, value in (items or {}).items()}
+
+    def __getitem__(self, key: str) -> Any:
+        return self._items[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._items)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self._items.items()))
+
+    def __repr__(self) -> str:
+        return repr(as_plain(self))
+
+
+def _frozen(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return Table(value)
+    return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
 
 
 def number(low: float, high: float, default: Any = dataclasses.MISSING) -> Any:
@@ -54,6 +82,10 @@ def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: s
         if value is None:
             return None
         hint = next(kind for kind in typing.get_args(hint) if kind is not type(None))
+    if hint is Table:
+        if not isinstance(value, Mapping):
+            raise RecipeError(f"{where}: key {key!r}: expected a table, got {value!r}")
+        return Table(value)
     if dataclasses.is_dataclass(hint):
         kind = typing.cast(type, hint)
         return value if isinstance(value, kind) else build(kind, value, where, f"{key}.")
@@ -112,7 +144,7 @@ def stated(value: Any) -> Any:
         return {key: stated(item) for key, item in given.items()}
     if isinstance(value, tuple):
         return [stated(item) for item in value]
-    return value
+    return as_plain(value)
 
 
 def _tables(value: Any) -> dict[str, Any]:
@@ -130,6 +162,6 @@ def as_plain(value: Any) -> Any:
         return {name: item for name, item in values.items() if item is not None}
     if isinstance(value, tuple | list):
         return [as_plain(item) for item in value]
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {key: as_plain(item) for key, item in value.items()}
     return value

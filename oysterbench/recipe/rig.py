@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any, ClassVar, Protocol, TypeVar
 
 from oysterbench.core.errors import RecipeError
-from oysterbench.recipe.keys import build, choice, number
+from oysterbench.recipe.keys import as_plain, build, choice, number
 from oysterbench.recipe.sensors import NamedSensorRecipe, SensorRecipe
 
 LENSES = {"pinhole": (0,), "brown-conrady": (4, 5), "fisheye": (4,)}
@@ -162,6 +162,32 @@ def read_rig(table: Mapping[str, Any], where: str) -> RigRecipe:
     rig: RigRecipe = build(RigRecipe, {**values, "sensors": sensors}, where, "")
     check_rig(rig, where)
     return rig
+
+
+def vary_rig(rig: RigRecipe, changes: Mapping[str, Any], where: str) -> RigRecipe:
+    """The rig with some of its values replaced, block by block: in all sensors (or lamps) of a block.
+
+    A value that implies others, such as a grade, brings them along. Raises RecipeError, which begins with `where`, for
+    a block that the rig has not, and for values as a rig's file does.
+    """
+    if not changes:
+        return rig
+    tables = as_plain(rig)
+    kinds = sensor_blocks()
+    for block, values in changes.items():
+        known = [name for name, table in tables.items() if isinstance(table, dict | list)]
+        if block not in known:
+            raise RecipeError(
+                f"{where}: key 'rig.{block}': rig {rig.name} has no such block; it has {', '.join(known)}"
+            )
+        if not isinstance(values, Mapping) or "name" in values:
+            raise RecipeError(
+                f"{where}: key 'rig.{block}': expected a table of keys of [{block}], without name, got {values!r}"
+            )
+        filled = kinds[block].fill_in(as_plain(values)) if block in kinds else as_plain(values)
+        old = tables[block]
+        tables[block] = [{**one, **filled} for one in old] if isinstance(old, list) else {**old, **filled}
+    return read_rig(tables, f"{where}: rig {rig.name}")
 
 
 def check_rig(rig: RigRecipe, where: str) -> None:

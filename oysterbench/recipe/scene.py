@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from oysterbench.recipe.keys import choice, number
+from oysterbench.recipe.keys import Table, choice, number
 from oysterbench.recipe.path import PathRecipe
 
 CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone", 4: "plant", 5: "sponge", 6: "vehicle", 7: "hash"}
@@ -102,13 +102,19 @@ class DrawnRecipe:
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceRecipe:
-    """One sequence: a reef, its water and light, the path over it, and the site that it lies at."""
+    """One sequence: a reef, its water and light, the path over it, and the site that it lies at.
+
+    rig: what its split's rig has otherwise here, block by block: `rig = { camera = { shutter_ms = 15.0 } }` holds for
+    all of its cameras.
+    """
 
     name: str
     duration_s: float = number(1, 7200)
+    difficulty: int | None = number(1, 5, None)  # from calm and clear to all that the sea does, for tables
     reef: ReefRecipe
     water: WaterRecipe
     light: LightRecipe
     path: PathRecipe
     site: SiteRecipe = field(default=SiteRecipe())
+    rig: Table = field(default=Table())
     drawn: tuple[DrawnRecipe, ...] = ()

@@ -16,7 +16,7 @@ from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.drawn import draw
 from oysterbench.recipe.keys import as_plain, build, choice, number, stated
 from oysterbench.recipe.path import check_path
-from oysterbench.recipe.rig import RigRecipe, read_rig
+from oysterbench.recipe.rig import RigRecipe, read_rig, vary_rig
 from oysterbench.recipe.scene import WATER_TYPES, SequenceRecipe
 from oysterbench.recipe.steering import SteeringRecipe, check_steering
 
@@ -51,6 +51,10 @@ class SplitRecipe:
                 return sequence
         names = ", ".join(sequence.name for sequence in self.sequence)
         raise RecipeError(f"split {self.name} has no sequence {name!r}; it has {names}")
+
+    def rig_of(self, sequence: SequenceRecipe) -> RigRecipe:
+        """The rig as it is in a sequence, with what the sequence has otherwise."""
+        return vary_rig(self.rig, sequence.rig, f"split {self.name}: sequence {sequence.name}")
 
     def digest(self) -> str:
         """SHA-256 over the values of recipe and rig: two recipes with one digest make the same bytes."""
@@ -183,6 +187,7 @@ def _check_split(split: SplitRecipe, where: str) -> None:
             raise RecipeError(f"{where}: key 'name': expected letters, digits, '-' and '_', got {name!r}")
     for sequence in split.sequence:
         place = f"{where}: sequence {sequence.name}"
+        vary_rig(split.rig, sequence.rig, place)
         for ends in (lambda key: 0.0), (lambda key: 1.0):
             _check_sequence(draw(sequence, ends, place), place)
 

@@ -26,7 +26,7 @@ def conditions(split: SplitRecipe, sequence: str) -> dict[str, float | str]:
     secchi_m = secchi_depth(water_constituents(recipe.water))
     return {
         "water": _class_of(secchi_m, SECCHI_CLASSES_M),
-        "light": _light(recipe, any(lamp.intensity_cd > 0 for lamp in split.rig.lamp)),
+        "light": _light(recipe, any(lamp.intensity_cd > 0 for lamp in split.rig_of(recipe).lamp)),
         "density": _class_of(density, DENSITY_CLASSES_PER_M2),
         "motion": f"{recipe.path.kind}, {'calm' if _is_calm(recipe) else 'disturbed'}",
         "water_type": recipe.water.type or recipe.water.jerlov or "",

@@ -159,7 +159,7 @@ def _parts(folder: Path, sequence: str, made_by: str) -> Path:
 def plan(split: SplitRecipe, sequence: SequenceRecipe) -> list[Job]:
     """All jobs of a sequence."""
     jobs = [Job(sequence.name)]
-    for source, recipe in bulky_sensors(split.rig).items():
+    for source, recipe in bulky_sensors(split.rig_of(sequence)).items():
         jobs += [Job(sequence.name, source, frame) for frame in range(count(sequence.duration_s, recipe.rate_hz))]
     return jobs
 
@@ -231,7 +231,7 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
     simulated = build_sequence(split, job.sequence, salt, device)
     tables = {}
     if job.source:
-        messages = sensor_messages(simulated, bulky_sensors(split.rig)[job.source], job.frame, job.frame + 1)
+        messages = sensor_messages(simulated, bulky_sensors(simulated.rig)[job.source], job.frame, job.frame + 1)
     else:
         messages = small_messages(simulated)
         tables[OYSTERS] = oyster_csv(simulated)
@@ -239,8 +239,8 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
             from oysterbench.simulation.steering.labels import steering_csv
 
             tables[STEERING] = steering_csv(simulated, split.steering)
-    kinds = rig_topics(split.rig)
-    types = {name: kinds[name] for name, source in _sources(split.rig).items() if source == job.source}
+    kinds = rig_topics(simulated.rig)
+    types = {name: kinds[name] for name, source in _sources(simulated.rig).items() if source == job.source}
     return pack(messages, types, tables)
 
 
@@ -252,11 +252,12 @@ def _sources(rig: RigRecipe) -> dict[str, str]:
 
 def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, made_by: str) -> None:
     """Put the parts of a sequence together, in time order; the file appears in one step."""
-    calibration = rig_calibration(split.rig, recipe.site)
+    rig = split.rig_of(recipe)
+    calibration = rig_calibration(rig, recipe.site)
     jobs = plan(split, recipe)
     temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
     with open(temporary, "wb") as file:
-        writer = SequenceWriter(file, rig_topics(split.rig))
+        writer = SequenceWriter(file, rig_topics(rig))
         writer.metadata(
             METADATA,
             {
@@ -264,7 +265,7 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
                 "split": split.name,
                 "split_version": split.version,
                 "track": split.track,
-                "rig": split.rig.name,
+                "rig": rig.name,
                 "digest": made_by,
                 "oysterbench": VERSION,
             },
@@ -275,9 +276,9 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
         writer.attachment("rig.toml", "application/toml", split.rig_source.encode())
         for name, table in read_attachments(parts / Job(recipe.name).part).items():
             writer.attachment(name, "text/csv", table)
-        writer.write(static_transforms(EPOCH_NS, _frames(split.rig, calibration)))
+        writer.write(static_transforms(EPOCH_NS, _frames(rig, calibration)))
         writer.section()
-        for topic, source in _sources(split.rig).items():  # a section each, so that reading one touches no other
+        for topic, source in _sources(rig).items():  # a section each, so that reading one touches no other
             files = [parts / job.part for job in jobs if job.source == source]
             for message in _read_parts(files, topic):
                 writer.write(message)

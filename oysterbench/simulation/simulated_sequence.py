@@ -68,4 +68,4 @@ def build_sequence(split: SplitRecipe, name: str, salt: bytes, device: str = "cp
     )
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
-    return SimulatedSequence(split.rig, recipe, world, path, streams, device)
+    return SimulatedSequence(split.rig_of(recipe), recipe, world, path, streams, device)

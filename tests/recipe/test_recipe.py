@@ -215,3 +215,39 @@ def test_every_kind_of_path_and_each_of_its_keys_is_in_the_readme():
     text = (ROOT / "README.md").read_text()
     keys = {field.name for field in dataclasses.fields(PathRecipe)}
     assert [name for name in (*PATH_KINDS, *sorted(keys)) if f"`{name}`" not in text] == []
+
+
+def rigged(changes):
+    return make_split(TINY_SPLIT.replace("duration_s", f"rig = {changes}\nduration_s", 1))
+
+
+def test_a_sequence_can_have_values_of_its_rig_otherwise(tiny_split):
+    split = rigged("{ camera = { shutter_ms = 15.0 } }")
+    assert {camera.shutter_ms for camera in split.rig_of(split.sequence[0]).camera} == {15.0}
+    assert {camera.shutter_ms for camera in split.rig.camera} == {0.0}
+    assert split.digest() != tiny_split.digest()
+    assert hash(split) != hash(tiny_split)
+
+
+def test_a_changed_grade_brings_its_values_along(tiny_split):
+    split = rigged('{ imu = { grade = "high" } }')
+    graded = split.rig_of(split.sequence[0]).of(ImuRecipe)[0]
+    assert graded.gyro_noise_density < tiny_split.rig.of(ImuRecipe)[0].gyro_noise_density
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (
+            "{ camera = { shutter_ms = -1.0 } }",
+            r"tiny-01: rig tiny: key 'camera\.shutter_ms': expected 0 to 200, got -1",
+        ),
+        ("{ dvl = { rate_hz = 5.0 } }", r"key 'rig\.dvl': rig tiny has no such block; it has .*camera"),
+        ('{ camera = { name = "other" } }', r"key 'rig\.camera': expected a table of keys of \[camera\], without name"),
+        ("{ camera = 3 }", r"key 'rig\.camera': expected a table"),
+        ("7", r"key 'sequence.rig': expected a table, got 7"),
+    ],
+)
+def test_changes_of_a_rig_are_checked_as_a_rig_is(changes, told):
+    with pytest.raises(RecipeError, match=told):
+        rigged(changes)
