@@ -105,7 +105,7 @@ class Rollout:
         self._turns = turns(task)
         times = np.arange(self.steps + 1) * task.step_s
         # Long under path: the sway has grown to its full size.
-        self._sway = sway(np.asarray(times + plan.ramp_s, dtype=float), plan, self.streams)
+        self._sway = sway(np.asarray(times + plan.ramp_s, dtype=float), np.ones((len(times), 1)), plan, self.streams)
         self.observation = Observation(self.site)
         self.state = self._begin()
         self._states = [self.state]

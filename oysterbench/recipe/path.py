@@ -29,6 +29,7 @@ KEYS_OF_KIND: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 PATH_KINDS = tuple(KEYS_OF_KIND)
 LOOKS = ("along", "inward")
+RESTS = ("still", "hovering")
 
 Place = tuple[float, ...]
 
@@ -43,6 +44,9 @@ class PathRecipe:
     kind: str = choice(PATH_KINDS)
     speed_m_s: float = number(0.01, 5)  # along the path, once the ramp is over: less in tight turns and at close range
     ramp_s: float = number(0.5, 60, 3.0)  # time from rest to full speed
+    rest_s: float = number(0, 60, 0.0)  # at its start before it sets off, as logs of dives begin
+    resting: str = choice(RESTS, "still")  # meanwhile: still, as on the bottom, or hovering with the sway of below
+    hand_flown: float = number(0, 2, 0.0)  # stops, drifts and corrections of a human at the sticks; 1: see disturbance
     altitude_m: float = number(0.2, 20)  # above the smoothed bottom
     sway_m: float = number(0, 0.5, 0.06)  # amplitude of surge, sway and heave about the nominal path
     tilt_deg: float = number(0, 30, 4.0)  # amplitude of roll, pitch and yaw about the nominal attitude

@@ -35,13 +35,15 @@ def build_path(recipe: SequenceRecipe, ground_height: Height, obstacle_height: H
     """
     times = np.arange(0.0, recipe.duration_s + 1.0, KNOT_S)  # past the end, so that the end is like the rest
     plan, site = recipe.path, recipe.site
-    route = nominal_path(recipe, clock(times, plan.ramp_s), ground_height, obstacle_height, streams)
+    under_way = times - plan.rest_s
+    begun = ramp(under_way if plan.resting == "still" else times + plan.ramp_s, plan.ramp_s)[:, None]  # held until then
+    flown = disturbance.hand_flown(under_way, plan, streams)
+    route = nominal_path(recipe, flown.clock(clock(under_way, plan.ramp_s)), ground_height, obstacle_height, streams)
     bottom = gaussian_filter1d(ground_height(route.x, route.y), TERRAIN_SMOOTHING_S / KNOT_S, mode="nearest")
-    nominal = np.column_stack([route.x, route.y, bottom + route.altitude])
-    wobble = disturbance.sway(times, plan, streams) + disturbance.excitation(times, plan, streams)
+    nominal = np.column_stack([route.x, route.y, bottom + route.altitude + flown.altitude])
+    wobble = disturbance.sway(times, begun, plan, streams) + disturbance.excitation(under_way, plan, streams)
     position, attitude = nominal + wobble[:, :3], wobble[:, 3:]
-    attitude[:, 0] += route.heading
-    begun = ramp(times, plan.ramp_s)[:, None]  # held until then
+    attitude[:, 0] += route.heading + flown.heading
     if site.wave_height_m:
         waves = build_waves(site, recipe.reef.depth_m, streams)
         position += plan.wave_following * begun * waves.displacement(nominal, times)

@@ -28,6 +28,32 @@ SLOWEST_SHARE = 0.5  # of the speed: way through the water that the crab angle r
 CRAB_SMOOTHING_S = 1.0  # of the helm, which follows gusts with delay
 
 
+STOP_EVERY_S, STOP_S = 75.0, (2.0, 6.0)  # between stops to look at something, on average, and how long they last
+PACE_PERIODS_S, PACE_SHARE = (9.0, 19.0, 43.0), 0.4  # of a speed that no stick holds, and its largest variation
+HEADING_S, HEADING_RAD = (3.0, 9.0), np.radians(5.0)  # between corrections, and standard deviation of what they undo
+ALTITUDE_S, ALTITUDE_M = (6.0, 15.0), 0.08
+CORRECTION_S, STICK_S = 0.9, 0.3  # length of a correction, and smoothing by the thrusters
+"""Together with a nominal speed of 0.2 m/s and turns of up to 12 deg/s these give the speeds and rates of turn of
+divers and towed rigs: medians of 0.09 to 0.23 m/s and 4 to 7 deg/s, 95 % below 0.16 to 0.34 m/s and 12 to 17 deg/s
+(from the reference trajectories of Rahman et al. 2022, SVIn2)."""
+
+
+@dataclass(frozen=True)
+class HandFlown:
+    """What a human at the sticks adds: pace (N,), a factor on the speed; heading (N,) rad and altitude (N,) m besides
+    the nominal ones."""
+
+    pace: Array
+    heading: Array
+    altitude: Array
+
+    def clock(self, steady_s: Array) -> Array:
+        """Seconds (N,) of full pace, from those (N,) at a steady one."""
+        if np.all(self.pace == 1.0):
+            return steady_s
+        return np.concatenate([steady_s[:1], steady_s[0] + np.cumsum(self.pace[1:] * np.diff(steady_s))])
+
+
 @dataclass(frozen=True)
 class Hull:
     """Lumped coefficients of a BlueROV2: surge first, sway second."""
@@ -56,10 +82,10 @@ def sines(times: Array, periods_s: tuple[float, ...], rng: np.random.Generator) 
     return total
 
 
-def sway(times: Array, plan: PathRecipe, streams: Streams) -> Array:
-    """(N, 6) displacement x, y, z m and yaw, pitch, roll rad of a vehicle that hovers, growing with the ramp."""
+def sway(times: Array, begun: Array, plan: PathRecipe, streams: Streams) -> Array:
+    """(N, 6) displacement x, y, z m and yaw, pitch, roll rad of a vehicle that hovers, to the share begun (N, 1)."""
     motion = np.column_stack([sines(times, SWAY_PERIODS_S, streams.generator("path", "sway", k)) for k in range(6)])
-    motion *= ramp(times, plan.ramp_s)[:, None]
+    motion *= begun
     return np.hstack([plan.sway_m * motion[:, :3], np.radians(plan.tilt_deg) * motion[:, 3:]])
 
 
@@ -77,6 +103,37 @@ def excitation(times: Array, plan: PathRecipe, streams: Streams) -> Array:
             rng = streams.generator("path", "excitation", axis)
             motion[:, axis] = plan.excitation * size * window * sines(times, EXCITATION_PERIODS_S, rng)
     return motion
+
+
+def hand_flown(times: Array, plan: PathRecipe, streams: Streams) -> HandFlown:
+    """Stops, drifts and corrections at times (N,) s, of `plan.hand_flown` times the usual size; from time 0 on.
+
+    Heading and altitude drift off evenly until they are noticed, and are then brought back within CORRECTION_S; the
+    speed wanders, and the vehicle stops now and then.
+    """
+    n, size = len(times), plan.hand_flown
+    if not size:
+        return HandFlown(np.ones(n), np.zeros(n), np.zeros(n))
+    pace = 1.0 + PACE_SHARE * size * (sines(times, PACE_PERIODS_S, streams.generator("path", "hand", "pace")) - 0.5)
+    rng = streams.generator("path", "hand", "stops")
+    at = np.cumsum(rng.exponential(STOP_EVERY_S, int(times[-1] / STOP_EVERY_S * 3) + 8))
+    for start, length in zip(at, rng.uniform(*STOP_S, len(at)), strict=True):
+        inside = (times > start) & (times < start + length)
+        pace[inside] *= max(1.0 - size, 0.0)
+    pace = gaussian_filter1d(np.clip(pace, 0.0, 1.0), 2 * STICK_S / KNOT_S, mode="nearest")
+    heading = size * HEADING_RAD * drift(times, HEADING_S, streams.generator("path", "hand", "heading"))
+    altitude = size * ALTITUDE_M * drift(times, ALTITUDE_S, streams.generator("path", "hand", "altitude"))
+    return HandFlown(pace, heading, altitude)
+
+
+def drift(times: Array, every_s: tuple[float, float], rng: np.random.Generator) -> Array:
+    """(N,) saw teeth from time 0 on: even drifts to normal values of unit variance, and back within CORRECTION_S."""
+    count = int(max(times[-1], 0.0) / every_s[0]) + 2
+    noticed = np.cumsum(rng.uniform(*every_s, count))
+    corners = np.column_stack([noticed, noticed + CORRECTION_S])
+    values = np.column_stack([rng.standard_normal(count), np.zeros(count)])
+    teeth = np.interp(times, np.concatenate([[0.0], corners.ravel()]), np.concatenate([[0.0], values.ravel()]))
+    return np.asarray(gaussian_filter1d(teeth, STICK_S / KNOT_S, mode="nearest"))
 
 
 def current(times: Array, site: SiteRecipe, streams: Streams) -> tuple[Array, Array]:
