@@ -17,6 +17,8 @@ MASK = np.zeros((6, 8), bool)
 MASK[1:4, 2:6] = True
 POLYGON = [2.0, 1.0, 6.0, 1.0, 6.0, 4.0, 2.0, 4.0]
 COUNTS = [13, 3, 3, 3, 3, 3, 3, 3, 14]  # of MASK, column by column
+PACKED = from_mask(MASK).mask
+assert PACKED is not None
 
 
 def write_png(path, values):
@@ -118,7 +120,7 @@ def wrote(path, content):
     [
         [POLYGON],
         {"size": [6, 8], "counts": COUNTS},
-        {"size": [6, 8], "counts": from_mask(MASK).mask["counts"].decode()},
+        {"size": [6, 8], "counts": PACKED["counts"].decode()},
     ],
 )
 def test_coco_is_read_from_polygons_and_run_lengths(tmp_path, segmentation):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -39,7 +41,11 @@ TINY = CutSettings(
 )
 
 
-def tensor(*shape: int, seed: int = 0) -> torch.Tensor:
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+def tensor(*shape: int, seed: int = 0) -> Tensor:
     return torch.from_numpy(stream(seed, b"", "tensor").standard_normal(shape).astype(np.float32))
 
 
@@ -61,10 +67,10 @@ def labelled(count: int, name: str = "reef", tint: float = 0.0, size: int = 96, 
     def read(k: int) -> LabelledImage:
         pixels, mask = reef(k, size)
         pixels = np.clip(pixels + np.array([0, 0, tint]), 0, 255).astype(np.uint8)
-        instances = mask.astype(np.uint16)
-        return LabelledImage(f"{name}-{k}", f"clip-{k % clips}", pixels, instances * OYSTER, instances, ~mask & False)
+        instances, classes = mask.astype(np.uint16), (mask * OYSTER).astype(np.uint8)
+        return LabelledImage(f"{name}-{k}", f"clip-{k % clips}", pixels, classes, instances, ~mask & False)
 
-    return LabelledSet(name, [Entry(f"{name}-{k}", f"clip-{k % clips}", lambda k=k: read(k), ()) for k in range(count)])
+    return LabelledSet(name, [Entry(f"{name}-{k}", f"clip-{k % clips}", partial(read, k), ()) for k in range(count)])
 
 
 def test_patch_nce_is_the_cross_entropy_written_out_patch_by_patch():

@@ -9,8 +9,9 @@ import pytest
 
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import align_yaw
+from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sequence.types import Image, ImuMeasurement, Sequence
+from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.dead_reckoning import DeadReckoning
 from tests.helpers import synthetic_dive as dive
 
@@ -26,7 +27,7 @@ class InertialOnly(Sequence):
         self.metadata = {}
         self._samples = samples
 
-    def images(self, camera: str) -> Iterator[Image]:
+    def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         return iter(())
 
     def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:

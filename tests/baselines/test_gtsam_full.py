@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,7 +53,7 @@ def first_moments(sequence: Sequence) -> tuple[np.ndarray, Array, Array]:
     return stamps, np.array([sample.gyro for sample in samples]), np.array([sample.accel for sample in samples])
 
 
-def estimate(sequence: Sequence, frames: list, settings: GtsamFullSettings | None = None) -> Estimator:
+def estimate(sequence: Sequence, frames: list[Any], settings: GtsamFullSettings | None = None) -> Estimator:
     """Everything behind the front end."""
     estimator = aided_estimator(sequence, camera(), settings or GtsamFullSettings(), first_moments(sequence))
     kinds = [kind for kind in ("dvl", "pressure", "magnetometer") if getattr(sequence, f"{kind}_calibration")]
@@ -87,6 +88,7 @@ def errors(sequence: dive.SensorDive, trajectory: Trajectory) -> Array:
 
 def nees(sequence: dive.SensorDive, trajectory: Trajectory) -> Array:
     error = errors(sequence, trajectory)
+    assert trajectory.covariances is not None
     return np.einsum("ni,ni->n", error, np.linalg.solve(trajectory.covariances, error[:, :, None])[..., 0])
 
 
@@ -202,7 +204,7 @@ def test_an_unknown_camera_and_an_unknown_output_are_refused():
     with pytest.raises(MethodError, match="has no camera 'left'; cameras: none"):
         GtsamFull(camera="left").run(sequence.for_method())
     with pytest.raises(MethodError, match="'smoothed' or 'online'"):
-        GtsamFull(output="best")  # type: ignore[arg-type]
+        GtsamFull(output="best")
 
 
 def test_sensors_can_be_left_out():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -35,14 +36,16 @@ BEGIN_S = 20.0  # of the interval in the dive
 def perfect_dive() -> dive.SensorDive:
     """Ten samples a second of a DVL without errors, and an inertial unit without."""
     vehicle = dive.rig("dvl", beam_noise_m_s=0.0, scale_error=0.0, range_noise_share=0.0)
-    silent = dict.fromkeys(("gyro_noise_density", "gyro_turn_on", "gyro_bias_instability", "gyro_step"), 0.0)
+    silent: dict[str, Any] = dict.fromkeys(
+        ("gyro_noise_density", "gyro_turn_on", "gyro_bias_instability", "gyro_step"), 0.0
+    )
     silent |= dict.fromkeys(("accel_noise_density", "accel_turn_on", "accel_bias_instability", "accel_step"), 0.0)
     unit, log = vehicle.of(ImuRecipe)[0], vehicle.of(DvlRecipe)[0]
     sensors = dataclasses.replace(unit, **silent), dataclasses.replace(log, misalignment_deg=0.0, rate_hz=10.0)
     return dive.SensorDive(0, dataclasses.replace(vehicle, sensors=sensors), dive.survey_path(30.0))
 
 
-def interval(sequence: dive.SensorDive, seconds: float) -> tuple[list, State]:
+def interval(sequence: dive.SensorDive, seconds: float) -> tuple[list[Any], State]:
     """Parts of an interval from BEGIN_S on, cut at the DVL's samples, and the true state at its beginning."""
     begin = dive.START_NS + round(BEGIN_S * 1e9)
     samples, parts = SampleBuffer(), []
@@ -63,6 +66,7 @@ def interval(sequence: dive.SensorDive, seconds: float) -> tuple[list, State]:
 def summed(seconds: float = 0.4, gyro_bias: Array | None = None) -> tuple[Velocity, State]:
     sequence = perfect_dive()
     parts, state = interval(sequence, seconds)
+    assert sequence.dvl_calibration is not None
     T_imu_dvl = invert(sequence.imu_calibration.T_base_imu) @ sequence.dvl_calibration.T_base_sensor
     if gyro_bias is not None:
         nav = state.nav
@@ -129,7 +133,7 @@ def test_without_a_lock_there_is_no_factor():
     assert sum_velocities([(Segment.join([]), None)], state, GRAVITY, np.eye(4), 0.001) is None
 
 
-def numerical(error, values: list, sizes: list[int], step: float = 1e-6) -> list[Array]:
+def numerical(error, values: list[Any], sizes: list[int], step: float = 1e-6) -> list[Array]:
     """Central differences by retraction of each argument."""
     slopes = []
     for k, size in enumerate(sizes):

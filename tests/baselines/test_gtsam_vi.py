@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, align_yaw, invert
+from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sequence.euroc import EurocSequence
-from oysterbench.sequence.types import Image, ImuMeasurement, Sequence
+from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
@@ -194,7 +195,7 @@ def test_an_unknown_camera_and_an_unknown_output_are_refused():
     with pytest.raises(MethodError, match="no camera 'left'; cameras: cam"):
         GtsamVi(camera="left").run(FlatBottom(0.1))
     with pytest.raises(MethodError, match="'smoothed' or 'online'"):
-        GtsamVi(output="best")  # type: ignore[arg-type]
+        GtsamVi(output="best")
 
 
 def floor_folder() -> Path:

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array, align_yaw
+from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate
-from oysterbench.sequence.types import Image
 from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings
 from oysterbench_baselines.gtsam_vi.estimator import Estimator

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from oysterbench.sequence.types import Image
+from oysterbench.core.measurements import Image
 from oysterbench_baselines.gtsam_vi import GtsamVi
 from tests.baselines.test_gtsam_vi import FlatBottom, position_error
 

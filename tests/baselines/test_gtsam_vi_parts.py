@@ -16,10 +16,11 @@ from oysterbench.methods import seed_of
 from oysterbench.sequence.types import ImuMeasurement
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, integrate
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViStereo
-from oysterbench_baselines.gtsam_vi.closed_form import Observations, closed_form_start, level_rotation
+from oysterbench_baselines.gtsam_vi.closed_form import closed_form_start, level_rotation
 from oysterbench_baselines.gtsam_vi.covariance import discounted, filter_slopes, joint_covariance
 from oysterbench_baselines.gtsam_vi.frontend import (
     FrontEnd,
+    Observations,
     epipolar_inliers,
     even_contrast,
     find_corners,

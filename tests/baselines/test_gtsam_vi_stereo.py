@@ -36,7 +36,7 @@ def estimate(measured: dive.Dive, blind_right: bool = False) -> Estimator:
         right = np.full((len(ids), 2), np.nan) if blind_right else undistort(measured.right[frame], camera)
         rays = undistort(pixels, measured.camera)
         estimator.propagate(samples.cut(stamp))
-        estimator.step(stamp, FeatureTracks(ids, pixels, rays), lambda right=right: right)
+        estimator.step(stamp, FeatureTracks(ids, pixels, rays), right.copy)
         frame += 1
     estimator.finish()
     return estimator

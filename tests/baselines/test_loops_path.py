@@ -202,6 +202,7 @@ def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain)
 
 def test_no_landmark_is_shared_by_more_than_one_pass_beyond_the_limit(lap_and_a_half, closed):
     def most_seen(estimator: Estimator) -> int:
+        assert estimator.loops is not None
         joined = estimator.loops.joined(estimator.keyframes)
         return int(np.unique(np.concatenate([k.observations.ids for k in joined]), return_counts=True)[1].max())
 

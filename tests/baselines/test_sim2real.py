@@ -22,11 +22,16 @@ from oysterbench_baselines.sim2real.data import drawn, real_data  # noqa: E402
 from oysterbench_baselines.sim2real.experiment import run  # noqa: E402
 from oysterbench_baselines.sim2real.plot import curves_of, plot  # noqa: E402
 from oysterbench_baselines.sim2real.report import table_of  # noqa: E402
-from oysterbench_baselines.sim2real.scoring import WHOLE, Truth, score  # noqa: E402
+from oysterbench_baselines.sim2real.scoring import (  # noqa: E402
+    WHOLE,
+    Prediction,
+    Truth,
+    score,
+)
 from oysterbench_baselines.sim2real.settings import ALL, SCHEDULES, Cell, ExperimentSettings, Schedule, cells_of  # noqa: E402
 from oysterbench_baselines.sim2real.table import variants  # noqa: E402
 from oysterbench_baselines.sim2real.trivial import TRIVIAL, predictions  # noqa: E402
-from oysterbench_baselines.sim2real.work import Bench, Prediction  # noqa: E402
+from oysterbench_baselines.sim2real.work import Bench  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
 
 SETTINGS = ExperimentSettings(

@@ -14,6 +14,7 @@ from oysterbench.core.geometry import Array, invert, transform
 from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from oysterbench.evaluate.slam.settings import Align
 from oysterbench.sequence.types import CameraCalibration, ImuMeasurement, Sequence
 from oysterbench_baselines.visual_only import VisualOnly
 from oysterbench_baselines.visual_only.lens import Lens
@@ -91,7 +92,7 @@ ONE = {"cam_left": camera(BASE_M / 2)}
 TWO = {**ONE, "cam_right": camera(-BASE_M / 2)}
 
 
-def scored(estimate: Trajectory, truth: Trajectory, align: str) -> dict[str, float]:
+def scored(estimate: Trajectory, truth: Trajectory, align: Align) -> dict[str, float]:
     return dict(score(truth, estimate, SlamSettings(align=align)).metrics)
 
 

@@ -19,6 +19,7 @@ from typing import Any
 
 from oysterbench.recipe import load_split
 from oysterbench.sensors.registry import sensor_kinds
+from oysterbench.sequence.write import pack
 from oysterbench.simulation import generate
 from oysterbench.simulation.simulated_sequence import build_sequence
 
@@ -64,15 +65,15 @@ def measure(split_name: str, seconds: float, image_format: str) -> dict[str, flo
     split = dataclasses.replace(split, sequence=(sequence,), rig=rig)
     build_sequence(split, sequence.name, b"")
     clock = Clock()
-    for kind in map(type, sensor_kinds().values()):
-        kind.encode = clock.timed("encoding", kind.encode)  # type: ignore[method-assign]
-    pack = generate.pack
+    kinds: list[Any] = [type(kind) for kind in sensor_kinds().values()]
+    for kind in kinds:
+        kind.encode = clock.timed("encoding", kind.encode)
 
     def pack_timed(messages: Any, *arguments: Any) -> bytes:
         return pack(clock.drawn("making", iter(messages)), *arguments)
 
-    generate.pack = clock.timed("packing", pack_timed)  # type: ignore[assignment]
-    generate.assemble = clock.timed("assembling", generate.assemble)  # type: ignore[assignment]
+    generate.pack = clock.timed("packing", pack_timed)  # type: ignore[attr-defined]
+    generate.assemble = clock.timed("assembling", generate.assemble)
     with tempfile.TemporaryDirectory() as folder:
         start = time.process_time()
         (path,) = generate.generate_split(split, Path(folder)).values()

@@ -1,4 +1,4 @@
-"""How long pages of a large board take with many clients: `python tests/benchmarks/site.py [--records 100000]`.
+"""How long pages of a large board take with many clients: `python -m tests.benchmarks.site [--records 100000]`.
 
 The board is that of `leaderboard.py`; give both the same --folder, and it is made once. A server in a process of its
 own; clients that ask again as soon as they are answered (closed loop), over connections that stay open. Three kinds of
@@ -18,13 +18,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing.synchronize import Event
 from pathlib import Path
+from typing import Any
 
-import leaderboard as made
 from oysterbench.core.streams import stream
 from oysterbench_leaderboard.index import BoardIndex
 from oysterbench_leaderboard.site.paths import split_path
 from oysterbench_leaderboard.store import RecordStore
+from tests.benchmarks import leaderboard as made
 
 CLIENTS = 50
 REQUESTS = 40
@@ -32,7 +34,7 @@ SORTS = ("score", "ate_percent", "coverage", "method", "team", "created")
 ASKED = b"GET %s HTTP/1.1\r\nHost: board\r\nAccept-Encoding: gzip\r\n\r\n"
 
 
-def serve(folder: Path, index: str, ready: multiprocessing.synchronize.Event, port: multiprocessing.Value) -> None:
+def serve(folder: Path, index: str, ready: Event, port: Any) -> None:
     """The server that `oysterbench leaderboard serve` runs, without its log."""
     import uvicorn
 

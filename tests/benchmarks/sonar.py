@@ -49,7 +49,9 @@ def main() -> None:
         "with multipath and cloud": dataclasses.replace(fan, multipath=0.3, cloud=True),
         "4 looks": dataclasses.replace(fan, looks=4.0),
     }
-    sonars = {name: ImagingSonar(caster, each, SITE, recipe.reef.bottom) for name, each in fans.items()}
+    sonars: dict[str, ImagingSonar | ScanningSonar] = {
+        name: ImagingSonar(caster, each, SITE, recipe.reef.bottom) for name, each in fans.items()
+    }
     sonars["scanner ping"] = ScanningSonar(caster, ScannerRecipe(name="scan", rate_hz=10.0), SITE, recipe.reef.bottom)
     motion = path.at(np.linspace(0.0, recipe.duration_s, options.pings))
     poses = [transform(turn, place) for turn, place in zip(motion.rotation, motion.position, strict=True)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ with warnings.catch_warnings():
     from evo.core import filters, metrics, sync
     from evo.core.trajectory import PoseTrajectory3D
 
-TOLERANCE = {"rtol": 1e-9, "atol": 1e-9}
+TOLERANCE: Any = {"rtol": 1e-9, "atol": 1e-9}
 ALIGNMENTS = ("none", "origin", "se3", "sim3", "scale")
 RELATIONS = {
     metrics.PoseRelation.translation_part: lambda errors: errors.translation_m,

@@ -14,6 +14,7 @@ from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam.consistency import nees
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from oysterbench.evaluate.slam.settings import Align
 from tests.helpers.dives import survey
 
 PARTS = {"position": 3, "rotation": 3, "pose": 6}
@@ -109,7 +110,7 @@ def drifting(rng: np.random.Generator, promise: float = 1.0, start: float = 0.0)
 RUNS = 40
 
 
-def last_of(align: str, promise: float = 1.0, start: float = 0.0) -> np.ndarray:
+def last_of(align: Align, promise: float = 1.0, start: float = 0.0) -> np.ndarray:
     """NEES (RUNS,) of the last pose of independent estimates."""
     rng = stream(12, b"", "drift")
     values = []
@@ -120,7 +121,7 @@ def last_of(align: str, promise: float = 1.0, start: float = 0.0) -> np.ndarray:
 
 
 def band(freedom: int) -> tuple[float, float]:
-    low, high = chi2.ppf([0.0005, 0.9995], freedom * RUNS) / RUNS
+    low, high = chi2.ppf(np.array([0.0005, 0.9995]), freedom * RUNS) / RUNS
     return float(low), float(high)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from oysterbench.evaluate.steering.metrics import PICTURES, ROLLOUTS
 from oysterbench.evaluate.steering.rollouts import episodes, seen_so_far
 from tests.helpers.exploring_made import PITCH, YAW, made_log, made_split
 
-TASK = made_split().steering
+TASK: Any = made_split().steering
 COST = {"wall_s", "cpu_s", "pictures_per_s"}
 
 

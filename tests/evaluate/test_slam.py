@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -93,7 +94,7 @@ def test_scale_is_found_by_sim3_alone():
     assert score(truth, half, SlamSettings(align="se3")).metrics["ate_rmse_m"] > 1
 
 
-EVERYTHING = (
+EVERYTHING: tuple[dict[str, Any], ...] = (
     {},
     {"rpe_delta_s": 0.5, "rpe_frames": 7, "rpe_delta_m": 2.5, "rpe_delta_deg": 30.0, "rpe_pairs": "consecutive"},
     {"subpath_m": (1.0, 2.5, 1000.0), "subpath_step": 10, "align": "sim3", "associate": "nearest"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -76,7 +77,7 @@ DIRECTIONS = np.array(
 SPEED, RATE = 0.4, 0.2  # m/s along the path, rad/s about z
 
 
-def camera(y: float) -> dict:
+def camera(y: float) -> dict[str, Any]:
     return {
         "width": WIDTH,
         "height": HEIGHT,
@@ -88,7 +89,7 @@ def camera(y: float) -> dict:
     }
 
 
-def calibration() -> dict:
+def calibration() -> dict[str, Any]:
     """In the shape of calibration.json."""
     level = transform(np.eye(3), [0.3, 0.0, -0.1]).tolist()
     return {
@@ -276,7 +277,7 @@ def messages(seconds: float = 2.0, image_format: str = "png") -> list[Message]:
     }
     sent = [static_transforms(EPOCH_NS, placed)]
     recipes = {recipe.block: recipe for recipe in rig().sensors}
-    named = {"altimeter": made.ranges, "scanner": made.scans}
+    named: dict[str, Any] = {"altimeter": made.ranges, "scanner": made.scans}
     for block, recipe in recipes.items():
         kind = kind_of(recipe)
         measured = named[block] if block in named else getattr(made, block)

@@ -64,7 +64,7 @@ def path_traced(
         "sampler": {"type": "independent", "sample_count": samples // PIXELS**2},
     }
     scene["integrator"] = {"type": "volpathmis", "max_depth": 400, "rr_depth": 60}
-    image = np.pi * np.array(mi.render(mi.load_dict(scene), seed=seed), dtype=float)
+    image = np.pi * np.array(mi.render(mi.load_dict(scene), seed=mi.UInt32(seed)), dtype=np.float64)
     return image.mean(axis=(0, 1)), image.std(axis=(0, 1)) / PIXELS
 
 

@@ -21,7 +21,7 @@ def main() -> None:
         def no_lock(path: Path):
             raise OSError("no locks here")
 
-        downloading.locked = no_lock  # type: ignore[assignment]
+        downloading.locked = no_lock  # type: ignore[attr-defined, assignment]
     hub = Hub.at([url], key)
     for path in download(hub, hub.manifest("big"), Path(folder)).values():
         print(path)

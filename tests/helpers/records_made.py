@@ -243,7 +243,10 @@ def records_made() -> dict[str, Record]:
     }
     found["carp2"] = replace(carp, supersedes=found["carp1"].digest, reason="A longer window.")
     for i, (method, team) in enumerate(NASTY):
-        text = {"summary": f"{method} by {team}", "url": 'https://example.org/?a="><script>alert(3)</script>'}
+        text: dict[str, Any] = {
+            "summary": f"{method} by {team}",
+            "url": 'https://example.org/?a="><script>alert(3)</script>',
+        }
         found[f"nasty{i}"] = record_made(
             method, team, 0.5 - 0.1 * i, tier="reported", created=f"2026-10-1{i}T00:00:00Z", **text
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.writer import Writer as McapWriter
@@ -68,7 +69,7 @@ def csv(t: Trajectory) -> bytes:
 
 def npz(t: Trajectory) -> bytes:
     buffer = io.BytesIO()
-    more = {} if t.covariances is None else {"covariances": t.covariances}
+    more: dict[str, Any] = {} if t.covariances is None else {"covariances": t.covariances}
     np.savez(buffer, stamps_ns=t.stamps_ns, positions=t.positions, quaternions=t.quaternions, **more)
     return buffer.getvalue()
 

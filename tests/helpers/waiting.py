@@ -23,7 +23,7 @@ def until(
     """Return when a condition holds. Fails where it never does, or the process that is to bring it about has ended."""
     end = time.monotonic() + patience_s
     while not condition():
-        assert process is None or process.poll() is None, f"ended with {process.returncode}: {process.args}"
+        assert process is None or process.poll() is None, f"ended with {process.returncode}: {process.args!r}"
         assert time.monotonic() < end, f"not so after {patience_s:g} s"
         NEVER.wait(POLL_S)
 

@@ -30,7 +30,7 @@ class Honest(BaseHTTPRequestHandler):
 
     protocol_version = "HTTP/1.1"
     site: Site
-    pause: Callable[[], None] = staticmethod(lambda: None)
+    pause: Callable[[], object] = staticmethod(lambda: None)
 
     def handle(self) -> None:
         with self.site.lock:

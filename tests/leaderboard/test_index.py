@@ -13,6 +13,7 @@ import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -393,13 +394,13 @@ def postgres() -> Iterator[str]:
     if shutil.which("initdb") is None or shutil.which("pg_ctl") is None:
         pytest.skip("PostgreSQL is not installed")
     folder = Path(tempfile.mkdtemp(prefix="oysterbench-postgres-"))
-    as_user: dict[str, str] = {}
+    as_user: dict[str, Any] = {}
     if os.geteuid() == 0:  # which the server refuses to be run as
         shutil.chown(folder, "postgres")
         as_user = {"user": "postgres"}
     data = folder / "data"
     try:
-        run = {"check": True, "capture_output": True, "timeout": 120, "cwd": folder, **as_user}
+        run: dict[str, Any] = {"check": True, "capture_output": True, "timeout": 120, "cwd": folder, **as_user}
         subprocess.run(["initdb", "-D", data, "-U", "board", "-A", "trust", "-E", "UTF8"], **run)
         subprocess.run(
             ["pg_ctl", "-D", data, "-l", folder / "log", "-w", "-o", f"-c listen_addresses='' -k {folder}", "start"],

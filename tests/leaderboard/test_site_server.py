@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 from posixpath import dirname, normpath
+from typing import Any
 from urllib.parse import unquote
 
 import pytest
@@ -248,7 +249,7 @@ def fits(value, schema, schemas) -> bool:
         return any(fits(value, one, schemas) for one in schema["anyOf"])
     if "enum" in schema and value not in schema["enum"]:
         return False
-    kinds = {"string": str, "integer": int, "number": (int, float), "boolean": bool, "null": type(None)}
+    kinds: dict[str, Any] = {"string": str, "integer": int, "number": (int, float), "boolean": bool, "null": type(None)}
     kind = schema.get("type")
     if kind == "array":
         return isinstance(value, list) and all(fits(one, schema.get("items", {}), schemas) for one in value)

@@ -6,6 +6,7 @@ import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
@@ -82,7 +83,7 @@ def as_png(mask: np.ndarray) -> bytes:
 
 def as_coco(found: dict[str, np.ndarray]) -> bytes:
     """COCO annotations: each connected piece of each mask, as uncompressed run lengths."""
-    document_ = {"images": [], "annotations": [], "categories": [{"id": 1, "name": "oyster"}]}
+    document_: dict[str, list[Any]] = {"images": [], "annotations": [], "categories": [{"id": 1, "name": "oyster"}]}
     for k, (name, mask) in enumerate(found.items()):
         document_["images"].append({"id": k, "file_name": f"{name}.png", "width": 64, "height": 48})
         count, numbers = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
@@ -91,8 +92,7 @@ def as_coco(found: dict[str, np.ndarray]) -> bytes:
             changes = np.flatnonzero(np.diff(flat, prepend=0))
             counts = np.diff([0, *changes.tolist(), flat.size]).tolist()
             row = {"id": len(document_["annotations"]) + 1, "image_id": k, "category_id": 1, "score": 1.0}
-            row["segmentation"] = {"size": [48, 64], "counts": counts}
-            document_["annotations"].append(row)
+            document_["annotations"].append(row | {"segmentation": {"size": [48, 64], "counts": counts}})
     return json.dumps(document_).encode()
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+from typing import Any
 
 import pytest
 
@@ -47,7 +48,7 @@ def doing(tmp_path, monkeypatch):
     return make
 
 
-def job(path: object = "", **more: object) -> Job:
+def job(path: object = "", **more: Any) -> Job:
     return Job(str(path), WANTED, LIMITS, **more)
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from oysterbench.core.geometry import Array
 from oysterbench.render.radiance import Daylight
 from oysterbench.render.spectra import TABLE_WAVELENGTHS, WAVELENGTHS, jerlov_constituents
 from oysterbench.render.water import Water, tabulate
-from tests.helpers.mitsuba_water import Array, path_traced, single_scattered
+from tests.helpers.mitsuba_water import path_traced, single_scattered
 
 pytest.importorskip("mitsuba")
 

@@ -26,6 +26,7 @@ def real(shared_data) -> pd.DataFrame:
     rows = []
     for name in manifest.id[manifest.split == "train"].iloc[::3]:
         pixels = cv2.imread(str(folder / "images" / f"{name}.jpg"), cv2.IMREAD_COLOR_RGB)
+        assert pixels is not None
         rows.append(image_statistics(pixels))
     return pd.DataFrame(rows)
 

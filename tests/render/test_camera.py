@@ -101,13 +101,13 @@ def test_truth_agrees_with_brute_force_over_all_triangles(
     frame = renderer.render(T_map_cam, noise())
     ground = world.terrain.mesh()
     near = np.all(np.hypot(*(ground.vertices[:, :2] - place[:2]).T)[ground.faces] < 3.5, axis=1)
-    corners = [ground.vertices[ground.faces[near]]]
-    owner = [np.zeros(near.sum(), dtype=int)]
+    triangles = [ground.vertices[ground.faces[near]]]
+    owners = [np.zeros(near.sum(), dtype=int)]
     for i in range(len(world.instances)):
         faces = world.meshes[world.instances.shapes[i]].faces
-        corners.append(world.instances.vertices(world.meshes, i)[faces])
-        owner.append(np.full(len(faces), i + 1))
-    corners, owner = np.concatenate(corners), np.concatenate(owner)
+        triangles.append(world.instances.vertices(world.meshes, i)[faces])
+        owners.append(np.full(len(faces), i + 1))
+    corners, owner = np.concatenate(triangles), np.concatenate(owners)
     generator = np.random.default_rng(1)
     seen = np.argwhere(frame.instances > 0)  # half of the rays go where shells are
     pixels = np.concatenate(

@@ -35,7 +35,9 @@ def data(page):
 
 
 def decode(text: str) -> np.ndarray:
-    return cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR_RGB)
+    pixels = cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR_RGB)
+    assert pixels is not None
+    return pixels
 
 
 def test_the_page_needs_nothing_else(page):

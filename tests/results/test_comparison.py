@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import pytest
 
@@ -16,7 +17,9 @@ def runs(method: str, scores, water=None, **changes):
     found = []
     for i, score in enumerate(scores):
         conditions = {"water": water[i % len(water)], "secchi_m": float(i)} if water else {}
-        values = {"metrics": {"score": score, "coverage": 1.0}} if score is not None else {"metrics": {}}
+        values: dict[str, Any] = (
+            {"metrics": {"score": score, "coverage": 1.0}} if score is not None else {"metrics": {}}
+        )
         values["failure"] = None if score is not None else "lost"
         found.append(record(method=method, sequence=f"s{i}", **{**values, "conditions": conditions, **changes}))
     return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,9 @@ from oysterbench.evaluate.statistics import compare, summarise
 from oysterbench.results import standings
 from oysterbench.results.standings import ScoreTable, SequenceScores, Standing
 
-BOARDS = arrays(float, st.tuples(st.integers(2, 6), st.integers(6, 9)), elements=st.sampled_from(np.linspace(0, 1, 21)))
+BOARDS = arrays(
+    float, st.tuples(st.integers(2, 6), st.integers(6, 9)), elements=st.sampled_from(np.linspace(0, 1, 21).tolist())
+)
 
 
 def made(methods: int, sequences: int, spread: float, *names: str | int) -> np.ndarray:
@@ -33,10 +36,8 @@ def sample(row: np.ndarray) -> dict[str, list[float]]:
 
 def by_definition(values: np.ndarray, weights: np.ndarray | None = None) -> list[Standing]:
     """The definition, pair by pair."""
-    count, of = (
-        len(values),
-        [None if weights is None else sample(row) for row in (values if weights is None else weights)],
-    )
+    count = len(values)
+    of: list[Any] = [None if weights is None else sample(row) for row in (values if weights is None else weights)]
     means = [summarise(sample(row), w).mean for row, w in zip(values, of, strict=True)]
     better = [
         {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ RECIPE = load_split("slam-mini").sequence[0]
 REEF = ReefRecipe(size_m=4.0, depth_m=3.0, relief_rms_m=0.02, density_per_m2=20.0, bottom="sand")
 
 
-def world(**changes: float) -> World:
+def world(**changes: Any) -> World:
     return build_world(dataclasses.replace(RECIPE, reef=dataclasses.replace(REEF, **changes)), Streams(3))
 
 

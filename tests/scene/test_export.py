@@ -17,7 +17,7 @@ from oysterbench.scene.oyster import STATES
 def test_oyster_comes_back_with_its_size_and_volume(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"oyster{suffix}"
     told = export_oyster(11, path, size_mm=90.0, state="left valve")
-    back = trimesh.load(path, force="mesh")
+    back = trimesh.load_mesh(path)
     back.merge_vertices(merge_norm=True, merge_tex=True)
     assert told["watertight"]
     assert back.is_watertight
@@ -36,7 +36,9 @@ def test_every_state_is_watertight_and_of_an_oysters_volume(tmp_path: Path, stat
 
 def test_vertex_colours_are_written(tmp_path: Path) -> None:
     export_oyster(11, tmp_path / "oyster.glb")
-    colours = trimesh.load(tmp_path / "oyster.glb", force="mesh").visual.vertex_colors
+    visual = trimesh.load_mesh(tmp_path / "oyster.glb").visual
+    assert isinstance(visual, trimesh.visual.ColorVisuals)
+    colours = visual.vertex_colors
     assert np.ptp(colours[:, 0]) > 40
 
 

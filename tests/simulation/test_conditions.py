@@ -9,7 +9,7 @@ from oysterbench.simulation.conditions import conditions
 from tests.helpers.tiny import TINY_SPLIT, make_split
 
 
-def of(**changes: str):
+def of(**changes: tuple[str, str]):
     text = TINY_SPLIT
     for old, new in changes.values():
         assert old in text
