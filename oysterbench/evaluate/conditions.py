@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-STRATA = ("water", "light", "density", "motion")
-"""The conditions that are classes; each sequence is in one class of each."""
+STRATA = ("difficulty", "disturbance", "water", "light", "density", "motion")
+"""The conditions that are classes; each sequence is in one class of each that its split states."""
 
 
 @dataclass(frozen=True)
@@ -17,6 +17,9 @@ class Condition:
 
 
 CONDITIONS: dict[str, Condition] = {
+    "difficulty": Condition("difficulty", "of 5"),
+    "disturbance": Condition("disturbance"),
+    "strength": Condition("strength of disturbance", "of 3"),
     "water": Condition("water"),
     "light": Condition("light"),
     "density": Condition("density"),
@@ -37,3 +40,6 @@ CONDITIONS: dict[str, Condition] = {
     "duration_s": Condition("duration", "s"),
 }
 """Conditions by their key in a record, classes first."""
+
+UNDISTURBED = "none"
+"""The disturbance of a dive that others of its split are held against."""

@@ -104,6 +104,8 @@ class DrawnRecipe:
 class SequenceRecipe:
     """One sequence: a reef, its water and light, the path over it, and the site that it lies at.
 
+    same_dive_as: the sequence whose reef, path and noise it has, drawn as they are there; what its keys state
+    otherwise is the difference. disturbance, strength: what that difference is called, and how strong it is.
     rig: what its split's rig has otherwise here, block by block: `rig = { camera = { shutter_ms = 15.0 } }` holds for
     all of its cameras.
     """
@@ -111,6 +113,9 @@ class SequenceRecipe:
     name: str
     duration_s: float = number(1, 7200)
     difficulty: int | None = number(1, 5, None)  # from calm and clear to all that the sea does, for tables
+    same_dive_as: str = ""
+    disturbance: str = ""
+    strength: int = number(0, 3, 0)
     reef: ReefRecipe
     water: WaterRecipe
     light: LightRecipe

@@ -187,6 +187,17 @@ def _check_split(split: SplitRecipe, where: str) -> None:
             raise RecipeError(f"{where}: key 'name': expected letters, digits, '-' and '_', got {name!r}")
     for sequence in split.sequence:
         place = f"{where}: sequence {sequence.name}"
+        bases = [other.name for other in split.sequence if not other.same_dive_as and other is not sequence]
+        if sequence.same_dive_as and sequence.same_dive_as not in bases:
+            raise RecipeError(
+                f"{place}: key 'same_dive_as': expected another sequence that is a dive of its own, one of "
+                f"{', '.join(bases) or 'none'}, got {sequence.same_dive_as!r}"
+            )
+        if bool(sequence.disturbance) != bool(sequence.strength):
+            raise RecipeError(
+                f"{place}: keys 'disturbance', 'strength': expected both or neither, got {sequence.disturbance!r} of "
+                f"strength {sequence.strength}"
+            )
         vary_rig(split.rig, sequence.rig, place)
         for ends in (lambda key: 0.0), (lambda key: 1.0):
             _check_sequence(draw(sequence, ends, place), place)

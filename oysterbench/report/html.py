@@ -27,6 +27,7 @@ from oysterbench.report.plots import Curve, point_swatch, scatter_plot, swatch
 from oysterbench.report.renderers.html import FOLDER
 from oysterbench.report.sequences import SequencePlots, SlamRun, sequence_plots
 from oysterbench.report.steering import PictureRun, RolloutRun
+from oysterbench.report.stress import stress_group, stress_table
 from oysterbench.report.table import Table
 from oysterbench.report.tables import (
     COMPLETE,
@@ -72,6 +73,8 @@ class BoardPart:
     pairs: Table | None
     pairs_within: Table | None
     strata: Table | None
+    stress: Table | None
+    stress_plots: PlotGroup | None
     over: PlotGroup | None
     runs: Table | None
 
@@ -179,7 +182,9 @@ def _board(board: Board, styles: Mapping[str, int], compared: bool) -> BoardPart
         replace(pairs, rows=tuple(everywhere)) if everywhere else None,
         replace(pairs, rows=tuple(within)) if within else None,
         strata if strata.rows else None,
-        _over_conditions(board, styles),
+        stress_table(board),
+        stress_group(board, _styles(board, styles)),
+        _over_conditions(board, _styles(board, styles)),
         runs if runs.rows else None,
     )
 
@@ -188,11 +193,14 @@ def _over_conditions(board: Board, styles: Mapping[str, int]) -> PlotGroup | Non
     varying = list(board.varying().items())[:SHOWN_CONDITIONS]
     if not varying:
         return None
-    labels = [row.label for row in board.standings]
-    order = {label: styles.get(label, 1 + i % STYLES) for i, label in enumerate(labels)}
-    cards = [card for key, values in varying for card in _over(board, key, values, order)]
+    cards = [card for key, values in varying for card in _over(board, key, values, styles)]
     heading = f"{metric_column(board.metric).heading} and error over conditions on {board.name}"
-    return PlotGroup(heading, tuple(order.items()), tuple(cards), points=True)
+    return PlotGroup(heading, tuple(styles.items()), tuple(cards), points=True)
+
+
+def _styles(board: Board, styles: Mapping[str, int]) -> dict[str, int]:
+    """A style for each method of a board, that of its name where it has one."""
+    return {row.label: styles.get(row.label, 1 + i % STYLES) for i, row in enumerate(board.standings)}
 
 
 def _over(board: Board, condition: str, values: Mapping[str, float], styles: Mapping[str, int]) -> list[Card]:

@@ -168,6 +168,16 @@ def share_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) 
     return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, "", "")
 
 
+def strength_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:
+    """Shares from 0 to 1 over whole strengths: a line for each method, and its point at each strength."""
+    last = max(float(curve.x[-1]) for curve in curves)
+    named = tuple((float(k), str(k)) for k in range(int(last) + 1))
+    x_axis = Axis(-0.15, last + 0.15, LEFT, LEFT + INNER, named=named)
+    y_axis = Axis(0.0, 1.0, TOP + 190.0, TOP, 40.0)
+    points = "".join(_points(curve, x_axis, y_axis) for curve in curves)
+    return _drawing(curves, x_axis, y_axis, title, x_label, y_label, "", points)
+
+
 def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, top: float | None = None) -> str:
     """Points, not lines: one for each sequence and method; from zero, or what lies below it, up to `top`.
 
@@ -183,17 +193,22 @@ def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str
         y_label += ", logarithmic"
     else:
         y_axis = Axis(min(0.0, 1.08 * lowest), top or 1.08 * max(highest, 1e-9), TOP + 170.0, TOP, 40.0)
-    points = []
-    for k, curve in enumerate(curves):
-        shift = 3.0 * (k - (len(curves) - 1) / 2)  # px, so that equal values of two methods are both seen
-        for x, y in zip(curve.x, curve.y, strict=True):
-            if math.isfinite(x) and math.isfinite(y):
-                place = f"translate({float(x_axis.place(x)) + shift:.1f} {float(y_axis.place(y)):.1f})"
-                about = f"<title>{escape(curve.label)}: {x:g}, {y:.3g}</title>"
-                shape = f'points="{_shape(curve.style)}" transform="{place}"'
-                points.append(f'<polygon class="p{curve.style}" {_label(curve)} {shape}>{about}</polygon>')
+    # Shifted, so that equal values of two methods are both seen.
+    points = [_points(curve, x_axis, y_axis, 3.0 * (k - (len(curves) - 1) / 2)) for k, curve in enumerate(curves)]
     empty = [Curve(curve.label, curve.x[:0], curve.y[:0], curve.style) for curve in curves]
     return _drawing(empty, x_axis, y_axis, title, x_label, y_label, "", "".join(points))
+
+
+def _points(curve: Curve, x_axis: Axis, y_axis: Axis, shift: float = 0.0) -> str:
+    """A point at each value, `shift` px to the right of its place."""
+    points = []
+    for x, y in zip(curve.x, curve.y, strict=True):
+        if math.isfinite(x) and math.isfinite(y):
+            place = f"translate({float(x_axis.place(x)) + shift:.1f} {float(y_axis.place(y)):.1f})"
+            about = f"<title>{escape(curve.label)}: {x:g}, {y:.3g}</title>"
+            shape = f'points="{_shape(curve.style)}" transform="{place}"'
+            points.append(f'<polygon class="p{curve.style}" {_label(curve)} {shape}>{about}</polygon>')
+    return "".join(points)
 
 
 def _shape(style: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from oysterbench.evaluate.conditions import UNDISTURBED
 from oysterbench.recipe import SequenceRecipe, SplitRecipe
 from oysterbench.render.spectra import secchi_depth, water_constituents
 
@@ -24,7 +25,11 @@ def conditions(split: SplitRecipe, sequence: str) -> dict[str, float | str]:
     recipe = split.find_sequence(sequence)
     density = recipe.reef.oyster_count / recipe.reef.size_m**2
     secchi_m = secchi_depth(water_constituents(recipe.water))
+    stated: dict[str, float | str] = {} if recipe.difficulty is None else {"difficulty": recipe.difficulty}
+    if any(other.disturbance for other in split.sequence):
+        stated |= {"disturbance": recipe.disturbance or UNDISTURBED, "strength": recipe.strength}
     return {
+        **stated,
         "water": _class_of(secchi_m, SECCHI_CLASSES_M),
         "light": _light(recipe, any(lamp.intensity_cd > 0 for lamp in split.rig_of(recipe).lamp)),
         "density": _class_of(density, DENSITY_CLASSES_PER_M2),

@@ -60,9 +60,10 @@ class SimulatedSequence:
 @lru_cache(maxsize=1)
 def build_sequence(split: SplitRecipe, name: str, salt: bytes, device: str = "cpu") -> SimulatedSequence:
     """Built once per process and sequence; a worker's next job is most often of the same sequence."""
-    streams = Streams(split.seed, salt, (name,))
+    stated = split.find_sequence(name)
+    streams = Streams(split.seed, salt, (stated.same_dive_as or name,))
     recipe = draw(
-        split.find_sequence(name),
+        stated,
         lambda key: float(streams.generator("drawn", key).random()),
         f"split {split.name}: sequence {name}",
     )

@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 import re
 
+import numpy as np
 import pytest
 
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import PathRecipe, as_plain, load_split, parse_split, split_names, vary_split
 from oysterbench.recipe.path import PATH_KINDS
 from oysterbench.sensors.imu import ImuRecipe
+from oysterbench.simulation.simulated_sequence import build_sequence
 from tests.helpers.paths import ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
 
@@ -251,3 +253,30 @@ def test_a_changed_grade_brings_its_values_along(tiny_split):
 def test_changes_of_a_rig_are_checked_as_a_rig_is(changes, told):
     with pytest.raises(RecipeError, match=told):
         rigged(changes)
+
+
+def test_a_dive_can_be_had_again_with_one_thing_otherwise():
+    split = make_split(TINY_SPLIT)
+    base = split.sequence[0]
+    again = dataclasses.replace(base, name="tiny-02", same_dive_as="tiny-01", disturbance="snow", strength=2)
+    both = dataclasses.replace(split, sequence=(base, again))
+    one, two = (build_sequence(both, name, b"") for name in ("tiny-01", "tiny-02"))
+    assert np.array_equal(one.path.position.c, two.path.position.c)
+    assert np.array_equal(one.world.instances.positions, two.world.instances.positions)
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        (
+            'same_dive_as = "other"',
+            "key 'same_dive_as': expected another sequence that is a dive of its own, one of none",
+        ),
+        ("strength = 2", "keys 'disturbance', 'strength': expected both or neither, got '' of strength 2"),
+        ('disturbance = "snow"\nstrength = 4', "key 'sequence.strength': expected 0 to 3, got 4"),
+        ("difficulty = 6", "key 'sequence.difficulty': expected 1 to 5, got 6"),
+    ],
+)
+def test_a_difficulty_and_a_disturbance_are_checked(keys, told):
+    with pytest.raises(RecipeError, match=told):
+        make_split(TINY_SPLIT.replace("duration_s", f"{keys}\nduration_s", 1))

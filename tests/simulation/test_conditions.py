@@ -17,13 +17,21 @@ def of(**changes: tuple[str, str]):
     return conditions(make_split(text), "tiny-01")
 
 
+STRESSED = 'difficulty = 3\ndisturbance = "blur"\nstrength = 2\n'
+
+
 def test_conditions_are_named_and_every_class_is_text():
-    found = of()
+    found = of(stressed=("duration_s", f"{STRESSED}duration_s"))
     assert found.keys() == CONDITIONS.keys()
-    assert all(isinstance(found[key], str) for key in STRATA)
+    assert all(isinstance(found[key], str) for key in STRATA if key != "difficulty")
+    assert (found["difficulty"], found["disturbance"], found["strength"]) == (3, "blur", 2)
     assert (found["path"], found["motion"]) == ("loop", "loop, calm")
     assert found["oysters_per_m2"] == pytest.approx(60 / 25)
     assert found["altitude_m"] == 0.9
+
+
+def test_what_a_split_does_not_state_is_no_condition():
+    assert not {"difficulty", "disturbance", "strength"} & of().keys()
 
 
 def test_water_is_classed_by_the_depth_at_which_a_disc_vanishes():
