@@ -12,6 +12,7 @@ from typing import Any
 from urllib.parse import quote
 
 from sqlalchemy import (
+    JSON,
     Boolean,
     Column,
     Connection,
@@ -32,49 +33,32 @@ from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import locked
+from oysterbench_leaderboard.board import Row
 
 METADATA = MetaData()
 TEXT = Text().with_variant(Text(collation="C"), "postgresql")  # SQLite's order: by bytes, whatever the locale
-MOST_COLUMNS = 12
 _LOCK = 0x6F79_7374_6572  # the advisory lock of PostgreSQL under which the index is written
 
+CONTENTS = Table("oysterbench_contents", METADATA, Column("data", TEXT))
+"""`index_writer.Contents` as JSON, in one row: all that is small."""
 
-META = Table("oysterbench_meta", METADATA, Column("key", TEXT, primary_key=True), Column("value", TEXT))
-"""`schema`, `revision`, and `inputs`, a hash of all that the index is made of."""
-
-BOARDS = Table(
-    "oysterbench_boards",
-    METADATA,
-    Column("id", TEXT, primary_key=True),
-    *(Column(key, TEXT) for key in ("track", "split", "split_digest", "evaluator_version", "settings", "metric")),
-    *(Column(key, TEXT) for key in ("sequences", "updated")),
-    *(Column(key, Integer) for key in ("position", "entries")),
-    Column("newest", Boolean),
-)
-"""`board.BoardInfo`; settings and sequences as JSON."""
+_KINDS: dict[str, Any] = {"position": Integer, "place": Integer, "rank": Integer, "sequences": Integer, "runs": Integer}
+_KINDS |= {"failures": Integer, "tied": Boolean, "metrics": JSON}
+_KINDS |= dict.fromkeys(("score", "low", "high", "data_set", "coverage"), Float(53))
 
 ROWS = Table(
     "oysterbench_rows",
     METADATA,
-    Column("digest", TEXT, primary_key=True),
-    *(Column(key, TEXT) for key in ("board", "method", "team", "words", "tier", "url", "summary", "created")),
-    *(Column(key, TEXT) for key in ("supersedes", "state")),
-    *(Column(key, Integer) for key in ("position", "place", "rank", "sequences", "runs", "failures")),
     *(
-        Column(key, Float(53))
-        for key in ("score", "low", "high", "data_set", "coverage", *(f"m{i}" for i in range(MOST_COLUMNS)))
+        Column(key, _KINDS.get(key, TEXT), primary_key=key == "digest")
+        for key in (*Row.__dataclass_fields__, "words", "position", "summary_data")
     ),
-    Column("tied", Boolean),
-    Index("oysterbench_rows_in_order", "board", "position"),
+    Index("oysterbench_rows_in_order", "board", "position", "state", "tier", "words"),
     Index("oysterbench_rows_of_method", "method", "team"),
 )
-"""`board.Row`. words: method and team, for searching; m0, m1, ...: `COLUMNS` of the track, in their order."""
-
-SUMMARIES = Table("oysterbench_summaries", METADATA, Column("digest", TEXT, primary_key=True), Column("data", TEXT))
-"""`RecordSummary` as JSON: what a board is ranked by."""
-
-PROBLEMS = Table("oysterbench_problems", METADATA, Column("file", TEXT, primary_key=True), Column("reason", TEXT))
-"""Files that were left out, and why."""
+"""`board.Row`. words: method and team, for searching; position: on its board, in the order of ranks, those without a
+place last; summary_data:
+`RecordSummary` as JSON, what a board is ranked by."""
 
 
 class Database:

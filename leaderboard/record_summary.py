@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -25,22 +24,25 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 
 
 class RecordSummary(msgspec.Struct, frozen=True):
-    """What the database holds of a record as JSON.
+    """What ranks a record; the database holds it as JSON.
 
-    scores:    what ranks it; a value is null where there is none although the sequence was run
+    scores:    on each sequence; NaN, in JSON null, where there is no value although the sequence was run
     coverage:  of the sequences that have one
-    data_set:  the ranking metric over all sequences at once, where the record knows it
-    columns:   means of `COLUMNS` over its own sequences; None where there is none
     sequences: that it has, in its order; failed: runs that failed
     """
 
     scores: SequenceScores
     coverage: dict[str, float]
-    data_set: float | None
-    columns: dict[str, float | None]
     sequences: tuple[str, ...]
-    runs: int
     failed: int
+
+    @classmethod
+    def decode(cls, data: str) -> RecordSummary:
+        """What `msgspec.json.encode` wrote."""
+        values = msgspec.json.decode(data)
+        scores = values["scores"]["values"]
+        values["scores"]["values"] = {name: math.nan if value is None else value for name, value in scores.items()}
+        return msgspec.convert(values, cls)
 
 
 def read_record(data: bytes, digest: str) -> Record:
@@ -57,31 +59,38 @@ def read_record(data: bytes, digest: str) -> Record:
 
 
 def summarise_record(record: Record) -> RecordSummary:
-    """What the index keeps of a record. Raises ResultError where a value lacks the weight by which it counts."""
+    """What ranks a record. Raises ResultError where a value lacks the weight by which it counts."""
     metric = PRIMARY[record.track]
-    sample, weights = weighed_sample(record.results, metric)
-    weight = _weight(metric)
-    unpredicted = UNPREDICTED_WEIGHT.get(weight)
+    values, (sample, weights) = samples(record.results, metric), _weighed_sample(record.results, metric)
+    unpredicted = UNPREDICTED_WEIGHT.get(_weight(metric))
     # Predicted, and yet without a value, as AP is where nothing is to be found: no failure, and in no mean.
-    without = {name: math.nan for name, values in samples(record.results, metric).items() if _all_nan(values)}
-    scores = SequenceScores(
-        {**weighed_means(sample, weights), **without},
-        None if weights is None else sequence_weights(sample, weights),
-        sequence_means(samples(record.results, unpredicted)) if unpredicted else None,
-    )
-    covered = sequence_means(samples(record.results, "coverage")) if "coverage" in FAILED[record.track] else {}
+    without = {name: math.nan for name, of in values.items() if all(map(math.isnan, of))}
     return RecordSummary(
-        scores,
-        covered,
-        _data_set(record.data_set, metric),
-        {key: column_mean(record.results, key) for key in COLUMNS[record.track] if key != "coverage"},
+        SequenceScores(
+            {**weighed_means(sample, weights), **without},
+            None if weights is None else sequence_weights(sample, weights),
+            sequence_means(samples(record.results, unpredicted)) if unpredicted else None,
+        ),
+        sequence_means(samples(record.results, "coverage")) if "coverage" in FAILED[record.track] else {},
         tuple(dict.fromkeys(result.sequence for result in record.results)),
-        len(record.results),
         sum(result.failure is not None for result in record.results),
     )
 
 
-def weighed_sample(results: tuple[ResultRecord, ...], key: str) -> tuple[Sample, Sample | None]:
+def column_means(record: Record) -> dict[str, float | None]:
+    """Means of `COLUMNS` over the record's own sequences, weighed where the metric is; None where there is none."""
+    means = {key: mean_over_sequences(*_weighed_sample(record.results, key)) for key in COLUMNS[record.track]}
+    return {key: None if math.isnan(mean) else mean for key, mean in means.items()}
+
+
+def data_set_value(record: Record) -> float | None:
+    """The ranking metric over all sequences at once, where the record knows it."""
+    metrics: Any = (record.data_set or {}).get("metrics")
+    value = metrics.get(PRIMARY[record.track]) if isinstance(metrics, dict) else None
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _weighed_sample(results: tuple[ResultRecord, ...], key: str) -> tuple[Sample, Sample | None]:
     """Values of a metric by sequence, and their weights where it has some. A sequence with a failed run that knows no
     weight is left out: what it weighs where nothing is predicted is the board's to know."""
     values, weight = samples(results, key), _weight(key)
@@ -94,23 +103,6 @@ def weighed_sample(results: tuple[ResultRecord, ...], key: str) -> tuple[Sample,
             raise ResultError(f"a result on {result.sequence} has {key}, but not {weight}, its weight in the mean")
     values = {name: found for name, found in values.items() if not any(map(math.isnan, weights[name]))}
     return values, {name: weights[name] for name in values}
-
-
-def column_mean(results: tuple[ResultRecord, ...], key: str) -> float | None:
-    """Mean over sequences, weighed where the metric is; None where there is none."""
-    mean = mean_over_sequences(*weighed_sample(results, key))
-    return None if math.isnan(mean) else mean
-
-
-def _all_nan(values: list[float]) -> bool:
-    return all(map(math.isnan, values))
-
-
-def _data_set(found: Mapping[str, Any] | None, metric: str) -> float | None:
-    """Of a record's `data_set`, the ranking metric."""
-    metrics = (found or {}).get("metrics")
-    value = metrics.get(metric) if isinstance(metrics, Mapping) else None
-    return float(value) if isinstance(value, int | float) else None
 
 
 def _weight(key: str) -> str:
