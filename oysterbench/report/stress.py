@@ -42,8 +42,8 @@ def stress_table(board: Board) -> Table | None:
     rows = [TableRow((each.name, *(_cell(each, label) for label in labels))) for each in found]
     note = (
         f"{metric_column(board.metric).heading} on the calm dive and at strengths "
-        f"{_list(found[0].strengths[1:])}; marked is "
-        f"from where on a method stays below {BROKEN_SHARE:.0%} of the former."
+        f"{_list(found[0].strengths[1:])}; broken is a method "
+        f"from where on it stays below {BROKEN_SHARE:.0%} of the former."
     )
     return Table(f"Disturbances on {board.name}", tuple(columns), tuple(rows), (note,))
 
@@ -51,7 +51,7 @@ def stress_table(board: Board) -> Table | None:
 def _cell(disturbance: Disturbance, label: str) -> Cell:
     values = "  ".join("-" if math.isnan(value) else f"{value:.2f}" for value in disturbance.scores[label])
     broken = disturbance.breaks_at(label)
-    return Cell(values, kind="" if broken is None else "warn", mark="" if broken is None else f"from {broken}")
+    return Cell(values, kind="" if broken is None else "warn", small="" if broken is None else f"broken from {broken}")
 
 
 def _list(strengths: Sequence[int]) -> str:

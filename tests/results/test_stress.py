@@ -77,4 +77,4 @@ def test_the_report_shows_a_plot_and_a_row_for_each_disturbance():
     table = stress_table(board)
     assert table is not None
     assert [row.cells[0].value for row in table.rows] == ["plumes", "blur"]
-    assert table.rows[0].cells[2].mark == "from 2"
+    assert table.rows[0].cells[2].small == "broken from 2"
