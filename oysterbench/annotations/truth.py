@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +26,7 @@ from oysterbench.evaluate.segmentation.images import OYSTER
 from oysterbench.recipe import CLASSES
 from oysterbench.sequence import CameraCalibration, Sequence, open_sequence
 from oysterbench.sequence.export.parts import frames_with_layers, labelled_cameras, sensor_poses
+from oysterbench.sequence.export.ply import points_at, rays_at
 
 IGNORED = 255
 """Number of class images at which nothing is asked."""
@@ -96,14 +96,15 @@ def _frames(sequence: Sequence, cameras: Mapping[str, list[str]]) -> Iterator[Se
     heights = np.full(int(oysters["id"].max()) + 1 if len(oysters) else 1, np.nan)
     if len(oysters):
         heights[oysters["id"].to_numpy()] = 1000 * oysters["height_m"].to_numpy()
-    trajectory = sequence.truth()
+    trajectory, true = sequence.truth(), sequence.truly_calibrated()
     for camera, layers in cameras.items():
-        calibration = sequence.cameras[camera]
+        calibration = true.cameras[camera]
+        rays = footprint_rays(calibration)
         poses = sensor_poses(trajectory, calibration.T_base_cam)
         for image, found in frames_with_layers(sequence, camera, layers):
             instances, ignore = countable(found["class"], found["instance"], found.get("visibility"))
             depth = found.get("depth")
-            k = int(np.abs(trajectory.stamps_ns - image.stamp_ns).argmin())
+            k = int(np.abs(trajectory.stamps_ns - calibration.taken_ns(image.stamp_ns)).argmin())
             yield (
                 TruthImage(
                     f"{sequence.name}/{camera}/{image.stamp_ns}",
@@ -112,25 +113,28 @@ def _frames(sequence: Sequence, cameras: Mapping[str, list[str]]) -> Iterator[Se
                     depth_m=depth,
                     instances=instances,
                     heights_mm=heights,
-                    footprint_m2=None if depth is None else footprint_m2(depth, calibration, poses[k]),
+                    footprint_m2=None if depth is None else footprint_m2(depth, rays, poses[k]),
                 ),
                 image.pixels,
             )
 
 
-def footprint_m2(depth_m: NDArray[np.float32], camera: CameraCalibration, T_map_camera: Array) -> float | None:
-    """Area, as seen from above, of what an image shows: of the patches between rays on a grid, where all four corners
-    have a depth (H, W), m along the optical axis. None behind a flat port, whose rays no lens model has."""
-    if camera.port_m is not None:
-        return None
-    rows = np.r_[0 : camera.height - 1 : GRID, camera.height - 1]
-    columns = np.r_[0 : camera.width - 1 : GRID, camera.width - 1]
-    x, y = np.meshgrid(columns, rows)
-    pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2).astype(float)
-    lens = cv2.fisheye if camera.distortion_model == "equidistant" else cv2
-    rays = lens.undistortPoints(pixels, camera.matrix, camera.distortion).reshape(*x.shape, 2)
-    depth = depth_m[y, x].astype(float)
-    points = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
+def footprint_rays(camera: CameraCalibration) -> Array:
+    """(R, C, 3): rays of some of a camera's pixels, as `pixel_rays` gives them, on a grid that reaches its corners."""
+    columns, rows = np.meshgrid(_grid(camera.width), _grid(camera.height))
+    return rays_at(camera, columns.astype(float), rows.astype(float))
+
+
+def _grid(size: int) -> NDArray[np.int64]:
+    return np.append(np.arange(0, size - 1, GRID), size - 1)
+
+
+def footprint_m2(depth_m: NDArray[np.float32], rays: Array, T_map_camera: Array) -> float | None:
+    """Area, as seen from above, of what an image shows: of the patches between rays on a grid (`footprint_rays`), where
+    all four corners have a depth (H, W), m along the optical axis."""
+    depth = depth_m[np.ix_(_grid(depth_m.shape[0]), _grid(depth_m.shape[1]))].astype(float)
+    depth = np.where(np.isfinite(rays[..., 0]), depth, 0.0)
+    points = points_at(rays.reshape(-1, 3), depth.ravel()).reshape(*depth.shape, 3)
     east, north = np.moveaxis(points @ T_map_camera[:2, :3].T, -1, 0)
     a = (east[1:, 1:] - east[:-1, :-1]) * (north[1:, :-1] - north[:-1, 1:])
     b = (east[1:, :-1] - east[:-1, 1:]) * (north[1:, 1:] - north[:-1, :-1])

@@ -100,6 +100,10 @@ class DrawnRecipe:
     between: tuple[float, float]
 
 
+CALIBRATIONS = ("exact", "good", "poor")
+"""How well the vehicle was calibrated (`sensors.uncertainty`): not at all wrong, by an expert, or last season."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class SequenceRecipe:
     """One sequence: a reef, its water and light, the path over it, and the site that it lies at.
@@ -122,4 +126,5 @@ class SequenceRecipe:
     path: PathRecipe
     site: SiteRecipe = field(default=SiteRecipe())
     rig: Table = field(default=Table())
+    calibration: str = choice(CALIBRATIONS, "exact")  # what methods are told of the rig
     drawn: tuple[DrawnRecipe, ...] = ()

@@ -16,7 +16,9 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image
 from oysterbench.core.ros import IMAGE, Message, decode, encode, header, image_bytes, make, stamp_of
 from oysterbench.recipe import CameraRecipe, SiteRecipe
+from oysterbench.sensors.camera_errors import camera_errors, with_errors
 from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, from_entry, topic
+from oysterbench.sensors.uncertainty import ErrorModel, Quality
 
 if TYPE_CHECKING:
     from oysterbench.render.camera import Frame
@@ -63,7 +65,8 @@ class CameraCalibration:
 
     distortion_model and distortion as in sensor_msgs/CameraInfo: plumb_bob (Brown-Conrady k1, k2, p1, p2[, k3]) or
     equidistant (Kannala-Brandt k1 to k4). Behind a flat port both are those in air: port_m is the distance from the
-    pupil to the port, port_index the water's refractive index against air; None without one.
+    pupil to the port, port_index the water's refractive index against air; None without one. Stamps are late by
+    time_offset_s, give or take time_jitter_s, 1 sigma.
     """
 
     width: int
@@ -75,16 +78,24 @@ class CameraCalibration:
     distortion_model: str = "plumb_bob"
     port_m: float | None = None
     port_index: float = 1.0
+    time_offset_s: float = 0.0
+    time_jitter_s: float = 0.0
+
+    def taken_ns(self, stamp_ns: int) -> int:
+        """When a frame of a stamp was taken, as far as the calibration knows."""
+        return stamp_ns - round(1e9 * self.time_offset_s)
 
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """What a camera measures at one instant: colour (H, W, 3) uint8 RGB, and the layers of truth that go along."""
+    """What a camera measures at one instant: colour (H, W, 3) uint8 RGB, the layers of truth that go along, and the
+    calibration that is given of it."""
 
     stamp_ns: int
     camera: str
     colour: NDArray[np.uint8]
     layers: Mapping[str, NDArray[Any]]
+    calibration: CameraCalibration
 
 
 def render_frame(world: SensedWorld, camera: CameraRecipe, index: int) -> Frame:
@@ -196,6 +207,7 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
     title = "camera"
     reader = "images"
     rank = 70
+    pose = "T_base_cam"
     required = True
     bulky = True
     leaves: ClassVar = {"image": COLOUR, "camera_info": CAMERA_INFO}
@@ -229,7 +241,22 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
         values = entry if port is None else {**entry, "port_m": port["distance_m"], "port_index": port["index"]}
         return from_entry(CameraCalibration, values)
 
+    def error_model(self, recipe: CameraRecipe, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
+        return camera_errors(entry, quality)
+
+    def as_given(
+        self, recipe: CameraRecipe, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
+    ) -> dict[str, Any]:
+        given = super().as_given(recipe, entry, errors, quality)
+        return given | with_errors(entry, errors) | {"time_offset_s": 0.0, "time_jitter_s": quality.time_jitter_s}
+
+    def as_true(
+        self, recipe: CameraRecipe, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
+    ) -> dict[str, Any]:
+        return {**entry, "time_offset_s": -errors["time_offset_s"], "time_jitter_s": quality.time_jitter_s}
+
     def measure(self, world: SensedWorld, recipe: CameraRecipe, at: Instants) -> Iterator[CameraFrame]:
+        given = self.read_calibration(world.calibration.given[self.key][recipe.name])
         every = round(recipe.rate_hz / recipe.layer_rate_hz) if recipe.layer_rate_hz else 0
         for index in at.wanted.tolist():
             frame = render_frame(world, recipe, index)
@@ -242,13 +269,12 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
                 }
                 made |= render_layers(world, recipe, index)
                 layers = {name: made[name] for name in recipe.layers}
-            yield CameraFrame(int(at.stamps_ns[index]), recipe.name, frame.colour, layers)
+            yield CameraFrame(int(at.stamps_ns[index]), recipe.name, frame.colour, layers, given)
 
     def encode(self, recipe: CameraRecipe, measurement: CameraFrame) -> list[Message]:
         stamp, name = measurement.stamp_ns, recipe.name
-        calibration = self.read_calibration(self.calibrate(recipe, None))
         return [
-            camera_info(stamp, name, calibration),
+            camera_info(stamp, name, measurement.calibration),
             colour_message(stamp, name, measurement.colour, recipe.jpeg_quality, recipe.image_format),
             *(layer_message(stamp, name, layer, pixels) for layer, pixels in measurement.layers.items()),
         ]

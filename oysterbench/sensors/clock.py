@@ -8,11 +8,24 @@ from numpy.typing import NDArray
 from oysterbench.core.streams import Streams
 from oysterbench.recipe.sensors import SensorRecipe
 
+MOST_JITTER = 0.45
+"""Of the time from one sample to the next."""
+
 
 def stamps(n: int, rate_hz: float, epoch_ns: int, offset_ms: float = 0.0) -> NDArray[np.int64]:
     """(n,) int64 stamps of samples taken k / rate after the epoch, by a clock that is offset_ms ahead."""
     since_ns: NDArray[np.int64] = np.rint(np.arange(n) * (1e9 / rate_hz)).astype(np.int64)
     return since_ns + (epoch_ns + round(offset_ms * 1e6))
+
+
+def jitter(n: int, rate_hz: float, sigma_s: float, streams: Streams) -> NDArray[np.int64]:
+    """(n,) int64 ns by which stamps are late, 1 sigma in s about none, and never so much that two change places.
+
+    streams: the branch of what is stamped together.
+    """
+    late = sigma_s * streams.generator("jitter").standard_normal(n)
+    most = MOST_JITTER / rate_hz
+    return np.rint(1e9 * np.clip(late, -most, most)).astype(np.int64)
 
 
 def kept(n: int, recipe: SensorRecipe, streams: Streams) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -33,6 +33,7 @@ from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors import acoustics
 from oysterbench.sensors.kind import XYZ, Instants, Row, SensedWorld, SensorKind, Strip, columns_of, link, quantise
+from oysterbench.sensors.uncertainty import ErrorModel, Quality, independent, mount_errors
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
@@ -81,11 +82,13 @@ class DvlRecipe(SensorRecipe):
 
 @dataclass(frozen=True)
 class DvlCalibration:
-    """A DVL: pose; directions of its beams (4, 3), unit vectors in its frame; greatest range, m."""
+    """A DVL: pose; directions of its beams (4, 3), unit vectors in its frame; greatest range, m; its velocities over
+    the true ones."""
 
     T_base_sensor: Array
     beam_directions: Array
     max_range_m: float
+    scale: float = 1.0
 
 
 def measure(
@@ -97,16 +100,18 @@ def measure(
     stamps_ns: Sequence[int] | NDArray[np.int64],
     streams: Streams,
     bottom: str = "sand",
+    scale: float = 1.0,
 ) -> list[DvlMeasurement]:
     """What the log reports at times (N,) s, stamped with stamps_ns (N,); at its recipe's rate at any altitude.
 
     The velocity of the log along each beam, scaled by the error of scale and the assumed over the true speed of sound,
-    with noise; a beam counts where it finds an echo that can be measured. bottom: of recipe.BOTTOMS.
+    with noise; a beam counts where it finds an echo that can be measured. bottom: of recipe.BOTTOMS. scale: a factor
+    on all velocities, besides.
     """
     times_s = np.asarray(times_s, dtype=float)
     branch = streams.at("dvl")
     n = len(times_s)
-    scale = 1.0 + recipe.scale_error * float(branch.generator("scale").standard_normal())
+    scale *= 1.0 + recipe.scale_error * float(branch.generator("scale").standard_normal())
     twist = np.radians(recipe.misalignment_deg) * branch.generator("misalignment").standard_normal(3)
     beams = beam_directions(recipe)
     mount = mount_rotation(recipe)
@@ -254,10 +259,25 @@ class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
             "max_range_m": recipe.max_range_m,
         }
 
+    def error_model(self, recipe: DvlRecipe, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
+        mount = mount_errors(quality.dvl_deg, quality.mount_m)
+        return ErrorModel.of(mount | independent({"scale": quality.dvl_scale}))
+
+    def as_given(
+        self, recipe: DvlRecipe, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
+    ) -> dict[str, Any]:
+        return super().as_given(recipe, entry, errors, quality) | {"scale": 1.0}
+
+    def as_true(
+        self, recipe: DvlRecipe, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
+    ) -> dict[str, Any]:
+        return {**entry, "scale": 1.0 - errors["scale"]}
+
     def measure(self, world: SensedWorld, recipe: DvlRecipe, at: Instants) -> Iterator[DvlMeasurement]:
         site, bottom = world.recipe.site, world.recipe.reef.bottom
         times, stamps = at.times_s, at.stamps_ns
-        measured = measure(world.path, world.caster, recipe, site, times, stamps, world.streams, bottom)
+        scale = self.true_entry(world, recipe).get("scale", 1.0)
+        measured = measure(world.path, world.caster, recipe, site, times, stamps, world.streams, bottom, scale)
         for k in at.wanted:
             readings: dict[str, Any] = {key: quantise(getattr(measured[k], key), READING_STEP) for key in READINGS}
             yield dataclasses.replace(measured[k], **readings)

@@ -18,6 +18,7 @@ from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import choice, number
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors.kind import XYZ, Instants, Row, SensedWorld, SensorKind, Strip, columns_of, link, quantise
+from oysterbench.sensors.uncertainty import ErrorModel, Quality
 from oysterbench.sensors.vibration import VibrationRecipe, vibrate
 
 if TYPE_CHECKING:
@@ -269,6 +270,7 @@ class Imu(SensorKind[ImuRecipe, ImuCalibration, ImuMeasurement]):
     title = "inertial unit"
     reader = "imu"
     rank = 0
+    pose = "T_base_imu"
     required = True
     leaves: ClassVar = {"": IMU}
     tables: ClassVar = {"": _row}
@@ -286,6 +288,10 @@ class Imu(SensorKind[ImuRecipe, ImuCalibration, ImuMeasurement]):
             "gravity": GRAVITY,
             "T_base_imu": imu_pose(recipe).tolist(),
         }
+
+    def error_model(self, recipe: ImuRecipe, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
+        """None: the others are calibrated against it."""
+        return ErrorModel.of({})
 
     def measure(self, world: SensedWorld, recipe: ImuRecipe, at: Instants) -> Iterator[ImuMeasurement]:
         readings = measure(world.path, recipe, at.times_s, world.streams)

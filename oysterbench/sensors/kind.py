@@ -21,6 +21,7 @@ from oysterbench.core.ros import Message
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SequenceRecipe, SiteRecipe
 from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.sensors.uncertainty import ErrorModel, Quality, RigCalibration, mount_errors, moved
 
 if TYPE_CHECKING:
     from oysterbench.render.camera import CameraRenderer
@@ -64,6 +65,8 @@ class SensedWorld(Protocol):
     def caster(self) -> RayCaster: ...
     @property
     def renderers(self) -> Mapping[str, CameraRenderer]: ...
+    @property
+    def calibration(self) -> RigCalibration: ...
 
     def bodies(self, times_s: Array) -> list[Array]:
         """T_map_base (4, 4) at times (N,) s."""
@@ -99,7 +102,8 @@ class SensorKind(ABC, Generic[R, C, M]):
     truth_leaves: types of its topics by what follows their name, `/NAME/LEAF` (or `/NAME` where that is empty): those
     that a real vehicle would have, and those that only a simulation knows. read_leaves: those that make a measurement
     (all measured ones by default). tables: the row that a message of a leaf makes. reader: the method of `Sequence`
-    that gives its measurements, where it has one besides `Sequence.measurements`. required: every rig has an entry in
+    that gives its measurements, where it has one besides `Sequence.measurements`. pose: the key of its pose in
+    base_link in its calibration. required: every rig has an entry in
     calibration.json. bulky: each measurement is a job of its own. exports: formats that it can be written in, by name.
     """
 
@@ -112,6 +116,7 @@ class SensorKind(ABC, Generic[R, C, M]):
     read_leaves: ClassVar[tuple[str, ...]] = ()
     tables: ClassVar[Mapping[str, Callable[[Any], Row]]] = {}
     reader: ClassVar[str] = ""
+    pose: ClassVar[str] = "T_base_sensor"
     required: ClassVar[bool] = False
     bulky: ClassVar[bool] = False
     exports: ClassVar[Mapping[str, Export]] = {}
@@ -159,6 +164,32 @@ class SensorKind(ABC, Generic[R, C, M]):
     @abstractmethod
     def calibrate(self, recipe: R, site: SiteRecipe) -> dict[str, Any]:
         """What a perfect calibration would find, as an entry of calibration.json."""
+
+    def true_calibration(self, recipe: R, site: SiteRecipe) -> dict[str, Any]:
+        """What truly is, where even a perfect calibration finds no more than a model of it."""
+        return self.calibrate(recipe, site)
+
+    def error_model(self, recipe: R, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
+        """How a calibration of a quality errs; entry: what a perfect one finds."""
+        return ErrorModel.of(mount_errors(quality.mount_deg, quality.mount_m))
+
+    def as_given(
+        self, recipe: R, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
+    ) -> dict[str, Any]:
+        """The entry as a calibration with these errors (of `error_model`'s parameters) finds it."""
+        return {**entry, self.pose: moved(np.array(entry[self.pose]), errors).tolist()}
+
+    def as_true(
+        self, recipe: R, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
+    ) -> dict[str, Any]:
+        """The true entry, with the errors that lie in the readings themselves."""
+        return dict(entry)
+
+    def true_entry(self, world: SensedWorld, recipe: R) -> Mapping[str, Any]:
+        """Its true entry of a rig's calibration."""
+        entries = world.calibration.true[self.key]
+        found: Mapping[str, Any] = entries if self.single else entries[self.name_of(recipe)]
+        return found
 
     def read_calibration(self, entry: Mapping[str, Any]) -> C:
         """Calibration from its entry. Raises LookupError, TypeError or ValueError where that is not of its shape."""
@@ -221,6 +252,7 @@ def from_entry(kind: type[T], entry: Mapping[str, Any]) -> T:
 
 _CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "Array": lambda value: np.array(value, dtype=float),
+    "Array | None": lambda value: np.array(value, dtype=float),
     "int": int,
     "float": float,
     "float | None": float,

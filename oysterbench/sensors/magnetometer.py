@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -18,6 +18,7 @@ from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors.imu import imu_pose
 from oysterbench.sensors.kind import XYZ, Instants, SensedWorld, SensorKind, Strip, columns_of, link, quantise
+from oysterbench.sensors.uncertainty import ErrorModel, Quality, axes, independent, mount_errors
 
 if TYPE_CHECKING:
     from oysterbench.scene.path import Path
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 MAGNETIC_FIELD = "sensor_msgs/msg/MagneticField"
 MICROTESLA = 1e-6  # T
 FIELD_STEP = 1e-12  # T, to which readings are rounded
+HARD_IRON = tuple(axes("hard_iron", "t"))
+SOFT_IRON = tuple(f"soft_iron_{row}{column}" for row in XYZ for column in XYZ)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +48,12 @@ class MagnetometerRecipe(SensorRecipe):
 
 @dataclass(frozen=True)
 class MagnetometerCalibration:
-    """A magnetometer: pose."""
+    """A magnetometer: pose; and where it was swung, the iron of the vehicle, in its frame: a constant field (3,) T and
+    the matrix (3, 3) that takes the Earth's field to the one at the sensor; None where nobody knows."""
 
     T_base_sensor: Array
+    hard_iron_t: Array | None = None
+    soft_iron: Array | None = None
 
 
 def earth_field(site: SiteRecipe) -> Array:
@@ -58,16 +64,38 @@ def earth_field(site: SiteRecipe) -> Array:
     return site.field_ut * MICROTESLA * np.array(direction)
 
 
-def measure(path: Path, recipe: MagnetometerRecipe, site: SiteRecipe, times_s: Array, streams: Streams) -> Array:
+@dataclass(frozen=True)
+class Iron:
+    """Iron that the vehicle carries: a constant field (3,) uT, and a matrix (3, 3) on the Earth's, in the sensor's
+    frame."""
+
+    hard_ut: Array
+    soft: Array
+
+    @classmethod
+    def of(cls, recipe: MagnetometerRecipe) -> Iron:
+        """That of a recipe."""
+        return cls(np.asarray(recipe.hard_iron_ut), np.asarray(recipe.soft_iron))
+
+
+def measure(
+    path: Path,
+    recipe: MagnetometerRecipe,
+    site: SiteRecipe,
+    times_s: Array,
+    streams: Streams,
+    iron: Iron | None = None,
+) -> Array:
     """Field (N, 3) T that the sensor reports at times (N,) s, in its own frame.
 
     b = A R^T B + h + noise, with soft iron A and hard iron h (Gebre-Egziabher et al. 2006), in the steps of the
-    digital reading.
+    digital reading. iron: in the place of the recipe's.
     """
     rotation = path.at(times_s).rotation @ Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix()
     earth = np.einsum("nji,j->ni", rotation, earth_field(site))
     noise = recipe.noise_ut * streams.generator("magnetometer", "noise").standard_normal((len(times_s), 3))
-    field: Array = earth @ np.asarray(recipe.soft_iron).T + MICROTESLA * (np.asarray(recipe.hard_iron_ut) + noise)
+    iron = iron or Iron.of(recipe)
+    field: Array = earth @ iron.soft.T + MICROTESLA * (iron.hard_ut + noise)
     step = recipe.step_ut * MICROTESLA
     return np.asarray(np.rint(field / step) * step) if step else field
 
@@ -90,8 +118,32 @@ class Magnetometer(SensorKind[MagnetometerRecipe, MagnetometerCalibration, Magne
     def calibrate(self, recipe: MagnetometerRecipe, site: SiteRecipe) -> dict[str, Any]:
         return {"T_base_sensor": imu_pose(recipe).tolist()}
 
+    def error_model(self, recipe: MagnetometerRecipe, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
+        mount = mount_errors(quality.mount_deg, quality.mount_m)
+        hard = dict.fromkeys(HARD_IRON, MICROTESLA * quality.hard_iron_ut)
+        return ErrorModel.of(mount | independent(hard | dict.fromkeys(SOFT_IRON, quality.soft_iron)))
+
+    def as_given(
+        self, recipe: MagnetometerRecipe, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
+    ) -> dict[str, Any]:
+        iron = Iron.of(recipe)
+        given = super().as_given(recipe, entry, errors, quality)
+        return given | {"hard_iron_t": (MICROTESLA * iron.hard_ut).tolist(), "soft_iron": iron.soft.tolist()}
+
+    def as_true(
+        self, recipe: MagnetometerRecipe, entry: Mapping[str, Any], errors: Mapping[str, float], quality: Quality
+    ) -> dict[str, Any]:
+        iron = Iron.of(recipe)
+        hard = MICROTESLA * iron.hard_ut - [errors[name] for name in HARD_IRON]
+        soft = iron.soft - np.reshape([errors[name] for name in SOFT_IRON], (3, 3))
+        return {**entry, "hard_iron_t": hard.tolist(), "soft_iron": soft.tolist()}
+
     def measure(self, world: SensedWorld, recipe: MagnetometerRecipe, at: Instants) -> Iterator[MagneticMeasurement]:
-        fields = measure(world.path, recipe, world.recipe.site, at.times_s, world.streams)
+        true = self.read_calibration(self.true_entry(world, recipe))
+        iron = None
+        if true.hard_iron_t is not None and true.soft_iron is not None:
+            iron = Iron(true.hard_iron_t / MICROTESLA, true.soft_iron)
+        fields = measure(world.path, recipe, world.recipe.site, at.times_s, world.streams, iron)
         fields, variance = quantise(fields, FIELD_STEP), noise_variance(recipe)
         return (MagneticMeasurement(int(at.stamps_ns[k]), fields[k], variance) for k in at.wanted)
 

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from typing import Any
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import RigRecipe, SiteRecipe
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors.kind import Export, SensorKind
+from oysterbench.sensors.uncertainty import (
+    QUALITIES,
+    UNCERTAINTY,
+    RigCalibration,
+    draw_errors,
+    errors_of,
+    joined,
+    uncertainty_of,
+)
 
 AnyKind = SensorKind[Any, Any, Any]
 
@@ -49,12 +59,48 @@ def rig_sensors(rig: RigRecipe) -> Iterator[tuple[AnyKind, Any]]:
 def rig_calibration(rig: RigRecipe, site: SiteRecipe) -> dict[str, Any]:
     """calibration.json of a rig at a site, as JSON values: what a perfect calibration would find. What the rig lacks is
     absent."""
+    return _document(rig, lambda kind, recipe: kind.calibrate(recipe, site))
+
+
+def _document(rig: RigRecipe, entry: Callable[[AnyKind, Any], dict[str, Any]]) -> dict[str, Any]:
     document: dict[str, Any] = {}
     for kind in calibrated_kinds():
-        entries = {kind.name_of(recipe): kind.calibrate(recipe, site) for recipe in rig.of(kind.recipe)}
+        entries = {kind.name_of(recipe): entry(kind, recipe) for recipe in rig.of(kind.recipe)}
         if entries or kind.required:
             document[kind.key] = entries[kind.block] if kind.single else entries
     return document
+
+
+def calibrate_rig(rig: RigRecipe, site: SiteRecipe, quality: str, streams: Streams) -> RigCalibration:
+    """The calibration that is given of a rig at a site, and the true one. quality: "exact", or one of QUALITIES.
+
+    The errors are drawn from the covariance that the given one states; streams: those of the sequence.
+    """
+    true = _document(rig, lambda kind, recipe: kind.true_calibration(recipe, site))
+    if quality not in QUALITIES:
+        return RigCalibration(rig_calibration(rig, site), true, {})
+    sizes = QUALITIES[quality]
+    sensors = [(kind, recipe) for kind in calibrated_kinds() for recipe in rig.of(kind.recipe)]
+    model = joined(
+        {
+            kind.name_of(recipe): kind.error_model(recipe, kind.calibrate(recipe, site), sizes)
+            for kind, recipe in sensors
+        }
+    )
+    errors = draw_errors(model, streams.at("calibration"))
+
+    def of(kind: AnyKind, recipe: Any) -> dict[str, float]:
+        return errors_of(errors, kind.name_of(recipe), kind.key)
+
+    given = _document(
+        rig,
+        lambda kind, recipe: kind.as_given(recipe, kind.calibrate(recipe, site), of(kind, recipe), sizes),
+    )
+    true = _document(
+        rig,
+        lambda kind, recipe: kind.as_true(recipe, kind.true_calibration(recipe, site), of(kind, recipe), sizes),
+    )
+    return RigCalibration({**given, UNCERTAINTY: uncertainty_of(model).as_entry()}, true, errors)
 
 
 def read_calibrations(document: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -20,6 +20,7 @@ from oysterbench.sensors.kind import Row
 from oysterbench.sensors.kind import topic as topic_of
 from oysterbench.sensors.registry import read_calibrations, sensor_kinds
 from oysterbench.sensors.sonar import read_cloud
+from oysterbench.sensors.uncertainty import UNCERTAINTY, Uncertainty
 from oysterbench.sequence.file import (
     DAMAGE,
     Attachments,
@@ -41,6 +42,7 @@ __all__ = [
     "METADATA",
     "OYSTERS",
     "STEERING",
+    "TRUE_CALIBRATION",
     "McapSequence",
     "read_attachments",
     "read_messages",
@@ -52,6 +54,7 @@ METADATA = "oysterbench"
 CALIBRATION = "calibration.json"
 OYSTERS = "truth/oysters.csv"
 STEERING = "truth/steering.csv"
+TRUE_CALIBRATION = "truth/calibration.json"
 
 
 class McapSequence(Sequence):
@@ -78,10 +81,23 @@ class McapSequence(Sequence):
                 channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()
             }
             self.name = self.metadata["sequence"]
-            calibrations = read_calibrations(json.loads(self.attachments[CALIBRATION]))
-            for block, found in calibrations.items():
-                kind = sensor_kinds()[block]
-                setattr(self, kind.attribute, found[block] if kind.single else found)
+            document = json.loads(self.attachments[CALIBRATION])
+            self._calibrate(document)
+            if UNCERTAINTY in document:
+                self.uncertainty = Uncertainty.from_entry(document[UNCERTAINTY])
+
+    def _calibrate(self, document: Mapping[str, Any]) -> None:
+        for block, found in read_calibrations(document).items():
+            kind = sensor_kinds()[block]
+            setattr(self, kind.attribute, found[block] if kind.single else found)
+
+    def truly_calibrated(self) -> Sequence:
+        if TRUE_CALIBRATION not in self.attachments:
+            return self
+        twin = McapSequence(self.path)
+        twin._calibrate(self._decoded(lambda: json.loads(self.attachments[TRUE_CALIBRATION])))
+        twin.uncertainty = None
+        return twin
 
     @property
     def duration_s(self) -> float:

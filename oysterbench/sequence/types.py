@@ -34,6 +34,7 @@ from oysterbench.sensors.pressure import PressureCalibration
 from oysterbench.sensors.registry import AnyKind, calibrated_kinds, sensor_kinds
 from oysterbench.sensors.scanner import ScannerCalibration
 from oysterbench.sensors.sonar import SonarCalibration
+from oysterbench.sensors.uncertainty import Uncertainty
 from oysterbench.sequence.truth import TRUTH_TYPES
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ __all__ = [
     "SensorsOnly",
     "Sequence",
     "SonarCalibration",
+    "Uncertainty",
     "imu_arrays",
 ]
 
@@ -70,6 +72,8 @@ class Sequence(ABC):
     dvl_calibration: DvlCalibration | None = None
     pressure_calibration: PressureCalibration | None = None
     magnetometer_calibration: MagnetometerCalibration | None = None
+    uncertainty: Uncertainty | None = None
+    """What the calibrations say of their own errors; None where they have none to speak of."""
 
     def sensors(self) -> dict[str, AnyKind]:
         """Name -> kind of every sensor."""
@@ -189,6 +193,11 @@ class Sequence(ABC):
     def _tagged(rank: int, measured: Iterator[Any]) -> Iterator[tuple[int, int, Any]]:
         return ((item.stamp_ns, rank, item) for item in measured)
 
+    def truly_calibrated(self) -> Sequence:
+        """The same sequence with the true calibrations in the place of the given ones, for evaluators: what fits the
+        truth. Where they are the same, the sequence itself."""
+        return self
+
     def for_method(self) -> Sequence:
         """The same sensors without the truth: what a method is given."""
         return SensorsOnly(self)
@@ -209,6 +218,7 @@ class SensorsOnly(Sequence):
         for kind in calibrated_kinds():
             if hasattr(sequence, kind.attribute):
                 setattr(self, kind.attribute, getattr(sequence, kind.attribute))
+        self.uncertainty = sequence.uncertainty
         self.metadata = {"sequence": sequence.name}
         self._duration_s = sequence.duration_s
         self._contents = [row for row in sequence.contents() if is_measured(row[0])]
@@ -237,6 +247,9 @@ class SensorsOnly(Sequence):
 
     def truth(self) -> Trajectory:
         self._hidden("truth()")
+
+    def truly_calibrated(self) -> Sequence:
+        self._hidden("truly_calibrated()")
 
     def oysters(self) -> pd.DataFrame:
         self._hidden("oysters()")

@@ -13,7 +13,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,11 +25,12 @@ from oysterbench.core.errors import OysterbenchError, RecipeError, SequenceError
 from oysterbench.core.files import home, locked, write_atomically
 from oysterbench.core.geometry import Array
 from oysterbench.core.ros import EPOCH_NS, TF_STATIC, Message
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, count
 from oysterbench.recipe.sensors import SensorRecipe
-from oysterbench.sensors.registry import kind_of, rig_calibration, rig_frames, rig_sensors
+from oysterbench.sensors.registry import calibrate_rig, kind_of, rig_frames, rig_sensors
 from oysterbench.sequence.file import read_attachments, read_messages
-from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, STEERING, McapSequence
+from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, STEERING, TRUE_CALIBRATION, McapSequence
 from oysterbench.sequence.truth import rig_topics, static_transforms
 from oysterbench.sequence.write import SequenceWriter, pack
 from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
@@ -138,7 +139,7 @@ def generate_split(
                     return run_in_processes(task, jobs, workers, partial(_warm_up, device))
                 return run_here(task, jobs)
 
-            _render(split, missing, folder, made_by, run, progress or (lambda done, total: None))
+            _render(split, missing, folder, made_by, salt, run, progress or (lambda done, total: None))
         with contextlib.suppress(OSError):  # absent, or with parts of other recipes in it
             (folder / ".parts").rmdir()
     return files
@@ -174,6 +175,7 @@ def _render(
     sequences: list[SequenceRecipe],
     folder: Path,
     made_by: str,
+    salt: bytes,
     run: Callable[[list[Job]], Results[Job]],
     progress: Progress,
 ) -> None:
@@ -193,7 +195,7 @@ def _render(
 
     def put_together(name: str) -> None:
         parts = _parts(folder, name, made_by)
-        assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", made_by)
+        assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", made_by, salt)
         shutil.rmtree(parts, ignore_errors=True)
 
     for name in [name for name, missing in waiting.items() if not missing]:
@@ -250,10 +252,12 @@ def _sources(rig: RigRecipe) -> dict[str, str]:
     return {name: bulky.get(name, "") for name in rig_topics(rig) if name != TF_STATIC}
 
 
-def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, made_by: str) -> None:
+def assemble(
+    split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, made_by: str, salt: bytes = b""
+) -> None:
     """Put the parts of a sequence together, in time order; the file appears in one step."""
     rig = split.rig_of(recipe)
-    calibration = rig_calibration(rig, recipe.site)
+    calibration = calibrate_rig(rig, recipe.site, recipe.calibration, Streams(split.seed, salt, (recipe.name,)))
     jobs = plan(split, recipe)
     temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
     with open(temporary, "wb") as file:
@@ -270,13 +274,16 @@ def assemble(split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path
                 "oysterbench": VERSION,
             },
         )
-        writer.attachment(CALIBRATION, "application/json", json.dumps(calibration, indent=1).encode())
+        writer.attachment(CALIBRATION, "application/json", json.dumps(calibration.given, indent=1).encode())
         writer.attachment("classes.json", "application/json", json.dumps(CLASSES).encode())
         writer.attachment("split.toml", "application/toml", split.source.encode())
         writer.attachment("rig.toml", "application/toml", split.rig_source.encode())
         for name, table in read_attachments(parts / Job(recipe.name).part).items():
             writer.attachment(name, "text/csv", table)
-        writer.write(static_transforms(EPOCH_NS, _frames(rig, calibration)))
+        if calibration.true != calibration.given:
+            truth = {**calibration.true, "errors": calibration.errors}
+            writer.attachment(TRUE_CALIBRATION, "application/json", json.dumps(truth, indent=1).encode())
+        writer.write(static_transforms(EPOCH_NS, _frames(rig, calibration.given)))
         writer.section()
         for topic, source in _sources(rig).items():  # a section each, so that reading one touches no other
             files = [parts / job.part for job in jobs if job.source == source]
@@ -294,14 +301,14 @@ def _read_parts(files: list[Path], topic: str) -> Iterator[Message]:
         yield from read_messages(file, [topic])
 
 
-def _frames(rig: RigRecipe, calibration: dict[str, Any]) -> dict[str, tuple[Array, Array]]:
+def _frames(rig: RigRecipe, calibration: Mapping[str, Any]) -> dict[str, tuple[Array, Array]]:
     """Poses in base_link of the rig's frames: name -> (position (3,) m, quaternion (4,))."""
     from scipy.spatial.transform import Rotation
 
     frames = {}
     for frame, (kind, name) in rig_frames(rig).items():
         entry = calibration[kind.key] if kind.single else calibration[kind.key][name]
-        T = np.array(next(value for key, value in entry.items() if key.startswith("T_base_")))
+        T = np.array(entry[kind.pose])
         frames[frame] = (T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
     return frames
 

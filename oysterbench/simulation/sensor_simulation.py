@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.core.ros import EPOCH_NS, Message
 from oysterbench.recipe import count
@@ -26,12 +28,24 @@ def sensor_messages(
     kind = kind_of(recipe)
     n = count(simulated.recipe.duration_s, recipe.rate_hz)
     name = (kind.block,) if kind.single else (kind.block, kind.name_of(recipe))
-    stamps = clock.stamps(n, recipe.rate_hz, EPOCH_NS, recipe.clock_offset_ms)
+    stamps = sensor_stamps(simulated, recipe, n)
     kept = clock.kept(n, recipe, simulated.streams.at(*name))
     wanted = np.arange(first, n if last is None else last)
     instants = Instants(np.arange(n) / recipe.rate_hz, stamps, wanted[kept[wanted]])
     for measurement in kind.measure(simulated, recipe, instants):
         yield from kind.encode(recipe, measurement)
+
+
+def sensor_stamps(simulated: SimulatedSequence, recipe: SensorRecipe, n: int) -> NDArray[np.int64]:
+    """(n,) int64 stamps of a sensor's samples: by its clock, late by what no calibration knows, and with jitter."""
+    kind = kind_of(recipe)
+    true = kind.true_entry(simulated, recipe)
+    offset_ms = recipe.clock_offset_ms + 1e3 * true.get("time_offset_s", 0.0)
+    stamps = clock.stamps(n, recipe.rate_hz, EPOCH_NS, offset_ms)
+    sigma_s = math.hypot(1e-3 * recipe.clock_jitter_ms, true.get("time_jitter_s", 0.0))
+    if sigma_s:
+        stamps += clock.jitter(n, recipe.rate_hz, sigma_s, simulated.streams.at("clock", kind.block))
+    return stamps
 
 
 def small_messages(simulated: SimulatedSequence) -> Iterator[Message]:

@@ -15,6 +15,8 @@ from oysterbench.render.camera import CameraRenderer
 from oysterbench.render.rays import RayCaster
 from oysterbench.scene.path import Path, build_path
 from oysterbench.scene.world import World, build_world
+from oysterbench.sensors.registry import calibrate_rig
+from oysterbench.sensors.uncertainty import RigCalibration
 
 T = TypeVar("T")
 
@@ -39,6 +41,11 @@ class SimulatedSequence:
     def caster(self) -> RayCaster:
         """Single rays, for what hears."""
         return RayCaster(self.world, self.device)
+
+    @cached_property
+    def calibration(self) -> RigCalibration:
+        """What is given of the rig, and what is true."""
+        return calibrate_rig(self.rig, self.recipe.site, self.recipe.calibration, self.streams)
 
     @cached_property
     def _instruments(self) -> dict[SensorRecipe, Any]:

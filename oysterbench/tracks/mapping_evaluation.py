@@ -21,13 +21,14 @@ from oysterbench.mapping import MapSettings, OysterMap, Seen, build_map, true_se
 from oysterbench.mapping.cover import Cover
 from oysterbench.mapping.grid import Grid, Oyster, make_grid
 from oysterbench.mapping.predicted import true_states
-from oysterbench.mapping.projection import Lens, usable
+from oysterbench.mapping.projection import usable
 from oysterbench.mapping.survey import empty_cover
 from oysterbench.mapping.views import PoseInterpolator
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
 from oysterbench.results.records import ResultRecord
 from oysterbench.sequence import Sequence
+from oysterbench.sequence.export.ply import pixel_rays, points_at
 from oysterbench.tracks.slam import truth_digest
 from oysterbench.tracks.track import Announce, about_sequence
 
@@ -71,17 +72,18 @@ def true_map(sequence: Sequence, camera: str, settings: MapSettings) -> TrueMap:
 
     An oyster is shown where some picture has `least_px` of it within the greatest distance.
     """
-    truth = sequence.truth()
-    interpolator, lens = PoseInterpolator(truth, settings.max_gap_s), Lens(camera, sequence.cameras[camera])
+    truth, calibration = sequence.truth(), sequence.truly_calibrated().cameras[camera]
+    interpolator, rays = PoseInterpolator(truth, settings.max_gap_s), pixel_rays(calibration)
     cover = empty_cover(truth, settings)
     most: Counter[int] = Counter()
     for depth, picture in zip(sequence.layer(camera, "depth"), true_seen(sequence, camera), strict=True):
-        T = interpolator.at(depth.stamp_ns)
+        T = interpolator.at(calibration.taken_ns(depth.stamp_ns))
         if T is None:
             continue
-        near = usable(depth.pixels, settings)
-        points = lens.points(depth.pixels.astype(float), T @ sequence.cameras[camera].T_base_cam)
-        cover.add(points[near], depth.pixels[near], None)
+        near = usable(depth.pixels, settings) & np.isfinite(rays[..., 0])
+        T_map_cam = T @ calibration.T_base_cam
+        points = points_at(rays[near], depth.pixels[near].astype(float)) @ T_map_cam[:3, :3].T + T_map_cam[:3, 3]
+        cover.add(points, depth.pixels[near], None)
         numbers, pixels = np.unique(picture.numbers[near], return_counts=True)
         for number, count in zip(numbers.tolist(), pixels.tolist(), strict=True):
             most[number] = max(most[number], count)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from oysterbench.annotations import open_labelled, open_truth
-from oysterbench.annotations.truth import footprint_m2
+from oysterbench.annotations.truth import footprint_m2, footprint_rays
 from oysterbench.core.geometry import transform
 from oysterbench.sequence import CameraCalibration
 
@@ -23,7 +23,7 @@ def test_the_seabed_in_view_is_that_of_a_plane_below():
     down = transform(Rotation.from_euler("x", 180, degrees=True).as_matrix(), np.array([3.0, 4.0, -1.0]))
     level = np.full((HEIGHT, WIDTH), 2.0, np.float32)
     expected = (WIDTH - 1) * (HEIGHT - 1) * (2.0 / FOCAL) ** 2
-    assert footprint_m2(level, camera(), down) == pytest.approx(expected, rel=1e-9)
+    assert footprint_m2(level, footprint_rays(camera()), down) == pytest.approx(expected, rel=1e-9)
     # Seen obliquely, a level bottom 2 m below shows the area between where the corners' rays meet it.
     tilt = Rotation.from_euler("x", 150, degrees=True)
     v, u = np.mgrid[:HEIGHT, :WIDTH]
@@ -32,12 +32,21 @@ def test_the_seabed_in_view_is_that_of_a_plane_below():
     corners = [(rays * depth[..., None])[i, j, :2] for i, j in ((0, 0), (0, -1), (-1, -1), (-1, 0))]
     x, y = np.array(corners).T
     area = 0.5 * abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-    assert footprint_m2(depth, camera(), transform(tilt.as_matrix(), np.zeros(3))) == pytest.approx(area, rel=1e-5)
+    pose = transform(tilt.as_matrix(), np.zeros(3))
+    assert footprint_m2(depth, footprint_rays(camera()), pose) == pytest.approx(area, rel=1e-5)
 
 
-def test_nothing_is_said_of_a_flat_port_or_of_empty_water():
-    assert footprint_m2(np.ones((HEIGHT, WIDTH), np.float32), camera(port_m=0.02, port_index=1.33), np.eye(4)) is None
-    assert footprint_m2(np.zeros((HEIGHT, WIDTH), np.float32), camera(), np.eye(4)) is None
+def test_behind_a_flat_port_less_is_in_view():
+    level = np.full((HEIGHT, WIDTH), 2.0, np.float32)
+    open_water, behind_glass = (
+        footprint_m2(level, footprint_rays(camera(**port)), np.eye(4))
+        for port in ({}, {"port_m": 0.02, "port_index": 1.33})
+    )
+    assert 0.4 < behind_glass / open_water < 1 / 1.33**2 + 0.02
+
+
+def test_empty_water_has_no_seabed():
+    assert footprint_m2(np.zeros((HEIGHT, WIDTH), np.float32), footprint_rays(camera()), np.eye(4)) is None
 
 
 def test_a_sequence_is_a_clip_with_the_truth_that_training_has(tiny_file):

@@ -39,8 +39,9 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     notes = [f"image_{index} is {name}" for index, name in enumerate(pair)]
     notes += port_notes(sequence, pair)
     if truth:
-        path = sequence.truth()
-        known = within(path, kept)
+        path, true = sequence.truth(), sequence.truly_calibrated().cameras[left]
+        taken = {true.taken_ns(stamp): stamp for stamp in kept}
+        known = [taken[time] for time in within(path, list(taken))]
         if len(known) < len(kept):
             notes.append(f"{len(kept) - len(known)} frames before or after the truth were left out: no pose is known")
         kept = known
@@ -51,7 +52,8 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     write_lines(place / "calib.txt", _projections(sequence, pair, matrix))
     write_lines(place / "times.txt", (f"{(stamp - kept[0]) * 1e-9:.9e}" for stamp in kept))
     if truth:
-        poses = sensor_poses(path.at(np.array(kept, dtype=np.int64)), sequence.cameras[left].T_base_cam)
+        times = np.array([true.taken_ns(stamp) for stamp in kept], dtype=np.int64)
+        poses = sensor_poses(path.at(times), true.T_base_cam)
         (folder / "poses").mkdir()
         write_lines(folder / "poses" / "00.txt", (_row(pose[:3]) for pose in invert(poses[0]) @ poses))
     return notes

@@ -44,7 +44,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
             f"{sequence.name}: point clouds are made of the truth: expected a camera with depth or a sonar with clouds "
             f"and no --no-truth, got {'--no-truth' if not truth else 'neither'}"
         )
-    path = sequence.truth()
+    path, sequence = sequence.truth(), sequence.truly_calibrated()
     notes = []
     for name in cameras:
         cloud = camera_cloud(sequence, name, path, topics)
@@ -59,18 +59,20 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
 
 def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[str]) -> NDArray[Any]:
     """(N,) POINT: the pixels with depth of all frames that the truth spans, in map, thinned to one per voxel."""
-    rays = pixel_rays(sequence.cameras[camera])
+    calibration = sequence.cameras[camera]
+    rays = pixel_rays(calibration)
     known_rays = np.isfinite(rays[..., 0])
     layers = ["depth", *(name for name in ("class", "instance") if f"/{camera}/{name}" in topics)]
     kept = [np.zeros(0, dtype=POINT)]
     known = np.zeros(0, dtype=np.int64)
     for image, found in frames_with_layers(sequence, camera, layers):
-        if not _spans(path, image.stamp_ns):
+        taken_ns = calibration.taken_ns(image.stamp_ns)
+        if not _spans(path, taken_ns):
             continue
         depth = found.pop("depth")
         seen = (depth > 0) & known_rays
         shown = points_at(rays[seen], depth[seen].astype(float))
-        points = _in_map(path, image.stamp_ns, sequence.cameras[camera].T_base_cam, shown)
+        points = _in_map(path, taken_ns, calibration.T_base_cam, shown)
         rows = _rows(points, POINT)
         for k, colour in enumerate(("red", "green", "blue")):
             rows[colour] = image.pixels[seen][:, k]
@@ -104,10 +106,15 @@ def pixel_rays(camera: CameraCalibration) -> Array:
     That z is 0, but behind a flat port, which bends every ray by Snell's law: none of them goes through the pupil.
     """
     columns, rows = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+    return rays_at(camera, columns, rows)
+
+
+def rays_at(camera: CameraCalibration, columns: Array, rows: Array) -> Array:
+    """(H, W, 3): the same of the places at columns and rows (H, W) px of the picture."""
     if camera.distortion_model == "equidistant":
         pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
         plane = np.asarray(cv2.fisheye.undistortPoints(pixels, camera.matrix, camera.distortion[:4]))
-        x, y = plane.reshape(camera.height, camera.width, 2).transpose(2, 0, 1)
+        x, y = plane.reshape(*columns.shape, 2).transpose(2, 0, 1)
     else:
         matrix = camera.matrix
         x, y = _without_distortion(

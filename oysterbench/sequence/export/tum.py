@@ -42,7 +42,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     if far:
         notes.append(f"{far} pixels of depth beyond {65535 / DEPTH_STEPS:g} m do not fit the format: they are 0")
     path = sequence.truth()
-    poses = sensor_poses(path, sequence.cameras[name].T_base_cam)
+    poses = sensor_poses(path, sequence.truly_calibrated().cameras[name].T_base_cam)
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
     write_tum(folder / "groundtruth.txt", Trajectory(path.stamps_ns, poses[:, :3, 3], quaternions))
     return notes
