@@ -152,10 +152,11 @@ def _check_recipe(record: Record, here: str) -> None:
 def _score_paths(record: Record, files: Mapping[str, Path], truths: Mapping[str, Trajectory]) -> Made:
     """Kept paths, one file per run; a run without one stays the failure that it was, and costs stay as measured."""
     from oysterbench.evaluate.slam.scoring import SlamSettings, score
+    from oysterbench_leaderboard.submissions.catalogue import KIND_OF
 
-    if record.track != "slam":
+    if KIND_OF.get(record.track) != "poses":
         raise ResultError(f"expected paths, got answers of the track {record.track}; run the method again")
-    version, settings = evaluator_of("slam")
+    version, settings = evaluator_of(record.track)
     results: list[ResultRecord] = []
     curves: dict[str, Any] = {}
     for old in record.results:

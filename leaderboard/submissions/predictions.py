@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from oysterbench.evaluate.segmentation import EstimateImage
     from oysterbench.methods.steering import Steering
     from oysterbench.results.records import ResultRecord
+    from oysterbench.tracks.images import ImageTrack
 
 IMAGE = ".png"
 LARGEST_IMAGE_PX = 1 << 26
@@ -248,28 +249,35 @@ def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted
 
 
 def _mask_reader(name: str, pixels: Callable[[], Any], wanted: Wanted) -> Reader:
-    """Of a mask, or of what hangs together in it."""
+    """Of what the track takes of a mask."""
 
-    def mask() -> EstimateImage:
+    def prediction() -> EstimateImage | ImageInstances:
         from oysterbench.annotations import MaskFiles
+        from oysterbench.methods.images import Segmentation
 
         with refusing(name):
             found = MaskFiles(Path("upload"), {name: pixels}, "auto").get(name)
         values = next(v for v in (found.oyster, found.probability, found.classes) if v is not None)
         _check_shape(name, values.shape, wanted, name)
-        return found
-
-    def instances() -> ImageInstances:
-        from oysterbench.evaluate.detection import DetectionSettings
-        from oysterbench.methods.images import Segmentation
-        from oysterbench.tracks.images import instances_of
-
-        found = mask()
+        track = image_track(wanted.track)
         with refusing(name):
-            prediction = Segmentation(found.name, found.oyster, found.probability, found.classes)
-            return instances_of(prediction, name, wanted.size(name) or (1, 1), DetectionSettings().threshold)
+            given = Segmentation(found.name, found.oyster, found.probability, found.classes)
+            taken: EstimateImage | ImageInstances = track.of_prediction(
+                given, name, wanted.size(name) or (1, 1), track.settings({})
+            )
+            return taken
 
-    return mask if wanted.track == "segmentation" else instances
+    return prediction
+
+
+def image_track(name: str) -> ImageTrack:
+    """A track of images, by its name."""
+    from oysterbench.tracks import TRACKS
+    from oysterbench.tracks.images import ImageTrack
+
+    track = TRACKS[name]
+    assert isinstance(track, ImageTrack), name
+    return track
 
 
 def _coco(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
@@ -285,13 +293,11 @@ def _coco(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, 
     for name in file.names:
         _check_image(name, wanted, label, sequence)
 
-    def prediction(name: str) -> EstimateImage | ImageInstances:
-        from oysterbench.evaluate.segmentation import SegmentationSettings
+    track = image_track(wanted.track)
 
+    def prediction(name: str) -> Any:
         with refusing(label, place):
-            if wanted.track == "segmentation":
-                return file.mask(name, SegmentationSettings().threshold)
-            return file.instances(name, scored=True)
+            return track.of_coco(file, name, track.settings({}))
 
     return {name: partial(prediction, name) for name in file.names}
 

@@ -18,7 +18,7 @@ from oysterbench.core.errors import LabelError, MethodError, TrajectoryError
 from oysterbench.results.records import ResultRecord, plain
 from oysterbench.tracks import TRACKS
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Kind, Wanted, why
-from oysterbench_leaderboard.submissions.predictions import Predictions, Reader
+from oysterbench_leaderboard.submissions.predictions import Predictions, Reader, image_track
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 MISSING = "nothing was sent for this sequence"
@@ -165,7 +165,7 @@ class PathScorer(Scorer):
         from oysterbench_leaderboard.curves import sequence_curve
 
         estimate, notes = self._read(readers[self._sequence])
-        found = score(self._truth, estimate, TRACKS["slam"].settings({}))
+        found = score(self._truth, estimate, TRACKS[self.wanted.track].settings({}))
         if not self.wanted.hidden:
             self._curves[self._sequence] = sequence_curve(found, 0)
         return Found(found.metrics, found.reasons, notes)
@@ -198,12 +198,9 @@ class ImageScorer(Scorer):
     """Of the tracks segmentation and detection."""
 
     def __init__(self, wanted: Wanted, method: str) -> None:
-        from oysterbench.tracks.images import ImageTrack
-
         super().__init__(wanted, method)
-        track = TRACKS[wanted.track]
-        assert isinstance(track, ImageTrack), wanted.track
-        self._track, self._settings = track, track.settings({})
+        self._track = image_track(wanted.track)
+        self._settings = self._track.settings({})
         self._scores: dict[str, Any] = {}
 
     def open(self, path: Path, sequence: str) -> str:
