@@ -57,8 +57,7 @@ ROWS = Table(
     Index("oysterbench_rows_of_method", "method", "team"),
 )
 """`board.Row`. words: method and team, for searching; position: on its board, in the order of ranks, those without a
-place last; summary_data:
-`RecordSummary` as JSON, what a board is ranked by."""
+place last; summary_data: `RecordSummary` as JSON, what a board is ranked by."""
 
 
 class Database:
