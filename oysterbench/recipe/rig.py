@@ -63,6 +63,9 @@ class CameraRecipe(NamedSensorRecipe):
     exposure_stops: float = number(-6, 6, 0.0)  # brighter than metered
     gain: float = number(1, 64, 1.0)  # amplification of fewer photons to the same brightness: more noise
     shutter_ms: float = number(0, 200, 0.0)  # time that the shutter is open, for motion blur; 0: an instant
+    # Rolling shutter: rows are read readout_ms / height after each other; 15 to 33 ms of low-light USB cameras on small
+    # ROVs. The stamp is the middle of the exposure of the middle row. 0: all rows at once.
+    readout_ms: float = number(0, 50, 0.0)
     focus_m: float = number(0.05, 20, 1.0)  # distance at which marine snow is sharp
 
     @property

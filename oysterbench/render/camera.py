@@ -13,11 +13,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe
-from oysterbench.render import blur, caustics, edges, kernels, lamps, occlusion, rays, sensor, snow, visibility
+from oysterbench.render import blur, caustics, edges, kernels, lamps, occlusion, rays, sensor, shutter, snow, visibility
 from oysterbench.render.casting import Hit
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.light import build_light, exposure, sky_fan, sun_fan
 from oysterbench.render.optics import Optics
+from oysterbench.render.passage import STILL, Passage
 from oysterbench.render.radiance import Daylight
 from oysterbench.render.target import start_warp
 from oysterbench.render.upload import upload_geometry, upload_looks, upload_optics, upload_vehicle, without_water
@@ -30,7 +31,7 @@ from oysterbench.scene.world import World
 Pose = NDArray[np.float64]
 
 DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
-MODULES = (kernels, edges, occlusion, sensor, lamps, caustics, snow, blur, visibility, rays)
+MODULES = (kernels, edges, occlusion, sensor, lamps, caustics, snow, blur, visibility, rays, shutter)
 LAYERS = (
     "radiance",
     "clean",
@@ -103,19 +104,16 @@ class CameraRenderer:
         generator: np.random.Generator,
         time_s: float = 0.0,
         T_map_base: Pose | None = None,
-        shutter: Sequence[Pose] = (),
+        passage: Passage = STILL,
     ) -> Frame:
         """Frame from the pose T_map_cam (4, 4) of the optical frame in `map`; `generator` gives the sensor's noise.
 
         time_s moves waves and marine snow. T_map_base: where the vehicle is, for cameras that it does not carry as the
-        recipe says. shutter: further poses of the camera while the shutter is open, whose mean is the picture; depth,
-        classes and instances are those at T_map_cam.
+        recipe says. passage: how the camera moves meanwhile; depth, classes and instances are those of each row's own
+        pose, in the middle of its exposure.
         """
-        weight = 1.0 / (1 + len(shutter))
-        self._radiance.zero_()
         self._prepare(T_map_cam, time_s, T_map_base)
-        for pose in (*shutter, T_map_cam):
-            self._accumulate(pose, time_s, weight)
+        self._expose(T_map_cam, time_s, passage)
         with self._timed("noise"):
             shape = (self.camera.height, self.camera.width, 3)
             noise = wp.array(generator.standard_normal(shape, dtype=np.float32), device=self.device)
@@ -146,7 +144,12 @@ class CameraRenderer:
         return depth, classes, instances
 
     def layers(
-        self, T_map_cam: Pose, names: Sequence[str], time_s: float = 0.0, T_map_base: Pose | None = None
+        self,
+        T_map_cam: Pose,
+        names: Sequence[str],
+        time_s: float = 0.0,
+        T_map_base: Pose | None = None,
+        passage: Passage = STILL,
     ) -> dict[str, NDArray[np.generic]]:
         """What the picture at a pose is made of, each by its name in LAYERS, before lens shading, exposure and noise.
 
@@ -155,14 +158,14 @@ class CameraRenderer:
         `clean` is the same light in the same place without any water. depth, classes, instances: as in
         Frame. normals (H, W, 3) float32: outward unit normals in the optical frame, 0 where nothing is. visibility
         (N + 2,) float32 by instance number: pixels in which it is seen over those in which it would be if it were
-        alone; NaN for what has none.
+        alone; NaN for what has none. passage: as for `render`; layers are those of an instant in each row.
         """
         unknown = sorted(set(names) - set(LAYERS))
         if unknown:
             raise ValueError(f"unknown layers {unknown}; expected some of {', '.join(LAYERS)}")
-        self._radiance.zero_()
+        view = self._view(T_map_cam, passage)
         self._prepare(T_map_cam, time_s, T_map_base)
-        self._accumulate(T_map_cam, time_s, 1.0)
+        self._expose(T_map_cam, time_s, passage)
         radiance = self._radiance.numpy().copy()
         share = self._blur_share
         direct, forward_scatter, backscatter = (
@@ -182,12 +185,13 @@ class CameraRenderer:
             "instances": instances,
         }
         if "normals" in names:
-            turned = self._normals.numpy() @ np.asarray(T_map_cam[:3, :3], dtype=np.float32)
+            turns = T_map_cam[None, :3, :3] if passage.rows is None else passage.rows[1:-1, :3, :3]
+            turned = self._normals.numpy() @ np.asarray(turns, dtype=np.float32)
             found["normals"] = np.where(depth[..., None] > 0, turned, np.float32(0.0))
         if "visibility" in names:
-            found["visibility"] = self._visibility(T_map_cam, instances)
+            found["visibility"] = self._visibility(view, instances)
         if "clean" in names:
-            self._trace(self._view(T_map_cam), self._clear)
+            self._trace(view, self._clear)
             found["clean"] = self._sharp.numpy().copy()
         return {name: found[name] for name in names}
 
@@ -213,7 +217,7 @@ class CameraRenderer:
             self._geometry.vehicle.rotation = wp.mat33(*T_map_base[:3, :3].astype(np.float32).ravel().tolist())
             self._geometry.vehicle.position = wp.vec3(*T_map_base[:3, 3].tolist())
 
-    def _view(self, T_map_cam: Pose) -> CameraView:
+    def _view(self, T_map_cam: Pose, passage: Passage = STILL) -> CameraView:
         view = CameraView()
         pose = np.asarray(T_map_cam, dtype=np.float32)
         view.position = wp.vec3(*pose[:3, 3].tolist())
@@ -222,11 +226,16 @@ class CameraRenderer:
         view.focal = float(camera_matrix(self.camera)[0, 0])
         view.max_range = self.camera.max_range_m
         view.port = int(self.camera.port_mm is not None)
+        if passage.rows is not None:
+            rows = passage.rows.astype(np.float32)
+            view.rolling = 1
+            view.positions = wp.array(rows[:, :3, 3], dtype=wp.vec3, device=self.device)
+            view.rotations = wp.array(rows[:, :3, :3], dtype=wp.mat33, device=self.device)
         return view
 
-    def _accumulate(self, T_map_cam: Pose, time_s: float, weight: float) -> None:
-        """Add what arrives at the sensor from a pose to `_radiance`, and leave the truth of it."""
-        view = self._view(T_map_cam)
+    def _expose(self, T_map_cam: Pose, time_s: float, passage: Passage) -> None:
+        """Leave what arrives at the sensor in `_radiance`, and the truth of it."""
+        view = self._view(T_map_cam, passage)
         self._trace(view, self._optics)
         shape = self._radiance.shape
         if self._blur_share > 0:
@@ -236,17 +245,20 @@ class CameraRenderer:
         if flakes is not None:
             with self._timed("snow"):
                 pose = np.round(np.asarray(T_map_cam, dtype=float), 9)
-                self._snow.fall(view, self._optics, self._truth[0], pose, self._rays, time_s)
+                self._snow.fall(view, self._optics, self._truth[0], pose, self._rays, time_s, passage)
+        device = self.device
         with self._timed("compose"):
             light = [self._sharp, self._forward_scatter, self._blurred, self._backscatter, self._blur_share]
-            flakes_or_none = [flakes, snow.UNIT] if flakes is not None else [self._no_flakes, 0.0]
-            wp.launch(
-                sensor.compose,
-                shape,
-                inputs=[*light, *flakes_or_none, weight],
-                outputs=[self._radiance],
-                device=self.device,
-            )
+            instant = self._radiance if passage.ends is None else self._instant
+            wp.launch(sensor.compose, shape, inputs=light, outputs=[instant], device=device)
+        if passage.ends is not None:
+            with self._timed("shutter"):
+                self._shutter.trace(view, self._hits, T_map_cam, passage.ends)
+                self._shutter.blur(self._instant, self._hits, self._radiance)
+        if flakes is not None:
+            with self._timed("compose"):
+                inputs = [flakes, snow.UNIT]
+                wp.launch(sensor.add_flakes, shape, inputs=inputs, outputs=[self._radiance], device=device)
 
     def _trace(self, view: CameraView, optics: Optics) -> None:
         """Cast, shade and refine the picture of a view into sharp, forward_scatter and backscatter."""
@@ -284,10 +296,10 @@ class CameraRenderer:
     def _scattering(self, optics: Optics) -> wp.vec3:
         return wp.vec3(0.0, 0.0, 0.0) if optics is self._clear else self._water_scattering
 
-    def _visibility(self, T_map_cam: Pose, instances: NDArray[np.uint16]) -> NDArray[np.float32]:
+    def _visibility(self, view: CameraView, instances: NDArray[np.uint16]) -> NDArray[np.float32]:
         """Visible over unhidden pixels (N + 2,) of each instance number, NaN where there are none."""
         counts = wp.zeros(self._count + 2, dtype=wp.int32, device=self.device)
-        inputs = [self._geometry, self._view(T_map_cam)]
+        inputs = [self._geometry, view]
         wp.launch(visibility.count_unhidden, instances.shape, inputs=inputs, outputs=[counts], device=self.device)
         alone = counts.numpy()
         seen = np.bincount(instances.ravel(), minlength=len(alone))
@@ -332,11 +344,11 @@ class CameraRenderer:
         self._hits, self._normals = picture(Hit), picture(wp.vec3)
         self._lit, self._open = picture(wp.uint8), picture(wp.float32)
         self._sharp, self._forward_scatter, self._backscatter = (picture(wp.vec3) for _ in range(3))
-        self._blurred, self._radiance = picture(wp.vec3), picture(wp.vec3)
+        self._blurred, self._radiance, self._instant = (picture(wp.vec3) for _ in range(3))
+        self._shutter = shutter.Shutter(shape, self.device)
         self._jagged = [picture(wp.vec3) for _ in range(3)]
         self._level, self._openings = picture(wp.float32), picture(wp.float32)
         self._truth = [picture(wp.float32), picture(wp.uint8), picture(wp.uint16)]
-        self._no_flakes = wp.zeros((1, 1, 4), dtype=wp.int32, device=self.device)
         self._colour = wp.zeros((*shape, 3), dtype=wp.uint8, device=self.device)
 
     @contextmanager

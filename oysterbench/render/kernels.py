@@ -262,7 +262,9 @@ def trace(
     kind = wp.uint8(0)
     number = wp.uint16(0)
     if within:
-        distance = hit.t + wp.dot(origin - view.position, view.rotation * wp.vec3(0.0, 0.0, 1.0))
+        distance = hit.t
+        if view.port != 0:
+            distance += view.rays[row + 1, column + 1][2]
         kind = wp.uint8(1)
         if hit.instance >= 0:
             kind = world.placed[hit.instance].kind

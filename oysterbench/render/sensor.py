@@ -41,22 +41,24 @@ def compose(
     blurred: wp.array2d(dtype=wp.vec3),
     backscatter: wp.array2d(dtype=wp.vec3),
     share: float,
-    snow: wp.array3d(dtype=wp.int32),
-    unit: float,
-    weight: float,
     radiance: wp.array2d(dtype=wp.vec3),
 ):
-    """Add what arrives in a pixel, `weight` times: surfaces, water and, where `unit` is not 0, flakes before them."""
+    """What arrives in a pixel from surfaces and water; share: of the light scattered forward that is blurred."""
     i, j = wp.tid()
     total = sharp[i, j] + backscatter[i, j]
     total += forward_scatter[i, j] * (1.0 - share)
     if share > 0.0:
         total += blurred[i, j] * share
-    if unit > 0.0:
-        hidden = wp.min(float(snow[i, j, 3]) * unit, 1.0)
-        light = wp.vec3(float(snow[i, j, 0]), float(snow[i, j, 1]), float(snow[i, j, 2])) * unit
-        total = total * (1.0 - hidden) + light
-    radiance[i, j] += total * weight
+    radiance[i, j] = total
+
+
+@wp.kernel
+def add_flakes(snow: wp.array3d(dtype=wp.int32), unit: float, radiance: wp.array2d(dtype=wp.vec3)):
+    """Flakes before a picture: their light, and what they hide, in units."""
+    i, j = wp.tid()
+    hidden = wp.min(float(snow[i, j, 3]) * unit, 1.0)
+    light = wp.vec3(float(snow[i, j, 0]), float(snow[i, j, 1]), float(snow[i, j, 2])) * unit
+    radiance[i, j] = radiance[i, j] * (1.0 - hidden) + light
 
 
 @wp.kernel

@@ -15,6 +15,7 @@ from oysterbench.recipe import CameraRecipe
 from oysterbench.render.lamps import phase
 from oysterbench.render.lens import project
 from oysterbench.render.optics import Optics, beam_light, lamp_irradiance, look_up, look_up_pair, veiling
+from oysterbench.render.passage import STILL, Passage
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.view import CameraView
 from oysterbench.render.water import Water
@@ -39,6 +40,7 @@ LEAST_RADIUS_PX = 0.75  # of a disc: a pixel's own extent
 SOFT_RIM = wp.constant(0.5)  # width of a disc's rim over its radius
 SMALL_RADIUS_PX = wp.constant(2.0)  # of discs that are drawn round and soft
 LARGEST_RADIUS_PX = 24.0
+LONGEST_WAY_PX = 64.0  # that a flake takes along either axis in one exposure or readout
 UNIT = 2.0**-20  # step in which light is counted: sums of any order agree
 
 
@@ -99,7 +101,14 @@ class Snow:
         return places[seen], sizes[seen]
 
     def fall(
-        self, view: CameraView, optics: Optics, depth: wp.array, T_map_cam: Array, rays: NDArray, time_s: float
+        self,
+        view: CameraView,
+        optics: Optics,
+        depth: wp.array,
+        T_map_cam: Array,
+        rays: NDArray,
+        time_s: float,
+        passage: Passage = STILL,
     ) -> None:
         """Draw the flakes before the surfaces of `depth` (H, W) into `light`."""
         assert self.light is not None
@@ -117,9 +126,13 @@ class Snow:
         inside = inside < max(self.camera.width, self.camera.height) / 2 + 1
         if not inside.any():
             return
-        columns = np.column_stack([pixels, radius, cover])[inside]
+        columns, places = np.column_stack([pixels, radius, cover])[inside], places[inside]
+        if passage.rows is not None:
+            columns[:, :2] += self._rolled(passage.rows, T_map_cam, places, columns[:, 1])
+        if passage.ends is not None:
+            columns, places = self._streaks(passage.ends, T_map_cam, columns, places)
         discs = wp.array(np.round(columns, 5).astype(np.float32), dtype=wp.vec4, device=self.device)
-        where = wp.array(np.round(places[inside], 6).astype(np.float32), dtype=wp.vec3, device=self.device)
+        where = wp.array(np.round(places, 6).astype(np.float32), dtype=wp.vec3, device=self.device)
         wp.launch(
             draw,
             len(columns),
@@ -127,6 +140,33 @@ class Snow:
             outputs=[self.light],
             device=self.device,
         )
+
+    def _way(self, ends: Array, T_map_cam: Array, places: Array) -> Array:
+        """How far (N, 2), px, places (N, 3) in the optical frame go while the camera goes from one pose to another."""
+        seen = []
+        for end in ends:
+            motion = np.round(np.linalg.inv(end) @ T_map_cam, 9)
+            points = _turn(motion[:3, :3], places) + motion[:3, 3]
+            points[:, 2] = np.maximum(points[:, 2], NEAREST_M / 2)
+            seen.append(project(points, self.camera))
+        return np.asarray(np.clip(seen[1] - seen[0], -LONGEST_WAY_PX, LONGEST_WAY_PX))
+
+    def _rolled(self, rows: Array, T_map_cam: Array, places: Array, heights: Array) -> Array:
+        """How much (N, 2), px, flakes at those heights in the picture have moved when their rows are exposed."""
+        way = self._way(rows[[0, -1]], T_map_cam, places) / (len(rows) - 1)
+        late = (np.clip(heights, 0, self.camera.height) - (self.camera.height - 1) / 2) / (1 - way[:, 1])
+        return np.asarray(way * late[:, None])
+
+    def _streaks(self, ends: Array, T_map_cam: Array, columns: Array, places: Array) -> tuple[Array, Array]:
+        """Discs in a row instead of each disc, along its way over the exposure, and their places."""
+        way = self._way(ends, T_map_cam, places)
+        parts = np.ceil(np.sqrt((way**2).sum(axis=1)) / np.maximum(columns[:, 2], 1.0)).astype(int) + 1
+        owner = np.repeat(np.arange(len(parts)), parts)
+        at = (np.arange(len(owner)) - (np.cumsum(parts) - parts)[owner] + 0.5) / parts[owner] - 0.5
+        drawn = columns[owner]
+        drawn[:, :2] += way[owner] * at[:, None]
+        drawn[:, 3] /= parts[owner]
+        return drawn, places[owner]
 
 
 def _turn(rotation: Array, points: Array) -> Array:

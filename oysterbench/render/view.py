@@ -1,4 +1,4 @@
-"""A camera's place and rays on the device."""
+"""A camera's place and rays on the device: one pose for the whole picture, or one for each of its rows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ class CameraView:
     """A camera: rotation takes its optical axes into `map`.
 
     rays (H + 2, W + 2): x and y at z = 1 of the ray through a pixel, and z where it starts, with a border of a pixel
-    (lens.pixel_rays); focal, px, gives a pixel's width.
+    (lens.pixel_rays); focal, px, gives a pixel's width. Where `rolling` is not 0, row r is seen from positions[r + 1]
+    and rotations[r + 1], (H + 2,) each, and `position` and `rotation` are those of the middle of the picture.
     """
 
     position: wp.vec3
@@ -19,6 +20,9 @@ class CameraView:
     focal: wp.float32
     max_range: wp.float32
     port: wp.int32
+    rolling: wp.int32
+    positions: wp.array(dtype=wp.vec3)
+    rotations: wp.array(dtype=wp.mat33)
 
 
 @wp.func
@@ -35,18 +39,40 @@ def ray_at(view: CameraView, u: float, v: float):
 
 
 @wp.func
+def rotation_at(view: CameraView, v: float):
+    """The camera's rotation when a place of height v in the picture, px, is exposed."""
+    rotation = view.rotation
+    if view.rolling != 0:
+        y = wp.clamp(v + 1.0, 0.0, float(view.rotations.shape[0] - 1) - 0.001)
+        i = int(y)
+        rotation = view.rotations[i] + (view.rotations[i + 1] - view.rotations[i]) * (y - float(i))
+    return rotation
+
+
+@wp.func
+def position_at(view: CameraView, v: float):
+    """The camera's position in `map`, m, when a place of height v in the picture, px, is exposed."""
+    position = view.position
+    if view.rolling != 0:
+        y = wp.clamp(v + 1.0, 0.0, float(view.positions.shape[0] - 1) - 0.001)
+        i = int(y)
+        position = view.positions[i] + (view.positions[i + 1] - view.positions[i]) * (y - float(i))
+    return position
+
+
+@wp.func
 def ray_through(view: CameraView, u: float, v: float):
     """Direction in `map` through a place in the picture, of unit length along the optical axis: t is depth."""
     ray = ray_at(view, u, v)
-    return view.rotation * wp.vec3(ray[0], ray[1], 1.0)
+    return rotation_at(view, v) * wp.vec3(ray[0], ray[1], 1.0)
 
 
 @wp.func
 def ray_start(view: CameraView, u: float, v: float):
     """Where on the optical axis the ray of a place in the picture starts, in `map`, m."""
-    start = view.position
+    start = position_at(view, v)
     if view.port != 0:
-        start = start + view.rotation * wp.vec3(0.0, 0.0, ray_at(view, u, v)[2])
+        start = start + rotation_at(view, v) * wp.vec3(0.0, 0.0, ray_at(view, u, v)[2])
     return start
 
 
@@ -54,13 +80,22 @@ def ray_start(view: CameraView, u: float, v: float):
 def pixel_ray(view: CameraView, row: int, column: int):
     """Direction in `map` through the centre of a pixel, of unit length along the optical axis: t is depth."""
     ray = view.rays[row + 1, column + 1]
-    return view.rotation * wp.vec3(ray[0], ray[1], 1.0)
+    rotation = view.rotation
+    if view.rolling != 0:
+        rotation = view.rotations[row + 1]
+    return rotation * wp.vec3(ray[0], ray[1], 1.0)
 
 
 @wp.func
 def pixel_start(view: CameraView, row: int, column: int):
     """Where on the optical axis the ray of a pixel starts, in `map`, m."""
     start = view.position
+    if view.rolling != 0:
+        start = view.positions[row + 1]
     if view.port != 0:
-        start = start + view.rotation * wp.vec3(0.0, 0.0, view.rays[row + 1, column + 1][2])
+        lift = wp.vec3(0.0, 0.0, view.rays[row + 1, column + 1][2])
+        rotation = view.rotation
+        if view.rolling != 0:
+            rotation = view.rotations[row + 1]
+        start = start + rotation * lift
     return start

@@ -22,13 +22,13 @@ from oysterbench.sensors.uncertainty import ErrorModel, Quality
 
 if TYPE_CHECKING:
     from oysterbench.render.camera import Frame
+    from oysterbench.render.passage import Passage
     from oysterbench.sensors.panels import Panel
 
 COLOUR = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 PNG_LEVEL = 1  # of 9: a turbid frame becomes 5 % smaller at 6, in four times the time
 FRAME_LAYERS = ("depth", "class", "instance")
-SHUTTER_POSES = 4  # besides the frame's own, evenly while the shutter is open
 
 LAYERS = {
     "depth": "16UC1",
@@ -99,34 +99,38 @@ class CameraFrame:
 
 
 def render_frame(world: SensedWorld, camera: CameraRecipe, index: int) -> Frame:
-    """Frame `index` of a camera: what it sees at index / rate_hz seconds."""
-    from oysterbench.scene.rig import camera_pose
-
-    time_s = index / camera.rate_hz
-    opened = camera.shutter_ms * 1e-3 * (np.arange(SHUTTER_POSES) / SHUTTER_POSES - 0.5) if camera.shutter_ms else ()
-    body, *shutter = world.bodies(np.maximum(time_s + np.array([0.0, *opened]), 0.0))
-    mount = camera_pose(camera)
+    """Frame `index` of a camera: what it sees at index / rate_hz seconds, in the middle of the frame's exposure."""
     noise = world.streams.generator("camera", camera.name, "noise", index)
-    renderer = world.renderers[camera.name]
-    return renderer.render(body @ mount, noise, time_s, body, [pose @ mount for pose in shutter])
+    T_map_cam, time_s, body, moved = _shot(world, camera, index)
+    return world.renderers[camera.name].render(T_map_cam, noise, time_s, body, moved)
 
 
 def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[str, NDArray[Any]]:
     """Those layers of frame `index` that no frame carries by itself, as the camera's recipe names them."""
-    from oysterbench.scene.rig import camera_pose
-
     wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
     if not wanted:
         return {}
-    time_s = index / camera.rate_hz
-    (body,) = world.bodies(np.array([time_s]))
     renderer = world.renderers[camera.name]
-    layers: dict[str, NDArray[Any]] = dict(
-        renderer.layers(body @ camera_pose(camera), [*wanted, "instances"], time_s, body)
-    )
+    T_map_cam, time_s, body, moved = _shot(world, camera, index)
+    layers: dict[str, NDArray[Any]] = dict(renderer.layers(T_map_cam, [*wanted, "instances"], time_s, body, moved))
     if "visibility" in layers:
         layers["visibility"] = layers["visibility"][layers["instances"]]
     return {name: layers[name] for name in wanted}
+
+
+def _shot(world: SensedWorld, camera: CameraRecipe, index: int) -> tuple[Array, float, Array, Passage]:
+    """Frame `index`: T_map_cam, its time in s, T_map_base, and how the camera moves meanwhile."""
+    from oysterbench.render.passage import passage
+    from oysterbench.scene.rig import camera_pose
+
+    time_s = index / camera.rate_hz
+    mount = camera_pose(camera)
+    (body,) = world.bodies(np.array([time_s]))
+
+    def poses(after_s: Array) -> list[Array]:
+        return [body @ mount for body in world.bodies(time_s + after_s)]
+
+    return body @ mount, time_s, body, passage(camera, camera.shutter_ms * 1e-3, poses)
 
 
 def camera_info(stamp_ns: int, name: str, calibration: CameraCalibration) -> Message:

@@ -154,15 +154,6 @@ def test_exposure_is_in_stops():
     assert np.array(list(two._gain)) == pytest.approx(2 * np.array(list(one._gain)))
 
 
-def test_motion_blur_is_the_mean_over_the_shutters_poses():
-    renderer = renderer_of(small_reef())
-    poses = [pose(0.02 * k, 0.0, -2.2, 20, 40) for k in range(3)]
-    sharp = [renderer.layers(p, ["radiance"])["radiance"] for p in poses]
-    frame = renderer.render(poses[1], noise(), shutter=[poses[0], poses[2]])
-    assert renderer._radiance.numpy() == pytest.approx(np.mean(sharp, axis=0), abs=1e-5)
-    assert np.array_equal(frame.depth, renderer.render(poses[1], noise()).depth)
-
-
 def test_snow_grows_with_its_density_and_stays_where_it_is():
     def flakes(density, T_map_cam=PLACE, time_s=0.0):
         snow = renderer_of(small_reef(FLAT, water={"snow_per_m3": density}))._snow

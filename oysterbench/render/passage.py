@@ -1,0 +1,40 @@
+"""How a camera moves while it takes one picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from oysterbench.core.geometry import Array
+from oysterbench.recipe import CameraRecipe
+
+
+@dataclass(frozen=True)
+class Passage:
+    """Poses T_map_cam (4, 4) during a picture whose middle row is exposed around the pose of the picture.
+
+    rows (H + 2, 4, 4): at the middle of the exposure of each row, and of one row beyond the first and the last; None
+    where all rows are exposed at once. ends (2, 4, 4): when the shutter opens and closes for the middle row; None where
+    it is open for an instant.
+    """
+
+    rows: Array | None = None
+    ends: Array | None = None
+
+
+STILL = Passage()
+
+
+def row_times(camera: CameraRecipe) -> Array:
+    """When rows -1 to H are exposed, (H + 2,) s after the middle of the picture: each readout_ms / H after the last."""
+    rows = np.arange(-1, camera.height + 1)
+    return np.asarray((rows - (camera.height - 1) / 2) * (camera.readout_ms * 1e-3 / camera.height))
+
+
+def passage(camera: CameraRecipe, shutter_s: float, poses: Callable[[Array], list[Array]]) -> Passage:
+    """A camera's passage; poses: T_map_cam (4, 4) at times (N,) s after the middle of the picture."""
+    rows = np.array(poses(row_times(camera))) if camera.readout_ms else None
+    ends = np.array(poses(np.array([-0.5, 0.5]) * shutter_s)) if shutter_s else None
+    return Passage(rows, ends)
