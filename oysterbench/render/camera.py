@@ -282,7 +282,7 @@ class CameraRenderer:
             outputs = [*self._jagged, self._level, self._openings]
             wp.launch(kernels.shade, shape, inputs=inputs, outputs=outputs, device=device)
         with self._timed("edges"):
-            inputs = [self._geometry, view, self._hits, self._level, *self._jagged]
+            inputs = [self._geometry, view, *surfaces, self._level, *self._jagged]
             outputs = [self._sharp, self._forward_scatter, self._backscatter]
             wp.launch(edges.refine, shape, inputs=inputs, outputs=outputs, device=device)
 

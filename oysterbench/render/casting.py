@@ -89,6 +89,57 @@ def near_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3):
 
 
 @wp.func
+def cast_instance(world: Geometry, i: int, origin: wp.vec3, direction: wp.vec3, max_t: float):
+    """Where a ray meets instance i; NOTHING where it does not before max_t."""
+    hit = Hit()
+    hit.t = max_t
+    hit.instance = NOTHING
+    to_shape = world.placed[i].to_shape
+    start = to_shape * (origin - world.placed[i].position)
+    found = wp.mesh_query_ray(world.placed[i].mesh, start, to_shape * direction, max_t)
+    if found.result:
+        hit.t = found.t
+        hit.instance = i
+        hit.face = found.face
+        hit.u = found.u
+        hit.v = found.v
+    return hit
+
+
+@wp.func
+def cast_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3, max_t: float):
+    """Where a ray meets the vehicle, if there is one; NOTHING where it does not before max_t."""
+    hit = Hit()
+    hit.t = max_t
+    hit.instance = NOTHING
+    if vehicle.mesh != wp.uint64(0):  # noqa: SIM102 - Warp evaluates both sides of an `and`
+        if near_vehicle(vehicle, origin, direction):
+            back = wp.transpose(vehicle.rotation)
+            start = back * (origin - vehicle.position)
+            body = wp.mesh_query_ray(vehicle.mesh, start, back * direction, max_t)
+            if body.result:
+                hit.t = body.t
+                hit.instance = VEHICLE
+                hit.face = body.face
+                hit.u = body.u
+                hit.v = body.v
+    return hit
+
+
+@wp.func
+def cast_surface(world: Geometry, surface: int, origin: wp.vec3, direction: wp.vec3, max_t: float):
+    """Where a ray meets one instance, or the vehicle; NOTHING for all else, and where it does not before max_t."""
+    hit = Hit()
+    hit.t = max_t
+    hit.instance = NOTHING
+    if surface >= 0:
+        hit = cast_instance(world, surface, origin, direction, max_t)
+    elif surface == VEHICLE:
+        hit = cast_vehicle(world.vehicle, origin, direction, max_t)
+    return hit
+
+
+@wp.func
 def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
     """Nearest hit of a ray."""
     hit = Hit()
@@ -110,28 +161,23 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
         query = wp.bvh_query_ray(world.boxes, origin, direction)
         i = wp.int32(0)
         while wp.bvh_query_next(query, i, hit.t):
-            to_shape = world.placed[i].to_shape
-            start = to_shape * (origin - world.placed[i].position)
-            along = to_shape * direction
-            found = wp.mesh_query_ray(world.placed[i].mesh, start, along, hit.t)
-            if found.result:
-                hit.t = found.t
-                hit.instance = i
-                hit.face = found.face
-                hit.u = found.u
-                hit.v = found.v
-    if world.vehicle.mesh != wp.uint64(0):  # noqa: SIM102 - Warp evaluates both sides of an `and`
-        if near_vehicle(world.vehicle, origin, direction):
-            back = wp.transpose(world.vehicle.rotation)
-            start = back * (origin - world.vehicle.position)
-            body = wp.mesh_query_ray(world.vehicle.mesh, start, back * direction, hit.t)
-            if body.result:
-                hit.t = body.t
-                hit.instance = VEHICLE
-                hit.face = body.face
-                hit.u = body.u
-                hit.v = body.v
+            nearer = cast_instance(world, i, origin, direction, hit.t)
+            if nearer.instance != NOTHING:
+                hit = nearer
+    body = cast_vehicle(world.vehicle, origin, direction, hit.t)
+    if body.instance != NOTHING:
+        hit = body
     return hit
+
+
+@wp.func
+def blocked_by_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3, max_t: float):
+    """Whether the vehicle, if there is one, lies on a ray before max_t."""
+    if vehicle.mesh != wp.uint64(0):  # noqa: SIM102 - Warp evaluates both sides of an `and`
+        if near_vehicle(vehicle, origin, direction):
+            back = wp.transpose(vehicle.rotation)
+            return wp.mesh_query_ray_anyhit(vehicle.mesh, back * (origin - vehicle.position), back * direction, max_t)
+    return False
 
 
 @wp.func
@@ -145,16 +191,9 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
         while wp.bvh_query_next(query, i, max_t):
             to_shape = world.placed[i].to_shape
             start = to_shape * (origin - world.placed[i].position)
-            along = to_shape * direction
-            if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, along, max_t):
+            if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, to_shape * direction, max_t):
                 return True
-    if world.vehicle.mesh != wp.uint64(0):  # noqa: SIM102 - Warp evaluates both sides of an `and`
-        if near_vehicle(world.vehicle, origin, direction):
-            back = wp.transpose(world.vehicle.rotation)
-            start = back * (origin - world.vehicle.position)
-            if wp.mesh_query_ray_anyhit(world.vehicle.mesh, start, back * direction, max_t):
-                return True
-    return False
+    return blocked_by_vehicle(world.vehicle, origin, direction, max_t)
 
 
 @wp.func

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.render.casting import FAR_M, RELIEF, SKIRT, Geometry, Hit, cast
+from oysterbench.render.casting import FAR_M, NOTHING, RELIEF, SKIRT, Geometry, Hit, cast_surface
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.view import CameraView, ray_start, ray_through
+from oysterbench.render.view import CameraView, pixel_ray, pixel_start, ray_start, ray_through
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -26,10 +26,61 @@ def surface_of(hits: wp.array2d(dtype=Hit), i: int, j: int):
 
 
 @wp.func
-def surface_at(world: Geometry, view: CameraView, u: float, v: float):
-    """Which surface lies behind a place in the picture, px."""
-    hit = cast(world, ray_start(view, u, v), ray_through(view, u, v), FAR_M)
-    return wp.where(hit.instance == SKIRT, RELIEF, hit.instance)
+def plane_at(view: CameraView, t: float, normal: wp.vec3, row: int, column: int, origin: wp.vec3, direction: wp.vec3):
+    """Depth at which a ray meets the plane through what a pixel sees at depth t, within a tenth of that."""
+    p = pixel_start(view, row, column) + pixel_ray(view, row, column) * t
+    towards = wp.dot(normal, direction)
+    met = t
+    if towards < -0.001:
+        met = wp.clamp(wp.dot(normal, p - origin) / towards, 0.9 * t, 1.1 * t)
+    return met
+
+
+@wp.func
+def surface_at(
+    world: Geometry,
+    view: CameraView,
+    hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
+    i: int,
+    j: int,
+    side: int,
+):
+    """Which of the surfaces that the four pixels around a sample see lies behind it.
+
+    The seabed there is taken as flat as where one of them sees it, so that only meshes are asked again.
+    """
+    u = float(j) + SAMPLE_U * float(side)
+    v = float(i) + SAMPLE_V * float(side)
+    origin = ray_start(view, u, v)
+    direction = ray_through(view, u, v)
+    k = wp.clamp(i + side, 0, hits.shape[0] - 1)
+    m = wp.clamp(j + side, 0, hits.shape[1] - 1)
+    found = wp.int32(NOTHING)
+    t = wp.float32(FAR_M)
+    for corner in range(4):
+        row = wp.where(corner // 2 == 1, k, i)
+        column = wp.where(corner % 2 == 1, m, j)
+        if surface_of(hits, row, column) == RELIEF and found != RELIEF:
+            found = wp.int32(RELIEF)
+            t = plane_at(view, hits[row, column].t, normals[row, column], row, column, origin, direction)
+    first = surface_of(hits, i, j)
+    second = surface_of(hits, i, m)
+    third = surface_of(hits, k, j)
+    fourth = surface_of(hits, k, m)
+    for corner in range(4):
+        asked = first
+        if corner == 1:
+            asked = wp.where(second != first, second, NOTHING)
+        elif corner == 2:
+            asked = wp.where(third != first and third != second, third, NOTHING)
+        elif corner == 3:
+            asked = wp.where(fourth != first and fourth != second and fourth != third, fourth, NOTHING)
+        nearer = cast_surface(world, asked, origin, direction, t)
+        if nearer.instance != NOTHING:
+            found = nearer.instance
+            t = nearer.t
+    return found
 
 
 @wp.func
@@ -52,6 +103,7 @@ def refine(
     world: Geometry,
     view: CameraView,
     hits: wp.array2d(dtype=Hit),
+    normals: wp.array2d(dtype=wp.vec3),
     level: wp.array2d(dtype=wp.float32),
     sharp: wp.array2d(dtype=wp.vec3),
     forward_scatter: wp.array2d(dtype=wp.vec3),
@@ -62,8 +114,8 @@ def refine(
 ):
     """Where an edge runs between neighbours, the mean of the centre and a sample on each side of it, on a slant.
 
-    A sample takes its light from those of the four pixels around it that see its surface, the more the nearer; one
-    whose surface none of them sees is thinner than a pixel, and does not count.
+    A sample sees the nearest of the surfaces of the four pixels around it, and takes its light from those that see
+    the same, the more the nearer; where it sees none of them, it does not count.
     """
     i, j = wp.tid()
     last_row = level.shape[0] - 1
@@ -81,9 +133,7 @@ def refine(
             side = 1 - 2 * k
             surface = surface_of(hits, i, j)
             if edge == 2:
-                u = float(j) + SAMPLE_U * float(side)
-                v = float(i) + SAMPLE_V * float(side)
-                surface = surface_at(world, view, u, v)
+                surface = surface_at(world, view, hits, normals, i, j, side)
             for corner in range(4):
                 row = wp.clamp(i + side * (corner // 2), 0, last_row)
                 column = wp.clamp(j + side * (corner % 2), 0, last_column)

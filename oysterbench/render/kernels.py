@@ -99,7 +99,14 @@ def sun_share(
     """Share of the sun's light that arrives in a pixel: of its fan, which 4 x 4 neighbours hold, if that is wide."""
     own = lit[row, column]
     share = wp.where(own == wp.uint8(SHADED), 0.0, 1.0)
+    mixed = wp.bool(False)
     if own != wp.uint8(SURELY_LIT) and spread > LEAST_SPREAD:
+        for di in range(-2, 2):
+            for dj in range(-2, 2):
+                i = wp.clamp(row + di, 0, lit.shape[0] - 1)
+                j = wp.clamp(column + dj, 0, lit.shape[1] - 1)
+                mixed = mixed or (lit[i, j] == wp.uint8(SHADED)) != (own == wp.uint8(SHADED))
+    if mixed:
         weight = wp.float32(1.0)
         for di in range(-2, 2):
             for dj in range(-2, 2):

@@ -77,12 +77,20 @@ def gathered(
     prior: float,
 ):
     """Openness from the fan of the neighbours that lie on the same surface; `prior` where they are few."""
-    total = PRIOR_RAYS * prior
-    weight = wp.float32(PRIOR_RAYS)
+    hidden = wp.bool(prior < 1.0)
     for di in range(-2, 2):
         for dj in range(-2, 2):
-            if same_surface(hits, normals, row, column, row + di, column + dj):
-                total += open[row + di, column + dj]
-                weight += 1.0
-    share = total / weight
+            i = wp.clamp(row + di, 0, open.shape[0] - 1)
+            j = wp.clamp(column + dj, 0, open.shape[1] - 1)
+            hidden = hidden or open[i, j] < 1.0
+    share = wp.float32(1.0)
+    if hidden:
+        total = PRIOR_RAYS * prior
+        weight = wp.float32(PRIOR_RAYS)
+        for di in range(-2, 2):
+            for dj in range(-2, 2):
+                if same_surface(hits, normals, row, column, row + di, column + dj):
+                    total += open[row + di, column + dj]
+                    weight += 1.0
+        share = total / weight
     return share + (1.0 - share) * INTERREFLECTION
