@@ -51,11 +51,11 @@ class Observations:
 
 
 def undistort(pixels: Array, calibration: CameraCalibration) -> Array:
-    """Normalised coordinates (N, 2) of pixels (N, 2), Brown-Conrady distortion removed."""
+    """Normalised coordinates (N, 2) of pixels (N, 2), distortion removed."""
     if len(pixels) == 0:
         return np.empty((0, 2))
     points = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-    rays = cv2.undistortPoints(points, calibration.matrix, calibration.distortion)
+    rays = _lens(calibration).undistortPoints(points, calibration.matrix, calibration.distortion)
     return np.asarray(rays.reshape(-1, 2), dtype=float)
 
 
@@ -64,8 +64,14 @@ def distort(rays: Array, calibration: CameraCalibration) -> Array:
     if len(rays) == 0:
         return np.empty((0, 2))
     points = homogeneous(rays).reshape(-1, 1, 3)
-    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), calibration.matrix, calibration.distortion)
+    matrix, distortion = calibration.matrix, calibration.distortion
+    pixels, _ = _lens(calibration).projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)
     return np.asarray(pixels.reshape(-1, 2), dtype=float)
+
+
+def _lens(calibration: CameraCalibration) -> Any:
+    """OpenCV's functions of a lens: Kannala-Brandt or Brown-Conrady."""
+    return cv2.fisheye if calibration.distortion_model == "equidistant" else cv2
 
 
 def homogeneous(rays: Array) -> Array:

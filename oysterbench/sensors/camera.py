@@ -64,8 +64,9 @@ class CameraCalibration:
     """A camera: matrix (3, 3) in px, distortion, pose of its optical frame.
 
     distortion_model and distortion as in sensor_msgs/CameraInfo: plumb_bob (Brown-Conrady k1, k2, p1, p2[, k3]) or
-    equidistant (Kannala-Brandt k1 to k4). Behind a flat port both are those in air: port_m is the distance from the
-    pupil to the port, port_index the water's refractive index against air; None without one. Stamps are late by
+    equidistant (Kannala-Brandt k1 to k4). Behind a flat port, methods are given a lens in water that was fitted to it;
+    the true calibration has the lens in air, port_m from the pupil to the port, and port_index, the water's refractive
+    index against air. Stamps are late by
     time_offset_s, give or take time_jitter_s, 1 sigma.
     """
 
@@ -225,6 +226,24 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
         return camera_topics(recipe.name, recipe.sent_layers)
 
     def calibrate(self, recipe: CameraRecipe, site: SiteRecipe | None) -> dict[str, Any]:
+        true = self.true_calibration(recipe, site)
+        if recipe.port_mm is None:
+            return true
+        from oysterbench.sensors.port import WORKING_M, fit_in_water
+
+        fit = fit_in_water(recipe)
+        T_base_cam = np.array(true["T_base_cam"])
+        T_base_cam[:3, 3] = np.round(T_base_cam[:3, 3] + T_base_cam[:3, 2] * fit.axial_m, 9)
+        del true["port"]
+        return true | {
+            "matrix": fit.matrix.tolist(),
+            "distortion_model": "equidistant",
+            "distortion": list(fit.distortion),
+            "T_base_cam": T_base_cam.tolist(),
+            "fitted": {"from_m": WORKING_M[0], "to_m": WORKING_M[1], "rms_px": fit.rms_px, "worst_px": fit.worst_px},
+        }
+
+    def true_calibration(self, recipe: CameraRecipe, site: SiteRecipe | None) -> dict[str, Any]:
         from oysterbench.scene.rig import PORT_INDEX, camera_matrix, camera_pose
 
         entry: dict[str, Any] = {

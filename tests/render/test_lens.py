@@ -23,9 +23,7 @@ PORT = dataclasses.replace(CAMERA, port_mm=40.0)
 
 
 def calibration(camera):
-    return KIND.read_calibration(
-        rig_calibration(dataclasses.replace(SPLIT.rig, camera=(camera,)), SPLIT.sequence[0].site)["cameras"]["test"]
-    )
+    return KIND.read_calibration(KIND.true_calibration(camera, SPLIT.sequence[0].site))
 
 
 def opencv_pixels(points, camera):

@@ -1,0 +1,57 @@
+"""What is handed out of a camera behind a flat port, against the refracted rays themselves."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+
+from oysterbench.recipe import CameraRecipe, SiteRecipe
+from oysterbench.render.lens import project
+from oysterbench.sensors.camera import KIND
+
+PORT = CameraRecipe(name="cam", width=640, height=480, hfov_deg=69.0, rate_hz=10.0, port_mm=10.0, pitch_deg=40.0)
+SITE = SiteRecipe()
+
+
+@pytest.mark.parametrize("port_mm", [2.0, 10.0, 30.0])
+def test_the_fitted_lens_misses_true_projections_by_what_it_states(port_mm):
+    camera = dataclasses.replace(PORT, port_mm=port_mm)
+    given, true = KIND.calibrate(camera, SITE), KIND.true_calibration(camera, SITE)
+    calibration = KIND.read_calibration(given)
+    generator = np.random.default_rng(1)
+    depth = generator.uniform(0.5, 2.0, 4000)
+    points = np.column_stack([generator.uniform(-0.68, 0.68, 4000), generator.uniform(-0.5, 0.5, 4000), np.ones(4000)])
+    points = points * depth[:, None]
+    seen = project(points, camera)
+    T_given_true = np.linalg.inv(calibration.T_base_cam) @ np.array(true["T_base_cam"])
+    moved = points @ T_given_true[:3, :3].T + T_given_true[:3, 3]
+    found, _ = cv2.fisheye.projectPoints(
+        moved[:, None], np.zeros(3), np.zeros(3), calibration.matrix, calibration.distortion
+    )
+    inside = np.all((seen >= 0) & (seen <= [639, 479]), axis=1)
+    miss = np.hypot(*(found[:, 0] - seen)[inside].T)
+    assert np.sqrt(np.mean(miss**2)) < 1.2 * given["fitted"]["rms_px"]
+    assert miss.max() < 1.2 * given["fitted"]["worst_px"]
+
+
+def test_only_the_truth_knows_the_port_and_its_residual_grows_with_it():
+    given, true = KIND.calibrate(PORT, SITE), KIND.true_calibration(PORT, SITE)
+    assert true["port"] == {"distance_m": 0.01, "index": 1.33}
+    assert "port" not in given
+    assert KIND.read_calibration(given).port_m is None
+    assert KIND.read_calibration(true).port_m == 0.01
+    rms = [KIND.calibrate(dataclasses.replace(PORT, port_mm=d), SITE)["fitted"]["rms_px"] for d in (2.0, 10.0, 30.0)]
+    assert rms[0] < rms[1] < rms[2] < 1.0
+
+
+def test_the_fitted_focal_length_is_that_in_air_times_the_index():
+    air = np.array(KIND.true_calibration(PORT, SITE)["matrix"])[0, 0]
+    assert KIND.calibrate(PORT, SITE)["matrix"][0][0] == pytest.approx(1.33 * air, rel=0.02)
+
+
+def test_without_a_port_a_perfect_calibration_is_the_truth():
+    camera = dataclasses.replace(PORT, port_mm=None)
+    assert KIND.calibrate(camera, SITE) == KIND.true_calibration(camera, SITE)
