@@ -89,6 +89,10 @@ class SiteRecipe:
     current_to_deg: float = number(-360, 360, 0.0)  # where the current goes
     field_ut: float = number(20, 70, 50.5)  # strength of the Earth's magnetic field
     inclination_deg: float = number(-90, 90, 65.0)  # its dip below the horizon
+    iron: int = number(0, 500, 0)  # pieces of steel on or in the bottom: anchors, rebar, wreckage
+    iron_am2: float = number(0.01, 1000, 5.0)
+    """Their median magnetic moment, A m^2: 0.1 to 1 a kilogram (Breiner 1973, Applications Manual for Portable
+    Magnetometers)."""
     declination_deg: float = number(-180, 180, -10.8)  # of magnetic from true north, east positive
 
 

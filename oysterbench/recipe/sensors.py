@@ -76,3 +76,10 @@ class BinnedSonarRecipe(AcousticRecipe):
     looks: float = number(0.5, 100, 1.0)  # of the speckle: intensity is Gamma with this shape; 1 is fully developed
     noise_db: float = number(-200, 0, -105.0)  # noise over the echo of a perfect scatterer filling a beam at 1 m
     tvg: bool = field(default=True)  # time-varying gain: undoes spreading and absorption
+    volume_db: float | None = number(-120, -30, None)
+    """Reverberation of the water: its volume backscattering strength, dB re 1/m; -90 in clear water, -70 to -50 in
+    coastal water with plankton, bubbles or silt at hundreds of kHz (Urick 1983, ch. 8); None: none."""
+    interference: float = number(0, 1, 0.0)  # share of pings that a pulse of another's device strikes
+    interference_db: float = number(-120, 0, -60.0)  # its level over the echo of a perfect scatterer at 1 m
+    interference_ms: float = number(0.05, 200, 10.0)  # its length: USBL and modems 5 to 20 ms, other sonars 0.05 to 1
+    interference_bearing_deg: float | None = number(-360, 360, None)  # in map, where the other is; None: drawn

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from oysterbench.core.errors import RecipeError
 from oysterbench.core.geometry import Array, transform
 from oysterbench.core.measurements import DvlMeasurement
 from oysterbench.core.ros import (
@@ -28,10 +29,13 @@ from oysterbench.core.ros import (
     vector,
 )
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import SiteRecipe
+from oysterbench.recipe import SiteRecipe, count
 from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors import acoustics
+from oysterbench.sensors.dvl_echoes import listen
+from oysterbench.sensors.dvl_faults import Strikes, arrivals, ping_times, strike
+from oysterbench.sensors.faults import Fault, spans
 from oysterbench.sensors.kind import XYZ, Instants, Row, SensedWorld, SensorKind, Strip, columns_of, link, quantise
 from oysterbench.sensors.uncertainty import ErrorModel, Quality, independent, mount_errors
 
@@ -40,13 +44,9 @@ if TYPE_CHECKING:
     from oysterbench.scene.path import Path
 
 VELOCITY = "geometry_msgs/msg/TwistWithCovarianceStamped"
-FREQUENCY_KHZ = 1000.0  # of the A50 class
 BEAM_AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)
-CONE_RAYS, CONE_DEG = 6, 1.5  # around each beam's axis, and how far off it: a beam is some 4 deg wide
-GRAZING_COSINE = 0.25  # of the incidence, below which an echo is too long to measure
-WEAKEST_BOTTOM = "mud"  # that it holds on to at its greatest range
-MARGIN = 1.2  # that rays reach farther, for an assumed speed of sound that makes ranges shorter
 FEWEST_BEAMS = 3  # for three components of velocity
+ALTITUDE_STEP_S = 0.1  # between the altitudes that the rate follows
 PINGS_AT_ONCE = 512  # bounds the memory
 READING_STEP = 1e-6  # m/s and m, to which readings are rounded: far below the noise
 READINGS = ("velocity", "altitude", "beam_ranges", "beam_velocities")
@@ -78,6 +78,30 @@ class DvlRecipe(SensorRecipe):
     range_noise_share: float = number(0, 0.1, 0.001)  # of a beam's range, 1 sigma
     misalignment_deg: float = number(0, 10, 0.0)  # of the mount against its calibration, 1 sigma
     assumed_sound_speed_m_s: float | None = number(1300, 1700, None)
+    invalid: float = number(0, 0.5, 0.0)  # share of pings that lose their lock though the bottom is there: 1 to 10 %
+    invalid_risky: float | None = number(0, 1, None)  # the same over plants and lower than low_m; None: as elsewhere
+    outliers: float = number(0, 0.3, 0.0)  # share of pings with a beam that has a wrong velocity and is called valid
+    outliers_risky: float | None = number(0, 1, None)  # over plants and lower than low_m
+    outlier_m_s: float = number(0.01, 5, 0.5)  # 1 sigma of that error: of a plant in the surge, or of a side lobe
+    low_m: float = number(0, 5, 0.3)  # altitude below which pings are at risk: the echo comes while the sender rings
+    latency_ms: float = number(0, 500, 0.0)  # stamps are those of arrival, so much late on average: 50 to 200 ms
+    min_rate_hz: float | None = number(0.1, 50, None)
+    """Rate at max_range_m, to which the time between pings grows evenly with altitude (A50: 2 to 15 Hz); None: rate_hz
+    at any."""
+
+    def check(self, where: str) -> None:
+        super().check(where)
+        if self.min_rate_hz is not None and self.min_rate_hz > self.rate_hz:
+            raise RecipeError(
+                f"{where}: key 'dvl.min_rate_hz': expected at most rate_hz = {self.rate_hz:g}, got {self.min_rate_hz:g}"
+            )
+        for key in ("invalid", "outliers"):
+            elsewhere, risky = getattr(self, key), getattr(self, f"{key}_risky")
+            if risky is not None and risky < elsewhere:
+                raise RecipeError(
+                    f"{where}: key 'dvl.{key}_risky': expected at least {key} = {elsewhere:g}, got {risky:g}: "
+                    "pings over plants and near the bottom fail more often, not less"
+                )
 
 
 @dataclass(frozen=True)
@@ -102,7 +126,22 @@ def measure(
     bottom: str = "sand",
     scale: float = 1.0,
 ) -> list[DvlMeasurement]:
-    """What the log reports at times (N,) s, stamped with stamps_ns (N,); at its recipe's rate at any altitude.
+    """What the log reports, as `measure_all` has it."""
+    return measure_all(path, caster, recipe, site, times_s, stamps_ns, streams, bottom, scale)[0]
+
+
+def measure_all(
+    path: Path,
+    caster: RayCaster,
+    recipe: DvlRecipe,
+    site: SiteRecipe,
+    times_s: Array,
+    stamps_ns: Sequence[int] | NDArray[np.int64],
+    streams: Streams,
+    bottom: str,
+    scale: float,
+) -> tuple[list[DvlMeasurement], Strikes]:
+    """What the log reports at times (N,) s, stamped with stamps_ns (N,), and what struck it.
 
     The velocity of the log along each beam, scaled by the error of scale and the assumed over the true speed of sound,
     with noise; a beam counts where it finds an echo that can be measured. bottom: of recipe.BOTTOMS. scale: a factor
@@ -124,19 +163,25 @@ def measure(
     moving = np.einsum("nji,nj->ni", motion.rotation, motion.velocity) + np.cross(motion.rate, recipe.position_m)
     speeds = np.array([acoustics.sound_speed(site, -z) for z in origins[:, 2]])
     stretch = ((recipe.assumed_sound_speed_m_s or speeds) / speeds)[:, None]
-    ranges, valid = np.empty((n, 4)), np.empty((n, 4), dtype=bool)
+    ranges, valid, plants = np.empty((n, 4)), np.empty((n, 4), dtype=bool), np.empty(n, dtype=bool)
     for first in range(0, n, PINGS_AT_ONCE):
         chunk = slice(first, first + PINGS_AT_ONCE)
-        ranges[chunk], valid[chunk] = _listen(
+        ranges[chunk], valid[chunk], plants[chunk] = listen(
             caster, recipe, site, bottom, origins[chunk], motion.rotation[chunk], true_beams
         )
+    heights = np.where(valid, ranges * np.cos(np.radians(recipe.janus_deg)), np.inf).min(axis=1)
+    strikes = strike(recipe, plants | (heights < recipe.low_m), branch)
     ranges = ranges * stretch * range_noise
+    valid = valid & ~strikes.invalid[:, None]
     valid = valid & (ranges >= recipe.min_range_m) & (ranges <= recipe.max_range_m)
     along = moving @ true_beams.T * scale * stretch + velocity_noise
-    return [
+    if recipe.outliers or recipe.outliers_risky:
+        along[np.arange(n), branch.generator("outlier", "beam").integers(0, 4, n)] += strikes.outliers
+    measured = [
         _measurement(int(stamps_ns[k]), recipe, beams, np.where(valid[k], ranges[k], np.nan), along[k], valid[k])
         for k in range(n)
     ]
+    return measured, strikes
 
 
 def beam_directions(recipe: DvlRecipe) -> Array:
@@ -160,50 +205,6 @@ def solve(beams: Array, along: Array, valid: NDArray[np.bool_], noise: float) ->
     inverse = np.linalg.inv(matrix.T @ matrix)
     velocity: Array = inverse @ (matrix.T @ along[valid])
     return velocity, np.round(noise**2 * inverse, 15)
-
-
-def _listen(
-    caster: RayCaster,
-    recipe: DvlRecipe,
-    site: SiteRecipe,
-    bottom: str,
-    origins: Array,
-    rotations: Array,
-    beams: Array,
-) -> tuple[Array, NDArray[np.bool_]]:
-    """True ranges (N, 4) m of the beams (4, 3) in base_link, and whether their echoes can be measured (N, 4).
-
-    The mean over a beam's rays, by the strength of their echoes. An echo is lost where the beam grazes the surface, and
-    where it is weaker than that of mud, at the incidence of a level bottom, from the greatest range.
-    """
-    rays = np.concatenate([_cone(beam) for beam in beams])
-    directions = np.einsum("nij,rj->nri", rotations, rays)
-    starts = np.repeat(origins, len(rays), axis=0)
-    echoes = caster.cast(starts, directions.reshape(-1, 3), MARGIN * recipe.max_range_m)
-    cosines = np.abs(np.einsum("ni,ni->n", echoes.normals.astype(float), directions.reshape(-1, 3)))
-    loss = acoustics.absorption(site, -float(origins[:, 2].mean()), FREQUENCY_KHZ)
-    mu = acoustics.backscatter(bottom)[echoes.classes]
-    steep = np.where(cosines >= GRAZING_COSINE, mu, 0.0)
-    shape = (len(origins), 4, CONE_RAYS + 1)
-    seen = echoes.ranges.astype(float).reshape(shape)
-    strengths = acoustics.echo_strength(seen, cosines.reshape(shape), steep.reshape(shape), loss)
-    total = strengths.sum(axis=2)
-    ranges = (strengths * np.where(np.isfinite(seen), seen, 0.0)).sum(axis=2) / np.where(total > 0, total, 1.0)
-    weakest = acoustics.backscatter(WEAKEST_BOTTOM)[1]
-    slant = np.cos(np.radians(recipe.janus_deg + CONE_DEG))
-    threshold = acoustics.echo_strength(np.array(recipe.max_range_m), slant, weakest, loss)
-    return ranges, total / (CONE_RAYS + 1) >= threshold
-
-
-def _cone(axis: Array) -> Array:
-    """The axis (3,) of a beam and CONE_RAYS rays around it, unit vectors."""
-    side = np.cross(axis, [0.0, 0.0, 1.0])
-    side /= np.linalg.norm(side)
-    other = np.cross(axis, side)
-    around = 2 * np.pi * np.arange(CONE_RAYS)[:, None] / CONE_RAYS
-    off = np.radians(CONE_DEG)
-    ring = np.cos(off) * axis + np.sin(off) * (np.cos(around) * side + np.sin(around) * other)
-    return np.concatenate([axis[None], ring])
 
 
 def _measurement(
@@ -274,13 +275,44 @@ class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
         return {**entry, "scale": 1.0 - errors["scale"]}
 
     def measure(self, world: SensedWorld, recipe: DvlRecipe, at: Instants) -> Iterator[DvlMeasurement]:
-        site, bottom = world.recipe.site, world.recipe.reef.bottom
-        times, stamps = at.times_s, at.stamps_ns
-        scale = self.true_entry(world, recipe).get("scale", 1.0)
-        measured = measure(world.path, world.caster, recipe, site, times, stamps, world.streams, bottom, scale)
+        measured, _ = self._measured(world, recipe, at.times_s, arrivals(recipe, at.stamps_ns, world.streams))
         for k in at.wanted:
             readings: dict[str, Any] = {key: quantise(getattr(measured[k], key), READING_STEP) for key in READINGS}
             yield dataclasses.replace(measured[k], **readings)
+
+    def _measured(
+        self, world: SensedWorld, recipe: DvlRecipe, times_s: Array, stamps_ns: NDArray[np.int64]
+    ) -> tuple[list[DvlMeasurement], Strikes]:
+        site, bottom = world.recipe.site, world.recipe.reef.bottom
+        scale = self.true_entry(world, recipe).get("scale", 1.0)
+        return measure_all(world.path, world.caster, recipe, site, times_s, stamps_ns, world.streams, bottom, scale)
+
+    def times(self, world: SensedWorld, recipe: DvlRecipe) -> Array | None:
+        """With `min_rate_hz`, by the altitude over what lies below."""
+        if recipe.min_rate_hz is None:
+            return None
+        grid = np.arange(0.0, world.recipe.duration_s + ALTITUDE_STEP_S, ALTITUDE_STEP_S)
+        motion = world.path.at(grid)
+        places = motion.position + motion.rotation @ np.asarray(recipe.position_m)
+        down = np.tile([0.0, 0.0, -1.0], (len(grid), 1))
+        ranges = world.caster.cast(places, down, recipe.max_range_m).ranges.astype(float)
+        heights = np.round(np.minimum(ranges, recipe.max_range_m), 3)
+        return ping_times(recipe, world.recipe.duration_s, lambda time: float(np.interp(time, grid, heights)))
+
+    def faults(self, world: SensedWorld, recipe: DvlRecipe) -> list[Fault]:
+        """Pings without lock, pings with an outlier, and its latency."""
+        found = []
+        if recipe.latency_ms:
+            found.append(Fault(0.0, world.recipe.duration_s, "latency_s", 1e-3 * recipe.latency_ms))
+        if recipe.invalid or recipe.invalid_risky or recipe.outliers or recipe.outliers_risky:
+            known = self.times(world, recipe)
+            regular = np.arange(count(world.recipe.duration_s, recipe.rate_hz)) / recipe.rate_hz
+            times = regular if known is None else known
+            _, strikes = self._measured(world, recipe, times, np.zeros(len(times), dtype=np.int64))
+            found += spans(times, strikes.invalid, "invalid", np.ones(len(times)))
+            for k in np.flatnonzero(strikes.outliers):
+                found.append(Fault(float(times[k]), float(times[k]), "outlier_m_s", float(strikes.outliers[k])))
+        return found
 
     def encode(self, recipe: DvlRecipe, measurement: DvlMeasurement) -> list[Message]:
         """Velocity with its covariance, its rates marked as not measured by a variance of -1; the beams, a point each,

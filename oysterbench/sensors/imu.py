@@ -17,16 +17,19 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import choice, number
 from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.sensors.faults import Fault, spans
 from oysterbench.sensors.kind import XYZ, Instants, Row, SensedWorld, SensorKind, Strip, columns_of, link, quantise
 from oysterbench.sensors.uncertainty import ErrorModel, Quality
 from oysterbench.sensors.vibration import VibrationRecipe, vibrate
 
 if TYPE_CHECKING:
     from oysterbench.scene.path import Motion, Path
+    from oysterbench.scene.path.thrust import Throttle
     from oysterbench.sensors.magnetometer import MagnetometerRecipe
 
 IMU = "sensor_msgs/msg/Imu"
 INERTIAL_STEP = 1e-7  # rad/s and m/s^2: four orders below the noise of the best unit's sample
+FAULT_STEP_S = 0.1  # of the truth about faults
 INERTIAL_NOISE = ("noise_density", "turn_on", "bias_instability", "bias_tau_s")
 
 DEG = math.pi / 180.0
@@ -101,6 +104,12 @@ class ImuRecipe(SensorRecipe):
     accel_misalignment_deg: float = number(0, 10, 0.0)
     accel_range: float | None = number(0.1, 1e4, None)  # m/s^2
     accel_step: float = number(0, 10, 0.0)  # m/s^2
+    gyro_bias_per_k: float = number(0, 2e-3, 0.0)
+    """rad/s per K, 1 sigma of an axis: 0.005 to 0.05 deg/s per K uncompensated; ICM-20602: 0.01 deg/s per K."""
+    accel_bias_per_k: float = number(0, 0.05, 0.0)  # m/s^2 per K, 1 sigma of an axis; ICM-20602: 0.5 to 1 mg per K
+    warming_k: float = number(0, 60, 0.0)  # from switched on to warm; some 10 to 30 K in a closed hull
+    warming_tau_s: float = number(10, 7200, 300.0)  # minutes, by the hull's mass
+    warmed_s: float = number(0, 86_400, 60.0)  # switched on for so long before the sequence begins
     vibration: tuple[VibrationRecipe, ...] = ()
     rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # imu to base_link
 
@@ -169,6 +178,7 @@ class Triad:
     misalignment_deg: float = 0.0  # 1 sigma
     range: float | None = None  # u
     step: float = 0.0  # u
+    bias_per_k: float = 0.0  # u/K, 1 sigma
 
     @classmethod
     def of(cls, recipe: ImuRecipe, which: str) -> Triad:
@@ -189,24 +199,41 @@ def ideal_imu(motion: Motion, T_base_imu: Array) -> tuple[Array, Array]:
     return motion.rate @ T_base_imu[:3, :3], force @ T_base_imu[:3, :3]
 
 
-def measure(path: Path, recipe: ImuRecipe, times_s: Array, streams: Streams) -> tuple[Array, Array]:
+def measure(
+    path: Path, recipe: ImuRecipe, times_s: Array, streams: Streams, throttle: Throttle | None = None
+) -> tuple[Array, Array]:
     """What the unit reports at times (N,) = k / rate_hz s: gyro (N, 3) rad/s and accel (N, 3) m/s^2, in the IMU frame.
 
     Vibration moves the unit like its path does; then come the errors of its axes, each from a stream of its own.
+    throttle: of the thrusters, whose vibration follows it.
     """
     gyro, accel = ideal_imu(path.at(times_s), imu_pose(recipe))
-    return read_out(gyro, recipe, "gyro", streams.at("imu")), read_out(accel, recipe, "accel", streams.at("imu"))
+    branch = streams.at("imu")
+    return read_out(gyro, recipe, "gyro", branch, throttle), read_out(accel, recipe, "accel", branch, throttle)
 
 
-def read_out(truth: Array, recipe: ImuRecipe, which: str, streams: Streams) -> Array:
+def read_out(truth: Array, recipe: ImuRecipe, which: str, streams: Streams, throttle: Throttle | None = None) -> Array:
     """What the "gyro" or "accel" triad of a unit makes of its truth (N, 3), in the truth's unit."""
     n, triad = len(truth), Triad.of(recipe, which)
     for index, vibration in enumerate(recipe.vibration):
         if vibration.on == which:
-            truth = truth + vibrate(n, recipe.rate_hz, vibration, streams.at("vibration", index))
+            truth = truth + vibrate(n, recipe.rate_hz, vibration, streams.at("vibration", index), throttle)
     if triad.scale or triad.misalignment_deg:
         truth = truth @ sensitivity(triad, streams.at(which)).T
-    return digitise(truth + errors(n, 1.0 / recipe.rate_hz, triad, streams.at(which)), triad)
+    found = truth + errors(n, 1.0 / recipe.rate_hz, triad, streams.at(which))
+    if triad.bias_per_k and recipe.warming_k:
+        per_k = triad.bias_per_k * streams.at(which).generator("per_k").standard_normal(3)
+        found = found + warmed(recipe, np.arange(n) / recipe.rate_hz)[:, None] * per_k
+    return digitise(found, triad)
+
+
+def warmed(recipe: ImuRecipe, times_s: Array) -> Array:
+    """(N,) K by which a unit has become warmer since the start of the sequence, at which its turn-on bias holds.
+
+    As a body of one heat capacity does that is heated evenly: T = T_end (1 - exp(-t / tau)) since it was switched on.
+    """
+    left = recipe.warming_k * math.exp(-recipe.warmed_s / recipe.warming_tau_s)
+    return np.asarray(-left * np.expm1(-times_s / recipe.warming_tau_s))
 
 
 def sensitivity(triad: Triad, streams: Streams) -> Array:
@@ -258,6 +285,15 @@ def digitise(values: Array, triad: Triad) -> Array:
     return np.rint(values / triad.step) * triad.step if triad.step else values
 
 
+def shaking(world: SensedWorld, recipe: ImuRecipe) -> Throttle | None:
+    """The throttle, where vibration of the unit follows it."""
+    if all(vibration.kind != "thrusters" for vibration in recipe.vibration):
+        return None
+    from oysterbench.scene.path.thrust import throttle
+
+    return world.instrument(recipe, lambda: throttle(world.path, world.recipe, world.streams))
+
+
 def _row(message: Any) -> Row:
     return columns_of("gyro_", message.angular_velocity) | columns_of("accel_", message.linear_acceleration)
 
@@ -294,9 +330,21 @@ class Imu(SensorKind[ImuRecipe, ImuCalibration, ImuMeasurement]):
         return ErrorModel.of({})
 
     def measure(self, world: SensedWorld, recipe: ImuRecipe, at: Instants) -> Iterator[ImuMeasurement]:
-        readings = measure(world.path, recipe, at.times_s, world.streams)
+        readings = measure(world.path, recipe, at.times_s, world.streams, shaking(world, recipe))
         gyro, accel = (quantise(values, INERTIAL_STEP) for values in readings)
         return (ImuMeasurement(int(at.stamps_ns[k]), gyro[k], accel[k]) for k in at.wanted)
+
+    def faults(self, world: SensedWorld, recipe: ImuRecipe) -> list[Fault]:
+        """The unit while it warms, and the thrusters where they turn faster than half."""
+        end, found = world.recipe.duration_s, []
+        if recipe.warming_k and (recipe.gyro_bias_per_k or recipe.accel_bias_per_k):
+            found.append(Fault(0.0, end, "warming_k", float(warmed(recipe, np.array([end]))[0])))
+        throttle = shaking(world, recipe)
+        if throttle is not None:
+            times = np.arange(0.0, end, FAULT_STEP_S)
+            shares = throttle.at(times)
+            found += spans(times, shares > 0.5, "vibration_throttle", shares)
+        return found
 
     def encode(self, recipe: ImuRecipe, measurement: ImuMeasurement) -> list[Message]:
         """Rates and forces with the variances of a sample; orientation is marked as absent (REP 145)."""

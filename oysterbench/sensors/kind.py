@@ -21,6 +21,7 @@ from oysterbench.core.ros import Message
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SequenceRecipe, SiteRecipe
 from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.sensors.faults import Fault
 from oysterbench.sensors.uncertainty import ErrorModel, Quality, RigCalibration, mount_errors, moved
 
 if TYPE_CHECKING:
@@ -196,9 +197,17 @@ class SensorKind(ABC, Generic[R, C, M]):
         found: C = from_entry(self.calibration, entry)
         return found
 
+    def times(self, world: SensedWorld, recipe: R) -> Array | None:
+        """(N,) s from the start, at which it measures; None: evenly, at its rate. A bulky one always does."""
+        return None
+
     @abstractmethod
     def measure(self, world: SensedWorld, recipe: R, at: Instants) -> Iterator[M]:
         """Measurements of the wanted ones of a sensor's instants."""
+
+    def faults(self, world: SensedWorld, recipe: R) -> list[Fault]:
+        """Where the faults of a sensor struck, for the truth."""
+        return []
 
     @abstractmethod
     def encode(self, recipe: R, measurement: M) -> list[Message]:

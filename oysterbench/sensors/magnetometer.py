@@ -16,7 +16,9 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.sensors.faults import Fault, spans
 from oysterbench.sensors.imu import imu_pose
+from oysterbench.sensors.iron import build_iron, deviation, motor_field
 from oysterbench.sensors.kind import XYZ, Instants, SensedWorld, SensorKind, Strip, columns_of, link, quantise
 from oysterbench.sensors.uncertainty import ErrorModel, Quality, axes, independent, mount_errors
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 MAGNETIC_FIELD = "sensor_msgs/msg/MagneticField"
 MICROTESLA = 1e-6  # T
 FIELD_STEP = 1e-12  # T, to which readings are rounded
+FAULT_STEP_S, LEAST_FAULT_DEG = 0.1, 1.0  # of the truth about faults
 HARD_IRON = tuple(axes("hard_iron", "t"))
 SOFT_IRON = tuple(f"soft_iron_{row}{column}" for row in XYZ for column in XYZ)
 
@@ -43,6 +46,9 @@ class MagnetometerRecipe(SensorRecipe):
         -10, 10, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     )  # takes the Earth's field to the one at the sensor, both in its frame
     step_ut: float = number(0, 10, 0.0)
+    throttle_deg: float = number(0, 30, 0.0)
+    """Turn of the heading at full throttle, where the field of the motors lies across the Earth's: 5 to 20 deg close to
+    them (ArduPilot calls interference of 30 % of the field, 17 deg, acceptable, and of 60 % not)."""
     rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # magnetometer to base_link
 
 
@@ -85,14 +91,17 @@ def measure(
     times_s: Array,
     streams: Streams,
     iron: Iron | None = None,
+    bending: Array | None = None,
 ) -> Array:
     """Field (N, 3) T that the sensor reports at times (N,) s, in its own frame.
 
     b = A R^T B + h + noise, with soft iron A and hard iron h (Gebre-Egziabher et al. 2006), in the steps of the
-    digital reading. iron: in the place of the recipe's.
+    digital reading. iron: in the place of the recipe's. bending: fields (N, 3) T in `map` beside the Earth's.
     """
     rotation = path.at(times_s).rotation @ Rotation.from_euler("xyz", recipe.rpy_deg, degrees=True).as_matrix()
     earth = np.einsum("nji,j->ni", rotation, earth_field(site))
+    if bending is not None:
+        earth = earth + np.einsum("nji,nj->ni", rotation, bending)
     noise = recipe.noise_ut * streams.generator("magnetometer", "noise").standard_normal((len(times_s), 3))
     iron = iron or Iron.of(recipe)
     field: Array = earth @ iron.soft.T + MICROTESLA * (iron.hard_ut + noise)
@@ -143,9 +152,38 @@ class Magnetometer(SensorKind[MagnetometerRecipe, MagnetometerCalibration, Magne
         iron = None
         if true.hard_iron_t is not None and true.soft_iron is not None:
             iron = Iron(true.hard_iron_t / MICROTESLA, true.soft_iron)
-        fields = measure(world.path, recipe, world.recipe.site, at.times_s, world.streams, iron)
+        sources = self.bending(world, recipe, at.times_s)
+        bending = np.sum(list(sources.values()), axis=0) if sources else None
+        fields = measure(world.path, recipe, world.recipe.site, at.times_s, world.streams, iron, bending)
         fields, variance = quantise(fields, FIELD_STEP), noise_variance(recipe)
         return (MagneticMeasurement(int(at.stamps_ns[k]), fields[k], variance) for k in at.wanted)
+
+    def bending(self, world: SensedWorld, recipe: MagnetometerRecipe, times_s: Array) -> dict[str, Array]:
+        """Fields (N, 3) T in `map` that are neither the Earth's nor of iron on board, by what they come from."""
+        site = world.recipe.site
+        found: dict[str, Array] = {}
+        if not (recipe.throttle_deg or site.iron):
+            return found
+        motion = world.path.at(times_s)
+        if recipe.throttle_deg:
+            from oysterbench.scene.path.thrust import throttle
+
+            opened = world.instrument(recipe, lambda: throttle(world.path, world.recipe, world.streams))
+            shares = opened.at(times_s)
+            found["motors"] = motor_field(earth_field(site), recipe.throttle_deg, shares, motion, world.streams)
+        if site.iron:
+            iron = build_iron(site, world.recipe.reef.size_m, world.caster.world.ground_height, world.streams)
+            found["iron"] = iron.field(motion.position + motion.rotation @ np.asarray(recipe.position_m))
+        return found
+
+    def faults(self, world: SensedWorld, recipe: MagnetometerRecipe) -> list[Fault]:
+        """Where motors, and iron on the bottom, turn the heading by a degree or more."""
+        times = np.arange(0.0, world.recipe.duration_s, FAULT_STEP_S)
+        found = []
+        for source, bent in self.bending(world, recipe, times).items():
+            turned = np.degrees(deviation(earth_field(world.recipe.site), bent))
+            found += spans(times, np.abs(turned) >= LEAST_FAULT_DEG, f"{source}_deg", turned)
+        return found
 
     def encode(self, recipe: MagnetometerRecipe, measurement: MagneticMeasurement) -> list[Message]:
         """Magnetic field, T."""

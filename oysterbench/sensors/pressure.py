@@ -16,6 +16,7 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.sensors.faults import Fault
 from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, Strip, link, quantise
 
 if TYPE_CHECKING:
@@ -46,6 +47,10 @@ class PressureRecipe(SensorRecipe):
     noise_m: float = number(0, 1, 0.002)  # of depth, 1 sigma
     step_pa: float = number(0, 1e5, 20.0)  # of the digital reading
     max_depth_m: float = number(1, 11_000, 300.0)  # readings stop there
+    drift_m: float = number(0, 0.5, 0.0)
+    """Of depth, 1 sigma: by which its zero moves until the sensor has the water's temperature; 1 to 10 cm of the
+    Bar30's class (practice)."""
+    drift_tau_s: float = number(10, 36_000, 600.0)  # time constant of that
 
 
 @dataclass(frozen=True)
@@ -81,9 +86,18 @@ def measure(
     head = np.maximum(tide(site, times_s, streams) - place[:, 2] + waves.head(place, times_s), 0.0)
     offset = recipe.offset_m * streams.generator("pressure", "offset").standard_normal()
     noise = recipe.noise_m * streams.generator("pressure", "noise").standard_normal(len(times_s))
+    zero = np.full(len(times_s), offset)
+    if recipe.drift_m:
+        zero = zero + drift(recipe, times_s, streams)
     weight = density(site) * GRAVITY
-    pressure: Array = ATMOSPHERE + weight * np.minimum(head + offset + noise, recipe.max_depth_m)
+    pressure: Array = ATMOSPHERE + weight * np.minimum(head + zero + noise, recipe.max_depth_m)
     return np.asarray(np.rint(pressure / recipe.step_pa) * recipe.step_pa) if recipe.step_pa else pressure
+
+
+def drift(recipe: PressureRecipe, times_s: Array, streams: Streams) -> Array:
+    """Depth (N,) m by which the zero has moved since the start, towards a value of its own: as 1 - exp(-t / tau)."""
+    end = recipe.drift_m * float(streams.generator("pressure", "drift").standard_normal())
+    return np.asarray(-end * np.expm1(-times_s / recipe.drift_tau_s))
 
 
 def tide(site: SiteRecipe, times_s: Array, streams: Streams) -> Array:
@@ -120,6 +134,13 @@ class PressureSensor(SensorKind[PressureRecipe, PressureCalibration, PressureMea
         values = measure(world.path, recipe, site, waves, at.times_s, streams)
         values, variance = quantise(values, PRESSURE_STEP), noise_variance(recipe, site)
         return (PressureMeasurement(int(at.stamps_ns[k]), float(values[k]), variance) for k in at.wanted)
+
+    def faults(self, world: SensedWorld, recipe: PressureRecipe) -> list[Fault]:
+        """The drift of its zero."""
+        if not recipe.drift_m:
+            return []
+        end = world.recipe.duration_s
+        return [Fault(0.0, end, "zero_drift_m", float(drift(recipe, np.array([end]), world.streams)[0]))]
 
     def encode(self, recipe: PressureRecipe, measurement: PressureMeasurement) -> list[Message]:
         """Absolute pressure, Pa."""

@@ -19,6 +19,8 @@ from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import Rays
+from oysterbench.sensors.faults import Fault
+from oysterbench.sensors.interference import Beams, added_power, struck_pings
 from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, link
 
 if TYPE_CHECKING:
@@ -81,6 +83,8 @@ class ScanningSonar:
         branch = streams.at("scanner", self.recipe.name, index)
         angle = head_angle(self.recipe, index)
         power, loss = self.listen(T_map_base, angle, branch)
+        beams = Beams(T_map_base @ self._mount, np.array([angle]), self._across)
+        power = power + added_power(self.recipe, loss, beams, streams, branch)[0]
         amplitudes = echoes.record(power, self.recipe, loss, branch.generator("noise"))
         return ScanPing(stamp_ns, self.recipe.name, angle, amplitudes)
 
@@ -146,6 +150,12 @@ class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
         head = ScanningSonar(world.caster, recipe, world.recipe.site, world.recipe.reef.bottom)
         bodies = world.bodies(at.times_s)
         return (head.ping(bodies[k], world.streams, k, int(at.stamps_ns[k])) for k in at.wanted.tolist())
+
+    def faults(self, world: SensedWorld, recipe: ScannerRecipe) -> list[Fault]:
+        """Pulses of others that reach into its beam, by their azimuth."""
+        branch, beam = world.streams.at("scanner", recipe.name), float(np.radians(recipe.beam_deg))
+        mount = acoustics.mount_pose(recipe)
+        return struck_pings(world, recipe, mount, branch.at, beam, lambda index: head_angle(recipe, index))
 
     def encode(self, recipe: ScannerRecipe, measurement: ScanPing) -> list[Message]:
         """Amplitudes, near first, as a picture of one row; and the angle of the head, rad."""

@@ -22,6 +22,8 @@ from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import Rays
+from oysterbench.sensors.faults import Fault
+from oysterbench.sensors.interference import Beams, added_power, struck_pings
 from oysterbench.sensors.kind import Export, Instants, Row, SensedWorld, SensorKind, link
 
 if TYPE_CHECKING:
@@ -111,6 +113,8 @@ class SidescanSonar:
         for side in SIDES:
             branch = streams.at("sidescan", self.recipe.name, index, side)
             power, loss = self.listen(T_map_base, side, branch)
+            beams = Beams(T_map_base @ self._mounts[side], np.zeros(1), self._along)
+            power = power + added_power(self.recipe, loss, beams, streams, branch)[0]
             heard[side] = echoes.record(power, self.recipe, loss, branch.generator("noise"))
         return SidescanPing(stamp_ns, self.recipe.name, heard["port"], heard["starboard"])
 
@@ -158,6 +162,10 @@ class SidescanSonar:
 def fan_pose(recipe: SidescanRecipe, side: str) -> Array:
     """T_mount_fan (4, 4) of a side's fan: x along its axis, out and down, y along the track."""
     return transform(Rotation.from_euler("ZY", [SIDES[side], recipe.tilt_deg], degrees=True).as_matrix(), np.zeros(3))
+
+
+def _of_side(branch: Streams, side: str, index: int) -> Streams:
+    return branch.at(index, side)
 
 
 def first_return(amplitudes: NDArray[np.uint16]) -> int:
@@ -235,6 +243,15 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
         sonar = world.instrument(recipe, lambda: SidescanSonar(world.caster, recipe, site, bottom))
         for index, body in zip(at.wanted.tolist(), world.bodies(at.times_s[at.wanted]), strict=True):
             yield sonar.ping(body, world.streams, index, int(at.stamps_ns[index]))
+
+    def faults(self, world: SensedWorld, recipe: SidescanRecipe) -> list[Fault]:
+        """Pulses of others that reach into its beams, by their azimuth off each side's axis."""
+        branch, beam = world.streams.at("sidescan", recipe.name), float(np.radians(recipe.beam_deg))
+        found = []
+        for side in SIDES:
+            mount = acoustics.mount_pose(recipe) @ fan_pose(recipe, side)
+            found += struck_pings(world, recipe, mount, partial(_of_side, branch, side), beam)
+        return found
 
     def encode(self, recipe: SidescanRecipe, measurement: SidescanPing) -> list[Message]:
         """A picture of 16 bits and one row, from far on port to far on starboard: a waterfall's line."""

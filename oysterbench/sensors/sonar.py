@@ -29,6 +29,8 @@ from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors import acoustics, echoes
 from oysterbench.sensors.echoes import RangeAxis, Rays, Returns
+from oysterbench.sensors.faults import Fault
+from oysterbench.sensors.interference import Beams, added_power, struck_pings
 from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, link, topic
 
 if TYPE_CHECKING:
@@ -157,7 +159,9 @@ class ImagingSonar:
         """Ping `index`, with the vehicle at T_map_base (4, 4): the image, and the cloud if the recipe asks for one."""
         branch = streams.at("sonar", self.recipe.name, index)
         found = self.listen(T_map_base, branch)
-        pixels = echoes.record(found.power, self.recipe, found.loss, branch.generator("noise"))
+        beams = Beams(T_map_base @ self._mount, self.azimuths, float(np.radians(self.recipe.beam_deg)))
+        power = found.power + added_power(self.recipe, found.loss, beams, streams, branch)
+        pixels = echoes.record(power, self.recipe, found.loss, branch.generator("noise"))
         image = SonarImage(stamp_ns, self.recipe.name, np.ascontiguousarray(pixels.T))
         return image, self._cloud(found, stamp_ns) if self.recipe.cloud else None
 
@@ -355,6 +359,11 @@ class Sonar(SensorKind[SonarRecipe, SonarCalibration, Any]):
         sonar = world.instrument(recipe, lambda: ImagingSonar(world.caster, recipe, site, bottom))
         for index, body in zip(at.wanted.tolist(), world.bodies(at.times_s[at.wanted]), strict=True):
             yield sonar.ping(body, world.streams, index, int(at.stamps_ns[index]))
+
+    def faults(self, world: SensedWorld, recipe: SonarRecipe) -> list[Fault]:
+        """Pulses of others that reach into its fan, by their azimuth."""
+        branch, fan = world.streams.at("sonar", recipe.name), float(np.radians(recipe.hfov_deg))
+        return struck_pings(world, recipe, acoustics.mount_pose(recipe), branch.at, fan)
 
     def encode(self, recipe: SonarRecipe, measurement: SonarPing) -> list[Message]:
         """Amplitudes as a picture of 16 bits: a row per range bin, near first; a column per beam, left first."""

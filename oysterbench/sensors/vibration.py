@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,7 +13,10 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe.keys import choice, number
 
-VIBRATION_KINDS = ("white", "sine", "psd")
+if TYPE_CHECKING:
+    from oysterbench.scene.path.thrust import Throttle
+
+VIBRATION_KINDS = ("white", "sine", "psd", "thrusters")
 VIBRATION_TARGETS = ("accel", "gyro")
 
 
@@ -23,8 +27,11 @@ class VibrationRecipe:
     on: str = choice(VIBRATION_TARGETS)
     kind: str = choice(VIBRATION_KINDS)
     level: tuple[float, float, float] = number(0, 1000, (0.0, 0.0, 0.0))
-    """Per axis, m/s^2 or rad/s: standard deviation of a sample (white), or amplitude (sine)."""
-    frequency_hz: float = number(0, 2000, 1.0)  # of a sine; above half the unit's rate it aliases, as does a psd
+    """Per axis, m/s^2 or rad/s: standard deviation of a sample (white), or amplitude (sine; thrusters at full
+    throttle: 0.1 to 3 m/s^2; ArduPilot calls up to 15 m/s^2 acceptable of multicopters)."""
+    frequency_hz: float = number(0, 2000, 1.0)
+    """Of a sine, or of the propellers at full throttle (T200: 3500 rpm = 58 Hz, and three times that for its blades);
+    above half the unit's rate it aliases, as does a psd."""
     psd: tuple[tuple[float, float, float, float], ...] = number(0, 1e6, ())
     """Rows of frequency (Hz, increasing) and one-sided power spectral density per axis, (m/s^2)^2/Hz or (rad/s)^2/Hz;
     linear between the rows, nothing outside them."""
@@ -45,8 +52,21 @@ class VibrationRecipe:
             )
 
 
-def vibrate(n: int, rate_hz: float, recipe: VibrationRecipe, streams: Streams) -> Array:
-    """(n, 3) m/s^2 or rad/s at times k / rate_hz: white, a sine with a phase of its own per axis, or of a spectrum."""
+def vibrate(
+    n: int, rate_hz: float, recipe: VibrationRecipe, streams: Streams, throttle: Throttle | None = None
+) -> Array:
+    """(n, 3) m/s^2 or rad/s at times k / rate_hz: white, a sine with a phase of its own per axis, of a spectrum, or of
+    the propellers.
+
+    Those turn as fast as the throttle is open, and what an unbalanced one shakes with grows with the square of that.
+    """
+    if recipe.kind == "thrusters":
+        if throttle is None:
+            return np.zeros((n, 3))
+        times = np.arange(n) / rate_hz
+        phase = streams.generator("phase").uniform(0, 2 * np.pi, 3)
+        shaken = np.sin(2 * np.pi * recipe.frequency_hz * throttle.turns(times)[:, None] + phase)
+        return np.asarray(recipe.level) * throttle.at(times)[:, None] ** 2 * shaken
     if recipe.kind == "white":
         return np.asarray(recipe.level) * streams.generator("white").standard_normal((n, 3))
     if recipe.kind == "sine":

@@ -16,6 +16,7 @@ from oysterbench.core.measurements import Cloud, Image
 from oysterbench.core.ros import decode, stamp_of
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sensors.camera import LAYERS, read_layer
+from oysterbench.sensors.faults import COLUMNS
 from oysterbench.sensors.kind import Row
 from oysterbench.sensors.kind import topic as topic_of
 from oysterbench.sensors.registry import read_calibrations, sensor_kinds
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CALIBRATION",
+    "FAULTS",
     "METADATA",
     "OYSTERS",
     "STEERING",
@@ -55,6 +57,7 @@ CALIBRATION = "calibration.json"
 OYSTERS = "truth/oysters.csv"
 STEERING = "truth/steering.csv"
 TRUE_CALIBRATION = "truth/calibration.json"
+FAULTS = "truth/faults.csv"
 
 
 class McapSequence(Sequence):
@@ -172,6 +175,15 @@ class McapSequence(Sequence):
         import pandas as pd
 
         return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[OYSTERS])))
+
+    def faults(self) -> pd.DataFrame:
+        """Where faults of the sensors struck, a row each: start_ns and end_ns (true times), sensor, fault, and value,
+        its largest size in the unit that the fault's name has. No row where they have none."""
+        import pandas as pd
+
+        if FAULTS not in self.attachments:
+            return pd.DataFrame(columns=list(COLUMNS))
+        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[FAULTS])))
 
     def steering(self) -> pd.DataFrame:
         """What an expert would command at each picture of the front camera, a row each: stamp_ns; yaw and pitch, the

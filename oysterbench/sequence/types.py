@@ -156,6 +156,10 @@ class Sequence(ABC):
         """The truth about each oyster, a row each."""
         self._lacks("truth about oysters")
 
+    def faults(self) -> pd.DataFrame:
+        """Where faults of the sensors struck, a row each."""
+        self._lacks("truth about faults")
+
     def steering(self) -> pd.DataFrame:
         """What an expert would command at each picture, a row each."""
         self._lacks("truth about steering")
@@ -253,6 +257,9 @@ class SensorsOnly(Sequence):
 
     def oysters(self) -> pd.DataFrame:
         self._hidden("oysters()")
+
+    def faults(self) -> pd.DataFrame:
+        self._hidden("faults()")
 
     def steering(self) -> pd.DataFrame:
         self._hidden("steering()")

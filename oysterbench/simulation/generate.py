@@ -30,7 +30,7 @@ from oysterbench.recipe import CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, 
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors.registry import calibrate_rig, kind_of, rig_frames, rig_sensors
 from oysterbench.sequence.file import read_attachments, read_messages
-from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, STEERING, TRUE_CALIBRATION, McapSequence
+from oysterbench.sequence.read import CALIBRATION, FAULTS, METADATA, OYSTERS, STEERING, TRUE_CALIBRATION, McapSequence
 from oysterbench.sequence.truth import rig_topics, static_transforms
 from oysterbench.sequence.write import SequenceWriter, pack
 from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
@@ -226,7 +226,7 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
             f"a worker has {PROGRAM}, and was asked for what {program} makes: install the same version on all workers"
         )
     from oysterbench.render.device import check_device
-    from oysterbench.simulation.sensor_simulation import oyster_csv, sensor_messages, small_messages
+    from oysterbench.simulation.sensor_simulation import faults_csv, oyster_csv, sensor_messages, small_messages
     from oysterbench.simulation.simulated_sequence import build_sequence
 
     check_device(device)
@@ -237,6 +237,9 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
     else:
         messages = small_messages(simulated)
         tables[OYSTERS] = oyster_csv(simulated)
+        faults = faults_csv(simulated)
+        if faults is not None:
+            tables[FAULTS] = faults
         if split.steering is not None:
             from oysterbench.simulation.steering.labels import steering_csv
 

@@ -8,10 +8,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.geometry import Array
 from oysterbench.core.ros import EPOCH_NS, Message
 from oysterbench.recipe import count
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors import clock
+from oysterbench.sensors.faults import fault_csv
 from oysterbench.sensors.kind import Instants, quantise
 from oysterbench.sensors.registry import kind_of, rig_sensors
 from oysterbench.sequence.truth import transform_message, truth_message, truth_pose_message
@@ -26,22 +28,29 @@ def sensor_messages(
 ) -> Iterator[Message]:
     """Messages of measurements [first, last) of a sensor, all by default: those that are not lost, on its own clock."""
     kind = kind_of(recipe)
-    n = count(simulated.recipe.duration_s, recipe.rate_hz)
+    times = kind.times(simulated, recipe)
+    n = count(simulated.recipe.duration_s, recipe.rate_hz) if times is None else len(times)
     name = (kind.block,) if kind.single else (kind.block, kind.name_of(recipe))
-    stamps = sensor_stamps(simulated, recipe, n)
+    stamps = sensor_stamps(simulated, recipe, n, times)
     kept = clock.kept(n, recipe, simulated.streams.at(*name))
     wanted = np.arange(first, n if last is None else last)
-    instants = Instants(np.arange(n) / recipe.rate_hz, stamps, wanted[kept[wanted]])
+    instants = Instants(np.arange(n) / recipe.rate_hz if times is None else times, stamps, wanted[kept[wanted]])
     for measurement in kind.measure(simulated, recipe, instants):
         yield from kind.encode(recipe, measurement)
 
 
-def sensor_stamps(simulated: SimulatedSequence, recipe: SensorRecipe, n: int) -> NDArray[np.int64]:
-    """(n,) int64 stamps of a sensor's samples: by its clock, late by what no calibration knows, and with jitter."""
+def sensor_stamps(
+    simulated: SimulatedSequence, recipe: SensorRecipe, n: int, times_s: Array | None
+) -> NDArray[np.int64]:
+    """(n,) int64 stamps of a sensor's samples at times (n,) s, or at its rate: by its clock, late by what no
+    calibration knows, and with jitter."""
     kind = kind_of(recipe)
     true = kind.true_entry(simulated, recipe)
     offset_ms = recipe.clock_offset_ms + 1e3 * true.get("time_offset_s", 0.0)
-    stamps = clock.stamps(n, recipe.rate_hz, EPOCH_NS, offset_ms)
+    if times_s is None:
+        stamps = clock.stamps(n, recipe.rate_hz, EPOCH_NS, offset_ms)
+    else:
+        stamps = np.rint(1e9 * times_s).astype(np.int64) + (EPOCH_NS + round(offset_ms * 1e6))
     sigma_s = math.hypot(1e-3 * recipe.clock_jitter_ms, true.get("time_jitter_s", 0.0))
     if sigma_s:
         stamps += clock.jitter(n, recipe.rate_hz, sigma_s, simulated.streams.at("clock", kind.block))
@@ -80,3 +89,13 @@ def truth_messages(simulated: SimulatedSequence) -> Iterator[Message]:
 def oyster_csv(simulated: SimulatedSequence) -> bytes:
     """The truth about each oyster (`World.oyster_table`), as CSV."""
     return simulated.world.oyster_table().to_csv(index=False, lineterminator="\n", float_format="%.10g").encode()
+
+
+def faults_csv(simulated: SimulatedSequence) -> bytes | None:
+    """Where the faults of the sensors struck, as CSV (`sensors.faults`); None where they have none."""
+    found = [
+        (kind.name_of(recipe), fault)
+        for kind, recipe in rig_sensors(simulated.rig)
+        for fault in kind.faults(simulated, recipe)
+    ]
+    return fault_csv(found, EPOCH_NS) if found else None

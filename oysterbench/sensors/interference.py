@@ -1,0 +1,116 @@
+"""What a sonar hears that it did not send: water that scatters, and pulses of others, as lines along the range."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
+from oysterbench.recipe import count
+from oysterbench.recipe.sensors import BinnedSonarRecipe
+from oysterbench.sensors import acoustics
+from oysterbench.sensors.echoes import bin_middles
+from oysterbench.sensors.faults import Fault
+
+if TYPE_CHECKING:
+    from oysterbench.sensors.kind import SensedWorld
+
+SPEED_M_S = 1500.0  # of sound, nominal: for the length of a pulse of others
+PINGER_M = (10.0, 40.0)  # how far from the middle of the reef the other one is
+
+
+def volume_power(recipe: BinnedSonarRecipe, absorption_db_m: float) -> Array:
+    """Power (bins,) that the water sends back: s_v dr r^-2 10^(-2 a r / 10), over that of a perfect scatterer that
+    fills the beam at 1 m, with s_v the volume's backscatter in 1/m per steradian (Urick 1983, sec. 8.3)."""
+    ranges = bin_middles(recipe)
+    if recipe.volume_db is None:
+        return np.zeros_like(ranges)
+    step = float(ranges[1] - ranges[0])
+    strength = 10 ** (recipe.volume_db / 10) * step
+    return np.asarray(strength * ranges**-2 * 10 ** (-0.2 * absorption_db_m * ranges))
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """A pulse of another's: from azimuth (rad, left of the sonar's x), over ranges from near to far, m."""
+
+    azimuth: float
+    near_m: float
+    far_m: float
+
+
+def pulse(recipe: BinnedSonarRecipe, T_map_sonar: Array, site: Streams, ping: Streams) -> Pulse | None:
+    """The pulse that strikes a ping, if one does: a share `interference` of all pings are struck.
+
+    site: the sequence's streams, of which the place of the other one; ping: the branch of this ping. The sender knows
+    nothing of when the sonar listens, so that its pulse begins at any time.
+    """
+    if not recipe.interference:
+        return None
+    rng = ping.generator("interference")
+    if rng.random() >= recipe.interference:
+        return None
+    drawn = site.generator("site", "pinger")
+    bearing = drawn.uniform(0, 2 * np.pi)
+    if recipe.interference_bearing_deg is not None:
+        bearing = np.radians(recipe.interference_bearing_deg)
+    place = drawn.uniform(*PINGER_M) * np.array([np.cos(bearing), np.sin(bearing)])
+    x, y, _ = T_map_sonar[:3, :3].T @ np.append(place - T_map_sonar[:2, 3], 0.0)
+    length = 0.5 * SPEED_M_S * 1e-3 * recipe.interference_ms
+    near = rng.uniform(-length, recipe.max_range_m)
+    return Pulse(float(np.arctan2(y, x)), near, near + length)
+
+
+def line_power(recipe: BinnedSonarRecipe, found: Pulse, azimuths: Array, width: float) -> Array:
+    """Power (beams, bins) of a pulse in beams at azimuths (beams,) of a two-way half-power width, rad: heard one way,
+    and as loud at any range, since it has come from one."""
+    ranges = bin_middles(recipe)
+    lasting = (ranges >= found.near_m) & (ranges < found.far_m)
+    off = np.angle(np.exp(1j * (azimuths - found.azimuth)))
+    heard = np.where(np.abs(off) < np.pi / 2, np.sqrt(acoustics.beam_pattern(off, width)), 0.0)
+    return 10 ** (recipe.interference_db / 10) * heard[:, None] * lasting
+
+
+@dataclass(frozen=True)
+class Beams:
+    """Where a sonar listens: its pose in `map` (4, 4), azimuths (B,) rad of its beams, and their two-way half-power
+    width, rad."""
+
+    T_map_sonar: Array
+    azimuths: Array
+    width: float
+
+
+def added_power(recipe: BinnedSonarRecipe, absorption_db_m: float, beams: Beams, site: Streams, ping: Streams) -> Array:
+    """Power (B, bins) of water and of others in a ping; site, ping: as for `pulse`."""
+    total = np.tile(volume_power(recipe, absorption_db_m), (len(beams.azimuths), 1))
+    struck = pulse(recipe, beams.T_map_sonar, site, ping)
+    return total if struck is None else total + line_power(recipe, struck, beams.azimuths, beams.width)
+
+
+def struck_pings(
+    world: SensedWorld,
+    recipe: BinnedSonarRecipe,
+    T_base_sonar: Array,
+    branch: Callable[[int], Streams],
+    width: float,
+    axis: Callable[[int], float] = lambda index: 0.0,
+) -> list[Fault]:
+    """Pings that pulses strike within half of a width (rad) of the axis(index), rad left of the sonar's x, by their
+    azimuth in deg. branch: the streams of each ping."""
+    if not recipe.interference:
+        return []
+    times = np.arange(count(world.recipe.duration_s, recipe.rate_hz)) / recipe.rate_hz
+    found = []
+    for index, (time, body) in enumerate(zip(times.tolist(), world.bodies(times), strict=True)):
+        struck = pulse(recipe, body @ T_base_sonar, world.streams, branch(index))
+        if struck is None or struck.far_m < recipe.min_range_m:
+            continue
+        off = np.angle(np.exp(1j * (struck.azimuth - axis(index))))
+        if abs(off) <= width / 2:
+            found.append(Fault(time, time, "interference_azimuth_deg", float(np.degrees(struck.azimuth))))
+    return found
