@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 FOLDER = click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, dir_okay=False)
 TELL_S = 300.0  # between two lines on the progress, at most
+TOLD_FROM_S = 60.0  # what rendering will take is said before it begins, from so much on
 
 
 @click.command(short_help="Render a split into sequence files.")
@@ -87,8 +88,25 @@ def render_files(
     from oysterbench.simulation.generate import check_workers, generate_split, split_folder
 
     folder = folder or split_folder(split, salt, device)
+    if scheduler is None and device == "cpu":
+        _announce(split, folder, check_workers(workers), names)
     with frames_bar(f"rendering {split.name}") as progress:
         return generate_split(split, folder, check_workers(workers), progress, salt, device, scheduler, names)
+
+
+def _announce(split: SplitRecipe, folder: Path, workers: int, names: tuple[str, ...]) -> None:
+    """Say what rendering will take, where it is minutes."""
+    from oysterbench.simulation import cost
+    from oysterbench.simulation.generate import sequence_files
+
+    files = sequence_files(split, folder)
+    wanted = [sequence for sequence in split.sequence if not names or sequence.name in names]
+    missing = [sequence for sequence in wanted if not files[sequence.name].exists()]
+    seconds = sum(cost.estimated(split, sequence, workers) for sequence in missing) / workers
+    if seconds > TOLD_FROM_S:
+        what = missing[0].name if len(missing) == 1 else f"{len(missing)} sequences"
+        on = f"{workers} worker{'s' if workers > 1 else ''}"
+        click.echo(f"rendering {split.name}: {what} will take about {_time(seconds)} on {on}", err=True)
 
 
 def _preview(split: SplitRecipe, names: tuple[str, ...], folder: Path) -> dict[str, Path]:

@@ -46,24 +46,33 @@ class SplitRow:
 
 
 @click.command(short_help="What can be rendered or downloaded, and what is here.")
+@click.argument("name", metavar="[SPLIT]", required=False)
 @click.option("--hub", "ask_hub", is_flag=True, help="Ask the hub, too: its splits and their sizes.")
 @click.option("--from", "places", multiple=True, metavar="URL", help="Address or folder of a hub; implies --hub.")
 @click.option("--key", help="Public key of the hub.  [default: OYSTERBENCH_HUB_KEY]")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
-def splits(ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: bool) -> None:
+def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: bool) -> None:
     """List the splits: what they are, which are on this machine, and how large they are.
+
+    With a SPLIT, a name or the path of a .toml recipe: its sequences, what they are like, and what they take to render.
 
     \b
     Examples:
       oysterbench splits
       oysterbench splits --hub
       oysterbench splits --json
+      oysterbench splits slam-val
 
     Without --hub no network is touched.
     """
     from oysterbench.recipe import load_split, split_names
     from oysterbench.simulation.generate import split_folder
 
+    if name is not None:
+        if ask_hub or places:
+            raise click.UsageError("SPLIT and --hub exclude each other: a hub tells of splits, a recipe of sequences")
+        _print_sequences(load_split(name), as_json)
+        return
     known = {split_folder(split): split for split in map(load_split, split_names())}
     kept = list(_kept(known))
     # A split that was downloaded is told of once, also where this oysterbench would keep its own elsewhere.
@@ -85,6 +94,19 @@ def splits(ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: boo
         seconds = "" if row.duration_s is None else f"{row.duration_s:.6g}"
         table.add_row(f"{row.name} {row.version}", row.track, str(row.sequences), seconds, row.state, row.summary)
     print_rich(table)
+
+
+def _print_sequences(split: SplitRecipe, as_json: bool) -> None:
+    from oysterbench.cli.outputs import print_rich
+    from oysterbench.report.recipes import sequences_table
+    from oysterbench.report.renderers.json import json_rows
+    from oysterbench.report.renderers.terminal import terminal_table
+
+    table = sequences_table(split)
+    if as_json:
+        click.echo(json.dumps({"split": split.name, "sequences": json_rows(table)}, indent=2))
+    else:
+        print_rich(terminal_table(table))
 
 
 def _known(splits: dict[Path, SplitRecipe]) -> Iterator[SplitRow]:

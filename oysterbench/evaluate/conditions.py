@@ -40,6 +40,3 @@ CONDITIONS: dict[str, Condition] = {
     "duration_s": Condition("duration", "s"),
 }
 """Conditions by their key in a record, classes first."""
-
-UNDISTURBED = "none"
-"""The disturbance of a dive that others of its split are held against."""

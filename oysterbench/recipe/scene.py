@@ -10,6 +10,9 @@ from oysterbench.recipe.path import PathRecipe
 CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone", 4: "plant", 5: "sponge", 6: "vehicle", 7: "hash"}
 """What the numbers of a class image mean; hash is broken shell."""
 
+UNDISTURBED = "none"
+"""The disturbance of a dive that others of its split are held against."""
+
 BOTTOMS = ("sand", "mud", "gravel", "shell")
 
 JERLOV_TYPES = ("I", "IA", "IB", "II", "III", "1C", "3C", "5C", "7C", "9C")

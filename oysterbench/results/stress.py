@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from oysterbench.evaluate.conditions import UNDISTURBED
+from oysterbench.recipe import UNDISTURBED
 from oysterbench.results.comparison import Board
 
 BROKEN_SHARE = 0.5

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from oysterbench.evaluate.conditions import UNDISTURBED
-from oysterbench.recipe import SequenceRecipe, SplitRecipe
+from oysterbench.recipe import UNDISTURBED, SequenceRecipe, SplitRecipe
 from oysterbench.render.spectra import secchi_depth, water_constituents
 
 SECCHI_CLASSES_M = ((1.0, "turbid"), (4.0, "murky"), (float("inf"), "clear"))

@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 import shutil
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -33,6 +34,7 @@ from oysterbench.sequence.file import read_attachments, read_messages
 from oysterbench.sequence.read import CALIBRATION, FAULTS, METADATA, OYSTERS, STEERING, TRUE_CALIBRATION, McapSequence
 from oysterbench.sequence.truth import rig_topics, static_transforms
 from oysterbench.sequence.write import SequenceWriter, pack
+from oysterbench.simulation import cost
 from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
 from oysterbench.simulation.scheduling import Results, run_here, run_in_processes, run_on_cluster
 from oysterbench.version import VERSION
@@ -130,9 +132,9 @@ def generate_split(
                 shutil.rmtree(_parts(folder, name, made_by), ignore_errors=True)
         missing = [sequence for sequence in wanted if not files[sequence.name].exists()]
         if missing:
-            task = partial(make_part, split, salt=Salt(salt), device=device, program=PROGRAM)
+            task = partial(make_timed_part, split, salt=Salt(salt), device=device, program=PROGRAM)
 
-            def run(jobs: list[Job]) -> Results[Job]:
+            def run(jobs: list[Job]) -> Results[Job, Timed]:
                 if scheduler is not None:
                     return run_on_cluster(task, jobs, scheduler)
                 if workers > 1 and len(jobs) > 1:
@@ -176,7 +178,7 @@ def _render(
     folder: Path,
     made_by: str,
     salt: bytes,
-    run: Callable[[list[Job]], Results[Job]],
+    run: Callable[[list[Job]], Results[Job, Timed]],
     progress: Progress,
 ) -> None:
     """Run the jobs that have left no part yet; put each sequence together as soon as its last part is there."""
@@ -196,13 +198,16 @@ def _render(
     def put_together(name: str) -> None:
         parts = _parts(folder, name, made_by)
         assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", made_by, salt)
+        cost.keep(folder, name, parts)
         shutil.rmtree(parts, ignore_errors=True)
 
     for name in [name for name, missing in waiting.items() if not missing]:
         put_together(name)
     with contextlib.closing(run(todo)) as results:
-        for job, part in results:
-            write_atomically(_parts(folder, job.sequence, made_by) / job.part, part)
+        for job, (part, cpu_s) in results:
+            parts = _parts(folder, job.sequence, made_by)
+            write_atomically(parts / job.part, part)
+            cost.add(parts, cpu_s)
             done += job.frames
             progress(done, total)
             waiting[job.sequence].discard(job)
@@ -217,6 +222,17 @@ def _warm_up(device: str) -> None:
 
     check_device(device)
     warm_up(device)
+
+
+Timed = tuple[bytes, float]
+"""A part, and the processor time, s, that it took, in which the building of a worker's sequence is."""
+
+
+def make_timed_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: str) -> Timed:
+    """`make_part`, and its processor time."""
+    began = time.process_time()
+    part = make_part(split, job, salt, device, program)
+    return part, time.process_time() - began
 
 
 def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: str) -> bytes:

@@ -1,4 +1,4 @@
-"""Where jobs run: in this process, in several of this machine, or on a Dask cluster. Each gives the bytes of its job.
+"""Where jobs run: in this process, in several of this machine, or on a Dask cluster. Each gives the result of its job.
 
 Only the caller writes files. So a worker needs no disk and no shared folder, one that dies takes nothing along but the
 jobs that it was at, and results do not depend on where and in which order they were made.
@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 from oysterbench.core.errors import OysterbenchError
 
 J = TypeVar("J")
+R = TypeVar("R")
 
 AHEAD = 2
 """Jobs handed out per worker: the next is there when one is done, and few results wait for the disk at a time."""
@@ -29,19 +30,19 @@ LEAST_AHEAD = 8  # jobs that a cluster is given before it has any worker
 DEATHS = 3  # of workers at one job, beyond those that the scheduler forgives by itself, before the job is to blame
 CONNECT_S = 15
 
-Results = Generator[tuple[J, bytes], None, None]
-"""Each job, with its bytes, in the order in which they are done."""
+Results = Generator[tuple[J, R], None, None]
+"""Each job, with what it gave, in the order in which they are done."""
 
 
-def run_here(task: Callable[[J], bytes], jobs: Sequence[J]) -> Results[J]:
+def run_here(task: Callable[[J], R], jobs: Sequence[J]) -> Results[J, R]:
     """Run jobs in this process."""
     for job in jobs:
         yield job, task(job)
 
 
 def run_in_processes(
-    task: Callable[[J], bytes], jobs: Sequence[J], workers: int, warm_up: Callable[[], None]
-) -> Results[J]:
+    task: Callable[[J], R], jobs: Sequence[J], workers: int, warm_up: Callable[[], None]
+) -> Results[J, R]:
     """Run jobs in so many processes; one runs `warm_up` before the others begin.
 
     Raises OysterbenchError when a process is killed.
@@ -51,7 +52,7 @@ def run_in_processes(
     )
     try:
         pool.submit(warm_up).result()
-        pending: dict[Future[bytes], J] = {}
+        pending: dict[Future[R], J] = {}
         queue = iter(jobs)
         while True:
             while len(pending) < AHEAD * workers and (job := next(queue, None)) is not None:
@@ -89,7 +90,7 @@ def _start_worker() -> None:
     cv2.setNumThreads(1)
 
 
-def run_on_cluster(task: Callable[[J], bytes], jobs: Sequence[J], address: str) -> Results[J]:
+def run_on_cluster(task: Callable[[J], R], jobs: Sequence[J], address: str) -> Results[J, R]:
     """Run jobs on the workers of a Dask scheduler, those that come and go meanwhile included; bytes travel back.
 
     A job whose worker is lost is run by another. Raises OysterbenchError when the scheduler cannot be reached or is
@@ -151,7 +152,7 @@ def run_on_cluster(task: Callable[[J], bytes], jobs: Sequence[J], address: str) 
 _ONE_AT_A_TIME = threading.Lock()
 
 
-def _on_cluster(task: Callable[[J], bytes], job: J) -> bytes:
+def _on_cluster(task: Callable[[J], R], job: J) -> R:
     """A job on a cluster's worker, whose threads share what the job is made with: one at a time, as in a process."""
     with _ONE_AT_A_TIME:
         return task(job)

@@ -135,7 +135,7 @@ def run_rollouts(
     return [_run(plan, job, found[job], identities[job.policy]) for job in jobs]
 
 
-def _results(plan: RolloutPlan, jobs: Sequence[RolloutJob], workers: int) -> Results[RolloutJob]:
+def _results(plan: RolloutPlan, jobs: Sequence[RolloutJob], workers: int) -> Results[RolloutJob, bytes]:
     task = partial(make_rollout, plan)
     if workers > 1 and len(jobs) > 1:
         return run_in_processes(task, jobs, workers, partial(_warm_up, plan))

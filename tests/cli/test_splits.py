@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import json
 
 import pytest
+from click.testing import CliRunner
 
+from oysterbench.cli.main import main
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.streams import stream
 from oysterbench.recipe import as_plain, count, load_split, parse_split, split_names
@@ -235,3 +238,16 @@ def test_bad_defaults_and_draws_are_named(old, new, said):
     with pytest.raises(RecipeError, match=said) as raised:
         parse_split(DEFAULTS.replace(old, new), "short.toml")
     assert "short.toml" in str(raised.value)
+
+
+def test_the_sequences_of_a_split_are_listed_with_what_they_are_like_and_take():
+    shown = json.loads(CliRunner().invoke(main, ["splits", "slam-val", "--json"], catch_exceptions=False).stdout)
+    assert [row["sequence"] for row in shown["sequences"]] == [q.name for q in load_split("slam-val").sequence]
+    assert all(row["cpu_estimated_s"] > 60 for row in shown["sequences"])
+    assert all(row["secchi_m"] > 0 for row in shown["sequences"])
+
+
+def test_an_unknown_split_to_list_is_named():
+    found = CliRunner().invoke(main, ["splits", "slam-maxi"])
+    assert found.exit_code != 0
+    assert "slam-maxi" in str(found.exception) + found.output

@@ -31,7 +31,11 @@ def test_two_workers_give_the_bytes_of_one(tiny_split, tiny_file, tmp_path):
     assert sha256(files["tiny-01"]) == sha256(tiny_file)
     assert seen[0] == (0, 25)
     assert seen[-1] == (25, 25)
-    assert sorted(p.name for p in tmp_path.iterdir()) == [".lock", "tiny-01.mcap"], "nothing else is left behind"
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        ".lock",
+        "costs.json",
+        "tiny-01.mcap",
+    ], "nothing else is left behind"
 
 
 def test_what_is_there_is_not_rendered_again(tiny_split, tiny_file):

@@ -1,0 +1,41 @@
+"""A split as its recipe has it: its sequences, what they are like, and what they take to render."""
+
+from __future__ import annotations
+
+from oysterbench.evaluate.conditions import CONDITIONS
+from oysterbench.recipe import SplitRecipe
+from oysterbench.report.table import Column, Table, TableRow
+from oysterbench.simulation import cost
+from oysterbench.simulation.conditions import conditions
+from oysterbench.simulation.generate import split_folder
+
+SHOWN = ("difficulty", "disturbance", "strength", "water_type", "secchi_m", "light", "motion", "duration_s")
+NUMBERS = ("difficulty", "strength", "secchi_m", "duration_s")
+
+
+def sequences_table(split: SplitRecipe) -> Table:
+    """A row for each sequence; what no sequence of the split states has no column."""
+    like = {sequence.name: conditions(split, sequence.name) for sequence in split.sequence}
+    shown = [key for key in SHOWN if any(key in values for values in like.values())]
+    measured = cost.measured(split_folder(split))
+    columns = [Column("sequence", "Sequence")]
+    for key in shown:
+        about = CONDITIONS[key]
+        heading = about.name[:1].upper() + about.name[1:]
+        columns.append(Column(key, heading, about.unit, "number" if key in NUMBERS else "text"))
+    columns += [
+        Column("cpu_estimated_s", "Estimated", "CPU min", "number", digits=1, factor=1 / 60),
+        Column("cpu_measured_s", "Measured", "CPU min", "number", digits=1, factor=1 / 60),
+    ]
+    rows = []
+    total = 0.0
+    for sequence in split.sequence:
+        estimate = cost.estimated(split, sequence)
+        total += estimate
+        values = (like[sequence.name].get(key) for key in shown)
+        rows.append(TableRow((sequence.name, *values, estimate, measured.get(sequence.name))))
+    note = (
+        f"To render all takes about {total / 3600:.1f} hours of one core like ours, shared by the workers; measured "
+        "is what it took here."
+    )
+    return Table(f"{split.name} {split.version}", tuple(columns), tuple(rows), (note,))

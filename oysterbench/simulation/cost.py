@@ -1,0 +1,67 @@
+"""What a sequence takes to render: estimated from its recipe before, and measured while it is made."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from oysterbench.core.files import write_atomically
+from oysterbench.recipe import CameraRecipe, SequenceRecipe, SplitRecipe, count
+from oysterbench.sensors.registry import rig_sensors
+
+COSTS = "costs.json"
+"""Beside the files of a split: sequence -> the processor time that it took here, s."""
+
+_LOG = "cost.log"  # among the parts: a line of processor time for each, so that it outlasts an interruption
+
+PICTURE_PX = 640 * 480
+FRAME_S = 0.36  # of processor time for a picture of PICTURE_PX of an empty bottom in daylight
+OYSTERS_S = 0.45  # added by 100 oysters per m^2
+PLANTS_S = 1.5  # added by a bottom that is all plants
+LAMPS_S = 0.15  # added by lamps
+PING_S = 0.1  # of a sonar that renders each ping by itself
+BUILDING_S = 4e-4  # of a reef, per oyster, in each process
+"""Measured on one core of a 2.6 GHz server over the splits of this project, of which it holds within a third or so."""
+
+
+def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1) -> float:
+    """Processor time, s, to render a sequence with so many workers, each of which builds its reef."""
+    rig = split.rig_of(sequence)
+    reef = sequence.reef
+    shaded = FRAME_S + OYSTERS_S * reef.oyster_count / reef.size_m**2 / 100.0 + PLANTS_S * reef.plant_cover
+    if sequence.light.lamps > 0 and any(lamp.intensity_cd > 0 for lamp in rig.lamp):
+        shaded += LAMPS_S
+    total = workers * BUILDING_S * reef.oyster_count
+    for kind, recipe in rig_sensors(rig):
+        if kind.bulky:
+            pictures = count(sequence.duration_s, recipe.rate_hz)
+            camera = isinstance(recipe, CameraRecipe)
+            total += pictures * (shaded * recipe.width * recipe.height / PICTURE_PX if camera else PING_S)
+    return total
+
+
+def measured(folder: Path) -> dict[str, float]:
+    """Processor time, s, of the sequences that were rendered into a folder, as far as it is known."""
+    try:
+        found = json.loads((folder / COSTS).read_text())
+        return {str(name): float(seconds) for name, seconds in found.items()}
+    except (OSError, ValueError, AttributeError, TypeError):
+        return {}
+
+
+def add(parts: Path, cpu_s: float) -> None:
+    """Note the processor time, s, of a part that has just been kept."""
+    with open(parts / _LOG, "a") as file:
+        file.write(f"{cpu_s:.4f}\n")
+
+
+def keep(folder: Path, sequence: str, parts: Path) -> None:
+    """Note the processor time of a sequence, all of whose parts are there."""
+    try:
+        lines = (parts / _LOG).read_text().splitlines()
+    except OSError:  # parts of an older program
+        return
+    seconds = sum(float(line) for line in lines if re.fullmatch(r"\d+\.\d{4}", line))  # but for one that a kill cut off
+    costs = {**measured(folder), sequence: round(seconds, 1)}
+    write_atomically(folder / COSTS, json.dumps(costs, indent=1).encode())

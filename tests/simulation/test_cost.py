@@ -1,0 +1,47 @@
+"""What rendering takes is estimated before it starts, and measured over all interruptions."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from oysterbench.recipe import load_split
+from oysterbench.simulation import cost
+from oysterbench.simulation.generate import generate_split
+
+
+def test_twice_the_pictures_take_twice_the_time():
+    split = load_split("slam-val")
+    once = split.sequence[0]
+    twice = dataclasses.replace(once, duration_s=2 * once.duration_s)
+    building = cost.BUILDING_S * once.reef.oyster_count
+    whole = cost.estimated(split, once) - building
+    assert cost.estimated(split, twice) - building == pytest.approx(2 * whole)
+
+
+def test_a_dense_reef_takes_longer_than_a_bare_one():
+    split = load_split("slam-val")
+    bare, dense = split.find_sequence("val-05"), split.find_sequence("val-06")
+    assert cost.estimated(split, dense) > 1.3 * cost.estimated(split, bare)
+
+
+def test_what_a_sequence_took_is_kept_beside_it(tiny_split, tmp_path):
+    generate_split(tiny_split, tmp_path)
+    assert cost.measured(tmp_path)["tiny-01"] > 0.1
+
+
+def test_a_line_that_a_kill_cut_off_costs_no_other(tmp_path):
+    cost.add(tmp_path, 1.5)
+    cost.add(tmp_path, 2.0)
+    with open(tmp_path / "cost.log", "a") as file:
+        file.write("0.7")
+    cost.keep(tmp_path, "one", tmp_path)
+    assert cost.measured(tmp_path) == {"one": 3.5}
+
+
+@pytest.mark.parametrize("content", [None, "[1, 2]", "{", '{"one": null}'])
+def test_a_file_of_costs_that_is_absent_or_damaged_tells_nothing(tmp_path, content):
+    if content is not None:
+        (tmp_path / cost.COSTS).write_text(content)
+    assert cost.measured(tmp_path) == {}
