@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from oysterbench.render.arithmetic import greater, lesser
 from oysterbench.render.relief import Relief, cast_relief, over_relief, relief_normal
 
 NOTHING = wp.constant(-1)
@@ -40,7 +41,7 @@ class Placed:
 class Vehicle:
     """The rig's body, where it is now: rotation takes base_link into `map`; mesh 0 is none. marks are albedos.
 
-    radius: of the sphere around the origin that holds it, m.
+    radius: of the sphere around the origin that holds it, m; low, high: corners of the box that does.
     """
 
     mesh: wp.uint64
@@ -50,6 +51,8 @@ class Vehicle:
     rotation: wp.mat33
     position: wp.vec3
     radius: wp.float32
+    low: wp.vec3
+    high: wp.vec3
 
 
 @wp.struct
@@ -89,6 +92,22 @@ def near_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3):
 
 
 @wp.func
+def meets_box(low: wp.vec3, high: wp.vec3, origin: wp.vec3, direction: wp.vec3):
+    """Whether a ray meets a box, by slabs."""
+    enter = wp.float32(0.0)
+    leave = wp.float32(FAR_M)
+    for axis in range(3):
+        along = direction[axis]
+        if wp.abs(along) < 1.0e-12:
+            along = wp.float32(1.0e-12)
+        a = (low[axis] - origin[axis]) / along
+        b = (high[axis] - origin[axis]) / along
+        enter = greater(enter, lesser(a, b))
+        leave = lesser(leave, greater(a, b))
+    return enter <= leave
+
+
+@wp.func
 def cast_instance(world: Geometry, i: int, origin: wp.vec3, direction: wp.vec3, max_t: float):
     """Where a ray meets instance i; NOTHING where it does not before max_t."""
     hit = Hit()
@@ -116,13 +135,15 @@ def cast_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3, max_t: f
         if near_vehicle(vehicle, origin, direction):
             back = wp.transpose(vehicle.rotation)
             start = back * (origin - vehicle.position)
-            body = wp.mesh_query_ray(vehicle.mesh, start, back * direction, max_t)
-            if body.result:
-                hit.t = body.t
-                hit.instance = VEHICLE
-                hit.face = body.face
-                hit.u = body.u
-                hit.v = body.v
+            along = back * direction
+            if meets_box(vehicle.low, vehicle.high, start, along):
+                body = wp.mesh_query_ray(vehicle.mesh, start, along, max_t)
+                if body.result:
+                    hit.t = body.t
+                    hit.instance = VEHICLE
+                    hit.face = body.face
+                    hit.u = body.u
+                    hit.v = body.v
     return hit
 
 
@@ -176,7 +197,10 @@ def blocked_by_vehicle(vehicle: Vehicle, origin: wp.vec3, direction: wp.vec3, ma
     if vehicle.mesh != wp.uint64(0):  # noqa: SIM102 - Warp evaluates both sides of an `and`
         if near_vehicle(vehicle, origin, direction):
             back = wp.transpose(vehicle.rotation)
-            return wp.mesh_query_ray_anyhit(vehicle.mesh, back * (origin - vehicle.position), back * direction, max_t)
+            start = back * (origin - vehicle.position)
+            along = back * direction
+            if meets_box(vehicle.low, vehicle.high, start, along):
+                return wp.mesh_query_ray_anyhit(vehicle.mesh, start, along, max_t)
     return False
 
 

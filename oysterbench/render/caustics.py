@@ -46,14 +46,20 @@ class Waves:
         heading = 2 * np.pi * generator.random() + SPREAD_RAD * generator.standard_normal(WAVES)
         self.steps = np.rint(PERIOD_M / lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], 1)).astype(int)
         self.steps[~self.steps.any(axis=1)] = (2, 0)
+        # Waves of even and odd numbers of crests along x and y apart, for `land`.
+        kinds = 2 * (self.steps[:, 1] & 1) + (self.steps[:, 0] & 1)
+        order = np.argsort(kinds, kind="stable")
+        self.steps = self.steps[order]
+        firsts = np.searchsorted(kinds[order], np.arange(5)).astype(np.int32)
         numbers = 2 * np.pi / PERIOD_M * np.hypot(*self.steps.T)
         self.rates = np.sqrt(GRAVITY * numbers)
-        self.phases = 2 * np.pi * generator.random(WAVES)
+        self.phases = 2 * np.pi * generator.random(WAVES)[order]
         self.along = self.steps / np.hypot(*self.steps.T)[:, None] * np.sqrt(2 * square / WAVES)
         self.push = depth_m * (1 - 1 / 1.34) * CELLS / PERIOD_M  # cells by which a slope of 1 moves a ray
         turn = 2 * np.pi * np.arange(RAYS) / RAYS
         self._cosine, self._sine = (self._floats(f(turn)) for f in (np.cos, np.sin))
         self._steps = wp.array(self.steps.astype(np.int32), dtype=wp.int32, device=device)
+        self._firsts = wp.array(firsts, dtype=wp.int32, device=device)
         self._counts = wp.zeros((CELLS, CELLS), dtype=wp.int32, device=device)
         self.light = Caustics()
         self.light.on = int(recipe.wind_m_s > 0)
@@ -75,8 +81,8 @@ class Waves:
         self._counts.zero_()
         wp.launch(
             land,
-            (RAYS, RAYS),
-            inputs=[self._steps, moved, self._cosine, self._sine],
+            (RAYS // 2, RAYS // 2),
+            inputs=[self._steps, self._firsts, moved, self._cosine, self._sine],
             outputs=[self._counts],
             device=self.device,
         )
@@ -86,40 +92,68 @@ class Waves:
         return wp.array(np.round(values, 7).astype(np.float32), dtype=wp.float32, device=self.device)
 
 
+@wp.func
+def pushed(
+    steps: wp.array2d(dtype=wp.int32),
+    moved: wp.array(dtype=wp.vec4),
+    cosine: wp.array(dtype=wp.float32),
+    sine: wp.array(dtype=wp.float32),
+    first: int,
+    end: int,
+    i: int,
+    j: int,
+):
+    """How far waves from `first` to before `end` push the ray of a grid point, in cells."""
+    push = wp.vec2(0.0, 0.0)
+    for w in range(first, end):
+        k = (steps[w, 0] * j + steps[w, 1] * i) & (cosine.shape[0] - 1)
+        c = cosine[k]
+        s = sine[k]
+        wave = moved[w]
+        push += wp.vec2(wave[0] * c + wave[2] * s, wave[1] * c + wave[3] * s)
+    return push
+
+
 @wp.kernel
 def land(
     steps: wp.array2d(dtype=wp.int32),
+    first: wp.array(dtype=wp.int32),
     moved: wp.array(dtype=wp.vec4),
     cosine: wp.array(dtype=wp.float32),
     sine: wp.array(dtype=wp.float32),
     counts: wp.array2d(dtype=wp.int32),
 ):
-    """Where the ray of each grid point lands, shared among four cells in whole numbers: sums of any order agree."""
+    """Where the rays of four grid points half a period apart land, shared among cells in whole numbers.
+
+    Sums of whole numbers agree in any order. Half a period on, waves with an odd number of crests have turned their
+    sign and the others have not: so four points share the sums over each kind of waves.
+    """
     i, j = wp.tid()
     n = cosine.shape[0]
-    dx = wp.float32(0.0)
-    dy = wp.float32(0.0)
-    for w in range(steps.shape[0]):
-        k = (steps[w, 0] * j + steps[w, 1] * i) & (n - 1)
-        c = cosine[k]
-        s = sine[k]
-        wave = moved[w]
-        dx += wave[0] * c + wave[2] * s
-        dy += wave[1] * c + wave[3] * s
+    even = pushed(steps, moved, cosine, sine, first[0], first[1], i, j)
+    odd_x = pushed(steps, moved, cosine, sine, first[1], first[2], i, j)
+    odd_y = pushed(steps, moved, cosine, sine, first[2], first[3], i, j)
+    odd = pushed(steps, moved, cosine, sine, first[3], first[4], i, j)
     cells = counts.shape[0]
     per_cell = float(n / cells)
-    x = int(wp.floor((float(j) / per_cell + dx) * float(UNIT) + 0.5))
-    y = int(wp.floor((float(i) / per_cell + dy) * float(UNIT) + 0.5))
-    a = x & (UNIT - 1)
-    b = y & (UNIT - 1)
-    column = (x >> 6) & (cells - 1)
-    row = (y >> 6) & (cells - 1)
-    right = (column + 1) & (cells - 1)
-    below = (row + 1) & (cells - 1)
-    wp.atomic_add(counts, row, column, (UNIT - a) * (UNIT - b))
-    wp.atomic_add(counts, row, right, a * (UNIT - b))
-    wp.atomic_add(counts, below, column, (UNIT - a) * b)
-    wp.atomic_add(counts, below, right, a * b)
+    for quarter in range(4):
+        sign_x = 1.0 - 2.0 * float(quarter % 2)
+        sign_y = 1.0 - 2.0 * float(quarter // 2)
+        push = even + odd_x * sign_x + odd_y * sign_y + odd * (sign_x * sign_y)
+        across = float(j + (quarter % 2) * (n / 2)) / per_cell
+        down = float(i + (quarter // 2) * (n / 2)) / per_cell
+        x = int(wp.floor((across + push[0]) * float(UNIT) + 0.5))
+        y = int(wp.floor((down + push[1]) * float(UNIT) + 0.5))
+        a = x & (UNIT - 1)
+        b = y & (UNIT - 1)
+        column = (x >> 6) & (cells - 1)
+        row = (y >> 6) & (cells - 1)
+        right = (column + 1) & (cells - 1)
+        below = (row + 1) & (cells - 1)
+        wp.atomic_add(counts, row, column, (UNIT - a) * (UNIT - b))
+        wp.atomic_add(counts, row, right, a * (UNIT - b))
+        wp.atomic_add(counts, below, column, (UNIT - a) * b)
+        wp.atomic_add(counts, below, right, a * b)
 
 
 @wp.kernel

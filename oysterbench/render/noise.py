@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from oysterbench.render.arithmetic import clamped, greater, lesser
+
 MIX_1 = wp.constant(wp.uint32(0x7FEB352D))
 MIX_2 = wp.constant(wp.uint32(0x846CA68B))
 PRIME_X = wp.constant(wp.uint32(0x9E3779B1))
@@ -104,13 +106,13 @@ def noise3(p: wp.vec3, seed: wp.uint32):
 @wp.func
 def kept(wavelength: float, footprint: float):
     """Weight of detail of a wavelength: 0 below 2 footprints (Nyquist), 1 from 4 on."""
-    return wp.clamp(0.5 * wavelength / footprint - 1.0, 0.0, 1.0)
+    return clamped(0.5 * wavelength / footprint - 1.0, 0.0, 1.0)
 
 
 @wp.func
 def step_smoothly(low: float, high: float, x: float):
     """Cubic step from 0 at `low` to 1 at `high`."""
-    s = wp.clamp((x - low) / (high - low), 0.0, 1.0)
+    s = clamped((x - low) / (high - low), 0.0, 1.0)
     return s * s * (3.0 - 2.0 * s)
 
 
@@ -137,8 +139,8 @@ def fleck(x: float, y: float, cell: float, density: float, footprint: float, see
             # Broken pieces: an ellipse cut by a line.
             cut = 0.15 + 0.9 * unit(g, 4) - 0.8 * along - 0.6 * across
             r = wp.sqrt(along * along + across * across)
-            inside = wp.min(1.0 - r, cut) * radius * aspect * cell / footprint
-            cover = weight * wp.clamp(inside + 0.5, 0.0, 1.0)
+            inside = lesser(1.0 - r, cut) * radius * aspect * cell / footprint
+            cover = weight * clamped(inside + 0.5, 0.0, 1.0)
             # A lens that is tilted a little: flat in the middle, falling off at the rim.
             fall = -1.6 * r * r * r
             slope = wp.vec2(fall * dx, fall * dy) * (1.0 / (radius + 1.0e-6))
@@ -169,6 +171,6 @@ def pebble(x: float, y: float, cell: float, seed: wp.uint32):
         if inside > 0.0:
             rise = wp.sqrt(inside) * (0.55 + 0.45 * unit(h, 24))
             if rise > top[0]:
-                slope = -(0.55 + 0.45 * unit(h, 24)) / (radius * radius * wp.max(wp.sqrt(inside), 0.25))
+                slope = -(0.55 + 0.45 * unit(h, 24)) / (radius * radius * greater(wp.sqrt(inside), 0.25))
                 top = wp.vec4(rise, slope * dx, slope * (1.4 * dy + shear * dx), unit(scramble(h), 8))
     return top

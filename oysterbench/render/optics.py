@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from oysterbench.render.arithmetic import clamped
 from oysterbench.render.noise import noise2, step_smoothly
 
 LAYER_COSINE, LAYER_SINE = wp.constant(0.8253356), wp.constant(0.5646425)  # 0.6 rad: neither rows nor diagonals meet
@@ -81,16 +82,16 @@ class Optics:
 def look_up(table: wp.array(dtype=wp.vec3), place: float):
     """Linear interpolation at a fractional index, clamped."""
     last = table.shape[0] - 1
-    clamped = wp.clamp(place, 0.0, float(last) - 0.001)
-    i = int(clamped)
-    return table[i] + (table[i + 1] - table[i]) * (clamped - float(i))
+    inside = clamped(place, 0.0, float(last) - 0.001)
+    i = int(inside)
+    return table[i] + (table[i + 1] - table[i]) * (inside - float(i))
 
 
 @wp.func
 def look_up_pair(table: wp.array2d(dtype=wp.vec3), row: float, column: float):
     """Bilinear interpolation at fractional indices, clamped; exact where all values are one."""
-    y = wp.clamp(row, 0.0, float(table.shape[0] - 1) - 0.001)
-    x = wp.clamp(column, 0.0, float(table.shape[1] - 1) - 0.001)
+    y = clamped(row, 0.0, float(table.shape[0] - 1) - 0.001)
+    x = clamped(column, 0.0, float(table.shape[1] - 1) - 0.001)
     i = int(y)
     j = int(x)
     u = x - float(j)
@@ -102,13 +103,13 @@ def look_up_pair(table: wp.array2d(dtype=wp.vec3), row: float, column: float):
 @wp.func
 def filled(saturation: wp.array2d(dtype=wp.vec3), row: float, place: wp.vec3):
     """Bilinear interpolation of a table, for each channel at a column of its own."""
-    y = wp.clamp(row, 0.0, float(saturation.shape[0] - 1) - 0.001)
+    y = clamped(row, 0.0, float(saturation.shape[0] - 1) - 0.001)
     i = int(y)
     v = y - float(i)
     last = float(saturation.shape[1] - 1) - 0.001
     share = wp.vec3(0.0, 0.0, 0.0)
     for channel in range(3):
-        x = wp.clamp(place[channel], 0.0, last)
+        x = clamped(place[channel], 0.0, last)
         j = int(x)
         u = x - float(j)
         a = saturation[i, j][channel]
@@ -158,7 +159,7 @@ def caustic(optics: Optics, p: wp.vec3):
         x = p[0] + optics.sun_direction[0] * across
         y = p[1] + optics.sun_direction[1] * across
         cells = float(optics.caustics.tile.shape[0]) / optics.caustics.period
-        place = wp.clamp(-p[2] / optics.caustics.fade_step, 0.0, float(optics.caustics.fade.shape[0] - 1) - 0.001)
+        place = clamped(-p[2] / optics.caustics.fade_step, 0.0, float(optics.caustics.fade.shape[0] - 1) - 0.001)
         i = int(place)
         low = optics.caustics.fade[i]
         contrast = low + (optics.caustics.fade[i + 1] - low) * (place - float(i))
@@ -187,7 +188,7 @@ def lamp_irradiance(lamps: Lamps, k: int, p: wp.vec3):
     square = wp.max(wp.dot(apart, apart), 1.0e-4)
     distance = wp.sqrt(square)
     cosine = wp.dot(apart, lamps.axes[k]) / distance
-    s = wp.clamp((cosine - lamps.outer[k]) / (lamps.inner[k] - lamps.outer[k]), 0.0, 1.0)
+    s = clamped((cosine - lamps.outer[k]) / (lamps.inner[k] - lamps.outer[k]), 0.0, 1.0)
     edge = s * s * (3.0 - 2.0 * s) / square
     light = wp.vec3(0.0, 0.0, 0.0)
     if edge > 0.0:
@@ -199,10 +200,10 @@ def lamp_irradiance(lamps: Lamps, k: int, p: wp.vec3):
 def beam_light(lamps: Lamps, row: float, column: float, distance: float):
     """Light of the lamps that the water scatters into a view ray of that length, at fractional rows and columns."""
     nodes = lamps.beams.shape[2]
-    place = float(nodes - 1) * wp.sqrt(wp.clamp(distance / lamps.reach, 0.0, 1.0))
+    place = float(nodes - 1) * wp.sqrt(clamped(distance / lamps.reach, 0.0, 1.0))
     z = wp.min(place, float(nodes - 1) - 0.001)
-    y = wp.clamp(row, 0.0, float(lamps.beams.shape[0] - 1) - 0.001)
-    x = wp.clamp(column, 0.0, float(lamps.beams.shape[1] - 1) - 0.001)
+    y = clamped(row, 0.0, float(lamps.beams.shape[0] - 1) - 0.001)
+    x = clamped(column, 0.0, float(lamps.beams.shape[1] - 1) - 0.001)
     i = int(y)
     j = int(x)
     k = int(z)

@@ -6,6 +6,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from oysterbench.render.arithmetic import clamped, greater, lesser
+
 LEVELS = 7  # the coarsest cell is 64 cells wide
 
 TOP = wp.constant(LEVELS - 1)
@@ -52,8 +54,8 @@ def build_relief(heights: NDArray[np.float32], start: float, step: float, device
 def bilinear(relief: Relief, x: float, y: float):
     """Height at (x, y) in cells from the start, clamped to the square."""
     last = float(relief.cells) - 0.001
-    cx = wp.clamp(x, 0.0, last)
-    cy = wp.clamp(y, 0.0, last)
+    cx = clamped(x, 0.0, last)
+    cy = clamped(y, 0.0, last)
     j = int(cx)
     i = int(cy)
     u = cx - float(j)
@@ -111,15 +113,15 @@ def cast_relief(relief: Relief, origin: wp.vec3, direction: wp.vec3, max_t: floa
     inverse_y = 1.0 / dy
     n = relief.cells
     size = float(n)
-    enter_x = wp.min(-x0 * inverse_x, (size - x0) * inverse_x)
-    enter_y = wp.min(-y0 * inverse_y, (size - y0) * inverse_y)
-    leave_x = wp.max(-x0 * inverse_x, (size - x0) * inverse_x)
-    leave_y = wp.max(-y0 * inverse_y, (size - y0) * inverse_y)
-    t = wp.max(wp.max(enter_x, enter_y), 0.0)
-    end = wp.min(wp.min(leave_x, leave_y), max_t)
+    enter_x = lesser(-x0 * inverse_x, (size - x0) * inverse_x)
+    enter_y = lesser(-y0 * inverse_y, (size - y0) * inverse_y)
+    leave_x = greater(-x0 * inverse_x, (size - x0) * inverse_x)
+    leave_y = greater(-y0 * inverse_y, (size - y0) * inverse_y)
+    t = greater(greater(enter_x, enter_y), 0.0)
+    end = lesser(lesser(leave_x, leave_y), max_t)
     # Nothing can be hit before the ray is as low as the highest ground.
     if direction[2] < 0.0:
-        t = wp.max(t, (relief.top - origin[2]) / direction[2])
+        t = greater(t, (relief.top - origin[2]) / direction[2])
     elif origin[2] > relief.top:
         end = wp.float32(-1.0)
     found = wp.float32(-1.0)
@@ -139,7 +141,7 @@ def cast_relief(relief: Relief, origin: wp.vec3, direction: wp.vec3, max_t: floa
             line_y = (row + 1) * width
         out_x = (float(line_x) - x0) * inverse_x
         out_y = (float(line_y) - y0) * inverse_y
-        out = wp.min(wp.min(out_x, out_y), end)
+        out = lesser(lesser(out_x, out_y), end)
         lowest = origin[2] + direction[2] * wp.where(direction[2] < 0.0, out, t)
         per_row = (n + width - 1) >> level
         if lowest <= relief.highest[relief.first[level] + row * per_row + column]:
@@ -155,7 +157,7 @@ def cast_relief(relief: Relief, origin: wp.vec3, direction: wp.vec3, max_t: floa
                 w = x0 + dx * middle - float(j)
                 at_middle = above(relief, i, j, w, w, origin[2] + direction[2] * middle)
                 if at_middle <= 0.0:
-                    found = t + (middle - t) * wp.max(before, 0.0) / (wp.max(before, 0.0) - at_middle + 1.0e-12)
+                    found = t + (middle - t) * greater(before, 0.0) / (greater(before, 0.0) - at_middle + 1.0e-12)
                 before = at_middle
                 t = middle
             if found < 0.0:
@@ -163,7 +165,7 @@ def cast_relief(relief: Relief, origin: wp.vec3, direction: wp.vec3, max_t: floa
                 v = y0 + dy * out - float(i)
                 after = above(relief, i, j, u, v, origin[2] + direction[2] * out)
                 if after <= 0.0:
-                    found = t + (out - t) * wp.max(before, 0.0) / (wp.max(before, 0.0) - after + 1.0e-12)
+                    found = t + (out - t) * greater(before, 0.0) / (greater(before, 0.0) - after + 1.0e-12)
         # Step to the next node: exactly over the line that is crossed, and along the other axis where the ray is.
         if out_x <= out_y:
             j = line_x
@@ -177,6 +179,6 @@ def cast_relief(relief: Relief, origin: wp.vec3, direction: wp.vec3, max_t: floa
             j = wp.clamp(int(wp.floor(x0 + dx * out)), column * width, column * width + width - 1)
         if i < 0 or j < 0 or i >= n or j >= n:
             end = wp.float32(-1.0)
-        t = wp.max(out, t)
+        t = greater(out, t)
         level = wp.min(level + 1, TOP)
     return found

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warp as wp
 
 from oysterbench.recipe import ReefRecipe
+from oysterbench.render.arithmetic import clamped, greater
 from oysterbench.render.noise import fleck, kept, lattice, noise2, noise3, pebble, scramble, step_smoothly, unit
 from oysterbench.scene.instances import CLASS_NUMBERS
 
@@ -100,7 +101,7 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
                     slope_y += weight * (0.8 * n[2] - 0.6 * n[1])
         wavelength *= 0.41
     tone = step_smoothly(-0.9, 0.9, patches)
-    albedo = (ground.dark + (ground.light - ground.dark) * tone) * wp.max(0.25, 1.0 + 0.24 * grain)
+    albedo = (ground.dark + (ground.light - ground.dark) * tone) * greater(0.25, 1.0 + 0.24 * grain)
     slope_x *= ground.bump
     slope_y *= ground.bump
     if ground.pebbles > 0.0:
@@ -164,8 +165,8 @@ def barnacle(x: float, y: float, cell: float, footprint: float, seed: wp.uint32)
         dx = x / cell - fx - (0.34 + 0.32 * unit(h, 16))
         dy = y / cell - fy - (0.34 + 0.32 * unit(h, 24))
         r = wp.sqrt(dx * dx + dy * dy) + 1.0e-6
-        edge = wp.clamp((radius - r) * cell / footprint + 0.5, 0.0, 1.0)
-        mouth = wp.clamp((0.38 * radius - r) * cell / footprint + 0.5, 0.0, 1.0)
+        edge = clamped((radius - r) * cell / footprint + 0.5, 0.0, 1.0)
+        mouth = clamped((0.38 * radius - r) * cell / footprint + 0.5, 0.0, 1.0)
         result = wp.vec4(edge, -dx / r, -dy / r, mouth)
     return result
 
@@ -200,7 +201,7 @@ def shell(
             fine += weight * n[0]
             gradient += wp.vec3(n[1], n[2], n[3]) * (0.50 * weight)
         wavelength *= 0.5
-    outside = 1.0 - wp.clamp(mark[1], 0.0, 1.0)
+    outside = 1.0 - clamped(mark[1], 0.0, 1.0)
     # Bands of a season and, finer, of a spring tide, along the margins that the shell had.
     age = mark[0] * height
     radial = wp.vec3(q[0], 1.6 * q[1], 0.0)
@@ -212,7 +213,7 @@ def shell(
     # A lamella rises gently and breaks off; not every one is as strong along all of its rim.
     wide = kept(0.0080, footprint) * outside
     close = kept(0.0031, footprint) * outside
-    strong = wp.clamp(0.6 + 0.9 * coarse[3], 0.0, 1.3)
+    strong = clamped(0.6 + 0.9 * coarse[3], 0.0, 1.3)
     brink = step_smoothly(0.62, 0.80, band) * (1.0 - step_smoothly(0.90, 1.0, band))
     # Sediment stays where the surface is flat and rough, and fills what the shell has grown.
     settled = normal[2] + 0.45 * value + 0.40 * fine + silt + 1.7 * ground.cover - 1.6
@@ -223,7 +224,7 @@ def shell(
     gradient = gradient + radial * (bare * (wide * strong * (0.9 - 6.0 * brink) + close * (1.3 * (0.5 - ridge))))
     band = band * kept(0.0105, footprint)
     ridge = ridge * close
-    outer = colour * wp.max(0.3, 0.80 + 0.26 * band + 0.22 * ridge + 0.36 * value + 0.28 * fine)
+    outer = colour * greater(0.3, 0.80 + 0.26 * band + 0.22 * ridge + 0.36 * value + 0.28 * fine)
     outer = outer * (1.0 + 0.45 * step_smoothly(0.90, 1.0, mark[0]))
     film = step_smoothly(0.1, 0.8, 1.3 * coarse[2] - 0.5 * value + 0.3 * fine + 0.4 * normal[2])
     outer = outer + (FILM * (1.0 + 0.4 * fine) - outer) * (0.55 * film)
@@ -246,7 +247,7 @@ def shell(
         fuzz = noise3(q / 0.0019, seed + wp.uint32(41))
         bumped = wp.normalize(bumped - (rotation * wp.vec3(fuzz[1], fuzz[2], fuzz[3])) * (0.22 * grains))
         tone += 0.28 * fuzz[0] * grains
-    silted = ground.silt * wp.max(0.35, tone)
+    silted = ground.silt * greater(0.35, tone)
     material.albedo = albedo + (silted - albedo) * (0.90 * cover)
     material.normal = bumped
     return material
@@ -275,7 +276,7 @@ def stone(
             value += weight * n[0]
             gradient += wp.vec3(n[1], n[2], n[3]) * weight
         wavelength *= 0.4
-    albedo = colour * wp.max(0.3, 1.0 + 0.45 * value)
+    albedo = colour * greater(0.3, 1.0 + 0.45 * value)
     film = step_smoothly(0.0, 0.9, value + 0.5 * normal[2])
     albedo = albedo + (FILM - albedo) * (0.4 * film)
     cover = step_smoothly(0.3, 1.0, normal[2] + 0.4 * value + silt + 1.2 * ground.cover - 1.3)
@@ -293,7 +294,7 @@ def plant(mark: wp.vec3, normal: wp.vec3, colour: wp.vec3, ground: Ground, footp
     albedo = colour * (0.65 + 0.6 * mark[1]) * (1.0 + 0.3 * n[0] * weight)
     withered = step_smoothly(0.55, 1.0, mark[0] + 0.3 * mark[1])
     albedo = albedo + (wp.vec3(0.16, 0.12, 0.055) - albedo) * (0.6 * withered)
-    cover = wp.clamp(ground.cover * (0.35 + 0.4 * normal[2] + 0.3 * n[0]), 0.0, 0.8)
+    cover = clamped(ground.cover * (0.35 + 0.4 * normal[2] + 0.3 * n[0]), 0.0, 0.8)
     material = Material()
     material.albedo = albedo + (ground.silt - albedo) * cover
     material.normal = normal
@@ -310,7 +311,7 @@ def sponge(
     wide = kept(0.011, footprint)
     close = kept(0.0031, footprint)
     pore = step_smoothly(0.45, 0.75, b[0]) * close
-    albedo = colour * wp.max(0.2, 1.0 + 0.25 * a[0] * wide - 0.55 * pore)
+    albedo = colour * greater(0.2, 1.0 + 0.25 * a[0] * wide - 0.55 * pore)
     gradient = wp.vec3(a[1], a[2], a[3]) * (0.6 * wide) + wp.vec3(b[1], b[2], b[3]) * (0.35 * close)
     cover = step_smoothly(0.4, 1.0, normal[2] + 0.4 * a[0] + ground.cover - 0.6)
     material = Material()

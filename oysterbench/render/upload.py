@@ -24,6 +24,7 @@ from oysterbench.scene.world import World
 CREVICE_BLUR_CELLS = 2.0
 CREVICE_RISE_M = 0.02
 LEAF_TRIANGLES = 4  # of the meshes' trees: measured best
+VEHICLE_MARGIN_M = 1e-3  # of the box around it
 LEAST_SUN = 1e-6
 CLEAR_BOUNCE = 0.16  # albedo of the bottom as seen by a surface that faces down
 
@@ -83,6 +84,8 @@ def upload_vehicle(mesh: Mesh | None, device: str) -> tuple[Vehicle, list[Any]]:
     vehicle.corners = body.indices
     vehicle.normals = wp.array(mesh.normals, dtype=wp.vec3, device=device)
     vehicle.marks = wp.array(mesh.marks, dtype=wp.vec3, device=device)
+    vehicle.low = wp.vec3(*(mesh.vertices.min(axis=0) - VEHICLE_MARGIN_M).tolist())
+    vehicle.high = wp.vec3(*(mesh.vertices.max(axis=0) + VEHICLE_MARGIN_M).tolist())
     vehicle.radius = float(np.sqrt((mesh.vertices.astype(float) ** 2).sum(axis=1).max())) + 1e-3
     return vehicle, [body]
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from oysterbench.render.arithmetic import clamped
+
 
 @wp.struct
 class CameraView:
@@ -28,8 +30,8 @@ class CameraView:
 @wp.func
 def ray_at(view: CameraView, u: float, v: float):
     """The ray of a place in the picture, px, between those of its neighbours."""
-    x = wp.clamp(u + 1.0, 0.0, float(view.rays.shape[1] - 1) - 0.001)
-    y = wp.clamp(v + 1.0, 0.0, float(view.rays.shape[0] - 1) - 0.001)
+    x = clamped(u + 1.0, 0.0, float(view.rays.shape[1] - 1) - 0.001)
+    y = clamped(v + 1.0, 0.0, float(view.rays.shape[0] - 1) - 0.001)
     i = int(y)
     j = int(x)
     s = x - float(j)
@@ -43,7 +45,7 @@ def rotation_at(view: CameraView, v: float):
     """The camera's rotation when a place of height v in the picture, px, is exposed."""
     rotation = view.rotation
     if view.rolling != 0:
-        y = wp.clamp(v + 1.0, 0.0, float(view.rotations.shape[0] - 1) - 0.001)
+        y = clamped(v + 1.0, 0.0, float(view.rotations.shape[0] - 1) - 0.001)
         i = int(y)
         rotation = view.rotations[i] + (view.rotations[i + 1] - view.rotations[i]) * (y - float(i))
     return rotation
@@ -54,7 +56,7 @@ def position_at(view: CameraView, v: float):
     """The camera's position in `map`, m, when a place of height v in the picture, px, is exposed."""
     position = view.position
     if view.rolling != 0:
-        y = wp.clamp(v + 1.0, 0.0, float(view.positions.shape[0] - 1) - 0.001)
+        y = clamped(v + 1.0, 0.0, float(view.positions.shape[0] - 1) - 0.001)
         i = int(y)
         position = view.positions[i] + (view.positions[i + 1] - view.positions[i]) * (y - float(i))
     return position
