@@ -40,7 +40,7 @@ def sensor_messages(
 
 
 def sensor_stamps(
-    simulated: SimulatedSequence, recipe: SensorRecipe, n: int, times_s: Array | None
+    simulated: SimulatedSequence, recipe: SensorRecipe, n: int, times_s: Array | None = None
 ) -> NDArray[np.int64]:
     """(n,) int64 stamps of a sensor's samples at times (n,) s, or at its rate: by its clock, late by what no
     calibration knows, and with jitter."""

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError, OysterbenchError, TrajectoryError
 from oysterbench.core.files import link
-from oysterbench.core.geometry import Array
+from oysterbench.core.geometry import Array, transform
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz
 from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSequence, Stopwatch
 from oysterbench.methods.method import Estimate
@@ -219,7 +219,14 @@ def frame_pose(sequence: Sequence, frame: str, form: str) -> Array:
             f"--poses-of {frame}: sequence {sequence.name} has no such frame; expected base, imu, camera or one of its "
             f"cameras: {', '.join(sequence.cameras) or 'none'}"
         )
-    return sequence.cameras[name].T_base_cam
+    T_base_cam = sequence.cameras[name].T_base_cam
+    if form != "kitti" or frame != "camera":
+        return T_base_cam
+    from oysterbench.sequence.export.parts import rectify, stereo_partner
+
+    right = stereo_partner(sequence, name)
+    turn, *_ = rectify(sequence, [name] if right is None else [name, right])
+    return T_base_cam @ transform(turn.T, np.zeros(3))
 
 
 def first_camera(sequence: Sequence, form: str) -> str:

@@ -64,7 +64,10 @@ def _rows(matrix: Array) -> list[str]:
 
 
 def _time_shifts(sequence: Sequence) -> dict[str, float]:
-    """Camera -> shift in s with t_imu = t_cam + shift, from the clocks of the rig's recipe, where the file has it."""
+    """Camera -> shift in s with t_imu = t_cam + shift: that of the calibration where it was measured, else from the
+    clocks of the rig's recipe, where the file has it."""
+    if sequence.uncertainty is not None:
+        return {name: 0.0 - camera.time_offset_s for name, camera in sequence.cameras.items()}
     source = getattr(sequence, "attachments", {}).get("rig.toml")
     if source is None:
         return {}

@@ -1,6 +1,7 @@
 """KITTI odometry folders: sequences/00/ with images, calib.txt and times.txt, and poses/00.txt.
 
-KITTI's pictures are rectified, so those of a lens are undistorted here; its poses take cam 0 into the first cam 0.
+KITTI's pictures are rectified, so those of a lens are undistorted here, and those of a pair brought into one plane, by
+the calibration that is given; its poses take cam 0, rectified, into the first cam 0.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ import cv2
 import numpy as np
 
 from oysterbench.core.errors import SequenceError
-from oysterbench.core.geometry import Array, invert
+from oysterbench.core.geometry import Array, invert, transform
 from oysterbench.sequence.export.parts import (
     any_camera,
     port_notes,
+    rectify,
     sensor_poses,
     stereo_partner,
     undistorting_maps,
@@ -31,7 +33,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     left = next((name for name in names if stereo_partner(sequence, name)), None) or any_camera(sequence, "kitti")
     right = stereo_partner(sequence, left)
     pair = [left] if right is None else [left, right]
-    matrix = sequence.cameras[left].matrix
+    matrix, turns = sequence.cameras[left].matrix, rectify(sequence, pair)
     place = folder / "sequences" / "00"
     place.mkdir(parents=True)
     stamps = [{image.stamp_ns for image in sequence.images(name)} for name in pair]
@@ -48,12 +50,12 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     if not kept:
         raise SequenceError(f"{sequence.name}: no frame that every camera and the truth have; nothing to export")
     for index, name in enumerate(pair):
-        _write_images(sequence, name, matrix, set(kept), place / f"image_{index}")
+        _write_images(sequence, name, matrix, turns[index], set(kept), place / f"image_{index}")
     write_lines(place / "calib.txt", _projections(sequence, pair, matrix))
     write_lines(place / "times.txt", (f"{(stamp - kept[0]) * 1e-9:.9e}" for stamp in kept))
     if truth:
         times = np.array([true.taken_ns(stamp) for stamp in kept], dtype=np.int64)
-        poses = sensor_poses(path.at(times), true.T_base_cam)
+        poses = sensor_poses(path.at(times), true.T_base_cam @ transform(turns[0].T, np.zeros(3)))
         (folder / "poses").mkdir()
         write_lines(folder / "poses" / "00.txt", (_row(pose[:3]) for pose in invert(poses[0]) @ poses))
     return notes
@@ -64,15 +66,16 @@ def _projections(sequence: Sequence, pair: list[str], matrix: Array) -> list[str
     of the colour cameras are the same."""
     T_base_left = sequence.cameras[pair[0]].T_base_cam
     rows = []
-    for name in pair:
+    for name, turn in zip(pair, rectify(sequence, pair), strict=True):
         T_left_cam = invert(T_base_left) @ sequence.cameras[name].T_base_cam
-        rows.append(_row(matrix @ np.column_stack([np.eye(3), -T_left_cam[:3, 3]])))
+        offset = turn @ T_left_cam[:3, :3].T @ T_left_cam[:3, 3]
+        rows.append(_row(matrix @ np.column_stack([np.eye(3), -offset])))
     return [f"P{index}: {row}" for index, row in enumerate(rows if len(rows) == 1 else rows * 2)]
 
 
-def _write_images(sequence: Sequence, name: str, matrix: Array, kept: set[int], folder: Path) -> None:
+def _write_images(sequence: Sequence, name: str, matrix: Array, turn: Array, kept: set[int], folder: Path) -> None:
     folder.mkdir()
-    maps = undistorting_maps(sequence.cameras[name], matrix)
+    maps = undistorting_maps(sequence.cameras[name], matrix, turn)
     frames = (image for image in sequence.images(name) if image.stamp_ns in kept)
     for index, image in enumerate(frames):
         pixels = image.pixels if maps is None else np.asarray(cv2.remap(image.pixels, *maps, cv2.INTER_LINEAR))

@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array, invert
@@ -17,6 +18,8 @@ from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
+UNTURNED = np.eye(3)
+PAIR_RAD = np.radians(3.0)  # of one camera of a stereo pair against the other, and of its base against the x axis
 PNG_LEVEL = 1  # of 9, all of them lossless; the higher ones take four times the time for 5 %
 
 
@@ -86,8 +89,8 @@ def within(truth: Trajectory, stamps_ns: Iterable[int]) -> list[int]:
 
 
 def stereo_partner(sequence: Sequence, camera: str) -> str | None:
-    """The camera that makes a rectified stereo pair with `camera` once both are undistorted: of the same size and
-    attitude, and to the right along its x axis; None if there is none."""
+    """The camera that makes a stereo pair with `camera` once both are rectified: of the same size, to the right of it
+    along its x axis, and turned against it by no more than a calibration may find; None if there is none."""
     left = sequence.cameras[camera]
     for name, right in sequence.cameras.items():
         T_left_right = invert(left.T_base_cam) @ right.T_base_cam
@@ -95,24 +98,42 @@ def stereo_partner(sequence: Sequence, camera: str) -> str | None:
         if (
             name != camera
             and (left.width, left.height) == (right.width, right.height)
-            and np.allclose(T_left_right[:3, :3], np.eye(3), atol=1e-6)
+            and Rotation.from_matrix(T_left_right[:3, :3]).magnitude() < PAIR_RAD
             and offset[0] > 1e-3
-            and np.allclose(offset[1:], 0.0, atol=1e-6)
+            and np.hypot(*offset[1:]) < PAIR_RAD * offset[0]
         ):
             return name
     return None
 
 
-def undistorting_maps(camera: CameraCalibration, matrix: Array) -> tuple[Any, Any] | None:
-    """Maps (H, W) float32 for cv2.remap that turn a camera's picture into that of a pinhole; None where it is one."""
-    if not np.any(camera.distortion) and np.allclose(camera.matrix, matrix) and camera.distortion_model == "plumb_bob":
+def rectify(sequence: Sequence, pair: Iterable[str]) -> list[Array]:
+    """Rotations (3, 3) that take the frames of a left and a right camera into those of a rectified pair, whose x lies
+    along the base; of a camera alone, and of cameras that are one, none."""
+    left, *others = (sequence.cameras[name].T_base_cam for name in pair)
+    turns = [invert(left)[:3, :3] @ right[:3, :3] for right in others]
+    offsets = [(invert(left) @ right)[:3, 3] for right in others]
+    straight = all(np.allclose(turn, np.eye(3), atol=1e-6) for turn in turns)
+    if straight and all(np.allclose(offset[1:], 0.0, atol=1e-6) for offset in offsets):
+        return [np.eye(3), *(np.eye(3) for _ in others)]
+    x = offsets[0] / np.linalg.norm(offsets[0])
+    y = np.cross(0.5 * (turns[0][:, 2] + [0.0, 0.0, 1.0]), x)
+    y /= np.linalg.norm(y)
+    into = np.array([x, y, np.cross(x, y)])
+    return [into, into @ turns[0]]
+
+
+def undistorting_maps(camera: CameraCalibration, matrix: Array, turn: Array = UNTURNED) -> tuple[Any, Any] | None:
+    """Maps (H, W) float32 for cv2.remap that turn a camera's picture into that of a pinhole in a frame that `turn`
+    (3, 3) takes its own into; None where it is one."""
+    pinhole = camera.distortion_model == "plumb_bob" and not np.any(camera.distortion)
+    if pinhole and np.allclose(camera.matrix, matrix) and np.array_equal(turn, UNTURNED):
         return None
     size = (camera.width, camera.height)
     if camera.distortion_model == "equidistant":
         return cv2.fisheye.initUndistortRectifyMap(
-            camera.matrix, camera.distortion[:4], np.eye(3), matrix, size, cv2.CV_32FC1
+            camera.matrix, camera.distortion[:4], turn, matrix, size, cv2.CV_32FC1
         )
-    return cv2.initUndistortRectifyMap(camera.matrix, camera.distortion, np.eye(3), matrix, size, cv2.CV_32FC1)
+    return cv2.initUndistortRectifyMap(camera.matrix, camera.distortion, turn, matrix, size, cv2.CV_32FC1)
 
 
 def any_camera(sequence: Sequence, form: str) -> str:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from oysterbench.core.ros import EPOCH_NS
 from oysterbench.recipe import SteeringRecipe, count
-from oysterbench.sensors import clock
+from oysterbench.simulation.sensor_simulation import sensor_stamps
 from oysterbench.simulation.simulated_sequence import SimulatedSequence
 from oysterbench.simulation.steering.expert import Expert, best
 from oysterbench.simulation.steering.observation import Observation
@@ -21,7 +20,7 @@ def steering_csv(simulated: SimulatedSequence, task: SteeringRecipe) -> bytes:
     expert, observation = Expert(site), Observation(site)
     camera = site.camera
     n = count(simulated.recipe.duration_s, camera.rate_hz)
-    stamps = clock.stamps(n, camera.rate_hz, EPOCH_NS, camera.clock_offset_ms)
+    stamps = sensor_stamps(simulated, camera, n)
     renderer = simulated.renderers[camera.name]
     rows = []
     for stamp, body in zip(stamps.tolist(), simulated.bodies(np.arange(n) / camera.rate_hz), strict=True):
