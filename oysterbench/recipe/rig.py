@@ -66,7 +66,26 @@ class CameraRecipe(NamedSensorRecipe):
     # Rolling shutter: rows are read readout_ms / height after each other; 15 to 33 ms of low-light USB cameras on small
     # ROVs. The stamp is the middle of the exposure of the middle row. 0: all rows at once.
     readout_ms: float = number(0, 50, 0.0)
-    focus_m: float = number(0.05, 20, 1.0)  # distance at which marine snow is sharp
+    focus_m: float = number(0.05, 20, 1.0)  # distance at which marine snow is sharp, and all else by aperture_mm
+    # Diameter of the lens' opening, for the circle of confusion of what is not at focus_m; f / N of a lens of 3 to 8 mm
+    # at f/2 to f/2.8. 0: surfaces are sharp everywhere, and flakes have 1.2 mm.
+    aperture_mm: float = number(0, 8, 0.0)
+    # Spots of algae and bubbles on the port, as divers and landers wipe off: number, and mean diameter.
+    port_spots: int = number(0, 100, 0)
+    port_spot_mm: float = number(0.1, 5, 1.0)
+    # Of a million; 10 to 1000 with uncooled CMOS sensors, the more the warmer and older (Chapman et al. 2013).
+    hot_pixels: float = number(0, 5000, 0.0)
+    repeats: float = number(0, 0.5, 0.0)  # share of frames that show the picture before again, under a new stamp
+    # A control loop over the dive sets exposure time, then gain, instead of shutter_ms and gain; it settles on a step
+    # to 5 % within 0.3 to 2 s (sea.md). 33 ms is all that video of 30 Hz leaves; amplifiers have steps of 0.3 to 3 dB.
+    auto_exposure: bool = field(default=False)
+    exposure_settle_s: float = number(0.1, 5, 0.7)
+    longest_exposure_ms: float = number(0.1, 100, 25.0)
+    highest_gain: float = number(1, 64, 16.0)
+    gain_step_db: float = number(0.1, 6, 1.0)
+    # Beside it, white balance that follows the mean colour instead of being locked; slower, as it must not flicker.
+    auto_balance: bool = field(default=False)
+    balance_settle_s: float = number(0.2, 30, 3.0)
 
     @property
     def sent_layers(self) -> tuple[str, ...]:
@@ -85,6 +104,14 @@ class CameraRecipe(NamedSensorRecipe):
                 f"{where}: key 'camera.layer_rate_hz': expected a divisor of rate_hz = {self.rate_hz}, got "
                 f"{self.layer_rate_hz}"
             )
+        if self.auto_exposure and (self.shutter_ms or self.gain != 1.0):
+            key = "shutter_ms" if self.shutter_ms else "gain"
+            raise RecipeError(
+                f"{where}: key 'camera.{key}': expected none beside auto_exposure = true, which sets it, got "
+                f"{getattr(self, key):g}"
+            )
+        if self.auto_balance and not self.auto_exposure:
+            raise RecipeError(f"{where}: key 'camera.auto_balance': expected auto_exposure = true beside it, got false")
         super().check(where)
 
 

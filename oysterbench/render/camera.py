@@ -12,8 +12,23 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe
-from oysterbench.render import blur, caustics, edges, kernels, lamps, occlusion, rays, sensor, shutter, snow, visibility
+from oysterbench.render import (
+    blur,
+    caustics,
+    defocus,
+    edges,
+    kernels,
+    lamps,
+    occlusion,
+    port,
+    rays,
+    sensor,
+    shutter,
+    snow,
+    visibility,
+)
 from oysterbench.render.casting import Hit
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.light import build_light, exposure, sky_fan, sun_fan
@@ -31,7 +46,7 @@ from oysterbench.scene.world import World
 Pose = NDArray[np.float64]
 
 DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
-MODULES = (kernels, edges, occlusion, sensor, lamps, caustics, snow, blur, visibility, rays, shutter)
+MODULES = (kernels, edges, occlusion, sensor, lamps, caustics, snow, blur, visibility, rays, shutter, defocus, port)
 LAYERS = (
     "radiance",
     "clean",
@@ -95,6 +110,7 @@ class CameraRenderer:
             self._geometry.vehicle, body = upload_vehicle(build_vehicle(rig), device)
             self._kept += body
         self._lamps = () if rig is None else rig.lamp
+        self.recipe = recipe
         self._light(world, recipe)
         self._allocate()
 
@@ -105,28 +121,33 @@ class CameraRenderer:
         time_s: float = 0.0,
         T_map_base: Pose | None = None,
         passage: Passage = STILL,
+        exposure: sensor.Exposure | None = None,
     ) -> Frame:
         """Frame from the pose T_map_cam (4, 4) of the optical frame in `map`; `generator` gives the sensor's noise.
 
         time_s moves waves and marine snow. T_map_base: where the vehicle is, for cameras that it does not carry as the
         recipe says. passage: how the camera moves meanwhile; depth, classes and instances are those of each row's own
-        pose, in the middle of its exposure.
+        pose, in the middle of its exposure. exposure: as metered now, instead of the recipe's.
         """
+        exposure = exposure or self.exposure
         self._prepare(T_map_cam, time_s, T_map_base)
-        self._expose(T_map_cam, time_s, passage)
+        radiance = self._expose(T_map_cam, time_s, passage)
         with self._timed("noise"):
             shape = (self.camera.height, self.camera.width, 3)
             noise = wp.array(generator.standard_normal(shape, dtype=np.float32), device=self.device)
         with self._timed("apply_sensor_model"):
-            gain = self.camera.gain
+            gain = exposure.gain
+            dark_s = gain * (exposure.shutter_s or sensor.INSTANT_S) if self.camera.hot_pixels else 0.0
             wp.launch(
                 sensor.apply_sensor_model,
                 shape[:2],
                 inputs=[
-                    self._radiance,
+                    radiance,
                     self._vignetting,
                     noise,
-                    self._gain,
+                    self._dark,
+                    dark_s,
+                    wp.vec3(*exposure.scale),
                     gain / sensor.FULL_WELL,
                     gain * sensor.READ_NOISE,
                     self._gamma,
@@ -165,8 +186,7 @@ class CameraRenderer:
             raise ValueError(f"unknown layers {unknown}; expected some of {', '.join(LAYERS)}")
         view = self._view(T_map_cam, passage)
         self._prepare(T_map_cam, time_s, T_map_base)
-        self._expose(T_map_cam, time_s, passage)
-        radiance = self._radiance.numpy().copy()
+        radiance = self._expose(T_map_cam, time_s, Passage(passage.rows), ideal=True).numpy().copy()
         share = self._blur_share
         direct, forward_scatter, backscatter = (
             array.numpy().copy() for array in (self._sharp, self._forward_scatter, self._backscatter)
@@ -233,11 +253,12 @@ class CameraRenderer:
             view.rotations = wp.array(rows[:, :3, :3], dtype=wp.mat33, device=self.device)
         return view
 
-    def _expose(self, T_map_cam: Pose, time_s: float, passage: Passage) -> None:
-        """Leave what arrives at the sensor in `_radiance`, and the truth of it."""
+    def _expose(self, T_map_cam: Pose, time_s: float, passage: Passage, ideal: bool = False) -> wp.array:
+        """What arrives at the sensor (H, W) vec3, and the truth of it in its place. ideal: by a lens that is sharp
+        everywhere, a shutter that opens for an instant, and a clean port."""
         view = self._view(T_map_cam, passage)
         self._trace(view, self._optics)
-        shape = self._radiance.shape
+        device, shape = self.device, self._radiance.shape
         if self._blur_share > 0:
             with self._timed("blur"):
                 self._blur.spread(self._forward_scatter, self._blurred)
@@ -246,19 +267,27 @@ class CameraRenderer:
             with self._timed("snow"):
                 pose = np.round(np.asarray(T_map_cam, dtype=float), 9)
                 self._snow.fall(view, self._optics, self._truth[0], pose, self._rays, time_s, passage)
-        device = self.device
+        seen, spare = self._radiance, self._spare
         with self._timed("compose"):
             light = [self._sharp, self._forward_scatter, self._blurred, self._backscatter, self._blur_share]
-            instant = self._radiance if passage.ends is None else self._instant
-            wp.launch(sensor.compose, shape, inputs=light, outputs=[instant], device=device)
-        if passage.ends is not None:
+            wp.launch(sensor.compose, shape, inputs=light, outputs=[seen], device=device)
+        if self._defocus is not None and not ideal:
+            with self._timed("defocus"):
+                self._defocus.spread(seen, self._hits, spare)
+                seen, spare = spare, seen
+        if passage.ends is not None and not ideal:
             with self._timed("shutter"):
                 self._shutter.trace(view, self._hits, T_map_cam, passage.ends)
-                self._shutter.blur(self._instant, self._hits, self._radiance)
+                self._shutter.blur(seen, self._hits, spare)
+                seen, spare = spare, seen
         if flakes is not None:
             with self._timed("compose"):
-                inputs = [flakes, snow.UNIT]
-                wp.launch(sensor.add_flakes, shape, inputs=inputs, outputs=[self._radiance], device=device)
+                wp.launch(sensor.add_flakes, shape, inputs=[flakes, snow.UNIT], outputs=[seen], device=device)
+        if self._spots is not None and not ideal:
+            with self._timed("port"):
+                self._spots.cover(seen, spare)
+                seen, spare = spare, seen
+        return seen
 
     def _trace(self, view: CameraView, optics: Optics) -> None:
         """Cast, shade and refine the picture of a view into sharp, forward_scatter and backscatter."""
@@ -322,6 +351,7 @@ class CameraRenderer:
         self._waves = caustics.Waves(recipe.light, water, recipe.reef.depth_m, world.texture_seed, device)
         self._clear = without_water(self._optics, device)
         self._clear.lamps = lamps.without_water(self._optics.lamps, device)
+        self._water = water
         self._water_scattering = wp.vec3(*np.round(water.scattering, 7).tolist())
         self._asymmetry = water.asymmetry
         self._fan = wp.array(sky_fan(), dtype=wp.vec3, device=device)
@@ -329,7 +359,16 @@ class CameraRenderer:
         self._blur_share = recipe.water.forward_blur
         self._blur = blur.Blur(shape, float(camera_matrix(camera)[0, 0]), water.spread_rad, device)
         metered = exposure(water, recipe.reef.depth_m, recipe.light.daylight, self._lamps, recipe.light.lamps)
-        self._gain = wp.vec3(*(metered * 2.0**camera.exposure_stops).tolist())
+        scale = (metered * 2.0**camera.exposure_stops).tolist()
+        self.exposure = sensor.Exposure(camera.shutter_ms * 1e-3, camera.gain, scale)
+        streams = Streams(world.texture_seed).at("camera", camera.name)
+        dark = sensor.dark_signal(camera, streams) if camera.hot_pixels else np.zeros((1, 1, 3), dtype=np.float32)
+        self._dark = wp.array(dark, dtype=wp.vec3, device=device)
+        self._spots = port.PortSpots(camera, streams, device) if camera.port_spots else None
+        self._defocus = None
+        if camera.aperture_mm:
+            lens = (float(camera_matrix(camera)[0, 0]), camera.aperture_mm * 1e-3, camera.focus_m)
+            self._defocus = defocus.Defocus(shape, *lens, device)
         self._vignetting = wp.array(sensor.vignette(self._rays, camera), dtype=wp.float32, device=device)
         self._gamma = wp.array(sensor.gamma_table(), dtype=wp.uint8, device=device)
 
@@ -344,7 +383,7 @@ class CameraRenderer:
         self._hits, self._normals = picture(Hit), picture(wp.vec3)
         self._lit, self._open = picture(wp.uint8), picture(wp.float32)
         self._sharp, self._forward_scatter, self._backscatter = (picture(wp.vec3) for _ in range(3))
-        self._blurred, self._radiance, self._instant = (picture(wp.vec3) for _ in range(3))
+        self._blurred, self._radiance, self._spare = (picture(wp.vec3) for _ in range(3))
         self._shutter = shutter.Shutter(shape, self.device)
         self._jagged = [picture(wp.vec3) for _ in range(3)]
         self._level, self._openings = picture(wp.float32), picture(wp.float32)

@@ -127,6 +127,11 @@ def exposure(
         power = np.array(lamp.colour) * lamp.intensity_cd * factor / DAYLIGHT_LUX
         seen = seen + GREY_ALBEDO * power / LAMP_RANGE_M**2 * left
     seen = np.maximum(seen, LEAST_SEEN)
-    amber, green = np.log(seen[0] / seen[2]) / 2, np.log(seen[1]) - np.log(seen[0] * seen[2]) / 2
-    balance = np.exp([-AMBER_BALANCE * amber, -GREEN_BALANCE * green, AMBER_BALANCE * amber])
+    balance = white_balance(seen)
     return np.asarray(GREY_LEVEL * balance / np.mean(balance * seen))
+
+
+def white_balance(seen: Array) -> Array:
+    """Gains (3,) of a camera that sees (3,) on average, up to a factor: part of the way to grey."""
+    amber, green = np.log(seen[0] / seen[2]) / 2, np.log(seen[1]) - np.log(seen[0] * seen[2]) / 2
+    return np.asarray(np.exp([-AMBER_BALANCE * amber, -GREEN_BALANCE * green, AMBER_BALANCE * amber]))

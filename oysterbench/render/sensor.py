@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe
 from oysterbench.render.target import KERNEL_OPTIONS
 
@@ -14,6 +18,8 @@ wp.set_module_options(KERNEL_OPTIONS)
 FULL_WELL = 6000.0  # electrons: the variance of shot noise is signal / FULL_WELL
 READ_NOISE = 0.0015  # of full scale, before gain
 GAMMA_LEVELS = 8192
+HOT_PER_S = 6.0  # mean dark signal of a hot pixel over full scale, exponentially distributed: 0.15 in 25 ms
+INSTANT_S = 0.010  # exposure time that hot pixels have where the shutter is open for an instant
 
 
 def vignette(rays: NDArray[np.float32], camera: CameraRecipe) -> NDArray[np.float32]:
@@ -32,6 +38,38 @@ def gamma_table() -> NDArray[np.uint8]:
     linear = np.linspace(0.0, 1.0, GAMMA_LEVELS)
     curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.round(255 * curve).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """How a camera takes a picture. shutter_s: time that the shutter is open; 0 is an instant. gain: amplification.
+    scale (3,): from radiance to the linear scale of the sensor, gain and white balance in it."""
+
+    shutter_s: float
+    gain: float
+    scale: Sequence[float]
+
+
+def dark_signal(camera: CameraRecipe, streams: Streams) -> NDArray[np.float32]:
+    """What hot pixels add (H, W, 3), per s and unit gain, each in the colour of its place in a Bayer mosaic (RGGB).
+
+    Demosaicing spreads it over the neighbours bilinearly.
+    """
+    shape = (camera.height, camera.width)
+    generator = streams.generator("hot_pixels")
+    n = round(camera.hot_pixels * 1e-6 * camera.height * camera.width)
+    places = generator.choice(camera.height * camera.width, size=n, replace=False)
+    rates = np.round(HOT_PER_S * generator.standard_exponential(n), 5)
+    rows, columns = np.unravel_index(places, shape)
+    signal = np.zeros((*shape, 3), dtype=np.float32)
+    for row, column, rate in zip(rows.tolist(), columns.tolist(), rates.tolist(), strict=True):
+        channel = row % 2 + column % 2
+        for i in range(max(row - 1, 0), min(row + 2, shape[0])):
+            for j in range(max(column - 1, 0), min(column + 2, shape[1])):
+                steps = abs(i - row) + abs(j - column)
+                share = (1.0, 0.25, 0.0)[steps] if channel == 1 else (1.0, 0.5, 0.25)[steps]
+                signal[i, j, channel] += np.float32(share * rate)
+    return signal
 
 
 @wp.kernel
@@ -66,15 +104,22 @@ def apply_sensor_model(
     radiance: wp.array2d(dtype=wp.vec3),
     vignetting: wp.array2d(dtype=wp.float32),
     noise: wp.array3d(dtype=wp.float32),
+    dark: wp.array2d(dtype=wp.vec3),
+    dark_s: float,
     gain: wp.vec3,
     shot: float,
     read: float,
     gamma: wp.array(dtype=wp.uint8),
     colour: wp.array3d(dtype=wp.uint8),
 ):
-    """Exposure, shot and read noise (variance = shot * signal + read^2), clipping, gamma by table, 8 bits."""
+    """Exposure, shot and read noise (variance = shot * signal + read^2), clipping, gamma by table, 8 bits.
+
+    dark: what hot pixels add per s of `dark_s`, which is 0 where there are none.
+    """
     row, column = wp.tid()
     signal = wp.cw_mul(radiance[row, column], gain) * vignetting[row, column]
+    if dark_s > 0.0:
+        signal += dark[row, column] * dark_s
     levels = float(gamma.shape[0] - 1)
     for channel in range(3):
         s = signal[channel]

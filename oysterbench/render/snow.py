@@ -117,7 +117,8 @@ class Snow:
         pixels = project(places, self.camera) if len(places) else np.zeros((0, 2))
         focal = float(camera_matrix(self.camera)[0, 0])
         z = places[:, 2]
-        confusion = PUPIL_M * np.abs(1 / z - 1 / self.camera.focus_m)
+        pupil = self.camera.aperture_mm * 1e-3 or PUPIL_M
+        confusion = pupil * np.abs(1 / z - 1 / self.camera.focus_m)
         own = (sizes / z) ** 2
         radius = np.maximum(0.5 * focal * np.sqrt(own + confusion**2), LEAST_RADIUS_PX)
         radius = np.minimum(radius, LARGEST_RADIUS_PX)

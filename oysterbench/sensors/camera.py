@@ -15,14 +15,16 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image
 from oysterbench.core.ros import IMAGE, Message, decode, encode, header, image_bytes, make, stamp_of
-from oysterbench.recipe import CameraRecipe, SiteRecipe
+from oysterbench.recipe import CameraRecipe, SiteRecipe, count
 from oysterbench.sensors.camera_errors import camera_errors, with_errors
+from oysterbench.sensors.exposure import exposures
 from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, from_entry, topic
 from oysterbench.sensors.uncertainty import ErrorModel, Quality
 
 if TYPE_CHECKING:
     from oysterbench.render.camera import Frame
     from oysterbench.render.passage import Passage
+    from oysterbench.render.sensor import Exposure
     from oysterbench.sensors.panels import Panel
 
 COLOUR = "sensor_msgs/msg/CompressedImage"
@@ -99,11 +101,42 @@ class CameraFrame:
     calibration: CameraCalibration
 
 
+@dataclass(frozen=True)
+class Shot:
+    """How a frame is taken: T_map_cam and T_map_base (4, 4) in the middle of its exposure, at time_s, how the camera
+    moves meanwhile, and how it exposes."""
+
+    T_map_cam: Array
+    T_map_base: Array
+    time_s: float
+    passage: Passage
+    exposure: Exposure
+
+
+def shot(world: SensedWorld, camera: CameraRecipe, index: int) -> Shot:
+    """How frame `index` is taken, at index / rate_hz seconds."""
+    from oysterbench.render.passage import passage
+    from oysterbench.scene.rig import camera_pose
+
+    time_s = index / camera.rate_hz
+    mount = camera_pose(camera)
+    (body,) = world.bodies(np.array([time_s]))
+    exposure = world.renderers[camera.name].exposure
+    if camera.auto_exposure:
+        exposure = exposures(world, camera).of(index)
+
+    def poses(after_s: Array) -> list[Array]:
+        return [body @ mount for body in world.bodies(time_s + after_s)]
+
+    return Shot(body @ mount, body, time_s, passage(camera, exposure.shutter_s, poses), exposure)
+
+
 def render_frame(world: SensedWorld, camera: CameraRecipe, index: int) -> Frame:
-    """Frame `index` of a camera: what it sees at index / rate_hz seconds, in the middle of the frame's exposure."""
+    """Frame `index` of a camera."""
     noise = world.streams.generator("camera", camera.name, "noise", index)
-    T_map_cam, time_s, body, moved = _shot(world, camera, index)
-    return world.renderers[camera.name].render(T_map_cam, noise, time_s, body, moved)
+    taken = shot(world, camera, index)
+    renderer = world.renderers[camera.name]
+    return renderer.render(taken.T_map_cam, noise, taken.time_s, taken.T_map_base, taken.passage, taken.exposure)
 
 
 def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[str, NDArray[Any]]:
@@ -111,27 +144,25 @@ def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[
     wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
     if not wanted:
         return {}
-    renderer = world.renderers[camera.name]
-    T_map_cam, time_s, body, moved = _shot(world, camera, index)
-    layers: dict[str, NDArray[Any]] = dict(renderer.layers(T_map_cam, [*wanted, "instances"], time_s, body, moved))
+    taken = shot(world, camera, index)
+    found = world.renderers[camera.name].layers(
+        taken.T_map_cam, [*wanted, "instances"], taken.time_s, taken.T_map_base, taken.passage
+    )
+    layers: dict[str, NDArray[Any]] = dict(found)
     if "visibility" in layers:
         layers["visibility"] = layers["visibility"][layers["instances"]]
     return {name: layers[name] for name in wanted}
 
 
-def _shot(world: SensedWorld, camera: CameraRecipe, index: int) -> tuple[Array, float, Array, Passage]:
-    """Frame `index`: T_map_cam, its time in s, T_map_base, and how the camera moves meanwhile."""
-    from oysterbench.render.passage import passage
-    from oysterbench.scene.rig import camera_pose
-
-    time_s = index / camera.rate_hz
-    mount = camera_pose(camera)
-    (body,) = world.bodies(np.array([time_s]))
-
-    def poses(after_s: Array) -> list[Array]:
-        return [body @ mount for body in world.bodies(time_s + after_s)]
-
-    return body @ mount, time_s, body, passage(camera, camera.shutter_ms * 1e-3, poses)
+def shown(world: SensedWorld, camera: CameraRecipe) -> NDArray[np.int64]:
+    """(N,) the frame whose picture each frame shows: its own, or, where it is repeated, one before."""
+    n = count(world.recipe.duration_s, camera.rate_hz)
+    own = np.arange(n)
+    if not camera.repeats:
+        return own
+    repeated = world.streams.generator("camera", camera.name, "repeats").random(n) < camera.repeats
+    repeated[0] = False
+    return np.asarray(np.maximum.accumulate(np.where(repeated, 0, own)))
 
 
 def camera_info(stamp_ns: int, name: str, calibration: CameraCalibration) -> Message:
@@ -281,8 +312,10 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
     def measure(self, world: SensedWorld, recipe: CameraRecipe, at: Instants) -> Iterator[CameraFrame]:
         given = self.read_calibration(world.calibration.given[self.key][recipe.name])
         every = round(recipe.rate_hz / recipe.layer_rate_hz) if recipe.layer_rate_hz else 0
+        pictures = shown(world, recipe)
         for index in at.wanted.tolist():
-            frame = render_frame(world, recipe, index)
+            picture = int(pictures[index])
+            frame = render_frame(world, recipe, picture)
             layers: dict[str, NDArray[Any]] = {}
             if every and index % every == 0:
                 made: dict[str, NDArray[Any]] = {
@@ -290,7 +323,7 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
                     "class": frame.classes,
                     "instance": frame.instances,
                 }
-                made |= render_layers(world, recipe, index)
+                made |= render_layers(world, recipe, picture)
                 layers = {name: made[name] for name in recipe.layers}
             yield CameraFrame(int(at.stamps_ns[index]), recipe.name, frame.colour, layers, given)
 

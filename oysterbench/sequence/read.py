@@ -58,6 +58,9 @@ OYSTERS = "truth/oysters.csv"
 STEERING = "truth/steering.csv"
 TRUE_CALIBRATION = "truth/calibration.json"
 FAULTS = "truth/faults.csv"
+FRAMES = "truth/frames.csv"
+"""How each frame was truly taken, where cameras adapt or repeat: camera, stamp_ns, shown_ns, exposure_ms, gain, and the
+white balance red, green, blue."""
 
 
 class McapSequence(Sequence):

@@ -31,7 +31,16 @@ from oysterbench.recipe import CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, 
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors.registry import calibrate_rig, kind_of, rig_frames, rig_sensors
 from oysterbench.sequence.file import read_attachments, read_messages
-from oysterbench.sequence.read import CALIBRATION, FAULTS, METADATA, OYSTERS, STEERING, TRUE_CALIBRATION, McapSequence
+from oysterbench.sequence.read import (
+    CALIBRATION,
+    FAULTS,
+    FRAMES,
+    METADATA,
+    OYSTERS,
+    STEERING,
+    TRUE_CALIBRATION,
+    McapSequence,
+)
 from oysterbench.sequence.truth import rig_topics, static_transforms
 from oysterbench.sequence.write import SequenceWriter, pack
 from oysterbench.simulation import cost
@@ -242,7 +251,13 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
             f"a worker has {PROGRAM}, and was asked for what {program} makes: install the same version on all workers"
         )
     from oysterbench.render.device import check_device
-    from oysterbench.simulation.sensor_simulation import faults_csv, oyster_csv, sensor_messages, small_messages
+    from oysterbench.simulation.sensor_simulation import (
+        faults_csv,
+        frames_csv,
+        oyster_csv,
+        sensor_messages,
+        small_messages,
+    )
     from oysterbench.simulation.simulated_sequence import build_sequence
 
     check_device(device)
@@ -253,6 +268,9 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
     else:
         messages = small_messages(simulated)
         tables[OYSTERS] = oyster_csv(simulated)
+        taken = frames_csv(simulated)
+        if taken is not None:
+            tables[FRAMES] = taken
         faults = faults_csv(simulated)
         if faults is not None:
             tables[FAULTS] = faults

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
@@ -13,6 +14,8 @@ from oysterbench.core.ros import EPOCH_NS, Message
 from oysterbench.recipe import count
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors import clock
+from oysterbench.sensors.camera import shown
+from oysterbench.sensors.exposure import exposures
 from oysterbench.sensors.faults import fault_csv
 from oysterbench.sensors.kind import Instants, quantise
 from oysterbench.sensors.registry import kind_of, rig_sensors
@@ -84,6 +87,29 @@ def truth_messages(simulated: SimulatedSequence) -> Iterator[Message]:
         yield truth_message(stamp, position, attitude, speed, rate)
         yield truth_pose_message(stamp, position, attitude)
         yield transform_message(stamp, position, attitude)
+
+
+def frames_csv(simulated: SimulatedSequence) -> bytes | None:
+    """How each frame of the cameras that adapt or repeat is taken (`sequence.read.FRAMES`), as CSV; None without any.
+
+    stamp_ns: the frame's; shown_ns: that of the frame whose picture it shows.
+    """
+    tables = []
+    for camera in simulated.rig.camera:
+        if not camera.auto_exposure and not camera.repeats:
+            continue
+        pictures = shown(simulated, camera)
+        stamps = sensor_stamps(simulated, camera, len(pictures), None)
+        table = pd.DataFrame({"camera": camera.name, "stamp_ns": stamps, "shown_ns": stamps[pictures]})
+        if camera.auto_exposure:
+            chosen = exposures(simulated, camera)
+            table["exposure_ms"] = 1e3 * chosen.shutter_s[pictures]
+            table["gain"] = chosen.gain[pictures]
+            table[["red", "green", "blue"]] = chosen.balance[pictures]
+        tables.append(table)
+    if not tables:
+        return None
+    return pd.concat(tables).to_csv(index=False, lineterminator="\n", float_format="%.7g").encode()
 
 
 def oyster_csv(simulated: SimulatedSequence) -> bytes:

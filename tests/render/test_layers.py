@@ -36,7 +36,7 @@ def test_layers_add_up_to_the_picture_before_noise(full):
     total = layers["direct"] + layers["forward_scatter"] + layers["backscatter"] + layers["snow"]
     assert total == pytest.approx(layers["radiance"], abs=1e-5)
     frame = full.render(PLACE, noise(), time_s=1.0)
-    gain = np.array(list(full._gain))
+    gain = np.array(full.exposure.scale)
     linear = np.clip(layers["radiance"] * gain, 0, 1)
     code = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     assert abs((frame.colour - code).mean()) < 0.15
@@ -140,7 +140,7 @@ def test_the_variance_of_noise_is_gain_times_signal_and_that_of_reading(gain):
     T_map_cam = pose(0.0, 0.0, -2.2, 0, 90)
     codes = np.stack([renderer.render(T_map_cam, noise(str(k))).colour for k in range(24)]) / 255.0
     linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
-    signal = renderer.layers(T_map_cam, ["radiance"])["radiance"] * np.array(list(renderer._gain))
+    signal = renderer.layers(T_map_cam, ["radiance"])["radiance"] * np.array(renderer.exposure.scale)
     slope = 1.055 / 2.4 * linear.mean(axis=0) ** (1 / 2.4 - 1)  # of the code over the signal, for its rounding
     variance = linear.var(axis=0, ddof=1) - (1 / 255 / slope) ** 2 / 12
     expected = gain * signal / FULL_WELL + (gain * READ_NOISE) ** 2
@@ -151,7 +151,7 @@ def test_exposure_is_in_stops():
     one, two = (
         renderer_of(small_reef(FLAT), dataclasses.replace(CAMERA, exposure_stops=stops)) for stops in (0.0, 1.0)
     )
-    assert np.array(list(two._gain)) == pytest.approx(2 * np.array(list(one._gain)))
+    assert np.array(two.exposure.scale) == pytest.approx(2 * np.array(one.exposure.scale))
 
 
 def test_snow_grows_with_its_density_and_stays_where_it_is():

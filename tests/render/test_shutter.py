@@ -25,6 +25,12 @@ def gliding(T_map_cam, velocity):
     return lambda times: [transform(T_map_cam[:3, :3], T_map_cam[:3, 3] + velocity * t) for t in times]
 
 
+def exposed(renderer, T_map_cam, moved):
+    """What arrives at the sensor (H, W, 3)."""
+    renderer._prepare(T_map_cam, 0.0, None)
+    return renderer._expose(T_map_cam, 0.0, moved).numpy().copy()
+
+
 def psnr(picture, reference):
     """Of pictures whose full scale is the reference's brightest, dB."""
     return -10 * np.log10(np.mean((picture - reference) ** 2) / reference.max() ** 2)
@@ -77,7 +83,7 @@ def test_a_rolling_shutter_slants_what_passes_by_speed_times_readout(level):
 def test_blur_is_as_long_as_exposure_times_speed_times_focal_length_over_depth(level, height):
     T_map_cam = pose(0.0, 0.0, -3.0 + height, 90, 90)
     moved = passage(CAMERA, 0.020, gliding(T_map_cam, T_map_cam[:3, 0] * 1.5))
-    level.layers(T_map_cam, ["radiance"], passage=moved)
+    exposed(level, T_map_cam, moved)
     way = level._shutter.ways.numpy()[60, 80]
     assert way == pytest.approx([-FOCAL * 1.5 * 0.020 / height, 0.0], abs=0.01)
 
@@ -86,7 +92,7 @@ def test_blur_is_as_long_as_exposure_times_speed_times_focal_length_over_depth(l
 def test_a_blurred_picture_is_close_to_the_mean_of_many(renderer, velocity):
     moves = gliding(PLACE, velocity)
     sharp = renderer.layers(PLACE, ["radiance"])["radiance"]
-    blurred = renderer.layers(PLACE, ["radiance"], passage=passage(CAMERA, 0.030, moves))["radiance"]
+    blurred = exposed(renderer, PLACE, passage(CAMERA, 0.030, moves))
     poses = moves((np.arange(32) + 0.5) / 32 * 0.030 - 0.015)
     mean = np.mean([renderer.layers(p, ["radiance"])["radiance"] for p in poses], axis=0)
     assert psnr(blurred, mean) > 38.0
@@ -118,7 +124,7 @@ def test_flakes_leave_streaks_of_the_same_light():
     renderer = renderer_of(small_reef(FLAT, water={"snow_per_m3": 3000.0}), rig=lit)
     still = renderer.layers(PLACE, ["snow"])["snow"].copy()
     moved = passage(CAMERA, 0.030, gliding(PLACE, [0.0, 0.5, 0.0]))
-    renderer.layers(PLACE, ["snow"], passage=moved)
+    exposed(renderer, PLACE, moved)
     streaks = renderer._snow.light.numpy()[..., 0].astype(float)
     renderer.layers(PLACE, ["snow"])
     discs = renderer._snow.light.numpy()[..., 0].astype(float)
