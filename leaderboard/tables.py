@@ -8,10 +8,10 @@ from dataclasses import asdict, replace
 from functools import cache
 from typing import Any
 
-from oysterbench.evaluate.metrics import TRACKS, find_metric
+from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.statistics import Interval
 from oysterbench.recipe import split_names
-from oysterbench.report.columns import metric_column, metric_columns, name_columns
+from oysterbench.report.columns import STANDING_OF_TRACK, metric_column, metric_columns, name_columns
 from oysterbench.report.renderers import csv_text
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow, interval_column
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Literature, Row
@@ -32,7 +32,7 @@ def board_table(page: BoardPage) -> Table:
     """Rows by rank: score with interval, coverage beside the errors, who vouches for them, and when."""
     board, rows = page.board, page.rows
     metric = metric_column(board.metric)
-    beside = metric_columns(TRACKS[board.track].standing)
+    beside = STANDING_OF_TRACK[board.track]
     whole = has_data_set(board, rows)
     table_rows = [
         TableRow(

@@ -150,9 +150,8 @@ def _evaluate(
     from oysterbench.tracks import Request
 
     split = load_split(split_name or track.default_split)
-    folder = track.folder + ("-closed-loop" if options.get("closed_loop") else "")
     request = Request(
-        out=out or split_folder(split) / folder.replace("results-steering-", "results-"),
+        out=out or split_folder(split) / track.folder("results", options),
         split=split,
         sequences=sequences,
         methods=methods,

@@ -124,12 +124,14 @@ def run_command(
     if places and out is None:
         raise click.UsageError("--on needs --out: there is no folder that the results would belong to")
 
+    from oysterbench.methods import find_method
+    from oysterbench.methods.interfaces import track_of_command
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import split_folder
     from oysterbench.tracks import TRACKS, Request
 
     methods = _variants(names, settings, ablate) if template is None else []
-    name = track_name or _track_of(methods, template)
+    name = track_name or (find_method(methods[0]).track if template is None else track_of_command(template))
     if name not in TRACKS:
         raise click.UsageError(f"--track: expected one of {', '.join(TRACKS)}, got {name!r}")
     track = TRACKS[name]
@@ -138,10 +140,9 @@ def run_command(
     given = {n for n, o in track_options().items() if values.get(argument(o)) not in (None, ())}
     foreign_options(name, {n: owners[n] for n in given if name not in owners[n]})
     split = None if split_name is None else load_split(split_name)
-    folder = "runs" if name == "slam" else f"runs-{name}"
     if out is None:
         assert split is not None
-        out = split_folder(split) / folder
+        out = split_folder(split) / track.folder("runs", options)
     request = Request(
         out=out,
         split=split,
@@ -160,15 +161,6 @@ def run_command(
         keep_inputs=keep_exports,
     )
     evaluate(track, request, outputs)
-
-
-def _track_of(methods: list[str], template: str | None) -> str:
-    """That the first method is of, or the one whose programs are given what the command line asks for."""
-    from oysterbench.methods import find_method
-
-    if template is None:
-        return find_method(methods[0]).track
-    return "segmentation" if "{images}" in template else "slam"
 
 
 def _variants(names: tuple[str, ...], settings: tuple[str, ...], ablate: tuple[str, ...]) -> list[str]:

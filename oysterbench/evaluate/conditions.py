@@ -28,7 +28,7 @@ CONDITIONS: dict[str, Condition] = {
     "path": Condition("path"),
     "secchi_m": Condition("Secchi depth", "m"),
     "altitude_m": Condition("altitude", "m"),
-    "oysters_per_m2": Condition("oysters", "per m\N{SUPERSCRIPT TWO}"),
+    "oysters_per_m2": Condition("oyster density", "per m\N{SUPERSCRIPT TWO}"),
     "speed_m_s": Condition("speed", "m/s"),
     "depth_m": Condition("depth", "m"),
     "snow_per_m3": Condition("marine snow", "per m\N{SUPERSCRIPT THREE}"),

@@ -83,12 +83,14 @@ def neutral(heading: str, unit: str = "", column: Column | None = None, weight: 
 class TrackMetrics:
     """The metrics of a track by their key, and which are shown.
 
+    title:    of the track
     table:    those of one line per method and sequence, the one that ranks first: as many as 80 characters hold
     standing: those of the standings, beside rank, score and interval
     beside:   the one that is shown beside the one that ranks, over conditions and over runs
     failed:   the values of a run without a scored estimate: it answers nothing, and its errors do not exist
     """
 
+    title: str
     metrics: Mapping[str, Metric]
     table: tuple[str, ...]
     standing: tuple[str, ...]

@@ -25,7 +25,11 @@ FAILED = {name: track.failed for name, track in TRACKS.items()}
 """Track -> the values of a run without a scored estimate."""
 
 
-def find_metric(key: str) -> Metric | None:
-    """The metric of that key; those over another time, path, angle, share or class than the listed are found too."""
-    listed = (track.metrics[key] for track in TRACKS.values() if key in track.metrics)
+def find_metric(key: str, track: str = "") -> Metric | None:
+    """The metric of that key, of that track where it has one (each has its own coverage), else of the first that has.
+
+    Those over another time, path, angle, share or class than the listed are found too.
+    """
+    first = [TRACKS[track]] if track in TRACKS else []
+    listed = (each.metrics[key] for each in (*first, *TRACKS.values()) if key in each.metrics)
     return next(listed, None) or find_segmentation(key) or find_slam(key)

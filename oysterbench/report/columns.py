@@ -12,9 +12,9 @@ UNITS = {"x": "\N{MULTIPLICATION SIGN} real time"}
 """Second line of a narrow heading -> the unit that it stands for, where that is not the metric's own."""
 
 
-def metric_column(key: str, sort: bool = False) -> Column:
-    """The column of a metric; sort: whether an address may ask for the order of its values."""
-    metric = find_metric(key) or Metric("No definition is known to this version.", key)
+def metric_column(key: str, sort: bool = False, track: str = "") -> Column:
+    """The column of a metric; sort: whether an address may ask for the order of its values; track: whose it is."""
+    metric = find_metric(key, track) or Metric("No definition is known to this version.", key)
     unit = metric.unit or ("%" if metric.factor == 100.0 else UNITS.get(metric.narrow[1], ""))
     return Column(
         key,
@@ -32,9 +32,9 @@ def metric_column(key: str, sort: bool = False) -> Column:
     )
 
 
-def metric_columns(keys: Iterable[str]) -> tuple[Column, ...]:
+def metric_columns(keys: Iterable[str], track: str = "") -> tuple[Column, ...]:
     """Those of several metrics."""
-    return tuple(metric_column(key) for key in keys)
+    return tuple(metric_column(key, track=track) for key in keys)
 
 
 def name_columns(*keys: str) -> tuple[Column, ...]:
@@ -42,8 +42,8 @@ def name_columns(*keys: str) -> tuple[Column, ...]:
     return tuple(Column(key, key.replace("_", " ").capitalize(), short=key.replace("_", " ")) for key in keys)
 
 
-OF_TRACK = {name: metric_columns(track.table) for name, track in TRACKS.items()}
+OF_TRACK = {name: metric_columns(track.table, name) for name, track in TRACKS.items()}
 """Track -> columns of its results."""
 
-STANDING_OF_TRACK = {name: metric_columns(track.standing) for name, track in TRACKS.items()}
+STANDING_OF_TRACK = {name: metric_columns(track.standing, name) for name, track in TRACKS.items()}
 """Track -> columns of its standings, beside the metric that ranks."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -38,12 +39,15 @@ DEPTHS = {
 SQUARED = "\N{SUPERSCRIPT TWO}"
 MOSAIC_PX = 1200  # along the longer side
 PANEL = 7.0  # inches of the longer side of a panel
+LINE_SIZE = 12.5  # points, of the numbers below the headline
+LINE = 1.6 * LINE_SIZE / POINTS_PER_INCH  # inches
+LETTERS = 10.5  # of that size in an inch, at least
 TEXT_CELL = 26.0  # points of a cell's edge, from which on its number is written into it
 
 
 @figure_style()
 def figure(found: OysterMap) -> Figure:
-    """Two panels of the same ground, north up, with scale bar, grid, legend and totals."""
+    """The counts as headline; two panels of the same ground, north up, with scale bar, grid and legend."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import from_levels_and_colors
     from matplotlib.patheffects import withStroke
@@ -52,8 +56,12 @@ def figure(found: OysterMap) -> Figure:
     first, last, left, right = _frame(seen, raster.edge_m, found.settings.cell_m)
     inch_m = max(last - first, right - left) * raster.edge_m / PANEL
     height, width = (last - first) * raster.edge_m / inch_m, (right - left) * raster.edge_m / inch_m
-    made = new_figure(f"Oysters of {found.name}", 2 * max(width, 4.6) + 1.0, height + 3.2)
-    panels = made.subplots(1, 2)
+    page = 2 * max(width, 4.6) + 1.0
+    said = [part for line in numbers(found.total, found.grid.shares()) for part in wrap(line, int(page * LETTERS))]
+    made = new_figure(_headline(found), page, height + 2.7 + len(said) * LINE)
+    grid = made.add_gridspec(2, 2, height_ratios=[len(said) * LINE, height + 1.0])
+    _text(made.add_subplot(grid[0, :]), said)
+    panels = [made.add_subplot(grid[1, k]) for k in range(2)]
     west, north = raster.west_m + left * raster.edge_m, raster.north_m - first * raster.edge_m
     extent = (west, west + width * inch_m, north - height * inch_m, north)
     for axes, pixels in zip(panels, (mosaic(found, seen), _cell_pixels(found, seen)), strict=True):
@@ -83,7 +91,6 @@ def figure(found: OysterMap) -> Figure:
     made.colorbar(ScalarMappable(norm, cmap), ax=panels[1], location="bottom", label=classes, aspect=30)
     add_note(
         made,
-        *numbers(found.total, found.grid.shares()),
         f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}",
         "What no picture shows, as others lie on it, is not counted.",
         "An oyster that the edge always cuts counts a half.",
@@ -100,6 +107,19 @@ def _frame(seen: NDArray[np.bool_], edge_m: float, cell_m: float) -> tuple[int, 
         return 0, seen.shape[0], 0, seen.shape[1]
     ends = [(a[0] // per_cell * per_cell, (a[-1] // per_cell + 1) * per_cell) for a in (rows, columns)]
     return int(ends[0][0]), int(ends[0][1]), int(ends[1][0]), int(ends[1][1])
+
+
+def _headline(found: OysterMap) -> str:
+    total = found.total
+    counted = f"{_count(total.count)} oysters on {total.area_m2:.1f} m{SQUARED}"
+    return f"{found.name}: {counted}" + (
+        "" if math.isnan(total.live_per_m2) else f", {total.live_per_m2:.1f} live per m{SQUARED}"
+    )
+
+
+def _text(axes: Axes, lines: list[str]) -> None:
+    axes.set_axis_off()
+    axes.text(0, 1, "\n".join(lines), va="top", size=LINE_SIZE, transform=axes.transAxes, linespacing=1.35)
 
 
 def numbers(total: Total, shares: dict[str, float]) -> list[str]:

@@ -18,6 +18,7 @@ from oysterbench.core.files import write_atomically
 from oysterbench.core.html import environment
 from oysterbench.core.page import STYLES
 from oysterbench.evaluate.conditions import CONDITIONS
+from oysterbench.evaluate.metric import TrackMetrics
 from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.report.cards import Card, PlotGroup
 from oysterbench.report.columns import metric_column
@@ -42,6 +43,9 @@ from oysterbench.results.comparison import Board, boards, remarks
 from oysterbench.results.records import ResultRecord
 
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
+NOTHING = TrackMetrics("Results", {}, (), (), "", {})
+"""Of a report of no runs."""
+
 SHOWN_VALUES = 8  # records whose values stand beside a definition; the JSON holds them all
 
 LIMITS = {
@@ -54,15 +58,6 @@ LIMITS = {
 }
 
 Runs = Sequence[SlamRun] | Sequence[ImageRun] | Sequence[DensityRun] | Sequence[PictureRun] | Sequence[RolloutRun]
-
-TITLES = {
-    "slam": "SLAM",
-    "segmentation": "Segmentation",
-    "detection": "Detection",
-    "density": "Oyster maps",
-    "steering": "Steering",
-    "exploration": "Exploration",
-}
 
 
 @dataclass(frozen=True)
@@ -120,7 +115,7 @@ def html_report(
     splits = list(dict.fromkeys(record.split for record in records if record.split))
     sequences = list(dict.fromkeys(record.sequence for record in records))
     methods = list(dict.fromkeys(record.method for record in records))
-    track = records[0].track if records else "slam"
+    track = TRACKS[records[0].track] if records else NOTHING
     styles = {method: 1 + i % STYLES for i, method in enumerate(methods)}
     found = boards(records)
     slam = [run for run in runs if isinstance(run, SlamRun)]
@@ -130,7 +125,7 @@ def html_report(
         **LIMITS,
         "swatch": swatch,
         "point_swatch": point_swatch,
-        "title": title or f"{TITLES[track]} on {', '.join(splits or sequences)}",
+        "title": title or f"{track.title} on {', '.join(splits or sequences)}",
         "records": records,
         "methods": methods,
         "sequence_names": sequences,
@@ -139,7 +134,7 @@ def html_report(
         "curves": curves_group(data_set, styles),
         "standings": [standings_table(board) for board in found if len(board.sequences) > 1],
         "results": [replace(table, notes=()) for table in results],
-        "slam": track == "slam",
+        "covered": "coverage" in track.table,
         "shaded": any(cell.kind == "best" for table in results for row in table.rows for cell in row.cells),
         "several": any(record.run for record in records),
         "warnings": failures_and_notes(records),
@@ -194,7 +189,7 @@ def _over_conditions(board: Board, styles: Mapping[str, int]) -> PlotGroup | Non
     if not varying:
         return None
     cards = [card for key, values in varying for card in _over(board, key, values, styles)]
-    heading = f"{metric_column(board.metric).heading} and error over conditions on {board.name}"
+    heading = f"Over conditions on {board.name}"
     return PlotGroup(heading, tuple(styles.items()), tuple(cards), points=True)
 
 
@@ -259,18 +254,19 @@ def _settings(values: Mapping[str, Any]) -> str:
     return ", ".join(f"{k} = {v if len(v) <= 2000 else v[:1997] + '...'}" for k, v in texts.items())
 
 
-def _definitions(records: Sequence[ResultRecord], track: str) -> dict[str, list[Definition]]:
+def _definitions(records: Sequence[ResultRecord], track: TrackMetrics) -> dict[str, list[Definition]]:
     """What the numbers mean: the metrics of the tables, then all others that were measured."""
+    name = records[0].track if records else ""
     measured = dict.fromkeys(key for record in records for key in record.metrics)
-    shown = [key for key in dict.fromkeys((*TRACKS[track].table, *TRACKS[track].standing)) if key in measured]
+    shown = [key for key in dict.fromkeys((*track.table, *track.standing)) if key in measured]
     return {
-        "definitions": [_definition(key) for key in shown],
-        "more_definitions": [_definition(key, records) for key in measured if key not in shown],
+        "definitions": [_definition(key, name) for key in shown],
+        "more_definitions": [_definition(key, name, records) for key in measured if key not in shown],
     }
 
 
-def _definition(key: str, records: Sequence[ResultRecord] = ()) -> Definition:
-    column, metric = metric_column(key), find_metric(key)
+def _definition(key: str, track: str, records: Sequence[ResultRecord] = ()) -> Definition:
+    column, metric = metric_column(key, track=track), find_metric(key, track)
     arrow = environment().globals["ARROWS"][column.better]  # type: ignore[index]
     unit = f"[{metric.unit}] {arrow}" if metric is not None and metric.unit else arrow
     values = [

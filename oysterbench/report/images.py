@@ -50,6 +50,7 @@ class ImageRun:
 class DatasetRow:
     """A method over all clips together: metrics with reasons, intervals of those that have one, number of clips."""
 
+    track: str
     method: str
     metrics: Mapping[str, float]
     reasons: Mapping[str, str]
@@ -71,11 +72,6 @@ class DatasetRow:
         }
 
 
-def track_of(row: DatasetRow) -> str:
-    """Of the two."""
-    return "segmentation" if isinstance(row.whole, ClipResult) else "detection"
-
-
 def dataset_tables(rows: Sequence[DatasetRow]) -> list[Table]:
     """The data set as a whole, and classes within images, each where there is something to say."""
     if not rows:
@@ -84,7 +80,7 @@ def dataset_tables(rows: Sequence[DatasetRow]) -> list[Table]:
 
 
 def _dataset_table(rows: Sequence[DatasetRow]) -> Table:
-    keys = TRACKS[track_of(rows[0])].table
+    keys = TRACKS[rows[0].track].table
     with_mean = keys[:1] if not any("miou" in row.metrics for row in rows) else (keys[0], "miou")
     first, *others = metric_columns((*with_mean, *keys[1:]))
     table_rows = [
@@ -100,7 +96,10 @@ def _dataset_table(rows: Sequence[DatasetRow]) -> Table:
     ]
     clips = f"{rows[0].clips} sequence{'' if rows[0].clips == 1 else 's'}"
     unknown = next((row.intervals[first.key].reason for row in rows if first.key in row.intervals), "")
-    notes = (f"All images of {clips} together; sequences are resampled.", *([capital(unknown)] if unknown else []))
+    notes = (
+        f"All images of {clips} together; sequences are resampled.",
+        *([f"{capital(unknown)}."] if unknown else []),
+    )
     columns = (*name_columns("method"), first, interval_column(first), *others)
     return Table("Over the data set", columns, tuple(table_rows), notes)
 

@@ -192,7 +192,7 @@ def scatter_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str
         y_axis = Axis(low, high, TOP + 170.0, TOP, logarithmic=True)
         y_label += ", logarithmic"
     else:
-        y_axis = Axis(min(0.0, 1.08 * lowest), top or 1.08 * max(highest, 1e-9), TOP + 170.0, TOP, 40.0)
+        y_axis = Axis(min(0.0, 1.08 * lowest), top or 1.08 * max(highest, 0.0) or 1.0, TOP + 170.0, TOP, 40.0)
     # Shifted, so that equal values of two methods are both seen.
     points = [_points(curve, x_axis, y_axis, 3.0 * (k - (len(curves) - 1) / 2)) for k, curve in enumerate(curves)]
     empty = [Curve(curve.label, curve.x[:0], curve.y[:0], curve.style) for curve in curves]
@@ -357,7 +357,9 @@ def _drawing(
         parts.append(f'<text class="note" x="{right}" y="{top - 11}" text-anchor="end">{escape(note)}</text>')
     left_top, size = (LEFT, top), (INNER, round(bottom - top, 1))
     place = 'x="{}" y="{}" width="{}" height="{}" viewBox="{} {} {} {}"'.format(*left_top, *size, *left_top, *size)
-    parts.append(f'<svg {place}><g class="curves">')  # an inner svg cuts what leaves it
+    # An inner svg cuts what leaves it as one zooms; without zoom, points on the frame are whole.
+    cut = "" if zoom else ' overflow="visible"'
+    parts.append(f'<svg {place}{cut}><g class="curves">')
     for curve in curves:
         data = _path(curve, x_axis, y_axis)
         name = f"<title>{escape(curve.label)}</title>"

@@ -11,7 +11,7 @@ import numpy as np
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import LEVEL, Interval
-from oysterbench.report.columns import metric_column, metric_columns, name_columns
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column, name_columns
 from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow, Value, interval_column
 from oysterbench.results.comparison import Board, SequenceRuns, boards, remarks
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
@@ -29,7 +29,7 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
     groups: dict[tuple[str, ...], list[ResultRecord]] = {}
     for record in sorted(records, key=lambda record: order.index(record.sequence)):
         groups.setdefault((record.sequence, *method_key(record), *comparable_key(record)), []).append(record)
-    columns = metric_columns(TRACKS[records[0].track if records else "slam"].table)
+    columns = OF_TRACK[records[0].track] if records else ()
     medians = [{column.key: median(group, column.key) for column in columns} for group in groups.values()]
     best = _best([group[0].sequence for group in groups.values()], medians, columns)
     rows = []
@@ -122,7 +122,7 @@ def results_tables(records: Sequence[ResultRecord]) -> list[Table]:
 
 def standings_table(board: Board) -> Table:
     """Methods by the ranking metric, with its interval and spread, and coverage beside the errors."""
-    metric, beside = metric_column(board.metric), metric_columns(TRACKS[board.track].standing)
+    metric, beside = metric_column(board.metric), STANDING_OF_TRACK[board.track]
     rows = []
     for i, row in enumerate(board.standings):
         found = row.summaries.get(board.metric)
@@ -168,9 +168,10 @@ def _reading(board: Board) -> list[str]:
     n = len(board.sequences)
     count = f"{n} sequence{'' if n == 1 else 's'}"
     metric = find_metric(board.metric)
+    beside = "coverage and " if "coverage" in TRACKS[board.track].standing else ""
     notes = [
         f"Means over {count}, each the mean of its runs; a failed run scores 0, and errors are those of the runs "
-        "that have one: read them beside coverage and failures."
+        f"that have one: read them beside {beside}failures."
     ]
     if metric is not None and metric.weight:
         notes = [f"{metric.heading} is that of all pixels of {count} together; a failed run finds nothing."]
@@ -243,7 +244,7 @@ def strata_table(board: Board) -> Table:
 def runs_table(board: Board) -> Table:
     """Median and spread over the runs of each method on each sequence, where some have several."""
     beside = TRACKS[board.track].beside
-    metric, error, coverage = (metric_column(key) for key in (board.metric, beside, "coverage"))
+    metric, error, coverage = (metric_column(key, track=board.track) for key in (board.metric, beside, "coverage"))
     errors = {(cell.label, cell.sequence): cell for cell in board.cells(beside)}
     rows = []
     for cell in (cell for cell in board.cells() if cell.runs > 1):

@@ -45,7 +45,6 @@ class DensityTrack(Track):
     takes = ("slam", *IMAGES)
     default_split = "slam-mini"
     default_methods = ("dead_reckoning",)
-    folder = "results-density"
     evaluator = EVALUATOR
     options = (
         Option("poses", "--poses", "Folder of SEQUENCE-METHOD.tum, as `run` leaves it.", Path),

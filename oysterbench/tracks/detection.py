@@ -23,7 +23,6 @@ class DetectionTrack(ImageTrack):
     name = "detection"
     title = "Single oysters in pictures: found, outlined, counted."
     takes = ("detection", "segmentation")
-    folder = "results-detection"
     evaluator = EVALUATOR
     options = (
         THRESHOLD,
@@ -69,7 +68,7 @@ class DetectionTrack(ImageTrack):
     def over_dataset(self, method: str, results: Sequence[DetectionClip]) -> DatasetRow:
         """All pictures together."""
         whole, intervals = over_clips(results)
-        return DatasetRow(method, whole.metrics, whole.reasons, intervals, len(results), whole)
+        return DatasetRow(self.name, method, whole.metrics, whole.reasons, intervals, len(results), whole)
 
 
 TRACK = DetectionTrack()

@@ -30,7 +30,6 @@ class SegmentationTrack(ImageTrack):
     name = "segmentation"
     title = "Which pixels of pictures are oysters."
     takes = ("segmentation",)
-    folder = "results-segmentation"
     evaluator = EVALUATOR
     options = (
         THRESHOLD,
@@ -86,7 +85,9 @@ class SegmentationTrack(ImageTrack):
     def over_dataset(self, method: str, results: Sequence[ClipResult]) -> DatasetRow:
         """All pictures together."""
         found = over_dataset(results)
-        return DatasetRow(method, found.whole.metrics, found.whole.reasons, found.intervals, found.clips, found.whole)
+        return DatasetRow(
+            self.name, method, found.whole.metrics, found.whole.reasons, found.intervals, found.clips, found.whole
+        )
 
 
 TRACK = SegmentationTrack()

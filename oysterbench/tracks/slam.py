@@ -91,7 +91,6 @@ class SlamTrack(Track):
     # One camera and an inertial unit: gtsam_full has nothing there that gtsam_vi has not, and visual_only, which has no
     # scale, cannot be scored as they are.
     default_methods = ("gtsam_vi", "dead_reckoning")
-    folder = "results"
     evaluator = EVALUATOR
     files = "trajectories"
     options = OPTIONS
@@ -101,6 +100,10 @@ class SlamTrack(Track):
       oysterbench eval slam --runs 5 --out five-runs
       oysterbench eval slam --truth truth.tum --estimate mine.tum --align se3 --associate nearest
       oysterbench eval slam --truth truth.tum --estimate mine.tum --report mine.html --tex -"""
+
+    def folder(self, kind: str, options: Mapping[str, Any]) -> str:
+        """Without a name: it was there first."""
+        return kind
 
     def settings(self, options: Mapping[str, Any]) -> SlamSettings:
         """How estimate and truth meet."""

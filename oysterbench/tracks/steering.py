@@ -76,7 +76,6 @@ class SteeringTrack(Track):
     takes = ("steering",)
     default_split = "steer-mini"
     default_methods = ("straight", "chance")
-    folder = "results-steering"
     evaluator = EVALUATOR
     options = (
         Option("closed_loop", "--closed-loop", "Let the policies drive, beside the references.", bool),
@@ -85,6 +84,10 @@ class SteeringTrack(Track):
     examples = """
       oysterbench eval steering --method my_policy:MyPolicy --split steer-val
       oysterbench eval steering --closed-loop --method my_policy:MyPolicy --split steer-val --reefs 3"""
+
+    def folder(self, kind: str, options: Mapping[str, Any]) -> str:
+        """Rollouts have one of their own."""
+        return f"{kind}-closed-loop" if options.get("closed_loop") else super().folder(kind, options)
 
     def settings(self, options: Mapping[str, Any]) -> None:
         """None."""

@@ -136,7 +136,6 @@ class Track(ABC):
     """A track.
 
     takes:   tracks of the methods that take part, its own first
-    folder:  of the results, under that of the split
     evaluator: name and version of what scores it
     files:   what --truth and --estimate are; empty where no files can be scored
     options: of its own
@@ -147,11 +146,14 @@ class Track(ABC):
     takes: tuple[str, ...]
     default_split: str
     default_methods: tuple[str, ...]
-    folder: str
     evaluator: str
     files: str = ""
     options: tuple[Option, ...] = ()
     examples: str = ""
+
+    def folder(self, kind: str, options: Mapping[str, Any]) -> str:
+        """Name under the folder of a split of what there is of a kind: "results" of `eval`, "runs" of `run`."""
+        return f"{kind}-{self.name}"
 
     @abstractmethod
     def settings(self, options: Mapping[str, Any]) -> Any:

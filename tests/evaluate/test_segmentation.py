@@ -200,7 +200,7 @@ def test_a_data_set_is_its_counts_together_and_its_interval_resamples_clips():
 
 def test_few_clips_have_no_interval_and_the_reason_is_said():
     found = over_dataset([scored((LEFT, FULL))] * 3)
-    assert found.intervals["iou"].reason == "3 clips: no 95% interval can be had from fewer than 6"
+    assert found.intervals["iou"].reason == "3 sequences: no 95% interval can be had from fewer than 6"
 
 
 def test_scoring_in_parts_and_at_once_are_the_same():

@@ -230,7 +230,7 @@ def test_several_sequences_begin_with_the_standings_and_end_with_conditions():
         "Pairs on",
         "Pairs within each class",
         "By conditions",
-        "over conditions on",
+        "Over conditions on",
     ]
     places = [text.index(part) for part in order]
     assert places == sorted(places)

@@ -63,5 +63,10 @@ TABLE = (
     "coverage",
 )
 TRACK = TrackMetrics(
-    DENSITY, TABLE, TABLE[1:], beside="cell_mae_per_m2", failed={"map_score": 0.0, "right_class": 0.0, "coverage": 0.0}
+    "Oyster maps",
+    DENSITY,
+    TABLE,
+    TABLE[1:],
+    beside="cell_mae_per_m2",
+    failed={"map_score": 0.0, "right_class": 0.0, "coverage": 0.0},
 )

@@ -140,7 +140,7 @@ def over_clips(clips: Sequence[DetectionClip]) -> tuple[DetectionClip, dict[str,
 def _interval(clips: Sequence[Matches]) -> Interval:
     drawn = resample_counts(len(clips))
     if drawn is None:
-        return Interval(math.nan, math.nan, too_few(len(clips), "clip"))
+        return Interval(math.nan, math.nan, too_few(len(clips)))
     curve = PrecisionCurve(clips)
     values = np.array([average_precision(curve.at(times)[0]) for times in drawn[:RESAMPLES]])
     return resampled_interval(values, len(clips))

@@ -32,11 +32,11 @@ DETECTION: dict[str, Metric] = {
     ),
     "sq": higher("SQ")("Segmentation quality: mean overlap of the matches, those above 0.5."),
     "rq": higher("RQ")("Recognition quality: matches by the mean number of truths and estimates (F1)."),
-    "count_mae": lower("Count MAE", column=Column("count", "MAE", 1))(
+    "count_mae": lower("Count MAE", "oysters", column=Column("count", "MAE", 1))(
         "Mean over images of the absolute error of the number of oysters."
     ),
-    "count_rmse": lower("Count RMSE")("Root mean square over images of that error."),
-    "count_bias": neutral("Count bias", column=Column("count", "bias", 1))(
+    "count_rmse": lower("Count RMSE", "oysters")("Root mean square over images of that error."),
+    "count_bias": neutral("Count bias", "oysters", column=Column("count", "bias", 1))(
         "Mean over images of that error: above 0 where too many are counted."
     ),
     **{
@@ -71,4 +71,4 @@ TABLE = (
     "count_bias",
     "density_error_per_m2",
 )
-TRACK = TrackMetrics(DETECTION, TABLE, TABLE[1:], beside="count_mae", failed={"ap_mask": 0.0})
+TRACK = TrackMetrics("Detection", DETECTION, TABLE, TABLE[1:], beside="count_mae", failed={"ap_mask": 0.0})

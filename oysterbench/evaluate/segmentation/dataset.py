@@ -27,7 +27,7 @@ def over_dataset(clips: Sequence[ClipResult]) -> DatasetResult:
     whole = join(list(clips))
     drawn = resample_counts(len(clips))
     if drawn is None:
-        unknown = Interval(np.nan, np.nan, too_few(len(clips), "clip"))
+        unknown = Interval(np.nan, np.nan, too_few(len(clips)))
         return DatasetResult(whole, dict.fromkeys(whole.metrics, unknown), len(clips))
     sums = {key: drawn @ np.array([clip.tally.get(key, 0.0) for clip in clips]) for key in whole.tally}
     values, _ = measure(sums)

@@ -63,7 +63,7 @@ SEGMENTATION: dict[str, Metric] = {
 """Metrics of the segmentation track by their key."""
 
 TABLE = ("iou", "image_iou", "boundary_iou", "precision", "recall", "dice", "empty_false_positive_rate")
-TRACK = TrackMetrics(SEGMENTATION, TABLE, TABLE[1:], beside="boundary_iou", failed={"iou": 0.0})
+TRACK = TrackMetrics("Segmentation", SEGMENTATION, TABLE, TABLE[1:], beside="boundary_iou", failed={"iou": 0.0})
 
 _STRATA = {
     r"iou_range_([\w.]+)": ("IoU of the class oyster where what is seen is {} away along the optical axis.", "m"),

@@ -17,7 +17,6 @@ from oysterbench.evaluate.slam.consistency import nees
 from oysterbench.evaluate.slam.pairs import (
     Index,
     between,
-    distances,
     pairs_along,
     pairs_apart,
     pairs_over_frames,
@@ -26,17 +25,14 @@ from oysterbench.evaluate.slam.pairs import (
     segments,
     turned,
 )
-from oysterbench.evaluate.slam.pose_errors import PoseErrors, relative_errors
+from oysterbench.evaluate.slam.pose_errors import MIN_PATH_M, STILL, PoseErrors, relative_errors, rms
 from oysterbench.evaluate.slam.recall import PERCENTS, Recall, recall
 from oysterbench.evaluate.slam.settings import SlamSettings
 
-MIN_PATH_M = 1e-3
-"""A shorter path has no percentages."""
 SUBPATH_PERCENTS = (10, 20, 30, 40, 50)
 """Of the true path: lengths of the segments where none are given (Zhang & Scaramuzza 2018, sec. VI)."""
 MIN_CHORD = 0.1
 """Of a segment's length: its ends must be this far apart for the estimate's scale to be told from them."""
-STILL = "the truth does not move: there is no path to take a percentage of"
 
 
 @dataclass(frozen=True)
@@ -59,23 +55,8 @@ class Matched:
     fit: Alignment
 
 
-def measure(matched: Matched, settings: SlamSettings, measures: Measures) -> Recall | None:
-    """All numbers of a matched estimate, put into `measures`; returns the recall curve."""
-    path_m = distances(matched.truth.positions)
-    curve = _score(matched, settings, float(path_m[-1]), measures)
-    _absolute(matched.absolute, float(path_m[-1]), measures)
-    _relative(matched, settings, path_m, measures)
-    _segments(matched, settings, path_m, measures)
-    _drift(matched, path_m, measures)
-    _velocity(matched, settings, measures)
-    _answers(matched, float(path_m[-1]), measures)
-    _alignment(matched.fit, settings, measures)
-    if matched.met.estimate.covariances is not None:
-        _consistency(matched, settings, measures)
-    return curve
-
-
-def _score(matched: Matched, settings: SlamSettings, path_m: float, measures: Measures) -> Recall | None:
+def measure_recall(matched: Matched, settings: SlamSettings, path_m: float, measures: Measures) -> Recall | None:
+    """The score, recall at some errors, and its curve; None where the truth does not move. path_m: of the truth"""
     shares = [f"recall_{percent:g}percent" for percent in PERCENTS]
     if path_m < MIN_PATH_M:
         measures.missing(STILL, "score", *shares)
@@ -88,26 +69,7 @@ def _score(matched: Matched, settings: SlamSettings, path_m: float, measures: Me
     return curve
 
 
-def _absolute(errors: PoseErrors, path_m: float, measures: Measures) -> None:
-    error_m, rotation_deg = errors.translation_m, np.rad2deg(errors.rotation_rad)
-    measures["ate_rmse_m"] = _rms(error_m)
-    if path_m < MIN_PATH_M:
-        measures.missing(STILL, "ate_percent")
-    else:
-        measures["ate_percent"] = 100.0 * _rms(error_m) / path_m
-    measures["ate_mean_m"] = float(np.mean(error_m))
-    measures["ate_median_m"] = float(np.median(error_m))
-    measures["ate_max_m"] = float(np.max(error_m))
-    measures["ate_rotation_rmse_deg"] = _rms(rotation_deg)
-    measures["ate_rotation_median_deg"] = float(np.median(rotation_deg))
-    measures["ate_rotation_max_deg"] = float(np.max(rotation_deg))
-    measures["ate_yaw_rmse_deg"] = _rms(np.rad2deg(errors.yaw_rad))
-    measures["ate_tilt_rmse_deg"] = _rms(np.rad2deg(errors.tilt_rad))
-    measures["ate_rotation_part_rmse"] = _rms(errors.rotation_part)
-    measures["ate_full_rmse"] = _rms(errors.full)
-
-
-def _relative(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
+def measure_relative(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
     """Relative errors over frames, seconds, metres and degrees."""
     met, consecutive = matched.met, settings.rpe_pairs == "consecutive"
     frames, seconds = settings.rpe_frames, settings.rpe_delta_s
@@ -126,8 +88,8 @@ def _relative(matched: Matched, settings: SlamSettings, path_m: Array, measures:
             measures.missing(f"no two matched poses are {_spaced(name)} apart", *keys)
             continue
         errors = relative_errors(met.truth, matched.aligned, pairs, matched.absolute)
-        measures[keys[0]] = _rms(errors.translation_m)
-        measures[keys[1]] = _rms(np.rad2deg(errors.rotation_rad))
+        measures[keys[0]] = rms(errors.translation_m)
+        measures[keys[1]] = rms(np.rad2deg(errors.rotation_rad))
 
 
 def _pairs_over_angle(matched: Matched, settings: SlamSettings) -> Index:
@@ -138,7 +100,7 @@ def _pairs_over_angle(matched: Matched, settings: SlamSettings) -> Index:
     return pairs_along(angle, delta_rad, settings.rpe_pairs == "consecutive")
 
 
-def _segments(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
+def measure_segments(matched: Matched, settings: SlamSettings, path_m: Array, measures: Measures) -> None:
     """Errors over segments by the length that the segment has, each segment counting alike (Geiger et al. 2012)."""
     met, total_m = matched.met, float(path_m[-1])
     rank = np.full(len(path_m), -1)
@@ -202,7 +164,7 @@ def _no_segment(length_m: float, total_m: float) -> str:
     return f"no segment of {length_m:.4g} m is answered at both ends"
 
 
-def _drift(matched: Matched, path_m: Array, measures: Measures) -> None:
+def measure_drift(matched: Matched, path_m: Array, measures: Measures) -> None:
     """What the estimate is off at its last pose if its first one is laid on the truth."""
     met = matched.met
     path_length_m = float(path_m[met.answered[-1]] - path_m[met.answered[0]])
@@ -215,7 +177,8 @@ def _drift(matched: Matched, path_m: Array, measures: Measures) -> None:
     measures["drift_deg_per_m"] = float(np.rad2deg(errors.rotation_rad[0])) / path_length_m
 
 
-def _velocity(matched: Matched, settings: SlamSettings, measures: Measures) -> None:
+def measure_velocity(matched: Matched, settings: SlamSettings, measures: Measures) -> None:
+    """Error of the velocity between poses some time apart."""
     stamps, step_s = matched.met.truth.stamps_ns, settings.velocity_step_s
     pairs = pairs_over_time(stamps, step_s)
     if not len(pairs):
@@ -225,10 +188,11 @@ def _velocity(matched: Matched, settings: SlamSettings, measures: Measures) -> N
     off = matched.aligned.positions - matched.met.truth.positions
     seconds = (stamps[j] - stamps[i]) * 1e-9
     off = between(off, run_of(i), run_of(j))
-    measures["velocity_rmse_m_per_s"] = _rms(_lengths(off) / seconds)
+    measures["velocity_rmse_m_per_s"] = rms(_lengths(off) / seconds)
 
 
-def _answers(matched: Matched, path_m: float, measures: Measures) -> None:
+def measure_answers(matched: Matched, path_m: float, measures: Measures) -> None:
+    """How much of the truth is answered, and where it is not."""
     truth, covered = matched.truth, matched.met.covered
     gaps = find_gaps(truth.stamps_ns, covered)
     measures["coverage"] = float(np.mean(covered))
@@ -242,7 +206,8 @@ def _answers(matched: Matched, path_m: float, measures: Measures) -> None:
         measures.notes.append(f"the errors speak of {measures['coverage']:.0%} of the sequence only")
 
 
-def _alignment(fit: Alignment, settings: SlamSettings, measures: Measures) -> None:
+def measure_alignment(fit: Alignment, settings: SlamSettings, measures: Measures) -> None:
+    """Scale of the alignment, and how well the path determines its rotation."""
     measures["scale"] = float(fit.similarity.scale)
     for key, value in (
         ("alignment_condition", fit.condition),
@@ -256,8 +221,10 @@ def _alignment(fit: Alignment, settings: SlamSettings, measures: Measures) -> No
             measures[key] = value
 
 
-def _consistency(matched: Matched, settings: SlamSettings, measures: Measures) -> None:
-    """NEES where the estimate says how sure it is."""
+def measure_consistency(matched: Matched, settings: SlamSettings, measures: Measures) -> None:
+    """NEES, where the estimate says how sure it is."""
+    if matched.met.estimate.covariances is None:
+        return
     parts = ("position", "rotation", "pose")
     try:
         found = nees(matched.met.truth, matched.met.estimate, settings.align, matched.fit.similarity)
@@ -282,8 +249,3 @@ def _lengths(vectors: Array) -> Array:
 def _spaced(name: str) -> str:
     """ "10deg" as "10 deg"."""
     return re.sub(r"(?<=[0-9.])(?=[a-z]+$)", " ", name)
-
-
-def _rms(values: Array) -> float:
-    """Root mean square; NaN for an empty sample."""
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

@@ -194,6 +194,7 @@ def find_slam(key: str) -> Metric | None:
 
 
 TRACK = TrackMetrics(
+    "SLAM",
     SLAM,
     table=(
         "score",

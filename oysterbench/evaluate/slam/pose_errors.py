@@ -1,4 +1,4 @@
-"""Absolute and relative errors of matched poses."""
+"""Absolute and relative errors of matched poses, and the numbers of the absolute ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,12 @@ import numpy as np
 
 from oysterbench.core.geometry import BLOCK, CONJUGATE, Array, quaternion_product
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.pairs import Index, between, pick, run_of
+
+MIN_PATH_M = 1e-3
+"""A shorter path has no percentages."""
+STILL = "the truth does not move: there is no path to take a percentage of"
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,26 @@ def absolute_errors(truth: Trajectory, estimate: Trajectory) -> PoseErrors:
     )
 
 
+def measure_absolute(errors: PoseErrors, path_m: float, measures: Measures) -> None:
+    """Absolute errors of all matched poses (Sturm et al. 2012, eq. 6). path_m: length of the true path"""
+    error_m, rotation_deg = errors.translation_m, np.rad2deg(errors.rotation_rad)
+    measures["ate_rmse_m"] = rms(error_m)
+    if path_m < MIN_PATH_M:
+        measures.missing(STILL, "ate_percent")
+    else:
+        measures["ate_percent"] = 100.0 * rms(error_m) / path_m
+    measures["ate_mean_m"] = float(np.mean(error_m))
+    measures["ate_median_m"] = float(np.median(error_m))
+    measures["ate_max_m"] = float(np.max(error_m))
+    measures["ate_rotation_rmse_deg"] = rms(rotation_deg)
+    measures["ate_rotation_median_deg"] = float(np.median(rotation_deg))
+    measures["ate_rotation_max_deg"] = float(np.max(rotation_deg))
+    measures["ate_yaw_rmse_deg"] = rms(np.rad2deg(errors.yaw_rad))
+    measures["ate_tilt_rmse_deg"] = rms(np.rad2deg(errors.tilt_rad))
+    measures["ate_rotation_part_rmse"] = rms(errors.rotation_part)
+    measures["ate_full_rmse"] = rms(errors.full)
+
+
 def relative_errors(truth: Trajectory, estimate: Trajectory, pairs: Index, absolute: PoseErrors) -> PoseErrors:
     """E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j) of index pairs (M, 2) i, j into matched poses (Sturm et al. 2012, eq. 2).
 
@@ -92,3 +117,8 @@ def _rotate(quaternions: Array, vectors: Array) -> Array:
     rotated[:, 1] = vy + 2.0 * (w * ay + uz * ax - ux * az)
     rotated[:, 2] = vz + 2.0 * (w * az + ux * ay - uy * ax)
     return rotated
+
+
+def rms(values: Array) -> float:
+    """Root mean square; NaN for an empty sample."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float("nan")

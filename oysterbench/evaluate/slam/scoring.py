@@ -14,9 +14,20 @@ from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.alignment import Alignment, fit_alignment
 from oysterbench.evaluate.slam.association import associate, rate_notes
 from oysterbench.evaluate.slam.clock import estimate_offset, shift
-from oysterbench.evaluate.slam.measures import Matched, measure
+from oysterbench.evaluate.slam.measures import (
+    Matched,
+    measure_alignment,
+    measure_answers,
+    measure_consistency,
+    measure_drift,
+    measure_recall,
+    measure_relative,
+    measure_segments,
+    measure_velocity,
+)
 from oysterbench.evaluate.slam.metrics import SLAM as METRICS
-from oysterbench.evaluate.slam.pose_errors import absolute_errors
+from oysterbench.evaluate.slam.pairs import distances
+from oysterbench.evaluate.slam.pose_errors import absolute_errors, measure_absolute
 from oysterbench.evaluate.slam.recall import Recall
 from oysterbench.evaluate.slam.settings import SlamSettings
 from oysterbench.evaluate.slam.validate import alignment_notes, attitude_notes, check_trajectory
@@ -107,7 +118,17 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
     else:
         answered_m = np.linalg.norm(fit.similarity.apply(met.positions) - truth.positions[met.covered], axis=1)
     matched = Matched(truth, met, aligned, absolute, answered_m, fit)
-    curve = measure(matched, settings, measures)
+    path_m = distances(truth.positions)
+    length_m = float(path_m[-1])
+    curve = measure_recall(matched, settings, length_m, measures)
+    measure_absolute(absolute, length_m, measures)
+    measure_relative(matched, settings, path_m, measures)
+    measure_segments(matched, settings, path_m, measures)
+    measure_drift(matched, path_m, measures)
+    measure_velocity(matched, settings, measures)
+    measure_answers(matched, length_m, measures)
+    measure_alignment(fit, settings, measures)
+    measure_consistency(matched, settings, measures)
 
     notes += attitude_notes(met.truth.quaternions, met.estimate.quaternions, fit.similarity)
     notes += alignment_notes(met.truth.positions, met.estimate.positions, settings.align, measures["ate_rmse_m"])

@@ -94,7 +94,7 @@ TABLE = (
     "regret_oysters",
     *(f"{axis}_{what}" for axis in ("yaw", "pitch") for what in ("accuracy", "macro_f1", "cost_deg")),
 )
-STEERING = TrackMetrics(PICTURES, TABLE, TABLE[1:], beside="regret_oysters", failed={"skill": 0.0})
+STEERING = TrackMetrics("Steering", PICTURES, TABLE, TABLE[1:], beside="regret_oysters", failed={"skill": 0.0})
 
 EXPLORATION_TABLE = (
     "oysters_per_min",
@@ -107,5 +107,10 @@ EXPLORATION_TABLE = (
     "steps_per_s",
 )
 EXPLORATION = TrackMetrics(
-    ROLLOUTS, EXPLORATION_TABLE, EXPLORATION_TABLE[1:], beside="contacts_per_min", failed={"oysters_per_min": 0.0}
+    "Exploration",
+    ROLLOUTS,
+    EXPLORATION_TABLE,
+    EXPLORATION_TABLE[1:],
+    beside="contacts_per_min",
+    failed={"oysters_per_min": 0.0},
 )
