@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from oysterbench.recipe.keys import Table, choice, number
 from oysterbench.recipe.path import PathRecipe
+from oysterbench.recipe.turbidity import LayerRecipe, PatchesRecipe, PlumesRecipe
 
 CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone", 4: "plant", 5: "sponge", 6: "vehicle", 7: "hash"}
 """What the numbers of a class image mean; hash is broken shell."""
@@ -61,6 +62,9 @@ class WaterRecipe:
     scattering_550: float = number(0, 60, 0.0)  # added scattering of particles
     snow_per_m3: float = number(0, 50_000, 0.0)  # marine snow: flakes of 0.4 mm and more
     forward_blur: float = number(0, 1, 0.0)  # share of the light scattered forward that is drawn blurred, not sharp
+    layer: LayerRecipe = field(default=LayerRecipe())
+    patches: PatchesRecipe = field(default=PatchesRecipe())
+    plumes: PlumesRecipe = field(default=PlumesRecipe())
 
 
 @dataclass(frozen=True, kw_only=True)

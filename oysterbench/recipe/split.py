@@ -19,6 +19,7 @@ from oysterbench.recipe.path import check_path
 from oysterbench.recipe.rig import RigRecipe, read_rig, vary_rig
 from oysterbench.recipe.scene import WATER_TYPES, SequenceRecipe
 from oysterbench.recipe.steering import SteeringRecipe, check_steering
+from oysterbench.recipe.turbidity import check_plumes
 
 TRACKS = ("slam", "segmentation", "steering")
 """What a split is made for; one with masks of every oyster serves segmentation and detection alike."""
@@ -213,6 +214,10 @@ def _check_sequence(sequence: SequenceRecipe, where: str) -> None:
             f"{' and '.join(given) or 'neither'}"
         )
     check_path(sequence.path, sequence.reef.size_m, where)
+    reef, path, site = sequence.reef, sequence.path, sequence.site
+    lowest = min(path.altitude_m, path.close_m) if path.kind == "inspection" else path.altitude_m
+    moving_water = site.current_m_s > 0 or site.wave_height_m > 0
+    check_plumes(sequence.water.plumes, reef.bottom, reef.silt, moving_water, lowest, where)
     if sequence.path.altitude_m >= sequence.reef.depth_m:
         raise RecipeError(
             f"{where}: key 'path.altitude_m': the vehicle would leave the water; expected less than reef.depth_m = "

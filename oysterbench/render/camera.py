@@ -21,6 +21,7 @@ from oysterbench.render import (
     edges,
     kernels,
     lamps,
+    march,
     occlusion,
     port,
     rays,
@@ -39,6 +40,7 @@ from oysterbench.render.target import start_warp
 from oysterbench.render.upload import upload_geometry, upload_looks, upload_optics, upload_vehicle, without_water
 from oysterbench.render.view import CameraView
 from oysterbench.render.water import build_water
+from oysterbench.scene.plumes import Plumes
 from oysterbench.scene.rig import camera_matrix, camera_pose
 from oysterbench.scene.vehicle import build_vehicle
 from oysterbench.scene.world import World
@@ -46,7 +48,22 @@ from oysterbench.scene.world import World
 Pose = NDArray[np.float64]
 
 DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
-MODULES = (kernels, edges, occlusion, sensor, lamps, caustics, snow, blur, visibility, rays, shutter, defocus, port)
+MODULES = (
+    kernels,
+    edges,
+    occlusion,
+    sensor,
+    lamps,
+    caustics,
+    snow,
+    blur,
+    visibility,
+    rays,
+    shutter,
+    defocus,
+    port,
+    march,
+)
 LAYERS = (
     "radiance",
     "clean",
@@ -98,6 +115,7 @@ class CameraRenderer:
         recipe: SequenceRecipe,
         device: str = "cpu",
         rig: RigRecipe | None = None,
+        plumes: Plumes | None = None,
     ) -> None:
         start_warp()
         self.camera = camera
@@ -111,7 +129,7 @@ class CameraRenderer:
             self._kept += body
         self._lamps = () if rig is None else rig.lamp
         self.recipe = recipe
-        self._light(world, recipe)
+        self._light(world, recipe, plumes)
         self._allocate()
 
     def render(
@@ -191,7 +209,9 @@ class CameraRenderer:
         direct, forward_scatter, backscatter = (
             array.numpy().copy() for array in (self._sharp, self._forward_scatter, self._backscatter)
         )
-        if share > 0:
+        if self._optics.turbidity.silty:
+            forward_scatter = forward_scatter + self._blurred.numpy()
+        elif share > 0:
             forward_scatter = forward_scatter * np.float32(1 - share) + self._blurred.numpy() * np.float32(share)
         depth, classes, instances = (array.numpy().copy() for array in self._truth)
         found: dict[str, NDArray[np.generic]] = {
@@ -225,6 +245,9 @@ class CameraRenderer:
             self._optics.caustics = self._waves.light
             self._clear.caustics = self._waves.light
         self._place(T_map_base)
+        with self._timed("turbidity"):
+            self._turbidity.move(time_s, np.round(np.asarray(T_map_cam, dtype=float)[:3, 3], 9))
+            self._optics.turbidity = self._turbidity.field
         if self._optics.lamps.count:
             lamps.place_lamps(self._optics.lamps, self._lamps, T_map_base, self.device)
             self._clear.lamps.positions = self._optics.lamps.positions
@@ -259,9 +282,15 @@ class CameraRenderer:
         view = self._view(T_map_cam, passage)
         self._trace(view, self._optics)
         device, shape = self.device, self._radiance.shape
-        if self._blur_share > 0:
+        parted = self._optics.turbidity.silty
+        if self._blur_share > 0 or parted:
             with self._timed("blur"):
-                self._blur.spread(self._forward_scatter, self._blurred)
+                soft = self._forward_scatter
+                if parted:
+                    soft = self._soft
+                    inputs = [self._blur_share, self._silted]
+                    wp.launch(sensor.part, shape, inputs=inputs, outputs=[self._forward_scatter, soft], device=device)
+                self._blur.spread(soft, self._blurred)
         flakes = self._snow.light
         if flakes is not None:
             with self._timed("snow"):
@@ -269,7 +298,7 @@ class CameraRenderer:
                 self._snow.fall(view, self._optics, self._truth[0], pose, self._rays, time_s, passage)
         seen, spare = self._radiance, self._spare
         with self._timed("compose"):
-            light = [self._sharp, self._forward_scatter, self._blurred, self._backscatter, self._blur_share]
+            light = [self._sharp, self._forward_scatter, self._blurred, self._backscatter, self._blur_share, parted]
             wp.launch(sensor.compose, shape, inputs=light, outputs=[seen], device=device)
         if self._defocus is not None and not ideal:
             with self._timed("defocus"):
@@ -301,14 +330,17 @@ class CameraRenderer:
             with self._timed("sky occlusion"):
                 inputs = [*scene, self._fan, *surfaces]
                 wp.launch(occlusion.occlude, shape, inputs=inputs, outputs=[self._open], device=device)
+        if optics.turbidity.on:
+            with self._timed("turbidity"):
+                self._turbidity.march(view, optics)
         if optics.lamps.count:
             with self._timed("lamp beams"):
                 beams = optics.lamps.beams
-                inputs = [view, optics.lamps, self._scattering(optics), self._asymmetry]
+                inputs = [view, optics, self._scattering(optics), self._asymmetry]
                 wp.launch(lamps.sum_beams, beams.shape[:2], inputs=inputs, outputs=[beams], device=device)
         with self._timed("shading"):
             inputs = [*scene, *surfaces, self._lit, self._open]
-            outputs = [*self._jagged, self._level, self._openings]
+            outputs = [*self._jagged, self._level, self._openings, self._silted]
             wp.launch(kernels.shade, shape, inputs=inputs, outputs=outputs, device=device)
         with self._timed("edges"):
             inputs = [self._geometry, view, *surfaces, self._level, *self._jagged]
@@ -337,7 +369,7 @@ class CameraRenderer:
         share[0] = np.nan
         return share.astype(np.float32)
 
-    def _light(self, world: World, recipe: SequenceRecipe) -> None:
+    def _light(self, world: World, recipe: SequenceRecipe, plumes: Plumes | None) -> None:
         """Tables of water and light, what moves in them, and the camera's fixed exposure."""
         device, camera = self.device, self.camera
         light = build_light(recipe.light)
@@ -348,6 +380,7 @@ class CameraRenderer:
         self._optics = upload_optics(water, light, fan, recipe, world.terrain.steepest(), device)
         shape = (camera.height, camera.width)
         self._optics.lamps = lamps.build_lamps(self._lamps, recipe.light.lamps, water, shape, device)
+        self._turbidity = march.TurbidityField(recipe, water, daylight, plumes, world.texture_seed, shape, device)
         self._waves = caustics.Waves(recipe.light, water, recipe.reef.depth_m, world.texture_seed, device)
         self._clear = without_water(self._optics, device)
         self._clear.lamps = lamps.without_water(self._optics.lamps, device)
@@ -386,7 +419,8 @@ class CameraRenderer:
         self._blurred, self._radiance, self._spare = (picture(wp.vec3) for _ in range(3))
         self._shutter = shutter.Shutter(shape, self.device)
         self._jagged = [picture(wp.vec3) for _ in range(3)]
-        self._level, self._openings = picture(wp.float32), picture(wp.float32)
+        self._level, self._openings, self._silted = (picture(wp.float32) for _ in range(3))
+        self._soft = picture(wp.vec3)
         self._truth = [picture(wp.float32), picture(wp.uint8), picture(wp.uint16)]
         self._colour = wp.zeros((*shape, 3), dtype=wp.uint8, device=self.device)
 

@@ -26,14 +26,14 @@ from oysterbench.render.optics import (
     beam_light,
     caustic,
     lamp_irradiance,
-    look_up,
-    look_up_pair,
     shadows_lost,
     veiling,
 )
+from oysterbench.render.tables import look_up, look_up_pair
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.texture import Material, instance_material, scramble, seabed
 from oysterbench.render.view import CameraView, pixel_ray, pixel_start
+from oysterbench.render.way import Way, way_to
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -121,11 +121,13 @@ def sun_share(
 
 @wp.struct
 class Signal:
-    """Radiance at the camera: sharp and blurred light of a surface, and light that the water adds."""
+    """Radiance at the camera: sharp and blurred light of a surface, and light that the water adds. silted: share of the
+    blurred light that silt scatters."""
 
     sharp: wp.vec3
     forward_scatter: wp.vec3
     backscatter: wp.vec3
+    silted: wp.float32
 
 
 @wp.func
@@ -209,27 +211,38 @@ def received_radiance(
     smooth: wp.vec3,
     lit: float,
     opening: float,
+    way: Way,
 ):
-    """What the camera receives along a ray whose nearest hit is given; lit and opening: its sun and its sky there."""
+    """What the camera receives along a ray whose nearest hit is given; lit and opening: its sun and its sky there.
+
+    way: what varying turbidity does on the way.
+    """
     length = wp.length(direction)
     distance = hit.t * length
     signal = Signal()
     if hit.instance == NOTHING:
         distance = ENDLESS_M
-    signal.backscatter = veiling(optics, -origin[2], distance, direction[2] / length)
+    signal.backscatter = wp.cw_mul(veiling(optics, -origin[2], distance, direction[2] / length), way.veil)
     if hit.instance != NOTHING:
         p = origin + direction * hit.t
         material = shade_material(world, looks, view, p, smooth, direction, hit)
         n = material.normal
-        surface = day_light(optics, p, n, lit, opening)
+        surface = wp.cw_mul(day_light(optics, p, n, lit, opening), way.day)
         if optics.lamps.count > 0:
             lamps = lamp_light(world, optics.lamps, p, n, smooth, hit.t, LEAST_SHADOW * surface[1])
-            surface += lamps * (0.25 + 0.75 * opening)
+            surface += wp.cw_mul(lamps, way.lamps) * (0.25 + 0.75 * opening)
         surface = wp.cw_mul(material.albedo, surface)
         row = -p[2] / optics.depth_step
         column = distance / optics.range_step
-        signal.sharp = wp.cw_mul(surface, look_up_pair(optics.direct, row, column))
-        signal.forward_scatter = wp.cw_mul(surface, look_up_pair(optics.forward_scatter, row, column))
+        direct = look_up_pair(optics.direct, row, column)
+        forward = look_up_pair(optics.forward_scatter, row, column)
+        if optics.turbidity.on != 0:
+            whole = wp.cw_mul(direct + forward, way.image)
+            direct = wp.cw_mul(direct, way.direct)
+            forward = whole - direct
+            signal.silted = whole[1] * (1.0 - way.unsilted) / wp.max(forward[1], 1.0e-12)
+        signal.sharp = wp.cw_mul(surface, direct)
+        signal.forward_scatter = wp.cw_mul(surface, forward)
     return signal
 
 
@@ -322,6 +335,7 @@ def shade(
     backscatter: wp.array2d(dtype=wp.vec3),
     level: wp.array2d(dtype=wp.float32),
     openings: wp.array2d(dtype=wp.float32),
+    silted: wp.array2d(dtype=wp.float32),
 ):
     """Light from each pixel's surface and water, and green of it all for finding edges."""
     row, column = wp.tid()
@@ -335,6 +349,12 @@ def shade(
         opening = openness(looks, origin + direction * hit.t)
         if optics.occlusion > 0.0:
             opening = gathered(open, hits, normals, row, column, opening)
+    distance = hit.t * wp.length(direction)
+    if hit.instance == NOTHING:
+        distance = ENDLESS_M
+    across = float(column) / float(hits.shape[1] - 1)
+    down = float(row) / float(hits.shape[0] - 1)
+    way = way_to(optics, across, down, distance, origin + direction * hit.t)
     signal = received_radiance(
         world,
         looks,
@@ -346,6 +366,7 @@ def shade(
         normals[row, column],
         sun_share(lit, hits, normals, optics.spread, row, column),
         opening,
+        way,
     )
     added = signal.backscatter + scattered(optics, view, u, v, hit.t * wp.length(direction))
     sharp[row, column] = signal.sharp
@@ -353,3 +374,4 @@ def shade(
     backscatter[row, column] = added
     level[row, column] = signal.sharp[1] + signal.forward_scatter[1] + added[1]
     openings[row, column] = opening
+    silted[row, column] = wp.min(signal.silted, 1.0)

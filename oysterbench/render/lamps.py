@@ -15,10 +15,13 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
 from oysterbench.recipe import LampRecipe
-from oysterbench.render.optics import Lamps, look_up
+from oysterbench.render.optics import Lamps, Optics
+from oysterbench.render.tables import look_up
 from oysterbench.render.target import KERNEL_OPTIONS
+from oysterbench.render.turbidity import decays
 from oysterbench.render.view import CameraView, ray_start, ray_through
 from oysterbench.render.water import IMAGE_CONE_RAD, Water, forward_share
+from oysterbench.render.way import interpolate, node_at
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -122,9 +125,11 @@ def phase(cosine: float, g: float):
 
 
 @wp.kernel
-def sum_beams(view: CameraView, lamps: Lamps, scattering: wp.vec3, g: float, beams: wp.array3d(dtype=wp.vec3)):
+def sum_beams(view: CameraView, optics: Optics, scattering: wp.vec3, g: float, beams: wp.array3d(dtype=wp.vec3)):
     """Light scattered into each ray of the grid up to each node of range."""
     row, column = wp.tid()
+    lamps = optics.lamps
+    field = optics.turbidity
     height = float(view.rays.shape[0] - 3)
     width = float(view.rays.shape[1] - 3)
     v = height * float(row) / float(beams.shape[0] - 1)
@@ -135,12 +140,30 @@ def sum_beams(view: CameraView, lamps: Lamps, scattering: wp.vec3, g: float, bea
     total = wp.vec3(0.0, 0.0, 0.0)
     beams[row, column, 0] = total
     start = wp.float32(0.0)
+    before = wp.vec2(0.0, 0.0)
     for k in range(1, nodes):
         share = float(k) / float(nodes - 1)
         end = lamps.reach * share * share
         middle = 0.5 * (start + end)
         p = origin + direction * middle
         back = look_up(lamps.left, middle / lamps.left_step)
+        thick = scattering
+        if field.on != 0:
+            y = float(row) / float(beams.shape[0] - 1)
+            x = float(column) / float(beams.shape[1] - 1)
+            rows = float(field.along.shape[0] - 1)
+            columns = float(field.along.shape[1] - 1)
+            here = interpolate(field.along, y * rows, x * columns, node_at(field.along.shape[2], field.reach, end))
+            amount = (before + here) * 0.5
+            lost = decays(field.own_spread * amount[0] + field.silt_spread * amount[1])
+            z = node_at(field.along.shape[2], field.reach, middle) * float(field.lit.shape[2] - 1)
+            z = z / float(field.along.shape[2] - 1)
+            lit = interpolate(field.lit, y * float(field.lit.shape[0] - 1), x * float(field.lit.shape[1] - 1), z)
+            lost = wp.cw_mul(lost, decays(field.own_spread * lit[0] + field.silt_spread * lit[1])) * lit[2]
+            back = wp.cw_mul(back, lost)
+            piece = (here - before) / (end - start)
+            thick = scattering + field.own_scattering * piece[0] + field.silt_scattering * piece[1]
+            before = here
         for lamp in range(lamps.count):
             to_lamp = lamps.positions[lamp] - origin
             nearest = wp.dot(to_lamp, direction)
@@ -154,7 +177,7 @@ def sum_beams(view: CameraView, lamps: Lamps, scattering: wp.vec3, g: float, bea
             if s > 0.0:
                 light = wp.cw_mul(lamps.power[lamp], look_up(lamps.left, distance / lamps.left_step))
                 turned = -wp.dot(away, direction) / distance
-                amount = spread * s * s * (3.0 - 2.0 * s) * PI * phase(turned, g)
-                total += wp.cw_mul(wp.cw_mul(light, back), scattering) * amount
+                spread_light = spread * s * s * (3.0 - 2.0 * s) * PI * phase(turned, g)
+                total += wp.cw_mul(wp.cw_mul(light, back), thick) * spread_light
         beams[row, column, k] = total
         start = end

@@ -6,6 +6,8 @@ import warp as wp
 
 from oysterbench.render.arithmetic import clamped
 from oysterbench.render.noise import noise2, step_smoothly
+from oysterbench.render.tables import look_up, look_up_pair
+from oysterbench.render.turbidity import Turbidity
 
 LAYER_COSINE, LAYER_SINE = wp.constant(0.8253356), wp.constant(0.5646425)  # 0.6 rad: neither rows nor diagonals meet
 LAYER_PATCH_M = wp.constant(1.7)
@@ -76,28 +78,7 @@ class Optics:
     cosine_step: wp.float32
     lamps: Lamps
     caustics: Caustics
-
-
-@wp.func
-def look_up(table: wp.array(dtype=wp.vec3), place: float):
-    """Linear interpolation at a fractional index, clamped."""
-    last = table.shape[0] - 1
-    inside = clamped(place, 0.0, float(last) - 0.001)
-    i = int(inside)
-    return table[i] + (table[i + 1] - table[i]) * (inside - float(i))
-
-
-@wp.func
-def look_up_pair(table: wp.array2d(dtype=wp.vec3), row: float, column: float):
-    """Bilinear interpolation at fractional indices, clamped; exact where all values are one."""
-    y = clamped(row, 0.0, float(table.shape[0] - 1) - 0.001)
-    x = clamped(column, 0.0, float(table.shape[1] - 1) - 0.001)
-    i = int(y)
-    j = int(x)
-    u = x - float(j)
-    low = table[i, j] + (table[i, j + 1] - table[i, j]) * u
-    high = table[i + 1, j] + (table[i + 1, j + 1] - table[i + 1, j]) * u
-    return low + (high - low) * (y - float(i))
+    turbidity: Turbidity
 
 
 @wp.func

@@ -73,20 +73,41 @@ def dark_signal(camera: CameraRecipe, streams: Streams) -> NDArray[np.float32]:
 
 
 @wp.kernel
+def part(
+    share: float,
+    silted: wp.array2d(dtype=wp.float32),
+    forward_scatter: wp.array2d(dtype=wp.vec3),
+    soft: wp.array2d(dtype=wp.vec3),
+):
+    """Move what is to be blurred of the light scattered forward to `soft`: a share, and all that silt scatters."""
+    i, j = wp.tid()
+    moved = forward_scatter[i, j] * (share + (1.0 - share) * silted[i, j])
+    forward_scatter[i, j] = forward_scatter[i, j] - moved
+    soft[i, j] = moved
+
+
+@wp.kernel
 def compose(
     sharp: wp.array2d(dtype=wp.vec3),
     forward_scatter: wp.array2d(dtype=wp.vec3),
     blurred: wp.array2d(dtype=wp.vec3),
     backscatter: wp.array2d(dtype=wp.vec3),
     share: float,
+    parted: int,
     radiance: wp.array2d(dtype=wp.vec3),
 ):
-    """What arrives in a pixel from surfaces and water; share: of the light scattered forward that is blurred."""
+    """What arrives in a pixel from surfaces and water.
+
+    share: of the light scattered forward that is blurred; where `parted`, both parts count in full.
+    """
     i, j = wp.tid()
     total = sharp[i, j] + backscatter[i, j]
-    total += forward_scatter[i, j] * (1.0 - share)
-    if share > 0.0:
-        total += blurred[i, j] * share
+    if parted != 0:
+        total += forward_scatter[i, j] + blurred[i, j]
+    else:
+        total += forward_scatter[i, j] * (1.0 - share)
+        if share > 0.0:
+            total += blurred[i, j] * share
     radiance[i, j] = total
 
 

@@ -14,11 +14,13 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import CameraRecipe
 from oysterbench.render.lamps import phase
 from oysterbench.render.lens import project
-from oysterbench.render.optics import Optics, beam_light, lamp_irradiance, look_up, look_up_pair, veiling
+from oysterbench.render.optics import Optics, beam_light, lamp_irradiance, veiling
 from oysterbench.render.passage import STILL, Passage
+from oysterbench.render.tables import look_up, look_up_pair
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.view import CameraView
 from oysterbench.render.water import Water
+from oysterbench.render.way import way_to
 from oysterbench.scene.rig import camera_matrix
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -209,17 +211,21 @@ def draw(
     distance = wp.length(place)
     direction = view.rotation * (place / distance)
     p = view.position + direction * distance
+    across = disc[0] / float(depth.shape[1] - 1)
+    way = way_to(optics, across, disc[1] / float(depth.shape[0] - 1), distance, p)
     # A matte ball in light from the upper half of all directions sends back half of it.
     lit = look_up(optics.daylight, -p[2] / optics.depth_step) * (0.5 * (optics.sun + optics.sky))
+    lit = wp.cw_mul(lit, way.day)
     for lamp in range(optics.lamps.count):
         away = wp.normalize(p - optics.lamps.positions[lamp])
         turned = -wp.dot(away, direction)
         share = MATTE * (2.0 / 3.0) * (0.5 + 0.5 * -turned) + (1.0 - MATTE) * 3.14159265 * phase(turned, FORWARD)
-        lit += lamp_irradiance(optics.lamps, lamp, p) * share
+        lit += wp.cw_mul(lamp_irradiance(optics.lamps, lamp, p), way.lamps) * share
     row = -p[2] / optics.depth_step
     column = distance / optics.range_step
     arrives = look_up_pair(optics.direct, row, column) + look_up_pair(optics.forward_scatter, row, column)
-    seen = wp.cw_mul(lit * ALBEDO, arrives) + veiling(optics, -view.position[2], distance, direction[2])
+    seen = wp.cw_mul(lit * ALBEDO, wp.cw_mul(arrives, way.image))
+    seen += wp.cw_mul(veiling(optics, -view.position[2], distance, direction[2]), way.veil)
     if optics.lamps.count > 0:
         rows = float(optics.lamps.beams.shape[0] - 1) / float(depth.shape[0] - 1)
         columns = float(optics.lamps.beams.shape[1] - 1) / float(depth.shape[1] - 1)

@@ -142,15 +142,15 @@ def tabulate(
         ranges=ranges,
         depths=depths,
         cosines=cosines,
-        direct=_steady(direct),
-        forward_scatter=_steady(arriving - direct),
-        saturation=_steady(1.0 - _attenuate(ambient, image, ranges)),
-        veil=_steady(np.pi * radiance @ weights.T),
-        daylight=_steady(irradiance @ weights.T),
-        beam=_steady(np.minimum(beam @ weights.T / (irradiance @ weights.T), 1.0 - daylight.sky)),
-        stretch=_steady(np.maximum(filling / level, LEAST_STRETCH)),
-        absorption=_steady(weights @ a),
-        scattering=_steady(weights @ b),
+        direct=steady(direct),
+        forward_scatter=steady(arriving - direct),
+        saturation=steady(1.0 - _attenuate(ambient, image, ranges)),
+        veil=steady(np.pi * radiance @ weights.T),
+        daylight=steady(irradiance @ weights.T),
+        beam=steady(np.minimum(beam @ weights.T / (irradiance @ weights.T), 1.0 - daylight.sky)),
+        stretch=steady(np.maximum(filling / level, LEAST_STRETCH)),
+        absorption=steady(weights @ a),
+        scattering=steady(weights @ b),
     )
 
 
@@ -161,7 +161,7 @@ def _attenuate(signal: Array, coefficient: Array, ranges: Array) -> Array:
     return np.swapaxes(spectrum @ left.T, 1, 2)
 
 
-def _steady(values: Array) -> Array:
+def steady(values: Array) -> Array:
     """Values to 20 bits, so that the last bits of another processor's linear algebra never matter."""
     mantissa, exponent = np.frexp(values)
     return np.ldexp(np.round(mantissa * 2**20) / 2**20, exponent)

@@ -14,6 +14,7 @@ from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.render.camera import CameraRenderer
 from oysterbench.render.rays import RayCaster
 from oysterbench.scene.path import Path, build_path
+from oysterbench.scene.plumes import Plumes, build_plumes
 from oysterbench.scene.world import World, build_world
 from oysterbench.sensors.registry import calibrate_rig
 from oysterbench.sensors.uncertainty import RigCalibration
@@ -35,7 +36,15 @@ class SimulatedSequence:
     @cached_property
     def renderers(self) -> dict[str, CameraRenderer]:
         """A renderer for each camera."""
-        return {c.name: CameraRenderer(self.world, c, self.recipe, self.device, rig=self.rig) for c in self.rig.camera}
+        return {
+            c.name: CameraRenderer(self.world, c, self.recipe, self.device, rig=self.rig, plumes=self.plumes)
+            for c in self.rig.camera
+        }
+
+    @cached_property
+    def plumes(self) -> Plumes | None:
+        """The plumes of silt, where the recipe has any."""
+        return build_plumes(self.recipe, self.path, self.world.ground_height, self.streams)
 
     @cached_property
     def caster(self) -> RayCaster:

@@ -1,0 +1,68 @@
+"""Water that is not the same everywhere: a turbid layer over the bottom, patches, and plumes of silt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from oysterbench.core.errors import RecipeError
+from oysterbench.recipe.keys import number
+
+SILTY = 0.3  # of reef.silt, from which on there is enough on any bottom for a plume
+WASH_REACH_M = 1.5  # a thrust of 10 N erodes fresh mud (0.05 Pa) from there (scene.plumes.bed_stress)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LayerRecipe:
+    """A bottom nepheloid layer: particles of the water's own, more of them the nearer the mean bottom, exponentially.
+
+    That is the balance of settling and even turbulence (Rouse 1937 with a constant diffusivity).
+    """
+
+    factor: float = number(1, 5, 1.0)  # on the particles at the bottom: 2 to 3 in the last 0.5 m is common
+    thickness_m: float = number(0.05, 20, 0.5)  # height over which the excess falls to 1 / e
+
+
+@dataclass(frozen=True, kw_only=True)
+class PatchesRecipe:
+    """Clouds of more and fewer particles, upright, that go with the current.
+
+    In estuaries optical transects vary by 10 to 60 % over metres to tens of metres.
+    """
+
+    contrast: float = number(0, 0.8, 0.0)  # largest share by which the particles are more or fewer
+    size_m: float = number(0.5, 50, 4.0)  # of a patch
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlumesRecipe:
+    """Plumes of silt, raised by the vehicle's thrusters close to soft bottom, and in bursts by current and animals."""
+
+    attenuation: float = number(0, 20, 0.0)  # c added in the middle of a thick fresh plume, 1/m; those seen: 2 to 20
+    size_m: float = number(0.3, 1.5, 0.6)  # diameter of a fresh plume: 4 standard deviations
+    settling_mm_s: float = number(0.1, 1, 0.4)  # of silt (Stokes: grains of 10 to 35 um)
+    diffusivity_m2_s: float = number(1e-5, 1e-2, 3e-4)  # Okubo 1971 at 1 to 3 m: 2e-4 to 7e-4
+    critical_pa: float = number(0.05, 2, 0.2)  # stress that erodes: fresh mud 0.05 to 0.2, consolidated to 2
+    bursts_per_100m2_min: float = number(0, 30, 0.0)  # raised by current, waves and animals
+
+
+def check_plumes(
+    plumes: PlumesRecipe, bottom: str, silt: float, moving_water: bool, altitude_m: float, where: str
+) -> None:
+    """Refuse plumes that could not be. moving_water: whether the site has current or waves."""
+    if not plumes.attenuation:
+        return
+    if bottom != "mud" and silt < SILTY:
+        raise RecipeError(
+            f"{where}: key 'water.plumes.attenuation': there is nothing to raise; expected 0, or reef.bottom = "
+            f"'mud', or reef.silt of at least {SILTY:g}, got {plumes.attenuation:g} over {bottom} with silt = {silt:g}"
+        )
+    if plumes.bursts_per_100m2_min and not moving_water:
+        raise RecipeError(
+            f"{where}: key 'water.plumes.bursts_per_100m2_min': still water raises no silt; expected 0, or a "
+            f"site.current_m_s or site.wave_height_m above 0, got {plumes.bursts_per_100m2_min:g}"
+        )
+    if not plumes.bursts_per_100m2_min and altitude_m > WASH_REACH_M:
+        raise RecipeError(
+            f"{where}: key 'water.plumes.attenuation': thrusters reach no bottom from there; expected 0, bursts, or an "
+            f"altitude of at most {WASH_REACH_M:g}, got {plumes.attenuation:g} at {altitude_m:g}"
+        )
