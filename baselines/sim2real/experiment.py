@@ -38,7 +38,7 @@ def run(
 ) -> list[VariantRow]:
     """Run all cells that are not finished, and write table.md, report.html and results.json into `out`."""
     with bar("looking for near duplicates", "images") as progress:
-        real = real_data(labelled, hold_out, settings.alike, progress)
+        real = real_data(labelled, hold_out, settings.similarity, progress)
     remarks = list(_remarks(labelled, real))
     for remark in remarks:
         echo(remark)

@@ -39,7 +39,7 @@ class ExperimentSettings:
     batch:       crops of a step
     schedule:    of real + synthetic: of `SCHEDULES`
     block:       neighbouring test images that are resampled together
-    alike:       correlation with a test image from which a training image is left out
+    similarity:  correlation with a test image from which a training image is left out
     """
 
     sizes: tuple[int, ...] = (5, 10, 20, 40, ALL)
@@ -47,7 +47,7 @@ class ExperimentSettings:
     batch: int = 8
     schedule: Schedule = SCHEDULES["tuned"]
     block: int = 8
-    alike: float = MIN_CORRELATION
+    similarity: float = MIN_CORRELATION
     network: UNetworkSettings = field(default_factory=lambda: UNetworkSettings(base=8, scale=0.2))
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=56))
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1200, warm_up=20, threads=1))

@@ -80,8 +80,8 @@ class Archive:
             self._zip = zipfile.ZipFile(file)
             entries = self._zip.infolist()
         except BROKEN as error:
-            said = " ".join(str(error).split())[:100]
-            raise Refusal("archive", f"{label}: not a whole zip archive: {said}") from None
+            message = " ".join(str(error).split())[:100]
+            raise Refusal("archive", f"{label}: not a whole zip archive: {message}") from None
         budget.take(len(entries), sum(max(entry.file_size, 0) for entry in entries))
         self.entries: dict[str, zipfile.ZipInfo] = {}
         for entry in entries:
@@ -122,8 +122,8 @@ class Archive:
             with self._zip.open(entry) as file:
                 return file.read(self.limits.file_bytes + 1)[: self.limits.file_bytes + 1]
         except BROKEN as error:
-            said = " ".join(str(error).split())[:100]
-            raise Refusal("archive", f"{self.label}: {shown(name)} cannot be unpacked: {said}") from None
+            message = " ".join(str(error).split())[:100]
+            raise Refusal("archive", f"{self.label}: {shown(name)} cannot be unpacked: {message}") from None
 
 
 def pack(files: Mapping[str, Path | IO[bytes]], target: IO[bytes]) -> None:

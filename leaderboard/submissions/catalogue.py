@@ -173,13 +173,15 @@ def _check(split: Any, name: str, path: Path) -> None:
     from oysterbench.sequence.read import McapSequence
     from oysterbench.simulation.generate import digest
 
-    said = McapSequence(path).metadata
+    metadata = McapSequence(path).metadata
     wanted = {"sequence": name, "split": split.name, "split_version": split.version}
     if not split.hidden:
         wanted["digest"] = digest(split)
     for key, value in wanted.items():
-        if said.get(key) != value:
-            raise ResultError(f"{path}: expected {key} {value!r}, got {said.get(key)!r}: the truth of another split")
+        if metadata.get(key) != value:
+            raise ResultError(
+                f"{path}: expected {key} {value!r}, got {metadata.get(key)!r}: the truth of another split"
+            )
 
 
 def _masked(path: Path) -> tuple[str, ...]:

@@ -239,8 +239,8 @@ def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted
         try:
             return np.lib.format.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False)
         except (ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError) as error:
-            said = " ".join(str(error).split())[:120]
-            raise Refusal("format", f"{label}: array {shown(name)} cannot be read: {said}") from None
+            message = " ".join(str(error).split())[:120]
+            raise Refusal("format", f"{label}: array {shown(name)} cannot be read: {message}") from None
 
     names = [key.removesuffix(".npy") for key in archive.entries]
     for name in names:

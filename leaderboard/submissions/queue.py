@@ -85,8 +85,8 @@ def score(service: Service, mine: Submission, stop: threading.Event) -> None:
         if stop.is_set():
             finish(service, mine, "queued")
         return
-    if ended.said:
-        service.log.info("scoring %s, attempt %d: %s", mine.id, mine.attempt, ended.said)
+    if ended.stderr:
+        service.log.info("scoring %s, attempt %d: %s", mine.id, mine.attempt, ended.stderr)
     if ended.answer is None:
         if ended.cause == "crash" and mine.attempt < settings.attempts:
             finish(service, mine, "queued", reason="")
@@ -104,8 +104,8 @@ def score(service: Service, mine: Submission, stop: threading.Event) -> None:
         return
     failures = {result.sequence: result.failure for result in record.results if result.failure is not None}
     if len(failures) == len(record.results) and mine.kind != "results":
-        said = "; ".join(f"{sequence}: {failure}" for sequence, failure in list(failures.items())[:3])
-        finish(service, mine, "failed", reason=FAILED["none"] + said)
+        stderr = "; ".join(f"{sequence}: {failure}" for sequence, failure in list(failures.items())[:3])
+        finish(service, mine, "failed", reason=FAILED["none"] + stderr)
         return
     finish(service, mine, "done", record=service.scored.add(record))
 

@@ -32,7 +32,7 @@ from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 WORKER = Path(__file__).with_name("sandbox_worker.py")
 OPEN_FILES = 64
-MOST_SAID = 64_000
+MOST_STDERR = 64_000
 """Bytes of what it says to the log."""
 
 POLL_S = 0.05
@@ -63,11 +63,11 @@ class Job:
 @dataclass(frozen=True)
 class Ended:
     """How the process ended. answer: None where it gave none; cause: then, out of a closed list: "time", "memory" or
-    "crash"; said: for the private log."""
+    "crash"; stderr: for the private log."""
 
     answer: dict[str, Any] | None
     cause: str
-    said: str
+    stderr: str
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def run(
         tempfile.TemporaryDirectory(prefix="oysterbench-") as folder,
         tempfile.TemporaryFile() as asked,
         tempfile.TemporaryFile() as answer,
-        tempfile.TemporaryFile() as said,
+        tempfile.TemporaryFile() as stderr,
     ):
         asked.write(msgspec.json.encode(job))
         asked.seek(0)
@@ -124,7 +124,7 @@ def run(
             sandbox.command([sys.executable, "-I", str(WORKER)]),
             stdin=asked,
             stdout=answer,
-            stderr=said,
+            stderr=stderr,
             cwd=folder,
             env={**ENVIRONMENT, "HOME": folder, "TMPDIR": folder},
             start_new_session=True,
@@ -136,7 +136,7 @@ def run(
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
-        return _ended(process.returncode, in_time, answer, said)
+        return _ended(process.returncode, in_time, answer, stderr)
 
 
 def _wait(
@@ -161,9 +161,9 @@ def _wait(
     return False
 
 
-def _ended(code: int, in_time: bool, answer: IO[bytes], said: IO[bytes]) -> Ended:
-    said.seek(0)
-    words = said.read(MOST_SAID).decode(errors="replace")
+def _ended(code: int, in_time: bool, answer: IO[bytes], stderr: IO[bytes]) -> Ended:
+    stderr.seek(0)
+    words = stderr.read(MOST_STDERR).decode(errors="replace")
     if not in_time or code == -signal.SIGXCPU:
         return Ended(None, "time", f"ended after its time (exit {code})\n{words}")
     if code == 0:
@@ -189,8 +189,8 @@ def check(
 ) -> dict[str, Any]:
     """Read what was sent, all of it, with no truth near: what it holds. Raises Refusal with the reason."""
     ended = run(Job(str(path), wanted, settings.limits, tuple(hidden)), checking(settings))
-    if ended.said:
-        log(f"check: {ended.said}")
+    if ended.stderr:
+        log(f"check: {ended.stderr}")
     if ended.answer is None:
         raise Refusal("limit", CHECK_ENDED[ended.cause])
     if "refused" in ended.answer:

@@ -124,22 +124,22 @@ def _text(axes: Axes, lines: list[str]) -> None:
 
 def numbers(total: Total, shares: dict[str, float]) -> list[str]:
     """What the map says, in words."""
-    said = [
+    lines = [
         f"{_count(total.count)} oysters counted (95 %: {_count(total.count_low)} to {_count(total.count_high)}) on "
         f"{total.area_m2:.1f} m{SQUARED} of seen ground: {_states(total)}"
     ]
     if not math.isnan(total.live_per_m2):
-        said.append(
+        lines.append(
             f"{total.live_per_m2:.1f} live oysters per m{SQUARED} (95 % for the reef that this is a sample of: "
             f"{total.low_per_m2:.1f} to {total.high_per_m2:.1f})"
         )
     if not any(math.isnan(share) for share in shares.values()):
         below, middle, target = (f"{100 * share:.0f} %" for share in shares.values())
-        said.append(
+        lines.append(
             f"Of the area: {below} below the threshold of 15 live per m{SQUARED}, {middle} from 15 to 50, {target} at "
             "the target of 50 or more"
         )
-    return said
+    return lines
 
 
 def _states(total: Total) -> str:

@@ -78,22 +78,22 @@ def _best(
 
 def failures_and_notes(records: Sequence[ResultRecord]) -> list[str]:
     """What must be said about single runs, in sentences; the same sentence of several runs once."""
-    said = []
+    notes = []
     for record in records:
         name = f"{record.method} on {record.sequence}"
         if record.failure is not None:
-            said.append(f"{name} failed: {record.failure}")
-        said += [f"{name}: {note}" for note in record.notes]
-    return [*dict.fromkeys(said), *paths_said(records)]
+            notes.append(f"{name} failed: {record.failure}")
+        notes += [f"{name}: {note}" for note in record.notes]
+    return [*dict.fromkeys(notes), *path_notes(records)]
 
 
-def paths_said(records: Sequence[ResultRecord]) -> list[str]:
+def path_notes(records: Sequence[ResultRecord]) -> list[str]:
     """A sentence for each method that has several paths: which of them is scored, and what the others reach."""
     methods: dict[tuple[str, ...], list[ResultRecord]] = {}
     for record in records:
         if "paths" in record.info:
             methods.setdefault(method_key(record), []).append(record)
-    said = []
+    notes = []
     for (method, *_), group in methods.items():
         scored = " and ".join(dict.fromkeys(str(record.info["paths"]["scored"]) or "first" for record in group))
         reached: dict[str, list[dict[str, float]]] = {}
@@ -108,8 +108,8 @@ def paths_said(records: Sequence[ResultRecord]) -> list[str]:
             trust = f", NEES of position {np.mean(nees):.2g}" if nees else ""
             others.append(f"{name} (ATE {np.mean([each['ate_rmse_m'] for each in all_metrics]):.2g} m{trust}{mean})")
         beside = f"; not scored: {', '.join(others)}" if others else ""
-        said.append(f"{method}: scored is the {scored} path{beside}")
-    return said
+        notes.append(f"{method}: scored is the {scored} path{beside}")
+    return notes
 
 
 def results_tables(records: Sequence[ResultRecord]) -> list[Table]:
@@ -285,8 +285,8 @@ def comparison_tables(records: Sequence[ResultRecord]) -> list[Table]:
         if len(board.standings) > 1 or len(board.sequences) > 1:
             tables.append(standings_table(board))
         tables += _with_rows(make(board) for make in (pairs_table, strata_table, runs_table))
-    if tables and (said := remarks(found)):
-        tables[0] = replace(tables[0], notes=(*said, *tables[0].notes))
+    if tables and (notes := remarks(found)):
+        tables[0] = replace(tables[0], notes=(*notes, *tables[0].notes))
     return tables
 
 

@@ -262,15 +262,15 @@ def test_pictures_without_a_border_say_nothing_of_drift():
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"layers": ("block5",)}, "a generator of 2 blocks has no such layer; it has pixels, conv1, conv2, block1"),
         ({"crop": 30}, "expected a multiple of 4"),
         ({"scale": 0.0}, "above 0 and up to 1"),
     ],
 )
-def test_settings_that_cannot_be_are_named(change, said):
-    with pytest.raises(MethodError, match=said):
+def test_settings_that_cannot_be_are_named(change, message):
+    with pytest.raises(MethodError, match=message):
         replace(TINY, **change)
 
 

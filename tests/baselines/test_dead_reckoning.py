@@ -21,21 +21,21 @@ class InertialOnly(Sequence):
 
     name = "inertial"
 
-    def __init__(self, samples: list[ImuMeasurement]) -> None:
+    def __init__(self, measurements: list[ImuMeasurement]) -> None:
         self.cameras = {}
         self.imu_calibration = dive.imu_calibration()
         self.metadata = {}
-        self._samples = samples
+        self._measurements = measurements
 
     def images(self, camera: str, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[Image]:
         return iter(())
 
     def imu(self, start_ns: int | None = None, end_ns: int | None = None) -> Iterator[ImuMeasurement]:
-        return iter(self._samples)
+        return iter(self._measurements)
 
     @property
     def duration_s(self) -> float:
-        return (self._samples[-1].stamp_ns - self._samples[0].stamp_ns) * 1e-9
+        return (self._measurements[-1].stamp_ns - self._measurements[0].stamp_ns) * 1e-9
 
     def contents(self) -> list[tuple[str, str, int]]:
         return []
@@ -44,7 +44,7 @@ class InertialOnly(Sequence):
         raise AssertionError("a method asked for the truth")
 
 
-def samples(noisy: bool, pose=dive.resting_start_pose, duration_s: float = 15.0) -> list[ImuMeasurement]:
+def measurements(noisy: bool, pose=dive.resting_start_pose, duration_s: float = 15.0) -> list[ImuMeasurement]:
     generator = np.random.default_rng(0) if noisy else None
     return dive.inertial_samples(pose, dive.imu_calibration(), duration_s, generator)
 
@@ -56,19 +56,19 @@ def error(trajectory: Trajectory, pose=dive.resting_start_pose) -> float:
 
 
 def test_a_perfect_unit_that_starts_at_rest_is_followed_to_centimetres():
-    result = DeadReckoning().run(InertialOnly(samples(noisy=False)))
+    result = DeadReckoning().run(InertialOnly(measurements(noisy=False)))
     assert result.info["started_at_rest"] is True
     assert error(result.trajectory) < 0.03
 
 
 def test_a_real_unit_drifts_by_metres_and_nothing_breaks():
-    result = DeadReckoning().run(InertialOnly(samples(noisy=True)))
+    result = DeadReckoning().run(InertialOnly(measurements(noisy=True)))
     assert 0.05 < error(result.trajectory) < 20.0
 
 
 def test_the_gyro_bias_is_taken_from_rest_and_not_from_motion():
     resting, moving = (
-        DeadReckoning().run(InertialOnly(samples(True, pose))).info["started_at_rest"]
+        DeadReckoning().run(InertialOnly(measurements(True, pose))).info["started_at_rest"]
         for pose in (dive.resting_start_pose, dive.survey_pose)
     )
     assert resting
@@ -76,13 +76,13 @@ def test_the_gyro_bias_is_taken_from_rest_and_not_from_motion():
 
 
 def test_up_is_up_from_the_start():
-    trajectory = DeadReckoning().run(InertialOnly(samples(noisy=False))).trajectory
+    trajectory = DeadReckoning().run(InertialOnly(measurements(noisy=False))).trajectory
     truth = dive.resting_start_pose(np.zeros(1))[0]
     assert trajectory.matrices[0, 2, :3] @ truth[2, :3] > np.cos(np.radians(0.1))
 
 
 def test_the_path_starts_at_the_origin_of_odom():
-    trajectory = DeadReckoning().run(InertialOnly(samples(noisy=True))).trajectory
+    trajectory = DeadReckoning().run(InertialOnly(measurements(noisy=True))).trajectory
     np.testing.assert_array_equal(trajectory.positions[0], 0.0)
 
 

@@ -39,7 +39,7 @@ SETTINGS = ExperimentSettings(
     seeds=1,
     batch=4,
     block=2,
-    alike=0.99,  # these small pictures are all alike
+    similarity=0.99,  # these small pictures are all alike
     network=SMALL.network,
     augmentation=SMALL.augmentation,
     fit=dataclasses.replace(SMALL.fit, steps=5),
@@ -57,9 +57,9 @@ def synthetic(tmp_path_factory):
     return small_set(tmp_path_factory.mktemp("synthetic") / "made", {"s": ("", 4)}, first=50)
 
 
-def experiment(real, synthetic, out, settings=SETTINGS, said=None, **options):
+def experiment(real, synthetic, out, settings=SETTINGS, echoed=None, **options):
     """Run it; the rows of its table."""
-    said = [] if said is None else said
+    echoed = [] if echoed is None else echoed
     options = {"hold_out": (), "device": "cpu", "train": True, **options}
     return run(
         real,
@@ -67,8 +67,8 @@ def experiment(real, synthetic, out, settings=SETTINGS, said=None, **options):
         settings,
         out,
         bar=lambda title, unit: contextlib.nullcontext(lambda done, total: None),
-        echo=said.append,
-        show=said.append,
+        echo=echoed.append,
+        show=echoed.append,
         **options,
     )
 
@@ -173,12 +173,12 @@ def test_it_leaves_a_result_for_each_cell_and_goes_on_where_it_was_stopped(real,
     monkeypatch.setattr(work, "fit", stops)
     with pytest.raises(KeyboardInterrupt):
         experiment(real, {"made": synthetic}, tmp_path)
-    said: list[str] = []
-    rows = experiment(real, {"made": synthetic}, tmp_path, said=said)
+    echoed: list[str] = []
+    rows = experiment(real, {"made": synthetic}, tmp_path, echoed=echoed)
     assert begun[2] == begun[3], "the one that was interrupted is done again"
     assert len(begun) == 6, "those that were finished are not"
     assert len(list((tmp_path / "cells").glob("*-seed-*/results.json"))) == 5
-    assert "5 of 5 trainings are finished" in said
+    assert "5 of 5 trainings are finished" in echoed
     assert [(row.variant, row.images) for row in rows] == [
         ("all", 0), ("none", 0), ("colour", 0), ("made only", 0),
         ("real", 2), ("real + made", 2), ("real", 5), ("real + made", 5),

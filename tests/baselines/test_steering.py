@@ -195,8 +195,8 @@ def test_commands_that_are_as_good_are_as_right_and_a_miss_costs_what_it_loses()
 def test_the_cost_is_that_of_its_formula():
     logits, lost = torch.tensor([[1.0, 0.0, -1.0]]), torch.tensor([[4.0, 0.0, 2.0]])
     target = np.exp([-2.0, 0.0, -1.0]) / np.exp([-2.0, 0.0, -1.0]).sum()
-    said = np.exp([1.0, 0.0, -1.0]) / np.exp([1.0, 0.0, -1.0]).sum()
-    wanted = -(target * np.log(said)).sum()
+    predicted = np.exp([1.0, 0.0, -1.0]) / np.exp([1.0, 0.0, -1.0]).sum()
+    wanted = -(target * np.log(predicted)).sum()
     assert float(cost(logits, lost, SteeringSettings(temperature=2.0))) == pytest.approx(wanted, rel=1e-5)
 
 
@@ -304,8 +304,8 @@ def test_without_a_training_one_line_says_how_to_make_one(home):
 def test_the_checkpoint_is_an_option_of_the_method_that_is_found_by_its_name(checkpoint):
     method = find_method(f"steering[checkpoint={checkpoint}]")
     assert method.track == "steering"
-    (said,) = method.run(Dive([View("a", np.zeros((24, 32, 3), np.uint8), VehicleState(0, 0, 3, 1), 0.0)]))
-    assert said.yaw_probability.shape == (7,)
+    (predicted,) = method.run(Dive([View("a", np.zeros((24, 32, 3), np.uint8), VehicleState(0, 0, 3, 1), 0.0)]))
+    assert predicted.yaw_probability.shape == (7,)
 
 
 def test_two_trainings_are_told_apart_in_results(checkpoint, tmp_path, home):

@@ -38,19 +38,19 @@ def test_it_learns_what_it_is_shown_and_finds_it_in_pictures_it_has_not_seen(che
     pictures = [image(k, height=64, width=80) for k in range(100, 106)]
     method = UNet(str(checkpoint), "cpu")
     both = either = 0
-    for one, said in zip(pictures, method.run(Picture(p.name, p.pixels) for p in pictures), strict=True):
-        assert said.name == one.name
-        assert said.probability.shape == (64, 80)
-        found = said.probability >= 0.5
+    for one, predicted in zip(pictures, method.run(Picture(p.name, p.pixels) for p in pictures), strict=True):
+        assert predicted.name == one.name
+        assert predicted.probability.shape == (64, 80)
+        found = predicted.probability >= 0.5
         both, either = both + (found & one.oysters).sum(), either + (found | one.oysters).sum()
     assert both / either > 0.6
 
 
 def test_oysters_one_by_one_have_scores_and_lie_apart(checkpoint):
     one = image(101, height=64, width=80)
-    (said,) = UNetInstances(str(checkpoint), "cpu").run([Picture("a", one.pixels)])
-    assert said.numbers.max() == len(said.scores) > 0
-    assert ((said.scores > 0.5) & (said.scores <= 1)).all()
+    (predicted,) = UNetInstances(str(checkpoint), "cpu").run([Picture("a", one.pixels)])
+    assert predicted.numbers.max() == len(predicted.scores) > 0
+    assert ((predicted.scores > 0.5) & (predicted.scores <= 1)).all()
 
 
 def test_the_network_keeps_the_size_and_has_two_answers():
@@ -138,8 +138,8 @@ def test_without_a_training_one_line_says_how_to_make_one(home):
 
 def test_the_checkpoint_is_an_option_of_the_method(checkpoint):
     method = find_method(f"unet[checkpoint={checkpoint},device=cpu]")
-    (said,) = method.run([Picture("a", image(1).pixels)])
-    assert said.probability.shape == (48, 64)
+    (predicted,) = method.run([Picture("a", image(1).pixels)])
+    assert predicted.probability.shape == (48, 64)
 
 
 def test_the_command_trains_and_says_where_the_checkpoint_is(home, tmp_path):

@@ -135,7 +135,7 @@ def test_all_can_fail(recipe, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (("--method", "unet"), "method 'unet' is of the track 'segmentation'; expected one of 'steering'"),
         (("--method", "dead_reckoning"), "of the track 'slam'"),
@@ -148,11 +148,11 @@ def test_all_can_fail(recipe, tmp_path):
         (("--closed-loop", "--reefs", "3"), "--reefs: expected at most 2"),
     ],
 )
-def test_bad_requests_are_refused_in_one_line(recipe, tmp_path, options, said):
+def test_bad_requests_are_refused_in_one_line(recipe, tmp_path, options, message):
     result = run("--split", recipe, "--out", tmp_path / "out", *options)
     assert result.exit_code == 1
     assert result.stdout == ""
-    assert re.fullmatch(rf"oysterbench: [^\n]*{re.escape(said)}[^\n]*\n", result.stderr), result.stderr
+    assert re.fullmatch(rf"oysterbench: [^\n]*{re.escape(message)}[^\n]*\n", result.stderr), result.stderr
 
 
 @pytest.mark.parametrize("closed", [(), ("--closed-loop",)])
@@ -178,7 +178,7 @@ def test_a_sequence_without_labels_is_refused(recipe, tmp_path):
     assert re.fullmatch(r"(?s).*oysterbench: [^\n]*one\.mcap has no truth about steering[^\n]*\n", result.stderr)
 
 
-def said(*arguments: str) -> str:
+def message(*arguments: str) -> str:
     result = CliRunner().invoke(main, ["eval", *arguments])
     assert result.exit_code == 2
     return " ".join(result.output.split())
@@ -186,7 +186,7 @@ def said(*arguments: str) -> str:
 
 @pytest.mark.parametrize("options", [("--closed-loop",), ("--reefs", "2"), ("--seconds", "3"), ("--again",)])
 def test_its_options_are_refused_elsewhere(options):
-    assert f"{options[0]}: of the track steering" in said("--track", "slam", *options)
+    assert f"{options[0]}: of the track steering" in message("--track", "slam", *options)
     if options[0] not in ("--closed-loop", "--again"):
         result = CliRunner().invoke(main, ["eval", "steering", *options])
         assert f"{options[0]}: of rollouts: expected --closed-loop" in result.output
@@ -194,7 +194,7 @@ def test_its_options_are_refused_elsewhere(options):
 
 @pytest.mark.parametrize("options", [("--threshold", "0.4"), ("--cell", "1"), ("--align", "se3"), ("--max-gap", "2")])
 def test_options_of_other_tracks_are_refused_on_it(options):
-    assert options[0] in said("--track", "steering", *options)
+    assert options[0] in message("--track", "steering", *options)
 
 
 def test_the_page_names_every_metric_and_option():

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from oysterbench.cli.main import main
 
 
-def said(*arguments: str) -> str:
+def error_of(*arguments: str) -> str:
     """What a command that is refused says."""
     result = CliRunner().invoke(main, list(arguments))
     assert result.exit_code != 0
@@ -17,10 +17,10 @@ def said(*arguments: str) -> str:
 
 def test_a_map_and_a_cloud_have_options_of_their_own(tmp_path):
     common = ("map", "x.mcap", "--trajectory", "p.tum")
-    assert "--cell, " not in said(*common, "--out", "x.ply", "--cell", "0.5")
-    assert "--cell: of a map: expected --masks" in said(*common, "--out", "x.ply", "--cell", "0.5")
-    assert "--voxel: of a cloud" in said(*common, "--out", "m", "--masks", "truth", "--voxel", "0.1")
-    assert "one camera's pictures" in said(*common, "--out", "m", "--masks", "t", "--camera", "a", "--camera", "b")
+    assert "--cell, " not in error_of(*common, "--out", "x.ply", "--cell", "0.5")
+    assert "--cell: of a map: expected --masks" in error_of(*common, "--out", "x.ply", "--cell", "0.5")
+    assert "--voxel: of a cloud" in error_of(*common, "--out", "m", "--masks", "truth", "--voxel", "0.1")
+    assert "one camera's pictures" in error_of(*common, "--out", "m", "--masks", "t", "--camera", "a", "--camera", "b")
 
 
 def test_a_cloud_needs_the_name_of_a_ply_file():
@@ -31,9 +31,9 @@ def test_a_cloud_needs_the_name_of_a_ply_file():
 
 @pytest.mark.parametrize("options", [("--cell", "0.5"), ("--depth", "plane"), ("--poses", "here")])
 def test_options_of_the_density_track_are_refused_elsewhere(options):
-    assert f"{options[0]}: of the track density" in said("eval", "--track", "slam", *options)
+    assert f"{options[0]}: of the track density" in error_of("eval", "--track", "slam", *options)
 
 
 def test_options_of_other_tracks_are_refused_on_the_density_track():
-    assert "--associate: of the track slam" in said("eval", "--track", "density", "--associate", "nearest")
-    assert "--threshold" in said("eval", "--track", "density", "--threshold", "0.4")
+    assert "--associate: of the track slam" in error_of("eval", "--track", "density", "--associate", "nearest")
+    assert "--threshold" in error_of("eval", "--track", "density", "--threshold", "0.4")

@@ -62,9 +62,9 @@ def test_a_missing_gpu_is_one_clear_line(recipe, workers):
         pytest.skip("there is a CUDA device")
     result = render(recipe, "--device", "cuda", "--workers", workers)
     assert result.exit_code == 1
-    said = [line for line in result.stderr.splitlines() if line.startswith("oysterbench: ")]
-    assert len(said) == 1
-    assert "--device cuda: there is no such device here; expected one of cpu" in said[0]
+    lines_shown = [line for line in result.stderr.splitlines() if line.startswith("oysterbench: ")]
+    assert len(lines_shown) == 1
+    assert "--device cuda: there is no such device here; expected one of cpu" in lines_shown[0]
 
 
 def test_progress_off_a_terminal_tells_the_time_left(capsys, monkeypatch):
@@ -74,11 +74,11 @@ def test_progress_off_a_terminal_tells_the_time_left(capsys, monkeypatch):
     for done in range(40, 101):  # 40 were there before
         tell(done, 100)
         now[0] += 30.0
-    said = capsys.readouterr().err.splitlines()
-    assert said[0] == "rendering x: 40 of 100 frames"
-    assert "rendering x: 50 of 100 frames, 25 min left" in said, "half a minute for each of the 50 that are left"
-    assert said[-1] == "rendering x: 100 of 100 frames"
-    assert len(said) == 7
+    lines_shown = capsys.readouterr().err.splitlines()
+    assert lines_shown[0] == "rendering x: 40 of 100 frames"
+    assert "rendering x: 50 of 100 frames, 25 min left" in lines_shown, "half a minute for each of the 50 that are left"
+    assert lines_shown[-1] == "rendering x: 100 of 100 frames"
+    assert len(lines_shown) == 7
 
 
 def test_progress_off_a_terminal_is_told_every_few_minutes(capsys, monkeypatch):

@@ -218,7 +218,7 @@ def test_defaults_change_no_digest():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("[defaults]\n", "[defaults]\nname = 'x'\n", "key 'defaults': expected a table of keys of a sequence"),
         ("snow_per_m3 = 100.0", "snow_per_m3 = -1.0", r"key 'sequence\.water\.snow_per_m3': expected 0 to 50000"),
@@ -233,9 +233,9 @@ def test_defaults_change_no_digest():
         ),
     ],
 )
-def test_bad_defaults_and_draws_are_named(old, new, said):
+def test_bad_defaults_and_draws_are_named(old, new, message):
     assert old in DEFAULTS
-    with pytest.raises(RecipeError, match=said) as raised:
+    with pytest.raises(RecipeError, match=message) as raised:
         parse_split(DEFAULTS.replace(old, new), "short.toml")
     assert "short.toml" in str(raised.value)
 

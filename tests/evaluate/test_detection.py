@@ -50,15 +50,15 @@ def random_images(count, seed):
     rng = stream(seed, b"", "detection")
     pairs = []
     for k in range(count):
-        true, said = [], []
+        true, predicted = [], []
         for _ in range(int(rng.integers(0, 7))):
             x, y, size = (int(v) for v in rng.integers((0, 0, 4), (70, 70, 50)))
             true.append(square(x, y, size, crowd=bool(rng.random() < 0.15)))
             if rng.random() < 0.8:
                 dx, dy, more = (int(v) for v in rng.integers(-3, 4, 3))
-                said.append(square(max(0, x + dx), max(0, y + dy), max(2, size + more), float(rng.random())))
-        said += [square(*(int(v) for v in rng.integers(5, 60, 3)), float(rng.random())) for _ in range(2)]
-        pairs.append((image(*true, name=str(k)), image(*said, name=str(k))))
+                predicted.append(square(max(0, x + dx), max(0, y + dy), max(2, size + more), float(rng.random())))
+        predicted += [square(*(int(v) for v in rng.integers(5, 60, 3)), float(rng.random())) for _ in range(2)]
+        pairs.append((image(*true, name=str(k)), image(*predicted, name=str(k))))
     return pairs
 
 
@@ -147,8 +147,8 @@ PINNED = {
 
 @pytest.mark.parametrize("case", PINNED)
 def test_what_is_empty_absent_or_ignored_has_a_pinned_answer(case):
-    true, said, ap, error, quality = PINNED[case]
-    result = scored((image(*true), image(*said)))
+    true, predicted, ap, error, quality = PINNED[case]
+    result = scored((image(*true), image(*predicted)))
     metrics = result.metrics
     assert metrics["ap_mask"] == pytest.approx(ap, nan_ok=True)
     assert metrics["count_error"] == error
@@ -164,15 +164,15 @@ def test_more_than_a_hundred_oysters_are_asked_for():
     assert scored(pair, max_detections=100).metrics["ap_mask"] == pytest.approx(0.663, abs=1e-3)
 
 
-def slow_panoptic(true, said, void):
+def slow_panoptic(true, predicted, void):
     """Kirillov et al. 2019, equation 1, of sets of pixels."""
     matches = [
         (i, j, iou)
         for i, t in enumerate(true)
-        for j, s in enumerate(said)
+        for j, s in enumerate(predicted)
         if (iou := len(t & s) / len((t | s) - (void & s) | (t & s))) > 0.5
     ]
-    extra = [j for j, s in enumerate(said) if j not in {m[1] for m in matches} and len(s & void) <= 0.5 * len(s)]
+    extra = [j for j, s in enumerate(predicted) if j not in {m[1] for m in matches} and len(s & void) <= 0.5 * len(s)]
     missed = len(true) - len(matches)
     return sum(m[2] for m in matches), len(matches), len(extra), missed
 
@@ -182,12 +182,12 @@ def test_panoptic_quality_agrees_with_sets_of_pixels(seed):
     rng = stream(seed, b"", "panoptic")
     coarse = rng.integers(0, 6, (8, 8)).astype(np.int32)
     true = np.kron(coarse, np.ones((5, 5), np.int32))
-    said = np.where(rng.random(true.shape) < 0.25, rng.integers(0, 7, true.shape), true).astype(np.int32)
+    predicted = np.where(rng.random(true.shape) < 0.25, rng.integers(0, 7, true.shape), true).astype(np.int32)
     void = (np.kron(rng.random((8, 8)) < 0.2, np.ones((5, 5))) > 0) & (true == 0)
     truth = from_planes("a", true, void)
-    estimate = from_planes("a", said, scores=dict.fromkeys(range(7), 0.9))
+    estimate = from_planes("a", predicted, scores=dict.fromkeys(range(7), 0.9))
     found = panoptic(truth, estimate, 0.5)
-    planes = [{*np.flatnonzero(plane == k)} for plane in (true, said) for k in range(1, 7) if (plane == k).any()]
+    planes = [{*np.flatnonzero(plane == k)} for plane in (true, predicted) for k in range(1, 7) if (plane == k).any()]
     n = len(np.unique(true[true > 0]))
     overlap, matched, extra, missed = slow_panoptic(planes[:n], planes[n:], {*np.flatnonzero(void)})
     assert (found.overlap, found.matched, found.extra, found.missed) == (
@@ -201,17 +201,17 @@ def test_panoptic_quality_agrees_with_sets_of_pixels(seed):
 
 def test_counts_are_errors_by_image_and_by_square_metre():
     three, one = [square(x, 5, 9) for x in (0, 20, 40)], [square(0, 5, 9)]
-    said = [[replace(o, score=0.9) for o in three[:1]], [replace(o, score=0.9) for o in three]]
+    predicted = [[replace(o, score=0.9) for o in three[:1]], [replace(o, score=0.9) for o in three]]
     pairs = [
-        (image(*three, name="a", footprint_m2=0.5), image(*said[0], name="a")),
-        (image(*one, name="b", footprint_m2=1.5), image(*said[1], name="b")),
+        (image(*three, name="a", footprint_m2=0.5), image(*predicted[0], name="a")),
+        (image(*one, name="b", footprint_m2=1.5), image(*predicted[1], name="b")),
     ]
     metrics = scored(*pairs).metrics
     assert (metrics["count_mae"], metrics["count_rmse"], metrics["count_bias"]) == (2.0, 2.0, 0.0)
     assert metrics["density_error_per_m2"] == 0.0
     assert metrics["density_mae_per_m2"] == pytest.approx((2 / 0.5 + 2 / 1.5) / 2)
     assert metrics["density_truth_per_m2"] == 2.0
-    unknown = scored((image(*three), image(*said[0])))
+    unknown = scored((image(*three), image(*predicted[0])))
     assert "seabed" in unknown.reasons["density_error_per_m2"]
 
 

@@ -143,7 +143,7 @@ def test_a_miss_by_six_costs_six_times_a_miss_by_one():
 
 
 @pytest.mark.parametrize(
-    ("classes", "action_values", "said"),
+    ("classes", "action_values", "message"),
     [
         ([[7, 0]], np.zeros((1, 7, 7)), "from 0 to 6"),
         ([[0, -1]], np.zeros((1, 7, 7)), "from 0 to 6"),
@@ -151,8 +151,8 @@ def test_a_miss_by_six_costs_six_times_a_miss_by_one():
         ([[0, 0]], np.full((1, 7, 7), np.nan), "picture 1"),
     ],
 )
-def test_labels_that_do_not_fit_the_task_are_refused(classes, action_values, said):
-    with pytest.raises(LabelError, match=said):
+def test_labels_that_do_not_fit_the_task_are_refused(classes, action_values, message):
+    with pytest.raises(LabelError, match=message):
         Labels(np.array(classes), action_values, TASK, "reef")
 
 

@@ -32,8 +32,8 @@ NAN = math.nan
 def scored(*pairs, **options):
     """The result of masks, each (truth, estimate) or (truth, estimate, ignored)."""
     scorer = ClipScorer(SegmentationSettings(**options))
-    for k, (true, said, *ignore) in enumerate(pairs):
-        scorer.add(truth_of(true, *ignore, name=str(k)), EstimateImage(str(k), oyster=said))
+    for k, (true, predicted, *ignore) in enumerate(pairs):
+        scorer.add(truth_of(true, *ignore, name=str(k)), EstimateImage(str(k), oyster=predicted))
     return scorer.result()
 
 
@@ -56,8 +56,8 @@ PINNED = {
 
 @pytest.mark.parametrize("case", PINNED)
 def test_what_is_empty_absent_or_ignored_has_a_pinned_answer(case):
-    true, said, ignore, iou, over, empty_rate, counts = PINNED[case]
-    result = scored((true, said, ignore))
+    true, predicted, ignore, iou, over, empty_rate, counts = PINNED[case]
+    result = scored((true, predicted, ignore))
     metrics = result.metrics
     assert result.images[0].metrics["iou"] == pytest.approx(iou, nan_ok=True)
     assert [metrics[key] for key in ("iou", "precision", "recall")] == pytest.approx(list(over), nan_ok=True)
@@ -72,7 +72,7 @@ def test_what_is_empty_absent_or_ignored_has_a_pinned_answer(case):
 @given(st.lists(pictures(), min_size=1, max_size=4))
 def test_counts_agree_with_a_slow_reference_on_random_masks(images):
     result = scored(*images)
-    each = [counted(true, said, ignored) for true, said, ignored in images]
+    each = [counted(true, predicted, ignored) for true, predicted, ignored in images]
     hit, extra, missed, rest = (sum(column) for column in zip(*each, strict=True))
     union = hit + extra + missed
     metrics = result.metrics
@@ -92,11 +92,11 @@ def test_counts_agree_with_a_slow_reference_on_random_masks(images):
 @settings(max_examples=15, deadline=None)
 @given(pictures(), st.integers(1, 2))
 def test_borders_agree_with_a_search_around_every_pixel(images, depth):
-    true, said, ignored = images
+    true, predicted, ignored = images
     assert np.array_equal(inner_boundary(true, depth), border(true, depth))
     share = depth / math.hypot(*true.shape)
     assert boundary_depth(true.shape, share) == depth
-    a, b = border(true, depth) & ~ignored, border(said, depth) & ~ignored
+    a, b = border(true, depth) & ~ignored, border(predicted, depth) & ~ignored
     union = int((a | b).sum())
     found = scored(images, boundary_share=share).metrics["boundary_iou"]
     assert found == pytest.approx(int((a & b).sum()) / union if union else 1.0)
@@ -123,14 +123,14 @@ def test_the_data_set_and_its_images_are_two_numbers():
 
 def test_classes_agree_with_sets_of_pixels_and_absent_ones_have_no_part_in_the_mean():
     rng = stream(3, b"", "classes")
-    true, said = rng.integers(0, 5, (2, 30, 40)).astype(np.uint8)
+    true, predicted = rng.integers(0, 5, (2, 30, 40)).astype(np.uint8)
     ignore = rng.random((30, 40)) < 0.2
     scorer = ClipScorer()
-    scorer.add(TruthImage("a", true, ignore=ignore), EstimateImage("a", classes=said))
+    scorer.add(TruthImage("a", true, ignore=ignore), EstimateImage("a", classes=predicted))
     metrics, reasons = scorer.result().metrics, scorer.result().reasons
     each = []
     for number, name in CLASSES.items():
-        a, b = (set(np.flatnonzero((plane == number) & ~ignore)) for plane in (true, said))
+        a, b = (set(np.flatnonzero((plane == number) & ~ignore)) for plane in (true, predicted))
         value = len(a & b) / len(a | b) if a | b else NAN
         each.append(value)
         assert metrics[f"iou_{name}"] == pytest.approx(value, nan_ok=True)
@@ -146,8 +146,8 @@ def test_without_named_classes_there_is_no_mean_over_them():
 def test_range_and_size_divide_the_pixels_of_the_truth():
     true = np.zeros((4, 6), bool)
     true[:, :3] = True
-    said = np.zeros((4, 6), bool)
-    said[:2] = True
+    predicted = np.zeros((4, 6), bool)
+    predicted[:2] = True
     instances = np.zeros((4, 6), np.uint16)
     instances[:, :2], instances[:, 2] = 3, 1
     known = {
@@ -156,7 +156,7 @@ def test_range_and_size_divide_the_pixels_of_the_truth():
         "heights_mm": np.array([NAN, 50.0, NAN, 100.0]),
     }
     scorer = ClipScorer(SegmentationSettings(range_m=(0.7,), height_mm=(80.0,), area_px=(5.0,)))
-    scorer.add(truth_of(true, **known), EstimateImage("a", oyster=said))
+    scorer.add(truth_of(true, **known), EstimateImage("a", oyster=predicted))
     metrics = scorer.result().metrics
     assert metrics["iou_range_below_0.7m"] == 0.5
     assert metrics["iou_range_from_0.7m"] == 0.0

@@ -27,7 +27,7 @@ def test_binary_scores_over_a_data_set_agree():
         scorer.add(TruthImage(str(k), classes, False, ignore), EstimateImage(str(k), probability=probability))
         targets.append(np.where(ignore, IGNORED, true))
         probabilities.append(probability)
-    said, true = torch.tensor(np.array(probabilities)), torch.tensor(np.array(targets)).long()
+    predicted, true = torch.tensor(np.array(probabilities)), torch.tensor(np.array(targets)).long()
     metrics = scorer.result().metrics
     for key, name in (
         ("iou", "binary_jaccard_index"),
@@ -35,17 +35,17 @@ def test_binary_scores_over_a_data_set_agree():
         ("precision", "binary_precision"),
         ("recall", "binary_recall"),
     ):
-        theirs = getattr(classification, name)(said, true, threshold=0.5, ignore_index=IGNORED)
+        theirs = getattr(classification, name)(predicted, true, threshold=0.5, ignore_index=IGNORED)
         assert metrics[key] == pytest.approx(float(theirs), abs=1e-6), key
 
 
 def test_scores_of_classes_agree():
     rng = stream(8, b"", "torchmetrics")
-    true, said = rng.integers(0, len(CLASSES), (2, 3, 40, 50)).astype(np.uint8)
+    true, predicted = rng.integers(0, len(CLASSES), (2, 3, 40, 50)).astype(np.uint8)
     scorer = ClipScorer()
     for k in range(3):
-        scorer.add(TruthImage(str(k), true[k]), EstimateImage(str(k), classes=said[k]))
-    pair = (torch.tensor(said).long(), torch.tensor(true).long())
+        scorer.add(TruthImage(str(k), true[k]), EstimateImage(str(k), classes=predicted[k]))
+    pair = (torch.tensor(predicted).long(), torch.tensor(true).long())
     theirs = classification.multiclass_jaccard_index(*pair, num_classes=len(CLASSES), average=None)
     metrics = scorer.result().metrics
     assert [metrics[f"iou_{name}"] for name in CLASSES.values()] == pytest.approx(theirs.tolist(), abs=1e-6)

@@ -33,7 +33,7 @@ os.execv(sys.argv[3], sys.argv[3:])
 
 
 class Browser:
-    """One tab. said: what the page logged, and errors."""
+    """One tab. messages: what the page logged, and errors."""
 
     def __init__(self, folder: Path) -> None:
         assert CHROMIUM is not None
@@ -55,7 +55,7 @@ class Browser:
         self._out, self._in = here[1], there[0]
         self._buffer, self._number = b"", 0
         self._events: list[dict[str, Any]] = []
-        self.said: list[str] = []
+        self.messages: list[str] = []
         target = self._send("Target.createTarget", {"url": "about:blank"})["targetId"]
         attached = self._send("Target.attachToTarget", {"targetId": target, "flatten": True})
         self._session = attached["sessionId"]
@@ -108,9 +108,9 @@ class Browser:
         if "method" in message:
             self._events.append(message)
             if message["method"] == "Runtime.exceptionThrown":
-                self.said.append(message["params"]["exceptionDetails"]["text"])
+                self.messages.append(message["params"]["exceptionDetails"]["text"])
             if message["method"] == "Log.entryAdded" and message["params"]["entry"]["level"] in ("error", "warning"):
-                self.said.append(message["params"]["entry"]["text"])
+                self.messages.append(message["params"]["entry"]["text"])
         return message
 
     def _wait_for(self, event: str) -> None:

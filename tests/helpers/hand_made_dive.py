@@ -176,7 +176,7 @@ def colour(t: float, name: str) -> np.ndarray:
 
 
 @dataclass
-class Samples:
+class Measurements:
     """What went into the file, by what a reader calls it."""
 
     imu: list[ImuMeasurement] = field(default_factory=list)
@@ -196,9 +196,9 @@ def stamps(rate_hz: float, seconds: float) -> list[tuple[int, float]]:
     return [(EPOCH_NS + round(t * 1e9), float(t)) for t in times]
 
 
-def samples(seconds: float = 2.0) -> Samples:
+def measurements(seconds: float = 2.0) -> Measurements:
     """Of all sensors but the cameras. The DVL loses its lock in the last half second."""
-    made = Samples()
+    made = Measurements()
     generator = np.random.default_rng(1)
     for stamp, _ in stamps(100, seconds):
         noise = generator.normal(size=6) * 0.01
@@ -269,7 +269,7 @@ def all_types() -> dict[str, str]:
 
 def messages(seconds: float = 2.0, image_format: str = "png") -> list[Message]:
     """Every message of the dive, sensor after sensor."""
-    made, known = samples(seconds), calibration()
+    made, known = measurements(seconds), calibration()
     frames = {"imu_link": known["imu"]["T_base_imu"], "dvl_link": known["dvl"]["T_base_sensor"]}
     frames |= {optical_frame(name): entry["T_base_cam"] for name, entry in known["cameras"].items()}
     placed = {

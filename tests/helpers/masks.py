@@ -26,10 +26,10 @@ def truth_of(mask, ignore=None, name="a", **known):
     return TruthImage(name, classes, False, None if ignore is None else np.asarray(ignore, bool), **known)
 
 
-def counted(true, said, ignored):
+def counted(true, predicted, ignored):
     """Hits, extras, misses and the rest, pixel by pixel."""
     hit = extra = missed = rest = 0
-    for t, s, i in zip(true.ravel().tolist(), said.ravel().tolist(), ignored.ravel().tolist(), strict=True):
+    for t, s, i in zip(true.ravel().tolist(), predicted.ravel().tolist(), ignored.ravel().tolist(), strict=True):
         if i:
             continue
         hit, extra = hit + (t and s), extra + (s and not t)

@@ -127,11 +127,11 @@ def test_verify_repairs_a_damaged_file_piece_by_piece(published, tmp_path):
     data = bytearray(path.read_bytes())
     data[1000] ^= 1
     path.write_bytes(data)
-    said = []
-    hub.announce = said.append
+    message = []
+    hub.announce = message.append
     assert download(hub, published.manifest, tmp_path)["dive-01"].read_bytes() == data  # its size is right
     assert_same(download(hub, published.manifest, tmp_path, verify=True), published)
-    assert "damaged (1 of 1 pieces are wrong, the first at byte 0)" in said[0]
+    assert "damaged (1 of 1 pieces are wrong, the first at byte 0)" in message[0]
 
 
 def test_a_disk_that_gives_back_other_bytes_is_noticed(published, tmp_path, monkeypatch):
@@ -317,9 +317,9 @@ def test_settings_come_from_options_then_environment_then_file(home, monkeypatch
     with pytest.raises(HubError, match="--key: expected a hub's public key, 64 hex digits"):
         hub_key("no key")
     monkeypatch.delenv("OYSTERBENCH_HUB")
-    for text, said in (("url = 3", "expected an address"), ("= x", "not valid TOML")):
+    for text, message in (("url = 3", "expected an address"), ("= x", "not valid TOML")):
         (home / "hub.toml").write_text(text)
-        with pytest.raises(HubError, match=said):
+        with pytest.raises(HubError, match=message):
             hub_places()
 
 

@@ -114,7 +114,7 @@ def changed(manifest, change):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda d: d.update(format="oysterbench-manifest/9"), "another version of oysterbench"),
         (lambda d: d.update(piece_size=0), "Expected `int` >= 1024 - at `$.piece_size`"),
@@ -139,10 +139,10 @@ def changed(manifest, change):
         (lambda d: d.update(files=d["files"] * 2), "a name occurs twice"),
     ],
 )
-def test_a_bad_manifest_is_refused_by_name_and_key(manifest, change, said):
+def test_a_bad_manifest_is_refused_by_name_and_key(manifest, change, message):
     with pytest.raises(IntegrityError, match="the mirror's manifest") as caught:
         read_manifest(changed(manifest, change), "the mirror's manifest")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert caught.value.exit_code == 3
 
 

@@ -47,9 +47,9 @@ def test_there_are_gaps_where_nothing_was_answered():
     truth = loop()
     half = moved(truth, np.zeros(3), slice(0, 2000))
     curve = sequence_curve(score(truth, half, SlamSettings()), 0)
-    answered = [point is not None for point in curve["path"]]
-    assert answered == [error is not None for error in curve["error_m"]]
-    assert answered == [t <= 19.991 for t in curve["t_s"]]
+    present = [point is not None for point in curve["path"]]
+    assert present == [error is not None for error in curve["error_m"]]
+    assert present == [t <= 19.991 for t in curve["t_s"]]
 
 
 def test_a_short_path_is_kept_whole_and_a_curve_is_json():

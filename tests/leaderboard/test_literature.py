@@ -33,7 +33,7 @@ def test_tracks_are_told_apart():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[[group]", "expected TOML"),
         ("", "expected TOML"),
@@ -48,6 +48,6 @@ def test_tracks_are_told_apart():
         ),
     ],
 )
-def test_a_row_that_lacks_its_source_is_refused(text, said):
-    with pytest.raises(ResultError, match=said):
+def test_a_row_that_lacks_its_source_is_refused(text, message):
+    with pytest.raises(ResultError, match=message):
         parse_literature(text)

@@ -31,7 +31,7 @@ def test_its_board_is_that_of_split_evaluator_and_settings():
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "said"),
+    ("key", "value", "message"),
     [
         ("method", "a\u202eb", "plain text"),
         ("method", "a\nb", "plain text"),
@@ -45,8 +45,8 @@ def test_its_board_is_that_of_split_evaluator_and_settings():
         ("results", (), "expected results"),
     ],
 )
-def test_what_is_no_record_is_refused_by_key(key, value, said):
-    with pytest.raises(ResultError, match=said):
+def test_what_is_no_record_is_refused_by_key(key, value, message):
+    with pytest.raises(ResultError, match=message):
         replace(record_made(), **{key: value})
 
 

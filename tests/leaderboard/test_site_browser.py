@@ -84,7 +84,7 @@ def browser():
 
 def test_from_the_first_page_to_board_record_comparison_and_submission(browser, address):
     browser.look(1280)
-    browser.said.clear()
+    browser.messages.clear()
     browser.go(f"{address}/")
     browser.follow("document.querySelector('.boards h3 a').click()")
     assert browser.value("location.pathname") == "/boards/slam/slam-val"
@@ -97,7 +97,7 @@ def test_from_the_first_page_to_board_record_comparison_and_submission(browser, 
     browser.follow("document.querySelector('main a.button').click()")
     assert browser.value("location.pathname") == "/submit/new"
     assert browser.value("document.querySelector('main form input[type=password]') !== null")
-    assert browser.said == []
+    assert browser.messages == []
 
 
 def test_two_ticked_records_are_compared_without_scripts(browser, address):
@@ -129,18 +129,18 @@ def test_a_board_is_sorted_in_place_where_there_are_scripts(browser, address):
 
 def test_names_run_nothing(browser, address, made):
     browser.look(1280)
-    browser.said.clear()
+    browser.messages.clear()
     for path in ("/boards/slam/slam-val", f"/records/{made[1]['nasty0']}", f"/compare?a=carp&b={made[1]['nasty0']}"):
         browser.go(f"{address}{path}")
         assert browser.value("document.querySelectorAll('main script, main img').length") == 0
         assert "<script>alert(1)</script>" in browser.value("document.querySelector('main').textContent")
-    assert browser.said == []
+    assert browser.messages == []
 
 
 def test_files_sort_and_link_from_the_disk(browser, made, tmp_path):
     export(made[0], tmp_path / "site")
     browser.look(1280)
-    browser.said.clear()
+    browser.messages.clear()
     browser.go((tmp_path / "site" / "index.html").as_uri())
     browser.follow("document.querySelector('.boards h3 a').click()")
     assert browser.value("document.querySelector('form')") is None
@@ -153,7 +153,7 @@ def test_files_sort_and_link_from_the_disk(browser, made, tmp_path):
     browser.follow("document.querySelector('tbody th a').click()")
     browser.follow("document.querySelector('main a[href*=compare]').click()")
     assert " against " in browser.value("document.querySelector('h1').textContent")
-    assert browser.said == []
+    assert browser.messages == []
 
 
 PAGES = {

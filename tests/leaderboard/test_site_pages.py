@@ -106,10 +106,10 @@ def test_no_name_becomes_markup_and_no_script_stands_in_a_page(pages):
             assert tag != "img", name  # the nasty names hold the only ones
         assert all(one.get("src") for one in read.all("script")), name
         assert not any(link.strip().lower().startswith("javascript:") for link in read.links()), name
-    said = Reading(html(pages["/boards/slam/slam-val SLAM on slam-val"])).text
+    shown_text = Reading(html(pages["/boards/slam/slam-val SLAM on slam-val"])).text
     for method, team in NASTY:
-        assert method in said
-        assert team in said
+        assert method in shown_text
+        assert team in shown_text
 
 
 def test_ranks_are_those_of_the_index_and_ties_are_marked(site):
@@ -144,7 +144,7 @@ def test_a_board_is_sorted_filtered_and_paged_as_asked(site):
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("asked", "shown_text"),
     [
         ({"sort": "beauty"}, "sort: expected rank, method"),
         ({"order": "up"}, "order: expected asc or desc"),
@@ -158,8 +158,8 @@ def test_a_board_is_sorted_filtered_and_paged_as_asked(site):
         ({"page": "99"}, "page: expected 1 to 1, got 99"),
     ],
 )
-def test_what_cannot_be_asked_is_told_with_what_can(site, asked, said):
-    with pytest.raises(PageError, match=re.escape(said)):
+def test_what_cannot_be_asked_is_told_with_what_can(site, asked, shown_text):
+    with pytest.raises(PageError, match=re.escape(shown_text)):
         board_page(site, "slam", "slam-val", None, parse_query({k: [v] for k, v in asked.items()}))
 
 
@@ -188,8 +188,8 @@ def test_the_value_over_the_whole_data_set_stands_beside_the_mean_that_ranks(sit
     row = site.index.row(digests["boxes"])
     assert shown["data_set"].value == 0.21
     assert shown["ap_mask"].value == row.score != 0.21
-    said = Reading(html(page)).text
-    assert f"{find_metric('ap_mask').heading} ranks by its mean over sequences; 'data set' is of all" in said
+    shown_text = Reading(html(page)).text
+    assert f"{find_metric('ap_mask').heading} ranks by its mean over sequences; 'data set' is of all" in shown_text
     record = record_page(site, digests["boxes"])
     means = {texts[8]: texts for texts in record.tables[1].texts}
     assert means["ap_mask"][6:8] == ("0.210", "0.180 to 0.250")
@@ -218,9 +218,9 @@ def test_steering_ranks_by_skill_and_draws_no_bar_of_what_is_below_zero(site, di
 
 
 def test_a_withdrawn_record_says_so_and_has_no_rank(site, digests):
-    said = Reading(html(record_page(site, digests["fraud"]))).text
-    assert "Withdrawn on 2026-11-05: The estimates were made from the truth." in said
-    assert "not ranked" in said
+    shown_text = Reading(html(record_page(site, digests["fraud"]))).text
+    assert "Withdrawn on 2026-11-05: The estimates were made from the truth." in shown_text
+    assert "not ranked" in shown_text
 
 
 def test_a_superseded_record_leads_to_the_one_in_its_place_and_back(site, digests):
@@ -336,9 +336,9 @@ def test_the_log_tells_of_withdrawals_and_successors(site, digests):
 
 
 def test_literature_stands_alone_and_is_never_ranked(site, pages):
-    said = html(literature_page(site))
-    assert "never ranked with ours" in said
-    assert "ORB-SLAM &lt;b&gt;" in said
+    shown_text = html(literature_page(site))
+    assert "never ranked with ours" in shown_text
+    assert "ORB-SLAM &lt;b&gt;" in shown_text
     for name, page in pages.items():
         if not page.path.startswith("/literature"):
             assert LITERATURE[0].method not in Reading(html(page)).text, name

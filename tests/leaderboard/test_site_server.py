@@ -329,8 +329,8 @@ def test_files_say_which_pairs_they_have_and_what_to_type_for_others(made, expor
     assert "oysterbench compare" not in client.get(BOARD).text
     monkeypatch.setattr(board_pages, "PAIRED", 3)
     page = board_pages.board_page(made[0], "slam", "slam-val")
-    said = Reading(page_html(page, FileLinks(page.path, set()))).text
-    assert "Pages head to head are those of the first 3 records; in a terminal" in said
+    shown_text = Reading(page_html(page, FileLinks(page.path, set()))).text
+    assert "Pages head to head are those of the first 3 records; in a terminal" in shown_text
 
 
 def test_files_say_what_the_server_says(exported, client, digests):

@@ -336,12 +336,12 @@ def turned(quaternions: np.ndarray) -> np.ndarray:
 def test_nothing_that_is_served_holds_the_truth(site, tmp_path):
     """Whatever was answered in all these tests, published, or logged where others read: no number, pose or path of the
     truth is in it, however an estimate provokes the scorer."""
-    for what, (change, said) in ELSEWHERE.items():
+    for what, (change, message) in ELSEWHERE.items():
         files = {f"{name}.tum": tum(change(estimate(k)), tmp_path) for k, name in enumerate(NAMES)}
         _, made = site.server.send(site.token, zipped(files), method=what)
         found = site.server.wait(site.token, made["id"])
         told = found["reason"] + " ".join(found.get("failures", {}).values())
-        assert said in told
+        assert message in told
         assert bool(told) == (found["state"] == "failed" or bool(found.get("failures")))
     _, made = site.server.send(site.token, answers(tmp_path, case=5), method="published")
     site.server.wait(site.token, made["id"])

@@ -152,7 +152,7 @@ def test_a_sequence_without_a_file_counts_as_failed(served, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (b"1 2 3 4 0 0 0 1\n2 2 3 4 0 0 0\n", r"pool-01\.tum:2: expected 8 numbers"),
         (b"1 2 3 4 0 0 0 1\n\n# x\n2 2 3 inf 0 0 0 1\n", r"pool-01\.tum:4: expected finite numbers, got z = inf"),
@@ -163,8 +163,8 @@ def test_a_sequence_without_a_file_counts_as_failed(served, tmp_path):
         (b"1 0 0 0 0 1 0 0 0 0 1 0\n", r"pool-01\.tum: KITTI poses carry no stamps"),
     ],
 )
-def test_what_is_wrong_with_a_path_is_said_by_line(served, tmp_path, text, said):
-    with pytest.raises(Refusal, match=said):
+def test_what_is_wrong_with_a_path_is_said_by_line(served, tmp_path, text, message):
+    with pytest.raises(Refusal, match=message):
         opened(tmp_path, zipped({"pool-01.tum": text}), wanted_of(served, "pool-test"))
 
 
@@ -208,7 +208,7 @@ def test_an_iou_is_the_evaluators(served, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("made", "said"),
+    ("made", "message"),
     [
         (lambda: npz(**dict(list(masks(0).items())[:2])), "pool-01: 1 of 3 images have no prediction"),
         (lambda: npz(**{"pool-01/cam/7": np.ones((48, 64), bool)}), "names no image of pool-masks"),
@@ -224,8 +224,8 @@ def test_an_iou_is_the_evaluators(served, tmp_path):
         (lambda: b"1 2 3 4 0 0 0 1\n", "expected COCO annotations"),
     ],
 )
-def test_what_is_wrong_with_masks_is_said_by_name(served, tmp_path, made, said):
-    with pytest.raises(Refusal, match=said) as refused:
+def test_what_is_wrong_with_masks_is_said_by_name(served, tmp_path, made, message):
+    with pytest.raises(Refusal, match=message) as refused:
         opened(tmp_path, made(), wanted_of(served, "pool-masks", "segmentation"))
     assert "/proc/" not in refused.value.reason
     assert str(tmp_path) not in refused.value.reason
@@ -257,7 +257,7 @@ def test_results_of_a_public_split_are_taken_as_their_authors_computed_them(serv
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"split_digest": "0" * 64}, r"results\[0\]: key 'split_digest': expected"),
         ({"split": "slam-val"}, r"results\[0\]: key 'split': expected pool-val"),
@@ -270,9 +270,9 @@ def test_results_of_a_public_split_are_taken_as_their_authors_computed_them(serv
         ({"run": 1, "sequence": "pool-01"}, "each run of a sequence once"),
     ],
 )
-def test_results_that_would_not_stand_on_the_board_are_refused(served, tmp_path, changes, said):
+def test_results_that_would_not_stand_on_the_board_are_refused(served, tmp_path, changes, message):
     data = reported(served, tmp_path, **changes)
-    with pytest.raises(Refusal, match=said):
+    with pytest.raises(Refusal, match=message):
         opened(tmp_path, data, wanted_of(served, "pool-val"))
 
 
@@ -347,7 +347,7 @@ def test_commands_on_a_hidden_split_leave_rounded_numbers(served, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda t: t.replace("stamp_ns", "stamp"), "pool-01.csv:1: expected the columns stamp_ns,yaw,pitch or"),
         (lambda t: t.replace(",1,1", ",1"), "pool-01.csv:2: expected 3 values, got 2"),
@@ -361,9 +361,9 @@ def test_commands_on_a_hidden_split_leave_rounded_numbers(served, tmp_path):
         (lambda t: "\xff", "expected a table as text in UTF-8"),
     ],
 )
-def test_a_table_of_commands_that_is_wrong_is_told_by_its_line(served, tmp_path, change, said):
+def test_a_table_of_commands_that_is_wrong_is_told_by_its_line(served, tmp_path, change, message):
     text = change(table(0, [[1, 1]] * IMAGES).decode())
-    with pytest.raises(Refusal, match=said):
+    with pytest.raises(Refusal, match=message):
         opened(tmp_path, zipped({"pool-01.csv": text.encode("latin1")}), wanted_of(served, "pool-steer", "steering"))
 
 

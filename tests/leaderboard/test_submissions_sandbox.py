@@ -56,11 +56,11 @@ def test_it_answers_on_a_pipe_that_nothing_else_writes_to(doing):
     doing("print('noise'); os.write(1, b'more noise'); return {'twice': 2 * int(job.path)}")
     ended = sandbox.run(job(21), ALLOWED)
     assert ended.answer == {"twice": 42}
-    assert "noise" in ended.said
+    assert "noise" in ended.stderr
 
 
 @pytest.mark.parametrize(
-    ("body", "said"),
+    ("body", "stderr"),
     [
         ("x = bytearray(2_000_000_000)", "MemoryError"),
         ("open('big', 'wb').write(bytes(3_000_000))", ""),
@@ -72,15 +72,15 @@ def test_it_answers_on_a_pipe_that_nothing_else_writes_to(doing):
     ],
     ids=["memory", "file size", "open files", "network", "abort", "error", "endless answer"],
 )
-def test_what_it_may_not_do_ends_it_without_an_answer(doing, body, said):
+def test_what_it_may_not_do_ends_it_without_an_answer(doing, body, stderr):
     import socket
 
     doing(body)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         ended = sandbox.run(job(listening.getsockname()[1]), ALLOWED)
     assert ended.answer is None
-    assert ended.cause == ("memory" if "Memory" in said else "crash")
-    assert said in ended.said
+    assert ended.cause == ("memory" if "Memory" in stderr else "crash")
+    assert stderr in ended.stderr
 
 
 def test_it_knows_nothing_of_the_servers_environment_and_folder(doing, monkeypatch):
@@ -129,7 +129,7 @@ def test_it_cannot_open_what_the_server_hides_but_the_files_of_its_job(doing, tm
     for name, given in (("truth", None), ("submissions.sqlite", truth)):
         ended = sandbox.run(job(private / "upload", hidden=hidden, truth=given, method=name), ALLOWED)
         assert ended.answer is None
-        assert "Permission denied" in ended.said
+        assert "Permission denied" in ended.stderr
 
 
 RUNS = """

@@ -236,9 +236,9 @@ def test_what_was_begun_most_often_comes_last(service, tmp_path):
     [("time", "scoring took longer than is allowed"), ("memory", "more memory"), ("crash", "ended without a result")],
 )
 def test_a_scoring_without_an_answer_fails_with_a_sentence_of_the_list(service, tmp_path, monkeypatch, cause, reason):
-    said = "Traceback: truth at /secret/place is 1.234"
+    message = "Traceback: truth at /secret/place is 1.234"
     made, _ = send(service, tmp_path)
-    monkeypatch.setattr(sandbox, "run", lambda *args: sandbox.Ended(None, cause, said))
+    monkeypatch.setattr(sandbox, "run", lambda *args: sandbox.Ended(None, cause, message))
     tries = queue.drain(service)
     found = service.get("reef lab", made.id)
     assert found.state == "failed"
@@ -376,9 +376,9 @@ def test_settings_come_from_the_private_folder(tmp_path):
         "per_day = 'x'": "Expected `int`, got `str`",
         "per_day = 0": ">= 1",
     }
-    for text, said in wrong.items():
+    for text, message in wrong.items():
         (tmp_path / "settings.toml").write_text(text)
-        with pytest.raises(ResultError, match=said):
+        with pytest.raises(ResultError, match=message):
             load_settings(tmp_path)
 
 

@@ -148,7 +148,7 @@ def test_masks_in_a_folder_are_sent_as_they_lie(site, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("args", "token", "said", "code"),
+    ("args", "token", "message", "code"),
     [
         (["--method", "x", "--split", "slam-99"], None, "this leaderboard takes submissions to pool-masks", 1),
         (["--method", "x"], None, "--split: expected the split that was predicted, one of", 2),
@@ -158,10 +158,10 @@ def test_masks_in_a_folder_are_sent_as_they_lie(site, tmp_path):
         (["--method", "x", "--publish", "--no-wait"], None, "--no-wait does not go with it", 2),
     ],
 )
-def test_what_cannot_be_is_said_in_one_line(site, estimates, args, token, said, code):
+def test_what_cannot_be_is_said_in_one_line(site, estimates, args, token, message, code):
     sent = submit(site, estimates, *args, token=token)
     assert sent.exit_code == code
-    assert said in sent.stderr
+    assert message in sent.stderr
 
 
 def test_a_token_is_read_from_a_file_and_shown_nowhere(site, estimates, tmp_path, monkeypatch):

@@ -33,7 +33,7 @@ def test_of_equal_probabilities_the_one_nearest_to_straight_is_commanded():
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (f"{HEAD}\n10,1,0", "commands.csv: 1 of 2 pictures have no command, the first being 20"),
         (f"{HEAD}\n10,1,0\n20,1,99", "commands.csv:3: pitch: expected a class"),
@@ -43,9 +43,9 @@ def test_of_equal_probabilities_the_one_nearest_to_straight_is_commanded():
         ("time,yaw\n10,1", "commands.csv:1: expected the columns stamp_ns,yaw,pitch or"),
     ],
 )
-def test_a_table_that_is_wrong_is_refused_by_its_line(tmp_path, text, said):
+def test_a_table_that_is_wrong_is_refused_by_its_line(tmp_path, text, message):
     (tmp_path / "commands.csv").write_text(text)
-    with pytest.raises(MethodError, match=said):
+    with pytest.raises(MethodError, match=message):
         read_commands(tmp_path / "commands.csv", [10, 20], TASK)
 
 

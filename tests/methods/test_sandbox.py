@@ -76,7 +76,7 @@ def test_without_a_network_no_server_is_reached():
 
 
 @pytest.mark.parametrize(
-    ("sandbox", "code", "said"),
+    ("sandbox", "code", "message"),
     [
         (Sandbox(memory_bytes=500_000_000), "x = bytearray(1_000_000_000)", "MemoryError"),
         (Sandbox(open_files=20), "files = [open('/dev/null') for _ in range(30)]", "Too many open files"),
@@ -84,10 +84,10 @@ def test_without_a_network_no_server_is_reached():
     ],
     ids=["memory", "open files", "processor time"],
 )
-def test_it_ends_at_its_limits(sandbox, code, said):
+def test_it_ends_at_its_limits(sandbox, code, message):
     done = python(sandbox, code)
     assert done.returncode != 0
-    assert said in done.stderr
+    assert message in done.stderr
 
 
 def test_the_command_keeps_its_arguments_input_and_exit_status():

@@ -67,7 +67,7 @@ def test_one_sequence_has_places_and_says_why_there_are_no_ranks():
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "remark"),
     [
         ({"settings": {"align": "se3"}}, 'setting align ("posyaw", "se3")'),
         ({"evaluator_version": "slam 9"}, "evaluator (slam 1, slam 9)"),
@@ -75,10 +75,10 @@ def test_one_sequence_has_places_and_says_why_there_are_no_ranks():
         ({"split": "other"}, "split (slam-mini, other)"),
     ],
 )
-def test_what_differs_in_more_than_the_method_is_kept_apart(change, said):
+def test_what_differs_in_more_than_the_method_is_kept_apart(change, remark):
     found = boards([*runs("a", [0.9]), *runs("b", [0.8], **change)])
     assert [len(board.standings) for board in found] == [1, 1]
-    assert remarks(found)[0] == f"kept apart as 2 comparisons, as they differ in {said}"
+    assert remarks(found)[0] == f"kept apart as 2 comparisons, as they differ in {remark}"
 
 
 def test_standings_are_over_the_sequences_that_all_were_run_on():

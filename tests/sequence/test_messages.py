@@ -62,7 +62,7 @@ def same(a, b) -> bool:
 
 @pytest.fixture(scope="module")
 def made():
-    return dive.samples()
+    return dive.measurements()
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +81,8 @@ def test_every_sample_comes_back_as_it_was(sequence, made):
         "scans": sequence.scans("msis"),
         "clouds": sequence.clouds("fls"),
     }
-    for name, samples in read.items():
-        got, expected = list(samples), getattr(made, name)
+    for name, measurements in read.items():
+        got, expected = list(measurements), getattr(made, name)
         assert len(got) == len(expected) > 9, name
         for a, b in zip(got, expected, strict=True):
             if name == "clouds" or name == "sonar":

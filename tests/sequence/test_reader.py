@@ -110,7 +110,7 @@ def test_calibrations_travel_in_the_file(sequence):
 
 
 def test_scalar_sensors_are_tables(sequence):
-    made = dive.samples()
+    made = dive.measurements()
     table = sequence.frame("/imu")
     assert list(table.columns) == ["gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z"]
     assert table.index.name == "stamp_ns"
@@ -231,8 +231,8 @@ def long_file(path, megabytes: int, seconds: float):
 
 def share_read(path, counted, *span) -> float:
     sequence = oysterbench.open(path)
-    samples = list(sequence.imu(*span))
-    assert len(samples) > 50
+    measurements = list(sequence.imu(*span))
+    assert len(measurements) > 50
     return counted() / path.stat().st_size
 
 
@@ -320,7 +320,7 @@ def test_a_flipped_bit_anywhere_never_passes_for_good(dive_file, tmp_path):
     whole = read_everything(dive_file)
     assert equal(whole, read_everything(dive_file))
     generator = np.random.default_rng(3)
-    said: list[str] = []
+    messages: list[str] = []
     for position in generator.integers(0, len(data), 60):
         flipped = bytearray(data)
         flipped[position] ^= 1 << int(generator.integers(8))
@@ -329,11 +329,11 @@ def test_a_flipped_bit_anywhere_never_passes_for_good(dive_file, tmp_path):
         try:
             got = read_everything(path)
         except SequenceError as error:
-            said.append(str(error))
+            messages.append(str(error))
             continue
         assert equal(got, whole), f"bit at byte {position} of {len(data)}"
-    assert len(said) > 40
-    assert all("flipped.mcap" in line for line in said)
+    assert len(messages) > 40
+    assert all("flipped.mcap" in line for line in messages)
 
 
 def test_a_flipped_bit_in_metadata_attachments_or_the_index_is_refused(dive_file, tmp_path):

@@ -58,7 +58,7 @@ def test_a_file_without_labels_says_so(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("yaw_deg = [30.0, 20.0", "yaw_deg = [20.0, 30.0", r"'steering\.yaw_deg': expected at least 3 falling"),
         ("-8.0, 0.0, 8.0", "-8.0, 8.0", r"'steering\.pitch_deg': expected at least 3 rising .* 0 among them"),
@@ -67,9 +67,9 @@ def test_a_file_without_labels_says_so(tmp_path):
         ('track = "steering"', 'track = "slam"', r"expected no table \[steering\] for track = 'slam'"),
     ],
 )
-def test_a_task_that_cannot_be_is_refused(old, new, said):
+def test_a_task_that_cannot_be_is_refused(old, new, message):
     assert SHORT.count(old) == 1
-    with pytest.raises(RecipeError, match=said):
+    with pytest.raises(RecipeError, match=message):
         parse_split(SHORT.replace(old, new), "short.toml")
 
 

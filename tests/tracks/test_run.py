@@ -428,10 +428,10 @@ def test_further_paths_and_the_map_lie_beside_the_scored_path(own_methods, run, 
     assert info["paths"]["scored"] == "optimised"
     assert info["paths"]["alternatives"]["online"]["coverage"] == pytest.approx(0.5, abs=0.02)
     assert done.scored.record.metrics["coverage"] > 0.9
-    (said,) = results_table([done.scored.record]).notes
+    (message,) = results_table([done.scored.record]).notes
     assert "nees_position" not in done.scored.record.metrics
     assert 0.0 < info["paths"]["alternatives"]["online"]["nees_position"] < 3.0
-    assert re.match(r"paths: scored is the optimised path; not scored: online \(ATE \S+ m, NEES of position ", said)
+    assert re.match(r"paths: scored is the optimised path; not scored: online \(ATE \S+ m, NEES of position ", message)
     # Of what is finished already, all of it is read again.
     (again,) = run(PythonMethod("own_methods:Paths"))
     assert again.scored.record.to_dict() == done.scored.record.to_dict()

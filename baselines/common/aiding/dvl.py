@@ -176,8 +176,8 @@ def sum_velocities(
     """
     segments = [segment for segment, _ in parts]
     heard = [(k + 1, beam_rows(sample, floor)) for k, (_, sample) in enumerate(parts) if sample is not None]
-    samples = [(k, rows) for k, rows in heard if rows is not None and len(segments[k - 1].dt)]
-    if not samples:
+    usable = [(k, rows) for k, rows in heard if rows is not None and len(segments[k - 1].dt)]
+    if not usable:
         return None
     to_dvl, lever = T_imu_dvl[:3, :3].T, T_imu_dvl[:3, 3]
     bias = state.bias
@@ -188,7 +188,7 @@ def sum_velocities(
         """Slopes (M, 3) of all beams by u, by time R^T g (M, 3) and accelerometer bias (M, 3), and constants (M,)."""
         integral = integrate(segments, gyro_bias)
         slopes, down_slopes, accel_slopes, constants = [], [], [], []
-        for k, (directions, _, _) in samples:
+        for k, (directions, _, _) in usable:
             slope = directions @ to_dvl @ integral.rotation[k].T
             rate = segments[k - 1].gyro[-1] - gyro_bias
             gained = integral.velocity[k] - integral.velocity_rate[k] @ bias.accelerometer()
@@ -200,8 +200,8 @@ def sum_velocities(
         return by_u, by_down, by_accel, constant
 
     slope, down_slope, accel_slope, constant = slopes_at(bias.gyroscope())
-    along = np.concatenate([rows[1] for _, rows in samples])
-    weight = 1.0 / np.concatenate([rows[2] for _, rows in samples])
+    along = np.concatenate([rows[1] for _, rows in usable])
+    weight = 1.0 / np.concatenate([rows[2] for _, rows in usable])
     if not np.isfinite(weight).all():
         return None
     seen = slope @ start + down_slope @ down + constant
@@ -211,7 +211,7 @@ def sum_velocities(
         gyro_slope[:, axis] = (moved[0] @ start + moved[1] @ down + moved[3] - seen) / BIAS_STEP
     # The velocity in the DVL's frame, by which its calibration multiplies.
     calibration_slope = []
-    for k, (directions, _, _) in samples:
+    for k, (directions, _, _) in usable:
         integral = integrate(segments[:k], bias.gyroscope())
         gained = integral.velocity[-1] - integral.velocity_rate[-1] @ bias.accelerometer()
         rate = segments[k - 1].gyro[-1] - bias.gyroscope()

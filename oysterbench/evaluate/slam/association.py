@@ -23,15 +23,15 @@ SPARSE_S, SPARSE = 0.2, 5.0
 class Association:
     """Truth and estimate, met.
 
-    covered:   (T,) which truth stamps the estimate answers, by a pose or between two close ones
-    answered:  (N,) indices of the truth stamps that are compared; all of `covered` with interpolation
-    truth:     (N,) poses of the truth there
-    estimate:  (N,) poses of the estimate for them, with the truth's stamps
-    positions: (C, 3) m, what the estimate answers at the C covered stamps, before alignment
+    covered:    (T,) which truth stamps the estimate covers, by a pose or between two close ones
+    associated: (N,) indices of the truth stamps that are compared; all of `covered` with interpolation
+    truth:      (N,) poses of the truth there
+    estimate:   (N,) poses of the estimate for them, with the truth's stamps
+    positions:  (C, 3) m, those of the estimate at the C covered stamps, before alignment
     """
 
     covered: NDArray[np.bool_]
-    answered: Index
+    associated: Index
     truth: Trajectory
     estimate: Trajectory
     positions: Array
@@ -42,25 +42,25 @@ def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -
     check_overlap(truth, estimate, settings)
     covered = covered_stamps(truth.stamps_ns, estimate.stamps_ns, settings.max_gap_s)
     if settings.associate == "interpolate":
-        answered = np.flatnonzero(covered)
-        _check_matched(len(answered), truth, estimate, settings)
-        same = len(answered) == len(estimate) and np.array_equal(truth.stamps_ns[answered], estimate.stamps_ns)
-        matched = estimate if same else estimate.at(truth.stamps_ns[answered])
-        every = truth if len(answered) == len(truth) else truth.select(run_of(answered))
-        return Association(covered, answered, every, matched, matched.positions)
-    answered, taken = nearest_pairs(truth.stamps_ns, estimate.stamps_ns, settings.max_difference_s)
-    _check_matched(len(answered), truth, estimate, settings)
-    covered[answered] = True
+        associated = np.flatnonzero(covered)
+        _check_matched(len(associated), truth, estimate, settings)
+        same = len(associated) == len(estimate) and np.array_equal(truth.stamps_ns[associated], estimate.stamps_ns)
+        matched = estimate if same else estimate.at(truth.stamps_ns[associated])
+        every = truth if len(associated) == len(truth) else truth.select(run_of(associated))
+        return Association(covered, associated, every, matched, matched.positions)
+    associated, taken = nearest_pairs(truth.stamps_ns, estimate.stamps_ns, settings.max_difference_s)
+    _check_matched(len(associated), truth, estimate, settings)
+    covered[associated] = True
     matched = estimate.select(taken)
-    # Stamps between the matched ones are answered as well: recall asks all of them.
+    # Stamps between the associated ones are covered as well: recall asks all of them.
     positions = np.empty((len(truth), 3))
     between_ns = np.clip(truth.stamps_ns[covered], estimate.stamps_ns[0], estimate.stamps_ns[-1])
     positions[covered] = _positions_at(estimate, between_ns)
-    positions[answered] = matched.positions
+    positions[associated] = matched.positions
     stamped = Trajectory(
-        truth.stamps_ns[answered], matched.positions, matched.quaternions, covariances=matched.covariances
+        truth.stamps_ns[associated], matched.positions, matched.quaternions, covariances=matched.covariances
     )
-    return Association(covered, answered, truth.select(answered), stamped, positions[covered])
+    return Association(covered, associated, truth.select(associated), stamped, positions[covered])
 
 
 def _positions_at(estimate: Trajectory, stamps_ns: Stamps) -> Array:
@@ -115,13 +115,13 @@ class Gaps:
 
 def find_gaps(stamps_ns: Stamps, covered: NDArray[np.bool_]) -> Gaps:
     """The gaps in the answers to truth stamps (T,) int64 ns, at least one of which is covered (T,)."""
-    answered = np.flatnonzero(covered)
-    ends = np.append(answered[1:], len(stamps_ns))
-    holes = np.flatnonzero(ends - answered > 1)
+    associated = np.flatnonzero(covered)
+    ends = np.append(associated[1:], len(stamps_ns))
+    holes = np.flatnonzero(ends - associated > 1)
     last = np.minimum(ends[holes], len(stamps_ns) - 1)
-    lengths_ns = stamps_ns[last] - stamps_ns[answered[holes]]
+    lengths_ns = stamps_ns[last] - stamps_ns[associated[holes]]
     return Gaps(
-        float(stamps_ns[answered[0]] - stamps_ns[0]) * 1e-9,
+        float(stamps_ns[associated[0]] - stamps_ns[0]) * 1e-9,
         len(holes),
         float(lengths_ns.max(initial=0)) * 1e-9,
     )

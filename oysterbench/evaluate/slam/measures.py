@@ -39,19 +39,19 @@ MIN_CHORD = 0.1
 class Matched:
     """An estimate that was brought to the truth.
 
-    truth:      all poses (T,)
-    met:        which of them are answered, and by which poses (N,)
-    aligned:    the estimate's (N,), in the truth's world
-    absolute:   their errors
-    answered_m: (C,) position errors at all covered stamps, m
-    fit:        the alignment
+    truth:     all poses (T,)
+    met:       which of them are associated, and with which poses (N,)
+    aligned:   the estimate's (N,), in the truth's world
+    absolute:  their errors
+    covered_m: (C,) position errors at all covered stamps, m
+    fit:       the alignment
     """
 
     truth: Trajectory
     met: Association
     aligned: Trajectory
     absolute: PoseErrors
-    answered_m: Array
+    covered_m: Array
     fit: Alignment
 
 
@@ -62,10 +62,10 @@ def measure_recall(matched: Matched, settings: SlamSettings, path_m: float, meas
         measures.missing(STILL, "score", *shares)
         return None
     stamps = len(matched.truth)
-    curve = recall(matched.answered_m, stamps, settings.recall_scale_percent / 100 * path_m)
+    curve = recall(matched.covered_m, stamps, settings.recall_scale_percent / 100 * path_m)
     measures["score"] = curve.area
     for key, percent in zip(shares, PERCENTS, strict=True):
-        measures[key] = np.count_nonzero(matched.answered_m <= percent / 100 * path_m) / stamps
+        measures[key] = np.count_nonzero(matched.covered_m <= percent / 100 * path_m) / stamps
     return curve
 
 
@@ -75,9 +75,9 @@ def measure_relative(matched: Matched, settings: SlamSettings, path_m: Array, me
     frames, seconds = settings.rpe_frames, settings.rpe_delta_s
     metres, degrees = settings.rpe_delta_m, settings.rpe_delta_deg
     choices: dict[str, Callable[[], Index]] = {
-        f"{frames}frames": lambda: pairs_over_frames(len(met.answered), frames, consecutive),
+        f"{frames}frames": lambda: pairs_over_frames(len(met.associated), frames, consecutive),
         f"{seconds:g}s": lambda: pairs_over_time(met.truth.stamps_ns, seconds, consecutive),
-        f"{metres:g}m": lambda: pairs_along(path_m[met.answered], metres, consecutive),
+        f"{metres:g}m": lambda: pairs_along(path_m[met.associated], metres, consecutive),
         f"{degrees:g}deg": lambda: _pairs_over_angle(matched, settings),
     }
     for name, choose in choices.items():
@@ -96,7 +96,7 @@ def _pairs_over_angle(matched: Matched, settings: SlamSettings) -> Index:
     delta_rad = float(np.deg2rad(settings.rpe_delta_deg))
     if settings.rpe_angle == "direct":
         return pairs_apart(matched.met.truth.quaternions, delta_rad)
-    angle = turned(matched.truth.quaternions)[matched.met.answered]
+    angle = turned(matched.truth.quaternions)[matched.met.associated]
     return pairs_along(angle, delta_rad, settings.rpe_pairs == "consecutive")
 
 
@@ -104,7 +104,7 @@ def measure_segments(matched: Matched, settings: SlamSettings, path_m: Array, me
     """Errors over segments by the length that the segment has, each segment counting alike (Geiger et al. 2012)."""
     met, total_m = matched.met, float(path_m[-1])
     rank = np.full(len(path_m), -1)
-    rank[met.answered] = np.arange(len(met.answered))
+    rank[met.associated] = np.arange(len(met.associated))
     if settings.subpath_m:
         lengths = {f"{length:g}m": float(length) for length in settings.subpath_m}
     else:
@@ -167,11 +167,11 @@ def _no_segment(length_m: float, total_m: float) -> str:
 def measure_drift(matched: Matched, path_m: Array, measures: Measures) -> None:
     """What the estimate is off at its last pose if its first one is laid on the truth."""
     met = matched.met
-    path_length_m = float(path_m[met.answered[-1]] - path_m[met.answered[0]])
+    path_length_m = float(path_m[met.associated[-1]] - path_m[met.associated[0]])
     if path_length_m < MIN_PATH_M:
         measures.missing(STILL, "drift_percent", "drift_deg_per_m")
         return
-    ends = np.array([[0, len(met.answered) - 1]])
+    ends = np.array([[0, len(met.associated) - 1]])
     errors = relative_errors(met.truth, matched.aligned, ends, matched.absolute)
     measures["drift_percent"] = 100.0 * float(errors.translation_m[0]) / path_length_m
     measures["drift_deg_per_m"] = float(np.rad2deg(errors.rotation_rad[0])) / path_length_m
@@ -196,7 +196,7 @@ def measure_answers(matched: Matched, path_m: float, measures: Measures) -> None
     truth, covered = matched.truth, matched.met.covered
     gaps = find_gaps(truth.stamps_ns, covered)
     measures["coverage"] = float(np.mean(covered))
-    measures["matched"] = len(matched.met.answered)
+    measures["matched"] = len(matched.met.associated)
     measures["first_fix_s"] = gaps.first_fix_s
     measures["gaps"] = gaps.number
     measures["longest_gap_s"] = gaps.longest_s

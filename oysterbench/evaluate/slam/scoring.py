@@ -114,10 +114,10 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
     )
     absolute = absolute_errors(met.truth, aligned)
     if met.positions is met.estimate.positions:
-        answered_m = absolute.translation_m
+        covered_m = absolute.translation_m
     else:
-        answered_m = np.linalg.norm(fit.similarity.apply(met.positions) - truth.positions[met.covered], axis=1)
-    matched = Matched(truth, met, aligned, absolute, answered_m, fit)
+        covered_m = np.linalg.norm(fit.similarity.apply(met.positions) - truth.positions[met.covered], axis=1)
+    matched = Matched(truth, met, aligned, absolute, covered_m, fit)
     path_m = distances(truth.positions)
     length_m = float(path_m[-1])
     curve = measure_recall(matched, settings, length_m, measures)

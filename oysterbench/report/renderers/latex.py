@@ -123,10 +123,10 @@ def latex_escape(text: str) -> str:
 
 def needs(written: str) -> list[str]:
     """Comments for the head of a file: the packages, and the engine, that what follows needs."""
-    said = [NEEDS]
+    needed = [NEEDS]
     code = re.sub(r"(?m)(?<!\\)%.*$", "", written)
     if LATIN.search(code):
-        said.append("% needs \\usepackage[T1]{fontenc}")
+        needed.append("% needs \\usepackage[T1]{fontenc}")
     if others := "".join(dict.fromkeys(OTHER.findall(code))):
-        said.append(f"% needs lualatex or xelatex, and a font that has {' '.join(others)}")
-    return said
+        needed.append(f"% needs lualatex or xelatex, and a font that has {' '.join(others)}")
+    return needed

@@ -307,7 +307,7 @@ def test_ply_keeps_one_point_to_a_voxel(folders):
 
 def test_ply_of_a_sonar_is_its_returns_in_map(sequence, folders):
     raw = vertices(folders["ply"] / "fls.ply").metadata["_ply_raw"]["vertex"]["data"]
-    made = dive.samples()
+    made = dive.measurements()
     clouds = [cloud for cloud in made.clouds if cloud.stamp_ns <= sequence.truth().stamps_ns[-1]]
     mount = np.array(dive.calibration()["sonars"]["fls"]["T_base_sensor"])
     poses = [sequence.truth().at(np.array([cloud.stamp_ns])).matrices[0] @ mount for cloud in clouds]
