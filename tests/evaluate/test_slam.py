@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import replace
 from typing import Any
 
@@ -135,19 +134,6 @@ def test_every_definition_is_a_sentence():
         assert metric.definition[0].isupper(), key
         assert metric.definition.endswith("."), key
         assert metric.heading, key
-
-
-def test_scoring_takes_milliseconds():
-    truth, estimate = survey(rate_hz=200), noisy(survey(rate_hz=20))
-    score(truth, estimate)
-    best = min(_timed(lambda: score(truth, estimate)) for _ in range(5))
-    assert best < 0.1  # of processor time
-
-
-def _timed(call) -> float:
-    begin = time.process_time()
-    call()
-    return time.process_time() - begin
 
 
 def test_an_estimate_in_another_frame_or_scale_is_suspected():
