@@ -39,7 +39,7 @@ def silty(*places, light=None, rig=None, reef=MUD, water=None, **keys) -> Camera
 
 
 def grey_levels(renderer: CameraRenderer, radiance: np.ndarray) -> np.ndarray:
-    linear = np.clip(radiance * np.array(list(renderer._gain)), 0, 1)
+    linear = np.clip(radiance * np.array(renderer.exposure.scale), 0, 1)
     return 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
