@@ -19,7 +19,8 @@ class Image:
     uint8 (`recipe.CLASSES`); instance (H, W) uint16, 0 = none; normals (H, W, 3) float32, outward, in the optical
     frame; visibility (H, W) float32, share of the instance at a pixel that nothing hides, NaN = none; light (H, W, 3)
     float32, 1 = a white matte surface in full daylight: clean (without water), and direct + forward_scatter +
-    backscatter + snow, which add up to what reaches the lens.
+    backscatter + snow, which add up to what reaches the lens; dynamic (H, W) uint8, 1 = moves by itself; flow (H, W, 2)
+    float32 px to the right and down until the next frame, NaN = none.
     """
 
     stamp_ns: int

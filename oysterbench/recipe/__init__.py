@@ -6,12 +6,15 @@ value is refused with file, key, value and the allowed range. The fields of the 
 
 from oysterbench.recipe.drawn import draw
 from oysterbench.recipe.keys import as_plain
+from oysterbench.recipe.life import LifeRecipe
 from oysterbench.recipe.path import LOOP_RIPPLE, PathRecipe
 from oysterbench.recipe.rig import CameraRecipe, LampRecipe, RigRecipe, count
 from oysterbench.recipe.scene import (
     BOTTOMS,
     CLASSES,
     JERLOV_TYPES,
+    LIFE_CLASSES,
+    REEF_CLASSES,
     UNDISTURBED,
     WATER_TYPES,
     DrawnRecipe,
@@ -29,12 +32,15 @@ __all__ = [
     "BOTTOMS",
     "CLASSES",
     "JERLOV_TYPES",
+    "LIFE_CLASSES",
     "LOOP_RIPPLE",
+    "REEF_CLASSES",
     "UNDISTURBED",
     "WATER_TYPES",
     "CameraRecipe",
     "DrawnRecipe",
     "LampRecipe",
+    "LifeRecipe",
     "LightRecipe",
     "PathRecipe",
     "ReefRecipe",

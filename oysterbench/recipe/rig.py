@@ -28,9 +28,11 @@ LAYERS = (
     "backscatter",
     "snow",
     "visibility",
+    "dynamic",
+    "flow",
 )
-"""Ground truth behind a picture: what each pixel shows, its light without water and on its path through the water, and
-how much of each instance can be seen."""
+"""Ground truth behind a picture: what each pixel shows, its light without water and on its path through the water, how
+much of each instance can be seen, which pixels show what moves by itself, and where each goes until the next frame."""
 
 IMAGE_FORMATS = ("jpeg", "png")
 

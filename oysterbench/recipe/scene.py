@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from oysterbench.recipe.keys import Table, choice, number
+from oysterbench.recipe.life import LifeRecipe
 from oysterbench.recipe.path import PathRecipe
 from oysterbench.recipe.turbidity import LayerRecipe, PatchesRecipe, PlumesRecipe
 
-CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone", 4: "plant", 5: "sponge", 6: "vehicle", 7: "hash"}
-"""What the numbers of a class image mean; hash is broken shell."""
+REEF_CLASSES = {0: "water", 1: "bottom", 2: "oyster", 3: "stone", 4: "plant", 5: "sponge", 6: "vehicle", 7: "hash"}
+LIFE_CLASSES = {8: "fish", 9: "crab", 10: "debris", 11: "tether"}
+CLASSES = REEF_CLASSES | LIFE_CLASSES
+"""What the numbers of a class image mean; hash is broken shell. LIFE_CLASSES are those of `SequenceRecipe.life`."""
 
 UNDISTURBED = "none"
 """The disturbance of a dive that others of its split are held against."""
@@ -117,7 +120,7 @@ CALIBRATIONS = ("exact", "good", "poor")
 
 @dataclass(frozen=True, kw_only=True)
 class SequenceRecipe:
-    """One sequence: a reef, its water and light, the path over it, and the site that it lies at.
+    """One sequence: a reef, its water and light, the path over it, the site that it lies at, and what moves there.
 
     same_dive_as: the sequence whose reef, path and noise it has, drawn as they are there; what its keys state
     otherwise is the difference. disturbance, strength: what that difference is called, and how strong it is.
@@ -136,6 +139,7 @@ class SequenceRecipe:
     light: LightRecipe
     path: PathRecipe
     site: SiteRecipe = field(default=SiteRecipe())
+    life: LifeRecipe = field(default=LifeRecipe())
     rig: Table = field(default=Table())
     calibration: str = choice(CALIBRATIONS, "exact")  # what methods are told of the rig
     drawn: tuple[DrawnRecipe, ...] = ()

@@ -15,6 +15,7 @@ from typing import Any
 from oysterbench.core.errors import RecipeError
 from oysterbench.recipe.drawn import draw
 from oysterbench.recipe.keys import as_plain, build, choice, number, stated
+from oysterbench.recipe.life import check_life
 from oysterbench.recipe.path import check_path
 from oysterbench.recipe.rig import RigRecipe, read_rig, vary_rig
 from oysterbench.recipe.scene import WATER_TYPES, SequenceRecipe
@@ -223,6 +224,7 @@ def _check_sequence(sequence: SequenceRecipe, where: str) -> None:
             f"{where}: key 'path.altitude_m': the vehicle would leave the water; expected less than reef.depth_m = "
             f"{sequence.reef.depth_m:g}, got {sequence.path.altitude_m:g}"
         )
+    check_life(sequence, where)
 
 
 def _read_text(path: Path, absent: str) -> str:

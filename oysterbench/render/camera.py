@@ -13,12 +13,13 @@ import warp as wp
 from numpy.typing import NDArray
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe
+from oysterbench.recipe import LIFE_CLASSES, CameraRecipe, RigRecipe, SequenceRecipe
 from oysterbench.render import (
     blur,
     caustics,
     defocus,
     edges,
+    flow,
     kernels,
     lamps,
     march,
@@ -30,9 +31,10 @@ from oysterbench.render import (
     snow,
     visibility,
 )
-from oysterbench.render.casting import Hit
+from oysterbench.render.casting import Hit, Placed
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.light import build_light, exposure, sky_fan, sun_fan
+from oysterbench.render.movers import no_rows
 from oysterbench.render.optics import Optics
 from oysterbench.render.passage import STILL, Passage
 from oysterbench.render.radiance import Daylight
@@ -40,6 +42,8 @@ from oysterbench.render.target import start_warp
 from oysterbench.render.upload import upload_geometry, upload_looks, upload_optics, upload_vehicle, without_water
 from oysterbench.render.view import CameraView
 from oysterbench.render.water import build_water
+from oysterbench.scene.instances import CLASS_NUMBERS
+from oysterbench.scene.life import Life
 from oysterbench.scene.plumes import Plumes
 from oysterbench.scene.rig import camera_matrix, camera_pose
 from oysterbench.scene.vehicle import build_vehicle
@@ -63,6 +67,7 @@ MODULES = (
     defocus,
     port,
     march,
+    flow,
 )
 LAYERS = (
     "radiance",
@@ -76,6 +81,8 @@ LAYERS = (
     "classes",
     "instances",
     "visibility",
+    "dynamic",
+    "flow",
 )
 
 
@@ -84,14 +91,31 @@ class Frame:
     """What a camera sees at one pose.
 
     colour (H, W, 3) uint8 RGB; depth (H, W) float32, m along the optical axis, 0 where nothing is within the camera's
-    max_range_m; classes (H, W) uint8 as in recipe.CLASSES; instances (H, W) uint16, 0 for none, and one more than the
-    world's last for the vehicle. Depth, classes and instances are those of the ray through the pixel's centre.
+    max_range_m; classes (H, W) uint8 as in recipe.CLASSES; instances (H, W) uint16, 0 for none, one more than the
+    world's last for the vehicle, and from two more on what roams (scene.life). Depth, classes and instances are those
+    of the ray through the pixel's centre.
     """
 
     colour: NDArray[np.uint8]
     depth: NDArray[np.float32]
     classes: NDArray[np.uint8]
     instances: NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A picture to come: its time, and where camera and vehicle are then, as for CameraRenderer.render."""
+
+    time_s: float
+    T_map_cam: Pose
+    T_map_base: Pose
+    passage: Passage = STILL
+
+
+def _moving_classes(recipe: SequenceRecipe) -> list[int]:
+    """Numbers of the classes that move by themselves in a sequence."""
+    moving = [*LIFE_CLASSES, CLASS_NUMBERS["vehicle"]]
+    return [*moving, CLASS_NUMBERS["plant"]] if recipe.life.sway else moving
 
 
 def warm_up(device: str = "cpu") -> None:
@@ -104,8 +128,8 @@ def warm_up(device: str = "cpu") -> None:
 class CameraRenderer:
     """Renders a world for one camera; the world goes to the device once.
 
-    rig: the vehicle that carries the camera, with its lamps and body; without it there are none. seconds: processor
-    time that each stage has taken so far.
+    rig: the vehicle that carries the camera, with its lamps and body; without it there are none. life: what moves by
+    itself. seconds: processor time that each stage has taken so far.
     """
 
     def __init__(
@@ -116,17 +140,20 @@ class CameraRenderer:
         device: str = "cpu",
         rig: RigRecipe | None = None,
         plumes: Plumes | None = None,
+        life: Life | None = None,
     ) -> None:
         start_warp()
         self.camera = camera
         self.device = device
         self.seconds: dict[str, float] = defaultdict(float)
         self._rays = pixel_rays(camera)
-        self._count = len(world.instances)
-        self._geometry, self._kept = upload_geometry(world, device)
+        self._count = len(world.instances) + 1 + (0 if life is None else life.count)
+        self._geometry, self._movers, self._kept = upload_geometry(world, device, life)
         if rig is not None:
-            self._geometry.vehicle, body = upload_vehicle(build_vehicle(rig), device)
-            self._kept += body
+            body = build_vehicle(rig, with_tether=not recipe.life.tether)
+            self._geometry.vehicle, kept = upload_vehicle(body, len(world.instances) + 1, device)
+            self._kept += kept
+        self._moving_classes = _moving_classes(recipe)
         self._lamps = () if rig is None else rig.lamp
         self.recipe = recipe
         self._light(world, recipe, plumes)
@@ -144,8 +171,9 @@ class CameraRenderer:
         """Frame from the pose T_map_cam (4, 4) of the optical frame in `map`; `generator` gives the sensor's noise.
 
         time_s moves waves and marine snow. T_map_base: where the vehicle is, for cameras that it does not carry as the
-        recipe says. passage: how the camera moves meanwhile; depth, classes and instances are those of each row's own
-        pose, in the middle of its exposure. exposure: as metered now, instead of the recipe's.
+        recipe says. passage: how the camera moves meanwhile; what moves by itself is where it is at time_s in all
+        rows. Depth, classes and instances are those of each row's own pose, in the middle of its exposure. exposure: as
+        metered now, instead of the recipe's.
         """
         exposure = exposure or self.exposure
         self._prepare(T_map_cam, time_s, T_map_base)
@@ -175,9 +203,11 @@ class CameraRenderer:
             )
             return Frame(*(array.numpy().copy() for array in (self._colour, *self._truth)))
 
-    def truth(self, T_map_cam: Pose) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.uint16]]:
+    def truth(
+        self, T_map_cam: Pose, time_s: float = 0.0
+    ) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.uint16]]:
         """Depth, classes and instances at a pose, as in Frame, without the light: a tenth of a picture's time."""
-        self._place(np.asarray(T_map_cam, dtype=float) @ np.linalg.inv(camera_pose(self.camera)))
+        self._place(np.asarray(T_map_cam, dtype=float) @ np.linalg.inv(camera_pose(self.camera)), time_s)
         self._cast(self._view(T_map_cam))
         depth, classes, instances = (array.numpy().copy() for array in self._truth)
         return depth, classes, instances
@@ -189,15 +219,19 @@ class CameraRenderer:
         time_s: float = 0.0,
         T_map_base: Pose | None = None,
         passage: Passage = STILL,
+        following: Moment | None = None,
     ) -> dict[str, NDArray[np.generic]]:
         """What the picture at a pose is made of, each by its name in LAYERS, before lens shading, exposure and noise.
 
         Radiances (H, W, 3) float32, of which 1 is a white matte surface's in full daylight at the surface: `direct`,
         `forward_scatter`, `backscatter` (of daylight and lamps) and `snow` (what flakes change) add up to `radiance`;
         `clean` is the same light in the same place without any water. depth, classes, instances: as in
-        Frame. normals (H, W, 3) float32: outward unit normals in the optical frame, 0 where nothing is. visibility
-        (N + 2,) float32 by instance number: pixels in which it is seen over those in which it would be if it were
-        alone; NaN for what has none. passage: as for `render`; layers are those of an instant in each row.
+        Frame. dynamic (H, W) uint8: 1 where something moves by itself, be it the vehicle, and 0 elsewhere; shadows do
+        not count. flow (H, W, 2) float32: px to the right and down that what a pixel shows moves in the picture until
+        the moment `following`; NaN where nothing is, and for what is then behind the camera. normals (H, W, 3)
+        float32: outward unit normals in the optical frame, 0 where nothing is. visibility (N,) float32 by instance
+        number: pixels in which it is seen over those in which it would be if it were alone; NaN for what has none.
+        passage: as for `render`; layers are those of an instant in each row.
         """
         unknown = sorted(set(names) - set(LAYERS))
         if unknown:
@@ -228,6 +262,12 @@ class CameraRenderer:
             turns = T_map_cam[None, :3, :3] if passage.rows is None else passage.rows[1:-1, :3, :3]
             turned = self._normals.numpy() @ np.asarray(turns, dtype=np.float32)
             found["normals"] = np.where(depth[..., None] > 0, turned, np.float32(0.0))
+        if "dynamic" in names:
+            found["dynamic"] = np.isin(classes, self._moving_classes).astype(np.uint8)
+        if "flow" in names:
+            if following is None:
+                raise ValueError("layer flow: expected the moment of the next frame in `following`, got None")
+            found["flow"] = self._flow(view, depth > 0, following)
         if "visibility" in names:
             found["visibility"] = self._visibility(view, instances)
         if "clean" in names:
@@ -244,7 +284,7 @@ class CameraRenderer:
             self._waves.move(time_s)
             self._optics.caustics = self._waves.light
             self._clear.caustics = self._waves.light
-        self._place(T_map_base)
+        self._place(T_map_base, time_s)
         with self._timed("turbidity"):
             self._turbidity.move(time_s, np.round(np.asarray(T_map_cam, dtype=float)[:3, 3], 9))
             self._optics.turbidity = self._turbidity.field
@@ -253,8 +293,11 @@ class CameraRenderer:
             self._clear.lamps.positions = self._optics.lamps.positions
             self._clear.lamps.axes = self._optics.lamps.axes
 
-    def _place(self, T_map_base: Pose) -> None:
-        """Move the vehicle to its place."""
+    def _place(self, T_map_base: Pose, time_s: float) -> None:
+        """Move the vehicle and what moves by itself to their places."""
+        if self._movers is not None:
+            with self._timed("movers"):
+                self._movers.move(time_s)
         if self._geometry.vehicle.mesh:
             T_map_base = np.round(T_map_base, 9)
             self._geometry.vehicle.rotation = wp.mat33(*T_map_base[:3, :3].astype(np.float32).ravel().tolist())
@@ -358,8 +401,8 @@ class CameraRenderer:
         return wp.vec3(0.0, 0.0, 0.0) if optics is self._clear else self._water_scattering
 
     def _visibility(self, view: CameraView, instances: NDArray[np.uint16]) -> NDArray[np.float32]:
-        """Visible over unhidden pixels (N + 2,) of each instance number, NaN where there are none."""
-        counts = wp.zeros(self._count + 2, dtype=wp.int32, device=self.device)
+        """Visible over unhidden pixels (N,) of each instance number, NaN where there are none."""
+        counts = wp.zeros(self._count + 1, dtype=wp.int32, device=self.device)
         inputs = [self._geometry, view]
         wp.launch(visibility.count_unhidden, instances.shape, inputs=inputs, outputs=[counts], device=self.device)
         alone = counts.numpy()
@@ -368,6 +411,29 @@ class CameraRenderer:
             share = np.where(alone > 0, np.minimum(seen / alone, 1.0), np.nan)
         share[0] = np.nan
         return share.astype(np.float32)
+
+    def _flow(self, view: CameraView, within: NDArray[np.bool_], following: Moment) -> NDArray[np.float32]:
+        """Motion (H, W, 2) px in the picture of what the last cast has met, until a moment."""
+        T_map_base = np.round(np.asarray(following.T_map_base, dtype=float), 9)
+        rows = no_rows() if self._movers is None else self._movers.rows_at(following.time_s)
+        first = len(self._geometry.placed) - len(rows)
+        points = wp.zeros(within.shape, dtype=wp.vec3, device=self.device)
+        wp.launch(
+            flow.carry,
+            within.shape,
+            inputs=[
+                self._geometry,
+                view,
+                self._hits,
+                wp.array(rows, dtype=Placed, device=self.device),
+                first,
+                wp.mat33(*T_map_base[:3, :3].astype(np.float32).ravel().tolist()),
+                wp.vec3(*T_map_base[:3, 3].tolist()),
+            ],
+            outputs=[points],
+            device=self.device,
+        )
+        return flow.project_motion(points.numpy(), within, following.T_map_cam, following.passage, self.camera)
 
     def _light(self, world: World, recipe: SequenceRecipe, plumes: Plumes | None) -> None:
         """Tables of water and light, what moves in them, and the camera's fixed exposure."""

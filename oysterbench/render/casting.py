@@ -23,7 +23,8 @@ FAR_M = wp.constant(150.0)  # past the skirt of every seabed
 class Placed:
     """An instance: a point p in `map` is to_shape * (p - position) in its mesh; rotation and scale are its pose's.
 
-    first_corner: where its mesh's corners start in Geometry.corners. The rest is for shading.
+    first_corner: where its mesh's corners start in Geometry.corners. number: in instance images. The rest is for
+    shading.
     """
 
     to_shape: wp.mat33
@@ -35,13 +36,15 @@ class Placed:
     colour: wp.vec3
     silt: wp.float32
     kind: wp.uint8
+    number: wp.uint16
 
 
 @wp.struct
 class Vehicle:
     """The rig's body, where it is now: rotation takes base_link into `map`; mesh 0 is none. marks are albedos.
 
-    radius: of the sphere around the origin that holds it, m; low, high: corners of the box that does.
+    radius: of the sphere around the origin that holds it, m; low, high: corners of the box that does. number: in
+    instance images.
     """
 
     mesh: wp.uint64
@@ -53,11 +56,16 @@ class Vehicle:
     radius: wp.float32
     low: wp.vec3
     high: wp.vec3
+    number: wp.uint16
 
 
 @wp.struct
 class Geometry:
-    """A world on a device. Corners, normals and marks of all library meshes are end to end."""
+    """A world on a device. Corners, normals and marks of all library meshes are end to end.
+
+    placed: what stands still, in the tree `boxes`; then, from first_swaying, the plants that sway, in the tree
+    `swaying`; then, from first_roaming, what roams, in the tree `roaming` (movers.py places these).
+    """
 
     relief: Relief
     skirt: wp.uint64
@@ -66,6 +74,12 @@ class Geometry:
     boxes: wp.uint64
     count: wp.int32
     placed: wp.array(dtype=Placed)
+    swaying: wp.uint64
+    swaying_count: wp.int32
+    first_swaying: wp.int32
+    roaming: wp.uint64
+    roaming_count: wp.int32
+    first_roaming: wp.int32
     corners: wp.array(dtype=wp.int32)
     normals: wp.array(dtype=wp.vec3)
     marks: wp.array(dtype=wp.vec3)
@@ -161,6 +175,44 @@ def cast_surface(world: Geometry, surface: int, origin: wp.vec3, direction: wp.v
 
 
 @wp.func
+def near_roaming(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
+    """Whether a ray passes the box of anything that roams."""
+    near = wp.bool(False)
+    if world.roaming_count > 0:
+        query = wp.bvh_query_ray(world.roaming, origin, direction)
+        i = wp.int32(0)
+        near = wp.bvh_query_next(query, i, max_t)
+    return near
+
+
+@wp.func
+def cast_moving(world: Geometry, tree: wp.uint64, first: int, origin: wp.vec3, direction: wp.vec3, nearest: Hit):
+    """The nearest hit of a ray when the rows from `first` on, in a tree of their own, are seen as well."""
+    hit = nearest
+    query = wp.bvh_query_ray(tree, origin, direction)
+    i = wp.int32(0)
+    while wp.bvh_query_next(query, i, hit.t):
+        nearer = cast_instance(world, first + i, origin, direction, hit.t)
+        if nearer.instance != NOTHING:
+            hit = nearer
+    return hit
+
+
+@wp.func
+def blocked_by_moving(world: Geometry, tree: wp.uint64, first: int, origin: wp.vec3, direction: wp.vec3, max_t: float):
+    """Whether one of the rows from `first` on, in a tree of their own, lies on a ray before max_t."""
+    query = wp.bvh_query_ray(tree, origin, direction)
+    i = wp.int32(0)
+    while wp.bvh_query_next(query, i, max_t):
+        row = first + i
+        to_shape = world.placed[row].to_shape
+        start = to_shape * (origin - world.placed[row].position)
+        if wp.mesh_query_ray_anyhit(world.placed[row].mesh, start, to_shape * direction, max_t):
+            return True
+    return False
+
+
+@wp.func
 def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
     """Nearest hit of a ray."""
     hit = Hit()
@@ -185,6 +237,10 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
             nearer = cast_instance(world, i, origin, direction, hit.t)
             if nearer.instance != NOTHING:
                 hit = nearer
+    if world.swaying_count > 0:
+        hit = cast_moving(world, world.swaying, world.first_swaying, origin, direction, hit)
+    if world.roaming_count > 0:
+        hit = cast_moving(world, world.roaming, world.first_roaming, origin, direction, hit)
     body = cast_vehicle(world.vehicle, origin, direction, hit.t)
     if body.instance != NOTHING:
         hit = body
@@ -217,6 +273,12 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
             start = to_shape * (origin - world.placed[i].position)
             if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, to_shape * direction, max_t):
                 return True
+    if world.swaying_count > 0:  # noqa: SIM102 - Warp evaluates both sides of an `and`
+        if blocked_by_moving(world, world.swaying, world.first_swaying, origin, direction, max_t):
+            return True
+    if world.roaming_count > 0:  # noqa: SIM102
+        if blocked_by_moving(world, world.roaming, world.first_roaming, origin, direction, max_t):
+            return True
     return blocked_by_vehicle(world.vehicle, origin, direction, max_t)
 
 
@@ -241,6 +303,8 @@ def surface_normal(world: Geometry, hit: Hit, p: wp.vec3):
         first = world.placed[hit.instance].first_corner + 3 * hit.face
         local = blend(world.normals, world.corners, first, hit.u, hit.v)
         normal = world.placed[hit.instance].rotation * wp.cw_div(local, world.placed[hit.instance].scale)
+        if world.swaying_count > 0 and hit.instance >= world.first_swaying:  # sheared besides
+            normal = wp.transpose(world.placed[hit.instance].to_shape) * local
     elif hit.instance == VEHICLE:
         body = blend(world.vehicle.normals, world.vehicle.corners, 3 * hit.face, hit.u, hit.v)
         normal = world.vehicle.rotation * body

@@ -14,7 +14,9 @@ from oysterbench.render.casting import (
     Hit,
     blend,
     blocked,
+    blocked_by_moving,
     cast,
+    near_roaming,
     near_vehicle,
     surface_normal,
 )
@@ -68,6 +70,8 @@ def sunlit(
     under = wp.bool(False)
     if world.vehicle.mesh != wp.uint64(0):
         under = near_vehicle(world.vehicle, p, towards)
+    if not under:
+        under = near_roaming(world, p, towards, FAR_M)
     wanted = under
     if not wanted:
         wanted = needs_shadow_ray(looks, optics, instance, p)
@@ -194,6 +198,10 @@ def lamp_light(world: Geometry, lamps: Any, p: wp.vec3, n: wp.vec3, smooth: wp.v
                 if arriving[1] > least:
                     start = p + smooth * (0.0005 + 0.0005 * t)
                     lit = not blocked(world, start, apart / distance, wp.min(LAMP_SHADOW_M, distance - 0.03), 0)
+                    if lit and world.roaming_count > 0:  # fish throw shadows from farther off
+                        lit = not blocked_by_moving(
+                            world, world.roaming, world.first_roaming, start, apart / distance, distance - 0.03
+                        )
                 if lit:
                     light += arriving
     return light
@@ -288,10 +296,10 @@ def trace(
         kind = wp.uint8(1)
         if hit.instance >= 0:
             kind = world.placed[hit.instance].kind
-            number = wp.uint16(hit.instance + 1)
+            number = world.placed[hit.instance].number
         elif hit.instance == VEHICLE:
             kind = VEHICLE_KIND
-            number = wp.uint16(world.count + 1)
+            number = world.vehicle.number
     depth[row, column] = distance
     classes[row, column] = kind
     instances[row, column] = number

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.render.casting import NOTHING, Geometry, Hit, blocked
+from oysterbench.render.casting import NOTHING, Geometry, Hit, blocked, near_roaming
 from oysterbench.render.looks import Looks, crowded
 from oysterbench.render.optics import Optics, shadows_lost
 from oysterbench.render.target import KERNEL_OPTIONS
@@ -38,6 +38,8 @@ def occlude(
         wanted = hit.instance >= 0
         if not wanted:
             wanted = crowded(looks, p)
+        if not wanted:
+            wanted = near_roaming(world, p, normal, optics.occlusion)
         if wanted:
             wanted = not shadows_lost(optics, p, hit.t * wp.length(direction))
         if wanted:

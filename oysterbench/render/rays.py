@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +14,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.render.casting import NOTHING, Geometry, cast, surface_normal
 from oysterbench.render.target import KERNEL_OPTIONS, start_warp
 from oysterbench.render.upload import upload_geometry
+from oysterbench.scene.life import Life
 from oysterbench.scene.world import World
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -38,11 +41,22 @@ class Echoes:
 class RayCaster:
     """Casts rays into a world, which goes to the device once. The vehicle is not in it: it carries the sensors."""
 
-    def __init__(self, world: World, device: str = "cpu") -> None:
+    def __init__(self, world: World, device: str = "cpu", life: Life | None = None) -> None:
         start_warp()
         self.world = world
         self.device = device
-        self._geometry, self._kept = upload_geometry(world, device)
+        self._geometry, self._movers, self._kept = upload_geometry(world, device, life)
+
+    @contextmanager
+    def at(self, time_s: float) -> Iterator[None]:
+        """Meanwhile, what moves by itself is where it is at a time; at all others nothing roams and no plant sways."""
+        if self._movers is not None:
+            self._movers.move(time_s)
+        try:
+            yield
+        finally:
+            if self._movers is not None:
+                self._movers.move(None)
 
     def cast(self, origins: Array, directions: Array, max_range: float) -> Echoes:
         """Echoes of rays from origins (N, 3) or (3,) m along unit directions (N, 3), in `map`, up to max_range m."""
@@ -93,7 +107,7 @@ def listen(
         kind = wp.uint8(1)
         if hit.instance >= 0:
             kind = world.placed[hit.instance].kind
-            number = wp.uint16(hit.instance + 1)
+            number = world.placed[hit.instance].number
     ranges[i] = distance
     normals[i] = normal
     classes[i] = kind

@@ -10,6 +10,7 @@ import warp as wp
 
 from oysterbench.recipe import ReefRecipe
 from oysterbench.render.arithmetic import clamped, greater
+from oysterbench.render.coats import fish_coat, mottle
 from oysterbench.render.noise import fleck, kept, lattice, noise2, noise3, pebble, scramble, step_smoothly, unit
 from oysterbench.scene.instances import CLASS_NUMBERS
 
@@ -19,6 +20,10 @@ OYSTER = wp.constant(wp.uint8(CLASS_NUMBERS["oyster"]))
 HASH = wp.constant(wp.uint8(CLASS_NUMBERS["hash"]))
 PLANT = wp.constant(wp.uint8(CLASS_NUMBERS["plant"]))
 SPONGE = wp.constant(wp.uint8(CLASS_NUMBERS["sponge"]))
+FISH = wp.constant(wp.uint8(CLASS_NUMBERS["fish"]))
+CRAB = wp.constant(wp.uint8(CLASS_NUMBERS["crab"]))
+DEBRIS = wp.constant(wp.uint8(CLASS_NUMBERS["debris"]))
+TETHER = wp.constant(wp.uint8(CLASS_NUMBERS["tether"]))
 
 SHELL_HASH = wp.constant(wp.vec3(0.520, 0.490, 0.420))
 PEBBLE = wp.constant(wp.vec3(0.050, 0.048, 0.042))
@@ -342,6 +347,15 @@ def instance_material(
         material = plant(mark, normal, colour, ground, footprint, seed)
     elif kind == SPONGE:
         material = sponge(q, normal, rotation, colour, ground, footprint, seed)
+    elif kind == FISH:
+        material.albedo = fish_coat(mark, colour, height, footprint, seed)
+        material.normal = normal
+    elif kind == CRAB:
+        material.albedo = wp.cw_mul(mark, colour) * mottle(q, 0.18 * height, footprint, seed)
+        material.normal = normal
+    elif kind == DEBRIS or kind == TETHER:  # noqa: SIM109
+        material.albedo = wp.cw_mul(mark, colour) * mottle(q, 0.012, footprint, seed)
+        material.normal = normal
     else:
         material = stone(q, normal, rotation, colour, silt, ground, footprint, seed)
     return material

@@ -14,10 +14,14 @@ from oysterbench.render import kernels
 from oysterbench.render.casting import Geometry, Placed, Vehicle
 from oysterbench.render.light import Light, shadow_reach
 from oysterbench.render.looks import Looks
+from oysterbench.render.movers import Meshes, Movers
 from oysterbench.render.optics import Optics
 from oysterbench.render.relief import build_relief
 from oysterbench.render.texture import build_ground
 from oysterbench.render.water import Water
+from oysterbench.scene.clutter import GRASS_M
+from oysterbench.scene.life import Life
+from oysterbench.scene.life.sway import REACH
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.world import World
 
@@ -26,61 +30,55 @@ CREVICE_RISE_M = 0.02
 LEAF_TRIANGLES = 4  # of the meshes' trees: measured best
 VEHICLE_MARGIN_M = 1e-3  # of the box around it
 LEAST_SUN = 1e-6
+SWAY_M = REACH * GRASS_M[1]  # that tips sway at most
 CLEAR_BOUNCE = 0.16  # albedo of the bottom as seen by a surface that faces down
 
 
-def upload_geometry(world: World, device: str) -> tuple[Geometry, list[Any]]:
-    """The world's arrays, meshes and tree of boxes on the device, and what must be kept as long as they are used."""
+def upload_geometry(world: World, device: str, life: Life | None = None) -> tuple[Geometry, Movers | None, list[Any]]:
+    """The world's arrays, meshes and tree of boxes on the device, what moves in it if there is life, and what must be
+    kept as long as they are used."""
     instances = world.instances
     terrain = world.terrain
+    shapes = (*world.meshes, *(() if life is None else life.meshes))
     start, step = terrain.coordinates[terrain.rim], np.diff(terrain.coordinates)[terrain.rim]
     skirt = terrain.skirt()
     skirt_mesh = _mesh(skirt.vertices, skirt.faces, device)
-    library = [_mesh(mesh.vertices, mesh.faces, device) for mesh in world.meshes]
-    corner_counts = [mesh.faces.size for mesh in world.meshes]
-    vertex_counts = [len(mesh.vertices) for mesh in world.meshes]
-    first_corner = np.cumsum([0, *corner_counts[:-1]])
+    library = [_mesh(mesh.vertices, mesh.faces, device) for mesh in shapes]
+    vertex_counts = [len(mesh.vertices) for mesh in shapes]
     first_vertex = np.cumsum([0, *vertex_counts[:-1]])
-    corners = [m.faces.ravel() + start for m, start in zip(world.meshes, first_vertex, strict=True)]
-    ids = np.array([mesh.id for mesh in library], dtype=np.uint64)
+    corners = [m.faces.ravel() + start for m, start in zip(shapes, first_vertex, strict=True)]
+    meshes = Meshes(library, [mesh.faces.size for mesh in shapes])
     geometry = Geometry()
     geometry.relief = build_relief(terrain.square, float(start), float(step), device)
     geometry.skirt = skirt_mesh.id
     geometry.skirt_corners = skirt_mesh.indices
     geometry.skirt_normals = wp.array(skirt.normals, dtype=wp.vec3, device=device)
-    geometry.count = len(instances)
     geometry.corners = wp.array(np.concatenate(corners), dtype=wp.int32, device=device)
-    normals = np.concatenate([mesh.normals for mesh in world.meshes])
+    normals = np.concatenate([mesh.normals for mesh in shapes])
     geometry.normals = wp.array(normals, dtype=wp.vec3, device=device)
-    marks = np.concatenate([mesh.marks for mesh in world.meshes])
+    marks = np.concatenate([mesh.marks for mesh in shapes])
     geometry.marks = wp.array(marks, dtype=wp.vec3, device=device)
-    placed: NDArray[Any] = np.zeros(len(instances), dtype=Placed.numpy_dtype())  # type: ignore[attr-defined]
-    placed["to_shape"] = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
-    placed["position"] = instances.positions
-    placed["mesh"] = ids[instances.shapes]
-    placed["rotation"] = instances.rotations
-    placed["scale"] = instances.scales
-    placed["first_corner"] = first_corner[instances.shapes]
-    placed["colour"] = instances.colours
-    placed["silt"] = instances.silt
-    placed["kind"] = instances.classes
+    placed = meshes.rows(instances)
     geometry.placed = wp.array(placed, dtype=Placed, device=device)
     kept: list[Any] = [skirt_mesh, *library]
-    if len(instances):
-        lowers, uppers = world.boxes()
+    movers = None if life is None else Movers(geometry, world, life, meshes, placed, device)
+    geometry.count = len(instances) if movers is None else movers.first
+    if geometry.count:
+        lowers, uppers = (corner[: geometry.count] for corner in world.boxes())
         boxes = wp.Bvh(wp.array(lowers, dtype=wp.vec3, device=device), wp.array(uppers, dtype=wp.vec3, device=device))
         geometry.boxes = boxes.id
         kept.append(boxes)
-    return geometry, kept
+    return geometry, movers, kept
 
 
-def upload_vehicle(mesh: Mesh | None, device: str) -> tuple[Vehicle, list[Any]]:
-    """A rig's body on the device, not yet placed; mesh 0 for none."""
+def upload_vehicle(mesh: Mesh | None, number: int, device: str) -> tuple[Vehicle, list[Any]]:
+    """A rig's body on the device, not yet placed; mesh 0 for none. number: in instance images."""
     vehicle = Vehicle()
     if mesh is None:
         return vehicle, []
     body = _mesh(mesh.vertices, mesh.faces, device)
     vehicle.mesh = body.id
+    vehicle.number = number
     vehicle.corners = body.indices
     vehicle.normals = wp.array(mesh.normals, dtype=wp.vec3, device=device)
     vehicle.marks = wp.array(mesh.marks, dtype=wp.vec3, device=device)
@@ -107,10 +105,12 @@ def upload_looks(world: World, recipe: SequenceRecipe, fan: NDArray[np.float32],
     blurred = ndimage.gaussian_filter(raised, CREVICE_BLUR_CELLS)
     looks.envelope = wp.array(np.round(blurred, 6).astype(np.float32), dtype=wp.float32, device=device)
     reach = shadow_reach(world.envelope, ground, cell, fan, float(kernels.SHADOW_M))
+    swaying = 2 * int(np.ceil(SWAY_M / cell)) + 1 if recipe.life.sway else 1
+    reach = ndimage.maximum_filter(reach, size=swaying)
     looks.reach = wp.array(reach.astype(np.uint8), dtype=wp.uint8, device=device)
     if recipe.light.occlusion_m > 0:
         cells = int(np.ceil(recipe.light.occlusion_m / cell)) + 1
-        near = ndimage.maximum_filter(things, size=2 * cells + 1)
+        near = ndimage.maximum_filter(things, size=2 * cells + swaying)
         looks.near = wp.array(near.astype(np.uint8), dtype=wp.uint8, device=device)
     return looks
 

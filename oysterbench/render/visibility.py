@@ -11,6 +11,26 @@ from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 wp.set_module_options(KERNEL_OPTIONS)
 
 
+@wp.func
+def count_moving(
+    world: Geometry,
+    tree: wp.uint64,
+    first: int,
+    origin: wp.vec3,
+    direction: wp.vec3,
+    end: float,
+    counts: wp.array(dtype=wp.int32),
+):
+    """Count, for a ray, what moves on its way; of things in pieces each piece."""
+    query = wp.bvh_query_ray(tree, origin, direction)
+    i = wp.int32(0)
+    while wp.bvh_query_next(query, i, end):
+        to_shape = world.placed[first + i].to_shape
+        start = to_shape * (origin - world.placed[first + i].position)
+        if wp.mesh_query_ray_anyhit(world.placed[first + i].mesh, start, to_shape * direction, end):
+            wp.atomic_add(counts, int(world.placed[first + i].number), 1)
+
+
 @wp.kernel
 def count_unhidden(world: Geometry, view: CameraView, counts: wp.array(dtype=wp.int32)):
     """Pixels in which each instance would be seen if it were alone."""
@@ -24,9 +44,13 @@ def count_unhidden(world: Geometry, view: CameraView, counts: wp.array(dtype=wp.
         while wp.bvh_query_next(query, i, end):
             start = world.placed[i].to_shape * (origin - world.placed[i].position)
             if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, world.placed[i].to_shape * direction, end):
-                wp.atomic_add(counts, i + 1, 1)
+                wp.atomic_add(counts, int(world.placed[i].number), 1)
+    if world.swaying_count > 0:
+        count_moving(world, world.swaying, world.first_swaying, origin, direction, end, counts)
+    if world.roaming_count > 0:
+        count_moving(world, world.roaming, world.first_roaming, origin, direction, end, counts)
     if world.vehicle.mesh != wp.uint64(0) and near_vehicle(world.vehicle, origin, direction):
         back = wp.transpose(world.vehicle.rotation)
         start = back * (origin - world.vehicle.position)
         if wp.mesh_query_ray_anyhit(world.vehicle.mesh, start, back * direction, end):
-            wp.atomic_add(counts, world.count + 1, 1)
+            wp.atomic_add(counts, int(world.vehicle.number), 1)

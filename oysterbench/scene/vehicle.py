@@ -28,14 +28,16 @@ UPRIGHT_THRUSTERS = ((0.0, 0.115), (0.0, -0.115))
 LAMPS_Y_M = (-0.12, 0.12)
 
 
-def build_vehicle(rig: RigRecipe) -> Mesh | None:
-    """The rig's body in base_link, m, with albedos as marks; None for a rig without one.
+def build_vehicle(rig: RigRecipe, with_tether: bool = True) -> Mesh | None:
+    """The rig's body in base_link, m, with albedos as marks; None for a rig without one. with_tether: with a stiff bow
+    of it at its stern.
 
     Sizes after the maker's drawing of the BlueROV2: 457 x 338 x 254 mm, a 4-inch and a 3-inch tube along x.
     """
     if rig.vehicle == "none":
         return None
-    return join_meshes([*_frame(), *_floats(), *_tubes(), *_thrusters(), *_lamps(), *_tether()])
+    tether = _tether() if with_tether else []
+    return join_meshes([*_frame(), *_floats(), *_tubes(), *_thrusters(), *_lamps(), *tether])
 
 
 def _frame() -> list[Mesh]:

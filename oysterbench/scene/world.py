@@ -60,7 +60,11 @@ class World:
 
     def of_class(self, name: str) -> Instances:
         """The rows of the instance table that are of a class of recipe.CLASSES."""
-        return self.instances.take(self.instances.classes == CLASS_NUMBERS[name])
+        return self.instances.take(self.of_class_mask(name))
+
+    def of_class_mask(self, name: str) -> NDArray[np.bool_]:
+        """Which rows (N,) of the instance table are of a class of recipe.CLASSES."""
+        return np.asarray(self.instances.classes == CLASS_NUMBERS[name])
 
     def oyster_table(self) -> pd.DataFrame:
         """The truth about each oyster, a row each.

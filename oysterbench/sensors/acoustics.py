@@ -15,8 +15,9 @@ BOTTOM_DB = {"mud": -32.0, "sand": -24.0, "gravel": -17.0, "shell": -16.0}
 APL-UW 1994 (TR 9407, sec. IV); what is measured on bottoms of one name spreads by 5 dB and more each way."""
 
 CLASS_DB = {"oyster": -13.0, "stone": -14.0, "plant": -26.0, "sponge": -22.0, "vehicle": -8.0, "hash": -16.0}
-"""The same of what lies on it: engineering values; shell and stone are rough and as hard as gravel or harder, plants
-and sponges nearly water."""
+CLASS_DB |= {"fish": -14.0, "crab": -15.0, "debris": -26.0, "tether": -18.0}
+"""The same of what lies on it and swims over it: engineering values; shell and stone are rough and as hard as gravel or
+harder, plants, sponges and debris nearly water, and fish sound by their bladders."""
 
 NEAREST_M = 0.01  # closer to a transducer than this, its far field is not what is heard
 
@@ -52,7 +53,7 @@ def absorption(site: SiteRecipe, depth_m: float, frequency_khz: float) -> float:
 
 
 def backscatter(bottom: str) -> Array:
-    """Lambert's mu (8,) of each class of recipe.CLASSES, over a bottom of a kind of recipe.BOTTOMS; 0 for water.
+    """Lambert's mu (12,) of each class of recipe.CLASSES, over a bottom of a kind of recipe.BOTTOMS; 0 for water.
 
     A patch dA seen at the angle theta from its normal sends back mu cos^2(theta) dA per unit solid angle of what
     arrives on a unit of area (Lambert's law).

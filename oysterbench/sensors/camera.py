@@ -43,10 +43,12 @@ LAYERS = {
     "backscatter": "32FC3",
     "snow": "32FC3",
     "visibility": "32FC1",
+    "dynamic": "mono8",
+    "flow": "32FC2",
 }
 """Layers of a camera and their encodings. Depth in mm along the optical axis, 0 = none (REP 118)."""
 
-PIXELS = {"mono8": ("u1", 1), "16UC1": ("<u2", 1), "32FC1": ("<f4", 1), "32FC3": ("<f4", 3)}
+PIXELS = {"mono8": ("u1", 1), "16UC1": ("<u2", 1), "32FC1": ("<f4", 1), "32FC2": ("<f4", 2), "32FC3": ("<f4", 3)}
 """Encodings: type of a number, and numbers in a pixel."""
 
 
@@ -115,20 +117,26 @@ class Shot:
 
 def shot(world: SensedWorld, camera: CameraRecipe, index: int) -> Shot:
     """How frame `index` is taken, at index / rate_hz seconds."""
-    from oysterbench.render.passage import passage
-    from oysterbench.scene.rig import camera_pose
-
     time_s = index / camera.rate_hz
-    mount = camera_pose(camera)
-    (body,) = world.bodies(np.array([time_s]))
     exposure = world.renderers[camera.name].exposure
     if camera.auto_exposure:
         exposure = exposures(world, camera).of(index)
+    T_map_cam, T_map_base, moved = _passing(world, camera, time_s, exposure.shutter_s)
+    return Shot(T_map_cam, T_map_base, time_s, moved, exposure)
+
+
+def _passing(world: SensedWorld, camera: CameraRecipe, time_s: float, shutter_s: float) -> tuple[Array, Array, Passage]:
+    """T_map_cam and T_map_base (4, 4) at a time, and how the camera moves while the shutter is open about it."""
+    from oysterbench.render.passage import passage
+    from oysterbench.scene.rig import camera_pose
+
+    mount = camera_pose(camera)
+    (body,) = world.bodies(np.array([time_s]))
 
     def poses(after_s: Array) -> list[Array]:
         return [body @ mount for body in world.bodies(time_s + after_s)]
 
-    return Shot(body @ mount, body, time_s, passage(camera, exposure.shutter_s, poses), exposure)
+    return body @ mount, body, passage(camera, shutter_s, poses)
 
 
 def render_frame(world: SensedWorld, camera: CameraRecipe, index: int) -> Frame:
@@ -144,9 +152,13 @@ def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[
     wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
     if not wanted:
         return {}
+    from oysterbench.render.camera import Moment
+
     taken = shot(world, camera, index)
+    next_s = (index + 1) / camera.rate_hz
+    following = Moment(next_s, *_passing(world, camera, next_s, 0.0))
     found = world.renderers[camera.name].layers(
-        taken.T_map_cam, [*wanted, "instances"], taken.time_s, taken.T_map_base, taken.passage
+        taken.T_map_cam, [*wanted, "instances"], taken.time_s, taken.T_map_base, taken.passage, following
     )
     layers: dict[str, NDArray[Any]] = dict(found)
     if "visibility" in layers:

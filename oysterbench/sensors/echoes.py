@@ -141,7 +141,7 @@ def send(
 ) -> Returns:
     """Cast rays from a pose and weigh what they meet.
 
-    mu (8,): of the classes. fill: power of a perfect scatterer that fills the beam at 1 m. Each ray stands for its
+    mu (12,): of the classes. fill: power of a perfect scatterer that fills the beam at 1 m. Each ray stands for its
     solid angle, so that a patch sends back the same however many rays meet it.
     """
     rotation = T_map_sonar[:3, :3]

@@ -358,7 +358,9 @@ class Sonar(SensorKind[SonarRecipe, SonarCalibration, Any]):
         site, bottom = world.recipe.site, world.recipe.reef.bottom
         sonar = world.instrument(recipe, lambda: ImagingSonar(world.caster, recipe, site, bottom))
         for index, body in zip(at.wanted.tolist(), world.bodies(at.times_s[at.wanted]), strict=True):
-            yield sonar.ping(body, world.streams, index, int(at.stamps_ns[index]))
+            with world.caster.at(float(at.times_s[index])):
+                ping = sonar.ping(body, world.streams, index, int(at.stamps_ns[index]))
+            yield ping
 
     def faults(self, world: SensedWorld, recipe: SonarRecipe) -> list[Fault]:
         """Pulses of others that reach into its fan, by their azimuth."""

@@ -42,6 +42,8 @@ __all__ = [
     "CALIBRATION",
     "FAULTS",
     "METADATA",
+    "MOVING",
+    "MOVING_POSES",
     "OYSTERS",
     "STEERING",
     "TRUE_CALIBRATION",
@@ -61,6 +63,8 @@ FAULTS = "truth/faults.csv"
 FRAMES = "truth/frames.csv"
 """How each frame was truly taken, where cameras adapt or repeat: camera, stamp_ns, shown_ns, exposure_ms, gain, and the
 white balance red, green, blue."""
+MOVING = "truth/moving.csv"
+MOVING_POSES = "truth/moving_poses.csv"
 
 
 class McapSequence(Sequence):
@@ -197,6 +201,24 @@ class McapSequence(Sequence):
         import pandas as pd
 
         return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[STEERING])))
+
+    def moving(self) -> pd.DataFrame:
+        """Who moves by itself, a row each: id (as in instance images), class, kind (species or material), group (number
+        of its school), size_m (length, of crabs the width, of the tether its radius). Empty where nothing does."""
+        return self._table_of(MOVING, ["id", "class", "kind", "group", "size_m"])
+
+    def moving_poses(self) -> pd.DataFrame:
+        """Where they are, a row for each and each stamp of the layers: stamp_ns, id, and the pose of its frame in `map`
+        (x to the nose, z to the back): x, y, z (m), qx, qy, qz, qw. Of the tether, that of its end at the stern."""
+        return self._table_of(MOVING_POSES, ["stamp_ns", "id", *"xyz", "qx", "qy", "qz", "qw"])
+
+    def _table_of(self, attachment: str, columns: list[str]) -> pd.DataFrame:
+        """A table of truth that is there where it has rows."""
+        import pandas as pd
+
+        if attachment not in self.attachments:
+            return pd.DataFrame(columns=columns)
+        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[attachment])))
 
     def _check(self, name: str, known: Mapping[str, Any], kind: str) -> None:
         if name not in known:

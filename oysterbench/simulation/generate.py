@@ -27,7 +27,7 @@ from oysterbench.core.files import home, locked, write_atomically
 from oysterbench.core.geometry import Array
 from oysterbench.core.ros import EPOCH_NS, TF_STATIC, Message
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, count
+from oysterbench.recipe import CLASSES, REEF_CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, count
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors.registry import calibrate_rig, kind_of, rig_frames, rig_sensors
 from oysterbench.sequence.file import read_attachments, read_messages
@@ -36,6 +36,8 @@ from oysterbench.sequence.read import (
     FAULTS,
     FRAMES,
     METADATA,
+    MOVING,
+    MOVING_POSES,
     OYSTERS,
     STEERING,
     TRUE_CALIBRATION,
@@ -254,6 +256,7 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
     from oysterbench.simulation.sensor_simulation import (
         faults_csv,
         frames_csv,
+        moving_csvs,
         oyster_csv,
         sensor_messages,
         small_messages,
@@ -274,6 +277,8 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
         faults = faults_csv(simulated)
         if faults is not None:
             tables[FAULTS] = faults
+        if simulated.recipe.life.moves:
+            tables[MOVING], tables[MOVING_POSES] = moving_csvs(simulated)
         if split.steering is not None:
             from oysterbench.simulation.steering.labels import steering_csv
 
@@ -312,7 +317,8 @@ def assemble(
             },
         )
         writer.attachment(CALIBRATION, "application/json", json.dumps(calibration.given, indent=1).encode())
-        writer.attachment("classes.json", "application/json", json.dumps(CLASSES).encode())
+        classes = CLASSES if recipe.life.moves else REEF_CLASSES
+        writer.attachment("classes.json", "application/json", json.dumps(classes).encode())
         writer.attachment("split.toml", "application/toml", split.source.encode())
         writer.attachment("rig.toml", "application/toml", split.rig_source.encode())
         for name, table in read_attachments(parts / Job(recipe.name).part).items():

@@ -24,6 +24,7 @@ from oysterbench.simulation.simulated_sequence import SimulatedSequence
 
 TRUTH_STEP = 1e-6  # m, m/s and rad/s
 ATTITUDE_STEP = 1e-7  # of a unit quaternion
+UNSEEN_RATE_HZ = 1.0  # of the poses of what moves, where no camera has layers
 
 
 def sensor_messages(
@@ -125,3 +126,15 @@ def faults_csv(simulated: SimulatedSequence) -> bytes | None:
         for fault in kind.faults(simulated, recipe)
     ]
     return fault_csv(found, EPOCH_NS) if found else None
+
+
+def moving_csvs(simulated: SimulatedSequence) -> tuple[bytes, bytes]:
+    """Who moves by itself (`Life.table`), and where it is at the stamps of the layers of the camera that has the most,
+    or once a second (`Life.poses`), as CSV."""
+    assert simulated.life is not None
+    rate = max((camera.layer_rate_hz for camera in simulated.rig.camera), default=0.0) or UNSEEN_RATE_HZ
+    n = count(simulated.recipe.duration_s, rate)
+    poses = simulated.life.poses(np.arange(n) / rate, clock.stamps(n, rate, EPOCH_NS))
+    tables = (simulated.life.table(), poses)
+    who, where = (table.to_csv(index=False, lineterminator="\n", float_format="%.10g").encode() for table in tables)
+    return who, where

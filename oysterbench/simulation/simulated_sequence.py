@@ -13,6 +13,7 @@ from oysterbench.recipe import RigRecipe, SequenceRecipe, SplitRecipe, draw
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.render.camera import CameraRenderer
 from oysterbench.render.rays import RayCaster
+from oysterbench.scene.life import Life, build_life
 from oysterbench.scene.path import Path, build_path
 from oysterbench.scene.plumes import Plumes, build_plumes
 from oysterbench.scene.world import World, build_world
@@ -32,13 +33,16 @@ class SimulatedSequence:
     path: Path
     streams: Streams
     device: str = "cpu"
+    life: Life | None = None
 
     @cached_property
     def renderers(self) -> dict[str, CameraRenderer]:
         """A renderer for each camera."""
         return {
-            c.name: CameraRenderer(self.world, c, self.recipe, self.device, rig=self.rig, plumes=self.plumes)
-            for c in self.rig.camera
+            camera.name: CameraRenderer(
+                self.world, camera, self.recipe, self.device, self.rig, plumes=self.plumes, life=self.life
+            )
+            for camera in self.rig.camera
         }
 
     @cached_property
@@ -49,7 +53,7 @@ class SimulatedSequence:
     @cached_property
     def caster(self) -> RayCaster:
         """Single rays, for what hears."""
-        return RayCaster(self.world, self.device)
+        return RayCaster(self.world, self.device, self.life)
 
     @cached_property
     def calibration(self) -> RigCalibration:
@@ -85,4 +89,5 @@ def build_sequence(split: SplitRecipe, name: str, salt: bytes, device: str = "cp
     )
     world = build_world(recipe, streams)
     path = build_path(recipe, world.ground_height, world.obstacle_height, streams)
-    return SimulatedSequence(split.rig_of(recipe), recipe, world, path, streams, device)
+    life = build_life(recipe, world, path, streams)
+    return SimulatedSequence(split.rig_of(recipe), recipe, world, path, streams, device, life)

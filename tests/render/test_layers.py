@@ -32,7 +32,7 @@ def full():
 
 
 def test_layers_add_up_to_the_picture_before_noise(full):
-    layers = full.layers(PLACE, LAYERS, time_s=1.0)
+    layers = full.layers(PLACE, [name for name in LAYERS if name != "flow"], time_s=1.0)
     total = layers["direct"] + layers["forward_scatter"] + layers["backscatter"] + layers["snow"]
     assert total == pytest.approx(layers["radiance"], abs=1e-5)
     frame = full.render(PLACE, noise(), time_s=1.0)

@@ -1,0 +1,72 @@
+"""Optical flow: where what a pixel shows is at the next moment, in space and in the picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench.recipe import CameraRecipe
+from oysterbench.render.casting import NOTHING, VEHICLE, Geometry, Hit, Placed
+from oysterbench.render.lens import project
+from oysterbench.render.passage import Passage
+from oysterbench.render.target import KERNEL_OPTIONS
+from oysterbench.render.view import CameraView, pixel_ray, pixel_start
+
+wp.set_module_options(KERNEL_OPTIONS)
+
+NEAREST_M = 0.01  # before the camera's pupil: what is nearer has no flow
+ROW_STEPS = 4  # in which the row is found that a point comes to lie in, where rows are exposed one after another
+
+
+@wp.kernel
+def carry(
+    world: Geometry,
+    view: CameraView,
+    hits: wp.array2d(dtype=Hit),
+    moved: wp.array(dtype=Placed),
+    first: int,
+    vehicle_rotation: wp.mat33,
+    vehicle_position: wp.vec3,
+    points: wp.array2d(dtype=wp.vec3),
+):
+    """Where, in `map`, the points that pixels show are at the next moment: the rows from `first` on as in `moved`, and
+    the vehicle at its next pose; all else stays."""
+    row, column = wp.tid()
+    hit = hits[row, column]
+    p = pixel_start(view, row, column) + pixel_ray(view, row, column) * hit.t
+    if hit.instance == VEHICLE:
+        back = wp.transpose(world.vehicle.rotation)
+        p = vehicle_rotation * (back * (p - world.vehicle.position)) + vehicle_position
+    elif hit.instance >= first and hit.instance != NOTHING:
+        then = moved[hit.instance - first]
+        a = wp.mesh_get_point(then.mesh, 3 * hit.face)
+        b = wp.mesh_get_point(then.mesh, 3 * hit.face + 1)
+        c = wp.mesh_get_point(then.mesh, 3 * hit.face + 2)
+        local = a * hit.u + b * hit.v + c * (1.0 - hit.u - hit.v)
+        p = wp.inverse(then.to_shape) * local + then.position
+    points[row, column] = p
+
+
+def project_motion(
+    points: NDArray[np.float32], within: NDArray[np.bool_], T_map_cam: Array, passage: Passage, camera: CameraRecipe
+) -> NDArray[np.float32]:
+    """Motion (H, W, 2) px from each pixel's centre to where a camera at its next pose images its point (H, W, 3), m in
+    `map`; NaN outside `within` (H, W), and for what is behind the camera. passage: of the next picture."""
+    rows, columns = np.nonzero(within)
+    aims = points[rows, columns].astype(float)
+    poses = np.asarray(T_map_cam, dtype=float)[None] if passage.rows is None else passage.rows
+    found = np.full((len(rows), 2), np.nan)
+    pose = np.full(len(rows), len(poses) // 2)
+    # Each row has a pose of its own, and which row a point comes to lie in depends on that row's.
+    for _ in range(1 if passage.rows is None else ROW_STEPS):
+        T = poses[pose]
+        seen = np.einsum("nji,nj->ni", T[:, :3, :3], aims - T[:, :3, 3])
+        ahead = seen[:, 2] > NEAREST_M
+        found[ahead] = project(seen[ahead], camera)
+        found[~ahead] = np.nan
+        pose = np.clip(np.nan_to_num(np.rint(found[:, 1] + 1)), 0, len(poses) - 1).astype(np.int64)
+    motion = np.full((*within.shape, 2), np.nan, dtype=np.float32)
+    motion[rows, columns] = np.round(found - np.column_stack([columns, rows]), 4)
+    return motion

@@ -1,0 +1,149 @@
+"""What moves by itself, on a device: rows of Geometry.placed that are placed anew for each moment, with own trees.
+
+Swaying plants keep their tree, whose boxes are fitted anew; what roams has one built anew, for a moment's tree must not
+depend on which moments came before.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from oysterbench.render.casting import Geometry, Placed
+from oysterbench.scene.instances import Instances
+from oysterbench.scene.life import Life
+from oysterbench.scene.world import World
+
+Rows = NDArray[Any]
+"""Rows (N,) of the structure Placed."""
+
+MARGIN_M = 1e-4  # of boxes about shapes
+
+
+class Meshes:
+    """Where each mesh of a device's library is: ids (K,) uint64 and first_corner (K,)."""
+
+    def __init__(self, library: list[wp.Mesh], corner_counts: list[int]) -> None:
+        self.ids = np.array([mesh.id for mesh in library], dtype=np.uint64)
+        self.first_corner = np.cumsum([0, *corner_counts[:-1]])
+
+    def rows(self, instances: Instances, first_shape: int = 0) -> Rows:
+        """Rows of a table whose shapes count from first_shape of the library."""
+        shapes = instances.shapes + first_shape
+        placed = no_rows(len(instances))
+        placed["to_shape"] = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
+        placed["position"] = instances.positions
+        placed["mesh"] = self.ids[shapes]
+        placed["rotation"] = instances.rotations
+        placed["scale"] = instances.scales
+        placed["first_corner"] = self.first_corner[shapes]
+        placed["colour"] = instances.colours
+        placed["silt"] = instances.silt
+        placed["kind"] = instances.classes
+        placed["number"] = instances.ids
+        return placed
+
+
+def no_rows(count: int = 0) -> Rows:
+    """Rows of zeros."""
+    return np.zeros(count, dtype=Placed.numpy_dtype())  # type: ignore[attr-defined]
+
+
+def _joined(first: Rows, second: Rows) -> Rows:
+    """Rows after rows; numpy's own concatenation would pack them more closely than the device does."""
+    rows = no_rows(len(first) + len(second))
+    rows[: len(first)], rows[len(first) :] = first, second
+    return rows
+
+
+class Movers:
+    """Moves what moves in a geometry. Its rows are the last: first the plants that sway, then what roams."""
+
+    def __init__(self, geometry: Geometry, world: World, life: Life, meshes: Meshes, rows: Rows, device: str) -> None:
+        """rows (N,): of the world alone; the geometry's are made here."""
+        self._geometry, self._life, self._meshes, self._device = geometry, life, meshes, device
+        self._shapes = len(world.meshes)
+        self.first = len(rows) if life.sway is None else int(life.sway.rows[0])
+        self._still = rows[self.first :]
+        lowers, uppers = (corner[self.first :].astype(float) for corner in world.boxes())
+        self._low, self._high = (c - self._still["position"].astype(float) for c in (lowers, uppers))
+        bounds = [(mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)) for mesh in life.meshes]
+        self._boxes = np.array(bounds, dtype=float).reshape(-1, 2, 3)
+        moving = self.rows_at(0.0)
+        geometry.placed = wp.array(_joined(rows[: self.first], moving), dtype=Placed, device=device)
+        geometry.first_roaming = self.first + len(self._still)
+        self._roamers = len(moving) - len(self._still)
+        self._swaying = self._tree(lowers, uppers)
+        self._roaming = self._tree(*self._bounds(moving[len(self._still) :]))
+        if self._swaying is not None:
+            geometry.first_swaying, geometry.swaying_count = self.first, len(self._still)
+            geometry.swaying = self._swaying.id
+        if self._roaming is not None:
+            geometry.roaming = self._roaming.id
+        self.move(None)
+
+    def move(self, time_s: float | None) -> None:
+        """Place everything as it is at a time; with None, plants stand still and nothing roams."""
+        moving = _joined(self._still, no_rows(self._roamers)) if time_s is None else self.rows_at(time_s)
+        wp.copy(self._geometry.placed, wp.array(moving, dtype=Placed, device=self._device), dest_offset=self.first)
+        plants, others = np.split(moving, [len(self._still)])
+        if self._swaying is not None:
+            self._assign(self._swaying, *self._leaning(plants, time_s))
+            self._swaying.refit()
+        self._geometry.roaming_count = 0 if time_s is None else self._roamers
+        if self._geometry.roaming_count:
+            assert self._roaming is not None
+            self._assign(self._roaming, *self._bounds(others))
+            self._roaming.rebuild()
+
+    def rows_at(self, time_s: float) -> Rows:
+        """All moving rows as they are at a time."""
+        plants = self._still.copy()
+        if self._life.sway is not None:
+            x, y, z = self._life.sway.lean(time_s).astype(float).T
+            turn = self._still["to_shape"].astype(float)
+            # Back from the lean, then into the shape: columns of to_shape times the inverse of [[1, 0, x], ...].
+            upright = turn[..., 2] - x[:, None] * turn[..., 0] - y[:, None] * turn[..., 1]
+            plants["to_shape"][..., 2] = upright / z[:, None]
+        if not len(self._life):
+            return plants
+        others = self._meshes.rows(self._life.at(time_s), self._shapes)
+        return _joined(plants, others)
+
+    def _leaning(self, plants: Rows, time_s: float | None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Boxes of the plants: of their still ones, sheared."""
+        assert self._life.sway is not None
+        lean = np.array([[0.0, 0.0, 1.0]]) if time_s is None else self._life.sway.lean(time_s).astype(float)
+        ends = np.stack([self._low[:, 2], self._high[:, 2]])[..., None] * lean
+        low, high = self._low.copy(), self._high.copy()
+        low[:, :2] += ends[..., :2].min(axis=0)
+        high[:, :2] += ends[..., :2].max(axis=0)
+        low[:, 2], high[:, 2] = ends[..., 2].min(axis=0), ends[..., 2].max(axis=0)
+        position = plants["position"].astype(float)
+        return low + position - MARGIN_M, high + position + MARGIN_M
+
+    def _bounds(self, others: Rows) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Boxes of what roams, about the turned boxes of its meshes."""
+        if not len(others):
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        shape = np.searchsorted(self._meshes.first_corner, others["first_corner"], side="right") - 1 - self._shapes
+        scaled = self._boxes[shape] * others["scale"].astype(float)[:, None]
+        middle, half = scaled.mean(axis=1), 0.5 * (scaled[:, 1] - scaled[:, 0])
+        rotation = others["rotation"].astype(float)
+        centre = np.einsum("nij,nj->ni", rotation, middle) + others["position"]
+        reach = np.einsum("nij,nj->ni", np.abs(rotation), half) + MARGIN_M
+        return centre - reach, centre + reach
+
+    def _tree(self, lowers: NDArray[np.float64], uppers: NDArray[np.float64]) -> wp.Bvh | None:
+        if not len(lowers):
+            return None
+        corners = [wp.array(c.astype(np.float32), dtype=wp.vec3, device=self._device) for c in (lowers, uppers)]
+        return wp.Bvh(*corners)
+
+    @staticmethod
+    def _assign(tree: wp.Bvh, lowers: NDArray[np.float64], uppers: NDArray[np.float64]) -> None:
+        tree.lowers.assign(lowers.astype(np.float32))
+        tree.uppers.assign(uppers.astype(np.float32))
