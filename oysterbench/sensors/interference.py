@@ -35,6 +35,18 @@ def volume_power(recipe: BinnedSonarRecipe, absorption_db_m: float) -> Array:
 
 
 @dataclass(frozen=True)
+class Beams:
+    """Where a sonar listens: its pose in `map` (4, 4), azimuths (B,) rad of its beams, and their two-way half-power
+    width, rad. listening: whether they are formed of what is heard alone, as a multibeam sonar's, which sends into its
+    whole fan; else half of the pattern is that of sending."""
+
+    T_map_sonar: Array
+    azimuths: Array
+    width: float
+    listening: bool = False
+
+
+@dataclass(frozen=True)
 class Pulse:
     """A pulse of another's: from azimuth (rad, left of the sonar's x), over ranges from near to far, m."""
 
@@ -65,31 +77,21 @@ def pulse(recipe: BinnedSonarRecipe, T_map_sonar: Array, site: Streams, ping: St
     return Pulse(float(np.arctan2(y, x)), near, near + length)
 
 
-def line_power(recipe: BinnedSonarRecipe, found: Pulse, azimuths: Array, width: float) -> Array:
-    """Power (beams, bins) of a pulse in beams at azimuths (beams,) of a two-way half-power width, rad: heard one way,
-    and as loud at any range, since it has come from one."""
+def line_power(recipe: BinnedSonarRecipe, found: Pulse, beams: Beams) -> Array:
+    """Power (beams, bins) of a pulse: heard one way, and as loud at any range, since it has come from one."""
     ranges = bin_middles(recipe)
     lasting = (ranges >= found.near_m) & (ranges < found.far_m)
-    off = np.angle(np.exp(1j * (azimuths - found.azimuth)))
-    heard = np.where(np.abs(off) < np.pi / 2, np.sqrt(acoustics.beam_pattern(off, width)), 0.0)
+    off = np.angle(np.exp(1j * (beams.azimuths - found.azimuth)))
+    pattern = acoustics.beam_pattern(off, beams.width)
+    heard = np.where(np.abs(off) < np.pi / 2, pattern if beams.listening else np.sqrt(pattern), 0.0)
     return 10 ** (recipe.interference_db / 10) * heard[:, None] * lasting
-
-
-@dataclass(frozen=True)
-class Beams:
-    """Where a sonar listens: its pose in `map` (4, 4), azimuths (B,) rad of its beams, and their two-way half-power
-    width, rad."""
-
-    T_map_sonar: Array
-    azimuths: Array
-    width: float
 
 
 def added_power(recipe: BinnedSonarRecipe, absorption_db_m: float, beams: Beams, site: Streams, ping: Streams) -> Array:
     """Power (B, bins) of water and of others in a ping; site, ping: as for `pulse`."""
     total = np.tile(volume_power(recipe, absorption_db_m), (len(beams.azimuths), 1))
     struck = pulse(recipe, beams.T_map_sonar, site, ping)
-    return total if struck is None else total + line_power(recipe, struck, beams.azimuths, beams.width)
+    return total if struck is None else total + line_power(recipe, struck, beams)
 
 
 def struck_pings(

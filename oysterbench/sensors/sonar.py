@@ -159,7 +159,7 @@ class ImagingSonar:
         """Ping `index`, with the vehicle at T_map_base (4, 4): the image, and the cloud if the recipe asks for one."""
         branch = streams.at("sonar", self.recipe.name, index)
         found = self.listen(T_map_base, branch)
-        beams = Beams(T_map_base @ self._mount, self.azimuths, float(np.radians(self.recipe.beam_deg)))
+        beams = Beams(T_map_base @ self._mount, self.azimuths, float(np.radians(self.recipe.beam_deg)), True)
         power = found.power + added_power(self.recipe, found.loss, beams, streams, branch)
         pixels = echoes.record(power, self.recipe, found.loss, branch.generator("noise"))
         image = SonarImage(stamp_ns, self.recipe.name, np.ascontiguousarray(pixels.T))

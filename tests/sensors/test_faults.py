@@ -286,8 +286,12 @@ def test_a_pulse_is_a_radial_line_in_its_beam():
     beam = int(np.argmin(np.abs(heard.azimuths - np.radians(10.0))))
     assert abs(int(np.argmax(loud)) - beam) <= 1
     assert loud[beam] > 5 * np.median(loud)
-    power = line_power(recipe, struck, np.array([struck.azimuth, struck.azimuth + np.pi]), 0.02)
+    ways = np.array([struck.azimuth, struck.azimuth + np.pi, struck.azimuth + 0.01])
+    power = line_power(recipe, struck, Beams(place, ways, 0.02))
     assert power[0][lasting] == pytest.approx(1e-4)
+    assert power[2][lasting] == pytest.approx(1e-4 * np.sqrt(0.5), rel=1e-3)  # half of the two-way pattern's decibels
+    only_heard = line_power(recipe, struck, Beams(place, ways, 0.02, listening=True))
+    assert only_heard[2][lasting] == pytest.approx(0.5e-4, rel=1e-3)
     assert not power[0][~lasting].any()
     assert not power[1].any()  # behind
 
