@@ -20,6 +20,7 @@ CONDITIONS: dict[str, Condition] = {
     "difficulty": Condition("difficulty", "of 5"),
     "disturbance": Condition("disturbance"),
     "strength": Condition("strength of disturbance", "of 3"),
+    "calibration": Condition("calibration"),
     "water": Condition("water"),
     "light": Condition("light"),
     "density": Condition("density"),

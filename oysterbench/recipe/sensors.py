@@ -23,7 +23,7 @@ class SensorRecipe:
     rate_hz: float = number(0.01, 4000)
     position_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # in base_link
     clock_offset_ms: float = number(-1000, 1000, 0.0)  # of its stamps: positive when they are late
-    clock_jitter_ms: float = number(0, 20, 0.0)  # 1 sigma of a stamp; one trigger fires all sensors of a kind
+    clock_jitter_ms: float = number(0, 10, 0.0)  # 1 sigma of a stamp, by USB 1 to 5; all of a kind share a trigger
     dropout: float = number(0, 0.99, 0.0)  # share of its messages that are lost
     dropout_burst: float = number(1, 1000, 1.0)  # messages lost in a row, on average
 

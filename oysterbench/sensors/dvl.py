@@ -78,13 +78,13 @@ class DvlRecipe(SensorRecipe):
     range_noise_share: float = number(0, 0.1, 0.001)  # of a beam's range, 1 sigma
     misalignment_deg: float = number(0, 10, 0.0)  # of the mount against its calibration, 1 sigma
     assumed_sound_speed_m_s: float | None = number(1300, 1700, None)
-    invalid: float = number(0, 0.5, 0.0)  # share of pings that lose their lock though the bottom is there: 1 to 10 %
+    invalid: float = number(0, 0.2, 0.0)  # share of pings that lose their lock though the bottom is there: 1 to 10 %
     invalid_risky: float | None = number(0, 1, None)  # the same over plants and lower than low_m; None: as elsewhere
-    outliers: float = number(0, 0.3, 0.0)  # share of pings with a beam that has a wrong velocity and is called valid
-    outliers_risky: float | None = number(0, 1, None)  # over plants and lower than low_m
-    outlier_m_s: float = number(0.01, 5, 0.5)  # 1 sigma of that error: of a plant in the surge, or of a side lobe
-    low_m: float = number(0, 5, 0.3)  # altitude below which pings are at risk: the echo comes while the sender rings
-    latency_ms: float = number(0, 500, 0.0)  # stamps are those of arrival, so much late on average: 50 to 200 ms
+    outliers: float = number(0, 0.1, 0.0)  # share of pings with a beam that has a wrong velocity and is called valid
+    outliers_risky: float | None = number(0, 0.5, None)  # over plants and lower than low_m
+    outlier_m_s: float = number(0.01, 2, 0.5)  # 1 sigma of that error: of a plant in the surge, or of a side lobe
+    low_m: float = number(0, 2, 0.3)  # altitude below which pings are at risk: the echo comes while the sender rings
+    latency_ms: float = number(0, 300, 0.0)  # stamps are those of arrival, so much late on average: 50 to 200 ms
     min_rate_hz: float | None = number(0.1, 50, None)
     """Rate at max_range_m, to which the time between pings grows evenly with altitude (A50: 2 to 15 Hz); None: rate_hz
     at any."""

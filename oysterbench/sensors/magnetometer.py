@@ -46,7 +46,7 @@ class MagnetometerRecipe(SensorRecipe):
         -10, 10, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     )  # takes the Earth's field to the one at the sensor, both in its frame
     step_ut: float = number(0, 10, 0.0)
-    throttle_deg: float = number(0, 30, 0.0)
+    throttle_deg: float = number(0, 25, 0.0)
     """Turn of the heading at full throttle, where the field of the motors lies across the Earth's: 5 to 20 deg close to
     them (ArduPilot calls interference of 30 % of the field, 17 deg, acceptable, and of 60 % not)."""
     rpy_deg: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0))  # magnetometer to base_link

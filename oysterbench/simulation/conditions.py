@@ -27,6 +27,8 @@ def conditions(split: SplitRecipe, sequence: str) -> dict[str, float | str]:
     stated: dict[str, float | str] = {} if recipe.difficulty is None else {"difficulty": recipe.difficulty}
     if any(other.disturbance for other in split.sequence):
         stated |= {"disturbance": recipe.disturbance or UNDISTURBED, "strength": recipe.strength}
+    if any(other.calibration != "exact" for other in split.sequence):
+        stated |= {"calibration": recipe.calibration}
     return {
         **stated,
         "water": _class_of(secchi_m, SECCHI_CLASSES_M),

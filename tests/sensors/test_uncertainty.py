@@ -17,7 +17,9 @@ from oysterbench.recipe import SiteRecipe, load_split, parse_split
 from oysterbench.sensors.registry import calibrate_rig, rig_calibration
 from oysterbench.sensors.uncertainty import GOOD, POOR, Uncertainty
 from oysterbench.sequence.cut import cut_public
+from oysterbench.sequence.export import export_sequence
 from oysterbench.sequence.read import TRUE_CALIBRATION, read_messages
+from oysterbench.simulation.conditions import conditions
 from oysterbench.simulation.generate import generate_split
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.simulation.test_sensor_simulation import SENSORS
@@ -201,3 +203,21 @@ def test_qualities_share_their_draws_and_nothing_else_changes(rig):
     good, poor = (calibrate_rig(rig, SITE, name, Streams(3)).errors for name in ("good", "poor"))
     assert np.sign(good["dvl.scale"]) == np.sign(poor["dvl.scale"])
     assert poor["dvl.scale"] / good["dvl.scale"] == pytest.approx(POOR.dvl_scale / GOOD.dvl_scale, rel=1e-6)
+
+
+def test_exported_poses_are_where_the_camera_truly_was_and_its_lens_as_it_is_given(files, tmp_path):
+    sequence = oysterbench.open(files["poor"])
+    folder, _ = export_sequence(sequence, "tum", tmp_path / "tum")
+    written = np.loadtxt(folder / "groundtruth.txt")[:, 1:4]
+    truth = sequence.truth()
+    true = sequence.truly_calibrated().cameras["cam_front"]
+    places = truth.matrices @ np.append(true.T_base_cam[:3, 3], 1.0)
+    np.testing.assert_allclose(written, places[:, :3], atol=1e-6)
+    focal = np.loadtxt(folder / "calibration.txt", comments="#")[0]
+    assert focal == pytest.approx(sequence.cameras["cam_front"].matrix[0, 0])
+    assert focal != pytest.approx(true.matrix[0, 0])
+
+
+def test_conditions_say_how_well_a_dive_was_calibrated():
+    assert conditions(tiny("poor"), "tiny-01")["calibration"] == "poor"
+    assert "calibration" not in conditions(tiny("exact"), "tiny-01")

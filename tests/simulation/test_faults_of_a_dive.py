@@ -23,7 +23,9 @@ rate_hz = 15.0
 min_rate_hz = 2.0
 max_range_m = 3.0
 invalid = 0.2
-outliers = 0.2
+outliers = 0.1
+outliers_risky = 0.5
+low_m = 0.9
 latency_ms = 80.0
 
 [sequence.rig.pressure]
@@ -101,8 +103,8 @@ def test_sensors_without_faults_have_none(tiny_file):
     ("changes", "told"),
     [
         ("dvl = { min_rate_hz = 20.0 }", r"dvl.min_rate_hz': expected at most rate_hz = 5, got 20"),
-        ("dvl = { invalid = 0.9 }", r"dvl.invalid': expected 0 to 0.5, got 0.9"),
-        ("magnetometer = { throttle_deg = 60.0 }", r"magnetometer.throttle_deg': expected 0 to 30, got 60.0"),
+        ("dvl = { invalid = 0.9 }", r"dvl.invalid': expected 0 to 0.2, got 0.9"),
+        ("magnetometer = { throttle_deg = 60.0 }", r"magnetometer.throttle_deg': expected 0 to 25, got 60.0"),
         ("imu = { gyro_bias_per_k = 0.01 }", r"imu.gyro_bias_per_k': expected 0 to 0.002, got 0.01"),
         ("sonar = { interference = 2.0 }", r"sonar.interference': expected 0 to 1, got 2.0"),
     ],
