@@ -17,7 +17,7 @@ def of(**changes: tuple[str, str]):
     return conditions(make_split(text), "tiny-01")
 
 
-STRESSED = 'difficulty = 3\ndisturbance = "blur"\nstrength = 2\n'
+STRESSED = 'difficulty = 3\ndisturbance = "blur"\nstrength = 2\ncalibration = "good"\n'
 
 
 def test_conditions_are_named_and_every_class_is_text():
@@ -31,7 +31,7 @@ def test_conditions_are_named_and_every_class_is_text():
 
 
 def test_what_a_split_does_not_state_is_no_condition():
-    assert not {"difficulty", "disturbance", "strength"} & of().keys()
+    assert not {"difficulty", "disturbance", "strength", "calibration"} & of().keys()
 
 
 def test_water_is_classed_by_the_depth_at_which_a_disc_vanishes():
