@@ -10,6 +10,8 @@ import warp as wp
 
 from oysterbench.render.arithmetic import greater, lesser
 from oysterbench.render.relief import Relief, cast_relief, over_relief, relief_normal
+from oysterbench.render.tree import Library, Tree
+from oysterbench.render.walk import MISSED, NO_FACE, Depths, Waiting, box_depths, inverse, strike_mesh
 
 NOTHING = wp.constant(-1)
 RELIEF = wp.constant(-2)
@@ -23,13 +25,13 @@ FAR_M = wp.constant(150.0)  # past the skirt of every seabed
 class Placed:
     """An instance: a point p in `map` is to_shape * (p - position) in its mesh; rotation and scale are its pose's.
 
-    first_corner: where its mesh's corners start in Geometry.corners. number: in instance images. The rest is for
-    shading.
+    root: of its mesh's tree in Geometry.library. first_corner: where its mesh's corners start in Geometry.corners.
+    number: in instance images. The rest is for shading.
     """
 
     to_shape: wp.mat33
     position: wp.vec3
-    mesh: wp.uint64
+    root: wp.int32
     rotation: wp.mat33
     scale: wp.vec3
     first_corner: wp.int32
@@ -61,10 +63,10 @@ class Vehicle:
 
 @wp.struct
 class Geometry:
-    """A world on a device. Corners, normals and marks of all library meshes are end to end.
+    """A world on a device. Corners, points, normals and marks of all library meshes are end to end.
 
-    placed: what stands still, in the tree `boxes`; then, from first_swaying, the plants that sway, in the tree
-    `swaying`; then, from first_roaming, what roams, in the tree `roaming` (movers.py places these).
+    placed: what stands still, in `tree` and, as Warp's, in `boxes`; then, from first_swaying, the plants that sway, in
+    the tree `swaying`; then, from first_roaming, what roams, in the tree `roaming` (movers.py places these).
     """
 
     relief: Relief
@@ -72,6 +74,8 @@ class Geometry:
     skirt_corners: wp.array(dtype=wp.int32)
     skirt_normals: wp.array(dtype=wp.vec3)
     boxes: wp.uint64
+    tree: Tree
+    library: Library
     count: wp.int32
     placed: wp.array(dtype=Placed)
     swaying: wp.uint64
@@ -81,6 +85,7 @@ class Geometry:
     roaming_count: wp.int32
     first_roaming: wp.int32
     corners: wp.array(dtype=wp.int32)
+    points: wp.array(dtype=wp.vec3)
     normals: wp.array(dtype=wp.vec3)
     marks: wp.array(dtype=wp.vec3)
     vehicle: Vehicle
@@ -129,8 +134,8 @@ def cast_instance(world: Geometry, i: int, origin: wp.vec3, direction: wp.vec3, 
     hit.instance = NOTHING
     to_shape = world.placed[i].to_shape
     start = to_shape * (origin - world.placed[i].position)
-    found = wp.mesh_query_ray(world.placed[i].mesh, start, to_shape * direction, max_t)
-    if found.result:
+    found = strike_mesh(world.library, world.placed[i].root, start, to_shape * direction, max_t, 0)
+    if found.face != NO_FACE:
         hit.t = found.t
         hit.instance = i
         hit.face = found.face
@@ -186,6 +191,56 @@ def near_roaming(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: fl
 
 
 @wp.func
+def cast_instances(world: Geometry, origin: wp.vec3, direction: wp.vec3, known: Hit, any: int):
+    """The nearest of a hit that is known and the instances on a ray; with `any`, the first that is found."""
+    hit = known
+    back = inverse(direction)
+    waiting = Waiting()
+    depths = Depths()
+    count = wp.int32(0)
+    item = wp.int32(0)
+    going = wp.bool(True)
+    while going:
+        nearest = wp.float32(MISSED)
+        if item < 0:
+            i = -1 - item
+            to_shape = world.placed[i].to_shape
+            start = to_shape * (origin - world.placed[i].position)
+            found = strike_mesh(world.library, world.placed[i].root, start, to_shape * direction, hit.t, any)
+            if found.face != NO_FACE:
+                hit.t = found.t
+                hit.instance = i
+                hit.face = found.face
+                hit.u = found.u
+                hit.v = found.v
+                if any != 0:
+                    count = wp.int32(0)
+        else:
+            t = box_depths(world.tree.planes, item, origin, back, hit.t)
+            children = world.tree.children[item]
+            for k in range(4):
+                if t[k] < MISSED:
+                    if t[k] < nearest:
+                        if nearest < MISSED:
+                            waiting[count] = item
+                            depths[count] = nearest
+                            count += 1
+                        nearest = t[k]
+                        item = children[k]
+                    else:
+                        waiting[count] = children[k]
+                        depths[count] = t[k]
+                        count += 1
+        going = nearest < MISSED
+        while count > 0 and not going:
+            count -= 1
+            if depths[count] < hit.t:
+                item = waiting[count]
+                going = wp.bool(True)
+    return hit
+
+
+@wp.func
 def cast_moving(world: Geometry, tree: wp.uint64, first: int, origin: wp.vec3, direction: wp.vec3, nearest: Hit):
     """The nearest hit of a ray when the rows from `first` on, in a tree of their own, are seen as well."""
     hit = nearest
@@ -207,7 +262,8 @@ def blocked_by_moving(world: Geometry, tree: wp.uint64, first: int, origin: wp.v
         row = first + i
         to_shape = world.placed[row].to_shape
         start = to_shape * (origin - world.placed[row].position)
-        if wp.mesh_query_ray_anyhit(world.placed[row].mesh, start, to_shape * direction, max_t):
+        along = to_shape * direction
+        if strike_mesh(world.library, world.placed[row].root, start, along, max_t, 1).face != NO_FACE:
             return True
     return False
 
@@ -231,12 +287,7 @@ def cast(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float):
             hit.u = ground.u
             hit.v = ground.v
     if world.count > 0:
-        query = wp.bvh_query_ray(world.boxes, origin, direction)
-        i = wp.int32(0)
-        while wp.bvh_query_next(query, i, hit.t):
-            nearer = cast_instance(world, i, origin, direction, hit.t)
-            if nearer.instance != NOTHING:
-                hit = nearer
+        hit = cast_instances(world, origin, direction, hit, 0)
     if world.swaying_count > 0:
         hit = cast_moving(world, world.swaying, world.first_swaying, origin, direction, hit)
     if world.roaming_count > 0:
@@ -266,13 +317,11 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
     if with_seabed != 0 and cast_relief(world.relief, origin, direction, max_t) >= 0.0:
         return True
     if world.count > 0:
-        query = wp.bvh_query_ray(world.boxes, origin, direction)
-        i = wp.int32(0)
-        while wp.bvh_query_next(query, i, max_t):
-            to_shape = world.placed[i].to_shape
-            start = to_shape * (origin - world.placed[i].position)
-            if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, to_shape * direction, max_t):
-                return True
+        hit = Hit()
+        hit.t = max_t
+        hit.instance = NOTHING
+        if cast_instances(world, origin, direction, hit, 1).instance != NOTHING:
+            return True
     if world.swaying_count > 0:  # noqa: SIM102 - Warp evaluates both sides of an `and`
         if blocked_by_moving(world, world.swaying, world.first_swaying, origin, direction, max_t):
             return True
@@ -284,7 +333,7 @@ def blocked(world: Geometry, origin: wp.vec3, direction: wp.vec3, max_t: float, 
 
 @wp.func
 def blend(normals: wp.array(dtype=wp.vec3), corners: wp.array(dtype=wp.int32), first: int, u: float, v: float):
-    """Vertex normals (or marks) of the face whose corners start at `first`, weighed by u, v, 1 - u - v."""
+    """Vertex normals (or points, or marks) of the face whose corners start at `first`, weighed by u, v, 1 - u - v."""
     a = normals[corners[first]]
     b = normals[corners[first + 1]]
     c = normals[corners[first + 2]]

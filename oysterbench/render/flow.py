@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
 from oysterbench.recipe import CameraRecipe
-from oysterbench.render.casting import NOTHING, VEHICLE, Geometry, Hit, Placed
+from oysterbench.render.casting import NOTHING, VEHICLE, Geometry, Hit, Placed, blend
 from oysterbench.render.lens import project
 from oysterbench.render.passage import Passage
 from oysterbench.render.target import KERNEL_OPTIONS
@@ -41,10 +41,7 @@ def carry(
         p = vehicle_rotation * (back * (p - world.vehicle.position)) + vehicle_position
     elif hit.instance >= first and hit.instance != NOTHING:
         then = moved[hit.instance - first]
-        a = wp.mesh_get_point(then.mesh, 3 * hit.face)
-        b = wp.mesh_get_point(then.mesh, 3 * hit.face + 1)
-        c = wp.mesh_get_point(then.mesh, 3 * hit.face + 2)
-        local = a * hit.u + b * hit.v + c * (1.0 - hit.u - hit.v)
+        local = blend(world.points, world.corners, then.first_corner + 3 * hit.face, hit.u, hit.v)
         p = wp.inverse(then.to_shape) * local + then.position
     points[row, column] = p
 

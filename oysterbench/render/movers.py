@@ -24,10 +24,10 @@ MARGIN_M = 1e-4  # of boxes about shapes
 
 
 class Meshes:
-    """Where each mesh of a device's library is: ids (K,) uint64 and first_corner (K,)."""
+    """Where each mesh of a device's library is: roots (K,) of their trees and first_corner (K,)."""
 
-    def __init__(self, library: list[wp.Mesh], corner_counts: list[int]) -> None:
-        self.ids = np.array([mesh.id for mesh in library], dtype=np.uint64)
+    def __init__(self, roots: NDArray[np.int32], corner_counts: list[int]) -> None:
+        self.roots = roots
         self.first_corner = np.cumsum([0, *corner_counts[:-1]])
 
     def rows(self, instances: Instances, first_shape: int = 0) -> Rows:
@@ -36,7 +36,7 @@ class Meshes:
         placed = no_rows(len(instances))
         placed["to_shape"] = np.swapaxes(instances.rotations, 1, 2).astype(float) / instances.scales[:, :, None]
         placed["position"] = instances.positions
-        placed["mesh"] = self.ids[shapes]
+        placed["root"] = self.roots[shapes]
         placed["rotation"] = instances.rotations
         placed["scale"] = instances.scales
         placed["first_corner"] = self.first_corner[shapes]

@@ -18,6 +18,7 @@ from oysterbench.render.movers import Meshes, Movers
 from oysterbench.render.optics import Optics
 from oysterbench.render.relief import build_relief
 from oysterbench.render.texture import build_ground
+from oysterbench.render.tree import upload_library, upload_tree
 from oysterbench.render.water import Water
 from oysterbench.scene.clutter import GRASS_M
 from oysterbench.scene.life import Life
@@ -27,7 +28,7 @@ from oysterbench.scene.world import World
 
 CREVICE_BLUR_CELLS = 2.0
 CREVICE_RISE_M = 0.02
-LEAF_TRIANGLES = 4  # of the meshes' trees: measured best
+LEAF_TRIANGLES = 4  # of Warp's trees: measured best
 VEHICLE_MARGIN_M = 1e-3  # of the box around it
 LEAST_SUN = 1e-6
 SWAY_M = REACH * GRASS_M[1]  # that tips sway at most
@@ -43,28 +44,32 @@ def upload_geometry(world: World, device: str, life: Life | None = None) -> tupl
     start, step = terrain.coordinates[terrain.rim], np.diff(terrain.coordinates)[terrain.rim]
     skirt = terrain.skirt()
     skirt_mesh = _mesh(skirt.vertices, skirt.faces, device)
-    library = [_mesh(mesh.vertices, mesh.faces, device) for mesh in shapes]
+    library, roots = upload_library(shapes, device)
     vertex_counts = [len(mesh.vertices) for mesh in shapes]
     first_vertex = np.cumsum([0, *vertex_counts[:-1]])
     corners = [m.faces.ravel() + start for m, start in zip(shapes, first_vertex, strict=True)]
-    meshes = Meshes(library, [mesh.faces.size for mesh in shapes])
+    meshes = Meshes(roots, [mesh.faces.size for mesh in shapes])
     geometry = Geometry()
+    geometry.library = library
     geometry.relief = build_relief(terrain.square, float(start), float(step), device)
     geometry.skirt = skirt_mesh.id
     geometry.skirt_corners = skirt_mesh.indices
     geometry.skirt_normals = wp.array(skirt.normals, dtype=wp.vec3, device=device)
     geometry.corners = wp.array(np.concatenate(corners), dtype=wp.int32, device=device)
+    points = np.concatenate([mesh.vertices for mesh in shapes])
+    geometry.points = wp.array(points, dtype=wp.vec3, device=device)
     normals = np.concatenate([mesh.normals for mesh in shapes])
     geometry.normals = wp.array(normals, dtype=wp.vec3, device=device)
     marks = np.concatenate([mesh.marks for mesh in shapes])
     geometry.marks = wp.array(marks, dtype=wp.vec3, device=device)
     placed = meshes.rows(instances)
     geometry.placed = wp.array(placed, dtype=Placed, device=device)
-    kept: list[Any] = [skirt_mesh, *library]
+    kept: list[Any] = [skirt_mesh]
     movers = None if life is None else Movers(geometry, world, life, meshes, placed, device)
     geometry.count = len(instances) if movers is None else movers.first
     if geometry.count:
         lowers, uppers = (corner[: geometry.count] for corner in world.boxes())
+        geometry.tree = upload_tree(lowers, uppers, device)
         boxes = wp.Bvh(wp.array(lowers, dtype=wp.vec3, device=device), wp.array(uppers, dtype=wp.vec3, device=device))
         geometry.boxes = boxes.id
         kept.append(boxes)

@@ -7,6 +7,7 @@ import warp as wp
 from oysterbench.render.casting import Geometry, near_vehicle
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.view import CameraView, pixel_ray, pixel_start
+from oysterbench.render.walk import NO_FACE, strike_mesh
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -27,7 +28,8 @@ def count_moving(
     while wp.bvh_query_next(query, i, end):
         to_shape = world.placed[first + i].to_shape
         start = to_shape * (origin - world.placed[first + i].position)
-        if wp.mesh_query_ray_anyhit(world.placed[first + i].mesh, start, to_shape * direction, end):
+        along = to_shape * direction
+        if strike_mesh(world.library, world.placed[first + i].root, start, along, end, 1).face != NO_FACE:
             wp.atomic_add(counts, int(world.placed[first + i].number), 1)
 
 
@@ -43,7 +45,8 @@ def count_unhidden(world: Geometry, view: CameraView, counts: wp.array(dtype=wp.
         i = wp.int32(0)
         while wp.bvh_query_next(query, i, end):
             start = world.placed[i].to_shape * (origin - world.placed[i].position)
-            if wp.mesh_query_ray_anyhit(world.placed[i].mesh, start, world.placed[i].to_shape * direction, end):
+            along = world.placed[i].to_shape * direction
+            if strike_mesh(world.library, world.placed[i].root, start, along, end, 1).face != NO_FACE:
                 wp.atomic_add(counts, int(world.placed[i].number), 1)
     if world.swaying_count > 0:
         count_moving(world, world.swaying, world.first_swaying, origin, direction, end, counts)

@@ -1,0 +1,161 @@
+"""Rays through trees of boxes (tree.py): which child of a node is nearest, which triangle of a leaf is hit."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from oysterbench.render.arithmetic import greater, lesser
+from oysterbench.render.tree import Library
+
+MISSED = wp.constant(3.0e38)  # in place of the depth of a box that a ray does not meet
+NO_FACE = wp.constant(-1)
+STEEPEST = wp.constant(1.0e-12)  # a ray that does not move along an axis is taken to move by that
+ROUNDING = wp.constant(1.0000005)  # of depths, so that no box is missed for it (Ize 2013)
+
+Waiting = wp.types.vector(length=40, dtype=wp.int32)  # nodes and leaves: three a level
+Depths = wp.types.vector(length=40, dtype=wp.float32)
+
+
+@wp.struct
+class Struck:
+    """Nearest triangle: its depth, its number in its mesh or NO_FACE, and the weights of its first two corners."""
+
+    t: wp.float32
+    face: wp.int32
+    u: wp.float32
+    v: wp.float32
+
+
+@wp.func
+def inverse(direction: wp.vec3):
+    """1 over each part of a direction."""
+    x = wp.where(wp.abs(direction[0]) < STEEPEST, STEEPEST, direction[0])
+    y = wp.where(wp.abs(direction[1]) < STEEPEST, STEEPEST, direction[1])
+    z = wp.where(wp.abs(direction[2]) < STEEPEST, STEEPEST, direction[2])
+    return wp.vec3(1.0 / x, 1.0 / y, 1.0 / z)
+
+
+@wp.func
+def greater_of_each(a: wp.vec4, b: wp.vec4):
+    """The greater of each pair."""
+    return wp.vec4(greater(a[0], b[0]), greater(a[1], b[1]), greater(a[2], b[2]), greater(a[3], b[3]))
+
+
+@wp.func
+def lesser_of_each(a: wp.vec4, b: wp.vec4):
+    """The lesser of each pair."""
+    return wp.vec4(lesser(a[0], b[0]), lesser(a[1], b[1]), lesser(a[2], b[2]), lesser(a[3], b[3]))
+
+
+@wp.func
+def box_depths(planes: wp.array(dtype=wp.vec4), node: int, start: wp.vec3, inverse: wp.vec3, max_t: float):
+    """Depth at which a ray enters each of the four boxes of a node; MISSED where it does not before max_t."""
+    x = 6 * node + wp.where(inverse[0] < 0.0, 1, 0)
+    y = 6 * node + wp.where(inverse[1] < 0.0, 3, 2)
+    z = 6 * node + wp.where(inverse[2] < 0.0, 5, 4)
+    enter_x = (planes[x] - wp.vec4(start[0])) * inverse[0]
+    enter_y = (planes[y] - wp.vec4(start[1])) * inverse[1]
+    enter_z = (planes[z] - wp.vec4(start[2])) * inverse[2]
+    # The side opposite: its number differs in the last bit.
+    leave_x = (planes[12 * node + 1 - x] - wp.vec4(start[0])) * inverse[0]
+    leave_y = (planes[12 * node + 5 - y] - wp.vec4(start[1])) * inverse[1]
+    leave_z = (planes[12 * node + 9 - z] - wp.vec4(start[2])) * inverse[2]
+    enter = greater_of_each(greater_of_each(enter_x, enter_y), greater_of_each(enter_z, wp.vec4(0.0)))
+    leave = lesser_of_each(lesser_of_each(leave_x, leave_y), lesser_of_each(leave_z * ROUNDING, wp.vec4(max_t)))
+    return wp.vec4(
+        wp.where(enter[0] <= leave[0], enter[0], MISSED),
+        wp.where(enter[1] <= leave[1], enter[1], MISSED),
+        wp.where(enter[2] <= leave[2], enter[2], MISSED),
+        wp.where(enter[3] <= leave[3], enter[3], MISSED),
+    )
+
+
+@wp.func
+def strike(library: Library, leaf: int, start: wp.vec3, direction: wp.vec3, nearest: Struck):
+    """The nearest of what is known and the four triangles of a leaf.
+
+    The ray is sheared onto its longest axis; products of edges, with signs that agree for both triangles at an edge.
+    """
+    size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
+    z = wp.where(size[0] > size[1], wp.where(size[0] > size[2], 0, 2), wp.where(size[1] > size[2], 1, 2))
+    x = wp.where(z == 2, 0, z + 1)
+    y = wp.where(x == 2, 0, x + 1)
+    scale = 1.0 / direction[z]
+    shear_x = direction[x] * scale
+    shear_y = direction[y] * scale
+    first = 9 * leaf
+    start_x = wp.vec4(start[x])
+    start_y = wp.vec4(start[y])
+    start_z = wp.vec4(start[z])
+    a_z = library.triangles[first + z] - start_z
+    b_z = library.triangles[first + 3 + z] - start_z
+    c_z = library.triangles[first + 6 + z] - start_z
+    a_x = (library.triangles[first + x] - start_x) - a_z * shear_x
+    b_x = (library.triangles[first + 3 + x] - start_x) - b_z * shear_x
+    c_x = (library.triangles[first + 6 + x] - start_x) - c_z * shear_x
+    a_y = (library.triangles[first + y] - start_y) - a_z * shear_y
+    b_y = (library.triangles[first + 3 + y] - start_y) - b_z * shear_y
+    c_y = (library.triangles[first + 6 + y] - start_y) - c_z * shear_y
+    u = wp.cw_mul(c_x, b_y) - wp.cw_mul(c_y, b_x)
+    v = wp.cw_mul(a_x, c_y) - wp.cw_mul(a_y, c_x)
+    w = wp.cw_mul(b_x, a_y) - wp.cw_mul(b_y, a_x)
+    least = lesser_of_each(lesser_of_each(u, v), w)
+    most = greater_of_each(greater_of_each(u, v), w)
+    found = nearest
+    for k in range(4):
+        if least[k] >= 0.0 or most[k] <= 0.0:
+            total = u[k] + v[k] + w[k]
+            if total != 0.0:
+                weight = 1.0 / total
+                t = (u[k] * a_z[k] + v[k] * b_z[k] + w[k] * c_z[k]) * scale * weight
+                if t >= 0.0 and t < found.t:
+                    found.t = t
+                    found.face = 4 * leaf + k
+                    found.u = u[k] * weight
+                    found.v = v[k] * weight
+    return found
+
+
+@wp.func
+def strike_mesh(library: Library, root: int, start: wp.vec3, direction: wp.vec3, max_t: float, any: int):
+    """The nearest triangle of a mesh on a ray before max_t; with `any`, the first that is found."""
+    found = Struck()
+    found.t = max_t
+    found.face = NO_FACE
+    back = inverse(direction)
+    waiting = Waiting()
+    depths = Depths()
+    count = wp.int32(0)
+    item = wp.int32(root)
+    going = wp.bool(True)
+    while going:
+        nearest = wp.float32(MISSED)
+        if item < 0:
+            found = strike(library, -1 - item, start, direction, found)
+            if any != 0 and found.face != NO_FACE:
+                count = wp.int32(0)
+        else:
+            t = box_depths(library.planes, item, start, back, found.t)
+            children = library.children[item]
+            for k in range(4):
+                if t[k] < MISSED:
+                    if t[k] < nearest:
+                        if nearest < MISSED:
+                            waiting[count] = item
+                            depths[count] = nearest
+                            count += 1
+                        nearest = t[k]
+                        item = children[k]
+                    else:
+                        waiting[count] = children[k]
+                        depths[count] = t[k]
+                        count += 1
+        going = nearest < MISSED
+        while count > 0 and not going:
+            count -= 1
+            if depths[count] < found.t:
+                item = waiting[count]
+                going = wp.bool(True)
+    if found.face != NO_FACE:
+        found.face = library.faces[found.face]
+    return found
