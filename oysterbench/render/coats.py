@@ -6,13 +6,12 @@ import warp as wp
 
 from oysterbench.render.noise import kept, noise2, noise3, step_smoothly
 
-EYE_RING = wp.constant(wp.vec3(0.34, 0.30, 0.16))
 PUPIL = wp.constant(wp.vec3(0.012, 0.012, 0.014))
 SILVER_BACK = wp.constant(wp.vec3(0.085, 0.105, 0.070))
 SILVER_SIDE = wp.constant(wp.vec3(0.52, 0.54, 0.52))
 SILVER_BELLY = wp.constant(wp.vec3(0.60, 0.60, 0.57))
 BRASS_BACK = wp.constant(wp.vec3(0.105, 0.100, 0.075))
-BRASS_SIDE = wp.constant(wp.vec3(0.33, 0.31, 0.25))
+BRASS_SIDE = wp.constant(wp.vec3(0.32, 0.315, 0.27))
 BRASS_BELLY = wp.constant(wp.vec3(0.50, 0.48, 0.42))
 TOAD_DARK = wp.constant(wp.vec3(0.045, 0.036, 0.022))
 TOAD_LIGHT = wp.constant(wp.vec3(0.20, 0.165, 0.095))
@@ -62,5 +61,5 @@ def fish_coat(mark: wp.vec3, colour: wp.vec3, length: float, footprint: float, s
         albedo = blended(wp.vec3(0.24, 0.21, 0.15), albedo, step_smoothly(-0.9, -0.4, up))
     else:  # a fin: thin and half clear, with rays
         rays = wp.sin(150.0 * along + 8.0 * up) * kept(0.04 * length, footprint)
-        albedo = wp.vec3(0.22, 0.215, 0.17) * (1.0 + 0.25 * rays)
+        albedo = wp.vec3(0.25, 0.245, 0.20) * (1.0 + 0.25 * rays)
     return wp.cw_mul(albedo, colour)

@@ -40,18 +40,18 @@ def _shell() -> Mesh:
     """The carapace: broad, with a row of teeth in front and a long spine on each side."""
     turn = 2 * np.pi * np.arange(40) / 40
     x, y = np.cos(turn), np.sin(turn)
-    spine = np.exp(-(((np.abs(turn - np.pi * np.where(turn > np.pi, 1.5, 0.5)) - 0.0) / 0.10) ** 2))
+    spine = np.exp(-(((np.abs(turn - np.pi * np.where(turn > np.pi, 1.5, 0.5))) / 0.14) ** 2))
     teeth = 0.018 * (x > 0.05) * np.cos(20 * turn)
     rings, marks = [], []
     for level in np.linspace(-0.42, 0.46, 9) * np.pi:
         flat, rise = np.cos(level), np.sin(level)
         edge = flat**6
-        half_width = 0.37 * flat + (0.13 * spine + teeth) * edge
-        half_length = (0.22 + 0.03 * (x < 0)) * flat + teeth * edge
+        half_width = 0.38 * flat + (0.12 * spine + teeth) * edge
+        half_length = (0.20 + 0.02 * (x < 0)) * flat + teeth * edge
         up = 0.085 if level > 0 else 0.06
         rings.append(np.column_stack([half_length * x, half_width * y, np.full(40, LIFT + up * rise)]))
         colour = np.array(SHELL if level > -0.3 else BELLY)
-        marks.append(np.tile(colour * (1 + 0.5 * spine[:, None] * edge), (1, 1)))
+        marks.append(colour * (1 + 0.5 * spine[:, None] * edge))
     ends = np.array([[0.0, 0.0, LIFT - 0.062], [0.0, 0.0, LIFT + 0.088]])
     return skin(np.array(rings), ends, np.array(marks), np.array([BELLY, SHELL]))
 

@@ -155,7 +155,7 @@ def _pectoral(form: Form, side: float) -> Mesh:
         [np.full(5, 0.5 - place), np.full(5, side * 0.9 * width), height * (-0.25 + 0.12 * share)],
     )
     reach = form.pectoral * (1 - 0.35 * share**2)
-    tip = root + np.column_stack([-0.8 * reach, side * 0.55 * reach, 0.25 * form.pectoral * share - 0.15 * reach])
+    tip = root + np.column_stack([-0.9 * reach, side * 0.30 * reach, 0.25 * form.pectoral * share - 0.10 * reach])
     marks = np.column_stack([np.full(5, place), -np.ones(5), np.full(5, FIN)])
     return blade(root, tip, np.array([0.003, 0.003, 0.0]), marks, marks)
 
