@@ -13,7 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import LIFE_CLASSES, CameraRecipe, RigRecipe, SequenceRecipe
+from oysterbench.recipe import CameraRecipe, RigRecipe, SequenceRecipe
 from oysterbench.render import (
     blur,
     caustics,
@@ -31,19 +31,17 @@ from oysterbench.render import (
     snow,
     visibility,
 )
-from oysterbench.render.casting import Hit, Placed
+from oysterbench.render.casting import Hit
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.light import build_light, exposure, sky_fan, sun_fan
-from oysterbench.render.movers import no_rows
 from oysterbench.render.optics import Optics
-from oysterbench.render.passage import STILL, Passage
+from oysterbench.render.passage import STILL, Moment, Passage
 from oysterbench.render.radiance import Daylight
 from oysterbench.render.target import start_warp
 from oysterbench.render.upload import upload_geometry, upload_looks, upload_optics, upload_vehicle, without_water
 from oysterbench.render.view import CameraView
 from oysterbench.render.water import build_water
-from oysterbench.scene.instances import CLASS_NUMBERS
-from oysterbench.scene.life import Life
+from oysterbench.scene.life import Life, moving_classes
 from oysterbench.scene.plumes import Plumes
 from oysterbench.scene.rig import camera_matrix, camera_pose
 from oysterbench.scene.vehicle import build_vehicle
@@ -102,22 +100,6 @@ class Frame:
     instances: NDArray[np.uint16]
 
 
-@dataclass(frozen=True)
-class Moment:
-    """A picture to come: its time, and where camera and vehicle are then, as for CameraRenderer.render."""
-
-    time_s: float
-    T_map_cam: Pose
-    T_map_base: Pose
-    passage: Passage = STILL
-
-
-def _moving_classes(recipe: SequenceRecipe) -> list[int]:
-    """Numbers of the classes that move by themselves in a sequence."""
-    moving = [*LIFE_CLASSES, CLASS_NUMBERS["vehicle"]]
-    return [*moving, CLASS_NUMBERS["plant"]] if recipe.life.sway else moving
-
-
 def warm_up(device: str = "cpu") -> None:
     """Compile and load the kernels, into Warp's cache, so that processes started later find them there."""
     start_warp()
@@ -153,7 +135,7 @@ class CameraRenderer:
             body = build_vehicle(rig, with_tether=not recipe.life.tether)
             self._geometry.vehicle, kept = upload_vehicle(body, len(world.instances) + 1, device)
             self._kept += kept
-        self._moving_classes = _moving_classes(recipe)
+        self._moving_classes = moving_classes(recipe)
         self._lamps = () if rig is None else rig.lamp
         self.recipe = recipe
         self._light(world, recipe, plumes)
@@ -267,7 +249,9 @@ class CameraRenderer:
         if "flow" in names:
             if following is None:
                 raise ValueError("layer flow: expected the moment of the next frame in `following`, got None")
-            found["flow"] = self._flow(view, depth > 0, following)
+            base = np.round(np.asarray(following.T_map_base, dtype=float), 9)
+            points = flow.carried(self._geometry, self._movers, view, self._hits, following.time_s, base)
+            found["flow"] = flow.project_motion(points.numpy(), depth > 0, following, self.camera)
         if "visibility" in names:
             found["visibility"] = self._visibility(view, instances)
         if "clean" in names:
@@ -349,7 +333,11 @@ class CameraRenderer:
                 seen, spare = spare, seen
         if passage.ends is not None and not ideal:
             with self._timed("shutter"):
-                self._shutter.trace(view, self._hits, T_map_cam, passage.ends)
+                then = None
+                if self._movers is not None:
+                    closes_s = time_s + 0.5 * passage.shutter_s
+                    then = flow.carried(self._geometry, self._movers, view, self._hits, closes_s, np.eye(4))
+                self._shutter.trace(view, self._hits, T_map_cam, passage.ends, then)
                 self._shutter.blur(seen, self._hits, spare)
                 seen, spare = spare, seen
         if flakes is not None:
@@ -411,29 +399,6 @@ class CameraRenderer:
             share = np.where(alone > 0, np.minimum(seen / alone, 1.0), np.nan)
         share[0] = np.nan
         return share.astype(np.float32)
-
-    def _flow(self, view: CameraView, within: NDArray[np.bool_], following: Moment) -> NDArray[np.float32]:
-        """Motion (H, W, 2) px in the picture of what the last cast has met, until a moment."""
-        T_map_base = np.round(np.asarray(following.T_map_base, dtype=float), 9)
-        rows = no_rows() if self._movers is None else self._movers.rows_at(following.time_s)
-        first = len(self._geometry.placed) - len(rows)
-        points = wp.zeros(within.shape, dtype=wp.vec3, device=self.device)
-        wp.launch(
-            flow.carry,
-            within.shape,
-            inputs=[
-                self._geometry,
-                view,
-                self._hits,
-                wp.array(rows, dtype=Placed, device=self.device),
-                first,
-                wp.mat33(*T_map_base[:3, :3].astype(np.float32).ravel().tolist()),
-                wp.vec3(*T_map_base[:3, 3].tolist()),
-            ],
-            outputs=[points],
-            device=self.device,
-        )
-        return flow.project_motion(points.numpy(), within, following.T_map_cam, following.passage, self.camera)
 
     def _light(self, world: World, recipe: SequenceRecipe, plumes: Plumes | None) -> None:
         """Tables of water and light, what moves in them, and the camera's fixed exposure."""

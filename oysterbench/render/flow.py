@@ -10,7 +10,8 @@ from oysterbench.core.geometry import Array
 from oysterbench.recipe import CameraRecipe
 from oysterbench.render.casting import NOTHING, VEHICLE, Geometry, Hit, Placed, blend
 from oysterbench.render.lens import project
-from oysterbench.render.passage import Passage
+from oysterbench.render.movers import Movers, no_rows
+from oysterbench.render.passage import Moment
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 
@@ -46,14 +47,29 @@ def carry(
     points[row, column] = p
 
 
+def carried(
+    geometry: Geometry, movers: Movers | None, view: CameraView, hits: wp.array, time_s: float, T_map_base: Array
+) -> wp.array:
+    """Where (H, W) of vec3, in `map`, what the pixels of a view have met is at a time, with the vehicle at a pose."""
+    rows = no_rows() if movers is None else movers.rows_at(time_s)
+    points = wp.zeros(hits.shape, dtype=wp.vec3, device=hits.device)
+    moved = wp.array(rows, dtype=Placed, device=hits.device)
+    body = T_map_base[:3].astype(np.float32)
+    vehicle = [wp.mat33(*body[:, :3].ravel().tolist()), wp.vec3(*body[:, 3].tolist())]
+    inputs = [geometry, view, hits, moved, len(geometry.placed) - len(rows), *vehicle]
+    wp.launch(carry, hits.shape, inputs=inputs, outputs=[points], device=hits.device)
+    return points
+
+
 def project_motion(
-    points: NDArray[np.float32], within: NDArray[np.bool_], T_map_cam: Array, passage: Passage, camera: CameraRecipe
+    points: NDArray[np.float32], within: NDArray[np.bool_], following: Moment, camera: CameraRecipe
 ) -> NDArray[np.float32]:
-    """Motion (H, W, 2) px from each pixel's centre to where a camera at its next pose images its point (H, W, 3), m in
-    `map`; NaN outside `within` (H, W), and for what is behind the camera. passage: of the next picture."""
+    """Motion (H, W, 2) px from each pixel's centre to where the camera images its point (H, W, 3), m in `map`, in the
+    next picture; NaN outside `within` (H, W), and for what is behind the camera."""
+    passage = following.passage
     rows, columns = np.nonzero(within)
     aims = points[rows, columns].astype(float)
-    poses = np.asarray(T_map_cam, dtype=float)[None] if passage.rows is None else passage.rows
+    poses = np.asarray(following.T_map_cam, dtype=float)[None] if passage.rows is None else passage.rows
     found = np.full((len(rows), 2), np.nan)
     pose = np.full(len(rows), len(poses) // 2)
     # Each row has a pose of its own, and which row a point comes to lie in depends on that row's.

@@ -17,14 +17,25 @@ class Passage:
 
     rows (H + 2, 4, 4): at the middle of the exposure of each row, and of one row beyond the first and the last; None
     where all rows are exposed at once. ends (2, 4, 4): when the shutter opens and closes for the middle row; None where
-    it is open for an instant.
+    it is open for an instant, and shutter_s for how long it is.
     """
 
     rows: Array | None = None
     ends: Array | None = None
+    shutter_s: float = 0.0
 
 
 STILL = Passage()
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A picture to come: its time, where camera and vehicle are then (4, 4), and how the camera moves meanwhile."""
+
+    time_s: float
+    T_map_cam: Array
+    T_map_base: Array
+    passage: Passage = STILL
 
 
 def row_times(camera: CameraRecipe) -> Array:
@@ -37,4 +48,4 @@ def passage(camera: CameraRecipe, shutter_s: float, poses: Callable[[Array], lis
     """A camera's passage; poses: T_map_cam (4, 4) at times (N,) s after the middle of the picture."""
     rows = np.array(poses(row_times(camera))) if camera.readout_ms else None
     ends = np.array(poses(np.array([-0.5, 0.5]) * shutter_s)) if shutter_s else None
-    return Passage(rows, ends)
+    return Passage(rows, ends, shutter_s)

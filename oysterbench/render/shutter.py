@@ -13,7 +13,7 @@ import warp as wp
 from oysterbench.core.geometry import Array
 from oysterbench.render.casting import NOTHING, VEHICLE, Hit
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.view import CameraView
+from oysterbench.render.view import CameraView, pixel_ray, pixel_start, rotation_at
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -23,6 +23,7 @@ ALIKE_PX = wp.constant(0.75)  # ways that differ less are alike
 STEP_PX = wp.constant(1.5)  # between samples
 SOFT_DEPTH = wp.constant(0.02)  # relative step in depth over which one surface comes to lie before another
 LEAST_WEIGHT = wp.constant(1.0e-6)  # of the pixel itself, where all along its way lies before it
+LEAST_MOVED_M = wp.constant(1.0e-5)  # while the shutter is open: less is rest
 OPEN_WATER_M = wp.constant(50.0)  # where water is seen and nothing else
 
 
@@ -38,8 +39,13 @@ class Shutter:
         self._longest = wp.zeros(tiles, dtype=wp.vec2, device=device)
         self._around = wp.zeros(tiles, dtype=wp.vec2, device=device)
 
-    def trace(self, view: CameraView, hits: wp.array, T_map_cam: Array, ends: Array) -> None:
-        """Find the way (H, W), px, of each pixel from when the shutter opens to when it closes (Passage.ends)."""
+    def trace(
+        self, view: CameraView, hits: wp.array, T_map_cam: Array, ends: Array, then: wp.array | None = None
+    ) -> None:
+        """Find the way (H, W), px, of each pixel from when the shutter opens to when it closes (Passage.ends).
+
+        then (H, W) of vec3: where in `map` what each pixel sees is when the shutter closes, where things move.
+        """
         motions = []
         for end in ends:
             seen = np.round(np.linalg.inv(end) @ T_map_cam, 9).astype(np.float32)
@@ -47,6 +53,9 @@ class Shutter:
         tiles = self._longest.shape
         inputs = [view, hits, *motions, 2.0 * self.side]
         wp.launch(find_ways, self.shape, inputs=inputs, outputs=[self.ways], device=self.device)
+        if then is not None:
+            inputs = [view, hits, then, 2.0 * self.side]
+            wp.launch(add_own_ways, self.shape, inputs=inputs, outputs=[self.ways], device=self.device)
         wp.launch(longest_way, tiles, inputs=[self.ways, self.side], outputs=[self._longest], device=self.device)
         wp.launch(longest_around, tiles, inputs=[self._longest], outputs=[self._around], device=self.device)
 
@@ -54,6 +63,24 @@ class Shutter:
         """Write the blurred picture into `blurred`."""
         inputs = [picture, hits, self.ways, self._around, self.side]
         wp.launch(gather, self.shape, inputs=inputs, outputs=[blurred], device=self.device)
+
+
+@wp.func
+def through_lens(view: CameraView, i: int, j: int, dx: float, dy: float):
+    """px by which the slopes of a pixel's ray change by dx, dy: how slopes change from pixel to pixel."""
+    across = (view.rays[i + 1, j + 2] - view.rays[i + 1, j]) * 0.5
+    down = (view.rays[i + 2, j + 1] - view.rays[i, j + 1]) * 0.5
+    area = across[0] * down[1] - across[1] * down[0]
+    return wp.vec2((dx * down[1] - dy * down[0]) / area, (across[0] * dy - across[1] * dx) / area)
+
+
+@wp.func
+def cut(way: wp.vec2, longest: float):
+    """A way, no longer than that."""
+    length = wp.length(way)
+    if length > longest:
+        way = way * (longest / length)
+    return way
 
 
 @wp.kernel
@@ -67,7 +94,7 @@ def find_ways(
     longest: float,
     ways: wp.array2d(dtype=wp.vec2),
 ):
-    """The way of what each pixel sees. turn, shift: from the camera's axes now into those at the ends."""
+    """The way of what each pixel sees, if it rests. turn, shift: from the camera's axes now into those at the ends."""
     i, j = wp.tid()
     hit = hits[i, j]
     way = wp.vec2(0.0, 0.0)
@@ -83,15 +110,34 @@ def find_ways(
         far = wp.max(b[2] - ray[2], 0.01)
         dx = b[0] / far - a[0] / near
         dy = b[1] / far - a[1] / near
-        # The lens: how the ray's slopes change from pixel to pixel.
-        across = (view.rays[i + 1, j + 2] - view.rays[i + 1, j]) * 0.5
-        down = (view.rays[i + 2, j + 1] - view.rays[i, j + 1]) * 0.5
-        area = across[0] * down[1] - across[1] * down[0]
-        way = wp.vec2((dx * down[1] - dy * down[0]) / area, (across[0] * dy - across[1] * dx) / area)
-        length = wp.length(way)
-        if length > longest:
-            way = way * (longest / length)
+        way = cut(through_lens(view, i, j, dx, dy), longest)
     ways[i, j] = way
+
+
+@wp.kernel
+def add_own_ways(
+    view: CameraView,
+    hits: wp.array2d(dtype=Hit),
+    then: wp.array2d(dtype=wp.vec3),
+    longest: float,
+    ways: wp.array2d(dtype=wp.vec2),
+):
+    """Add what things move by themselves, evenly while the shutter is open; then: where they are when it closes."""
+    i, j = wp.tid()
+    hit = hits[i, j]
+    if hit.instance >= 0:
+        direction = pixel_ray(view, i, j)
+        start = pixel_start(view, i, j)
+        moved = then[i, j] - (start + direction * hit.t)
+        if wp.length_sq(moved) > LEAST_MOVED_M * LEAST_MOVED_M:
+            rotation = rotation_at(view, float(i))
+            half = wp.transpose(rotation) * moved
+            ray = view.rays[i + 1, j + 1]
+            near = wp.max(hit.t - half[2], 0.01)
+            far = wp.max(hit.t + half[2], 0.01)
+            dx = (ray[0] * hit.t + half[0]) / far - (ray[0] * hit.t - half[0]) / near
+            dy = (ray[1] * hit.t + half[1]) / far - (ray[1] * hit.t - half[1]) / near
+            ways[i, j] = cut(ways[i, j] + through_lens(view, i, j, dx, dy), longest)
 
 
 @wp.kernel

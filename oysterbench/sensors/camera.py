@@ -152,7 +152,7 @@ def render_layers(world: SensedWorld, camera: CameraRecipe, index: int) -> dict[
     wanted = [name for name in camera.layers if name not in FRAME_LAYERS]
     if not wanted:
         return {}
-    from oysterbench.render.camera import Moment
+    from oysterbench.render.passage import Moment
 
     taken = shot(world, camera, index)
     next_s = (index + 1) / camera.rate_hz

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from oysterbench.recipe import CLASSES, LifeRecipe
-from oysterbench.render.camera import CameraRenderer, Moment
+from oysterbench.render.camera import CameraRenderer
 from oysterbench.render.lens import project
-from oysterbench.render.passage import passage
+from oysterbench.render.passage import STILL, Moment, passage
 from oysterbench.render.rays import RayCaster
 from oysterbench.scene.rig import camera_pose
 from tests.helpers.living import ALL, living_reef, living_world
@@ -189,6 +189,26 @@ def test_flow_follows_a_rolling_shutter(renderer):
         u, v = project(((p - pose[:3, 3]) @ pose[:3, :3])[None], camera)[0]
         misses.append((abs(v - (k - 1)), u - column, v - row))
     assert layers["flow"][row, column] == pytest.approx(min(misses)[1:], abs=0.1)
+
+
+def test_what_moves_is_blurred_along_its_way():
+    """A fish that swims across for 0.1 s, against the mean of pictures of instants; a still camera."""
+    world, _, life = living_world(RECIPE)
+    renderer = CameraRenderer(world, CAMERA, RECIPE, rig=SPLIT.rig, life=life)
+    now = life.at(TIME)
+    row = int(np.flatnonzero(now.classes == NUMBER["fish"])[0])
+    T, body = looking_at(now.positions[row].astype(float), 0.3), bodies(TIME)[0]
+    open_s = 0.1
+    moved = passage(CAMERA, open_s, lambda times: [T for _ in times])
+
+    def picture(time_s, meanwhile=STILL):
+        return renderer.render(T, noise(), time_s, body, meanwhile).colour.astype(float)
+
+    blurred, sharp = picture(TIME, moved), picture(TIME)
+    mean = np.mean([picture(TIME + open_s * ((k + 0.5) / 16 - 0.5)) for k in range(16)], axis=0)
+    changed = np.abs(mean - sharp).max(axis=2) > 6
+    assert changed.sum() > 60
+    assert np.abs(blurred - mean)[changed].mean() < 0.75 * np.abs(sharp - mean)[changed].mean()
 
 
 def test_plants_move_with_the_surge_in_the_picture(renderer):

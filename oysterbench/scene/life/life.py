@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import RecipeError
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import SequenceRecipe
+from oysterbench.recipe import LIFE_CLASSES, SequenceRecipe
 from oysterbench.scene.instances import CLASS_NUMBERS, Instances
 from oysterbench.scene.life.company import Company, gather
 from oysterbench.scene.life.ground import build_ground
@@ -100,6 +100,13 @@ class Life:
     @property
     def _sizes(self) -> list[int]:
         return [len(group.colours) for group in self.groups]
+
+
+def moving_classes(recipe: SequenceRecipe) -> list[int]:
+    """Numbers of the classes that move by themselves in a sequence: the vehicle's, life's, and plants' where they
+    sway."""
+    moving = [*LIFE_CLASSES, CLASS_NUMBERS["vehicle"]]
+    return [*moving, CLASS_NUMBERS["plant"]] if recipe.life.sway else moving
 
 
 def build_life(recipe: SequenceRecipe, world: World, path: Path, streams: Streams) -> Life | None:
