@@ -55,6 +55,9 @@ class CameraRecipe(NamedSensorRecipe):
     layers: tuple[str, ...] = choice(LAYERS, ("depth", "class", "instance"))  # ground truth that goes into the file
     image_format: str = choice(IMAGE_FORMATS, "jpeg")  # of its colour frames in the file; png keeps every bit
     jpeg_quality: int = number(50, 100, 95)
+    # Of a video link that its frames pass before, coded as by H.264; 0: none. Tethers carry 5 to 15 Mbit/s of 1080p at
+    # 30 Hz (sea.md), 0.08 to 0.24 bit a pixel: as much as 0.25 to 0.75 Mbit/s of 640 x 480 at 10 Hz.
+    video_mbit_s: float = number(0, 100, 0.0)
     max_range_m: float = number(1, 100, 20.0)  # farther than this is water
     lens: str = choice(
         tuple(LENSES), "pinhole"

@@ -343,9 +343,30 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
         stamp, name = measurement.stamp_ns, recipe.name
         return [
             camera_info(stamp, name, measurement.calibration),
-            colour_message(stamp, name, measurement.colour, recipe.jpeg_quality, recipe.image_format),
+            colour_message(stamp, name, measurement.colour, recipe.jpeg_quality, self._kept_as(recipe)),
             *(layer_message(stamp, name, layer, pixels) for layer, pixels in measurement.layers.items()),
         ]
+
+    def _kept_as(self, recipe: CameraRecipe) -> str:
+        """Format of single frames: without loss where a video link is to come."""
+        return "png" if recipe.video_mbit_s else recipe.image_format
+
+    def pass_on(self, recipe: CameraRecipe, name: str, messages: Iterator[Message]) -> Iterator[Message]:
+        if not recipe.video_mbit_s or name != topic(recipe.name, "image"):
+            yield from messages
+            return
+        from oysterbench.sensors.video import VideoCodec
+
+        codec = VideoCodec(recipe.height, recipe.width, recipe.rate_hz, recipe.video_mbit_s)
+        before, seen = None, None
+        for message in messages:
+            stamp, pixels = read_colour(message.data)
+            if (
+                before is None or seen is None or not np.array_equal(pixels, before)
+            ):  # else the recorder repeats a frame
+                seen = codec.transcode(pixels)
+            before = pixels
+            yield colour_message(stamp, recipe.name, seen, recipe.jpeg_quality, recipe.image_format)
 
     def decode(self, name: str, calibration: CameraCalibration, *data: bytes) -> Image:
         stamp, pixels = read_colour(*data)

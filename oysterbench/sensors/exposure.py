@@ -101,7 +101,7 @@ def control(camera: CameraRecipe, seen: Array) -> Exposures:
     needed_s = 2.0 ** _rounded(levels) / sensitivity()
     shutter_s = np.clip(needed_s, SHORTEST_S, camera.longest_exposure_ms * 1e-3)
     steps = np.floor(20 * np.log10(np.maximum(needed_s / shutter_s, 1.0)) / camera.gain_step_db + STEP)
-    gain = np.minimum(10.0 ** np.asarray(steps * camera.gain_step_db / 20), camera.highest_gain)
+    gain: Array = np.minimum(np.power(10.0, steps * camera.gain_step_db / 20), camera.highest_gain)
     return Exposures(np.round(shutter_s, 9), np.round(gain, 6), np.round(balances, 6))
 
 

@@ -213,6 +213,10 @@ class SensorKind(ABC, Generic[R, C, M]):
     def encode(self, recipe: R, measurement: M) -> list[Message]:
         """The messages of a measurement."""
 
+    def pass_on(self, recipe: R, name: str, messages: Iterator[Message]) -> Iterator[Message]:
+        """All messages of a topic, in order, as they reach the file: by a link that depends on those before."""
+        return messages
+
     @abstractmethod
     def decode(self, name: str, calibration: C, *data: bytes) -> M:
         """A measurement from one message of each of `read_topics`. Raises ValueError where they do not fit."""

@@ -328,9 +328,13 @@ def assemble(
             writer.attachment(TRUE_CALIBRATION, "application/json", json.dumps(truth, indent=1).encode())
         writer.write(static_transforms(EPOCH_NS, _frames(rig, calibration.given)))
         writer.section()
+        bulky = bulky_sensors(rig)
         for topic, source in _sources(rig).items():  # a section each, so that reading one touches no other
             files = [parts / job.part for job in jobs if job.source == source]
-            for message in _read_parts(files, topic):
+            messages = _read_parts(files, topic)
+            if source:
+                messages = kind_of(bulky[source]).pass_on(bulky[source], topic, messages)
+            for message in messages:
                 writer.write(message)
             writer.section()
         writer.finish()
