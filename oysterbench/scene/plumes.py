@@ -36,7 +36,7 @@ THRUSTER_BELOW_M = 0.1  # the body's origin
 WATER_KG_M3 = 1020.0
 
 EMIT_S = 0.5  # between puffs of the wash
-WASH_PUFFS, BURST_PUFFS = 2, 6
+WASH_PUFFS, BURST_PUFFS = 2, 10
 WASH_M = 0.35  # by which a jet throws silt sideways before it slows down
 RISE = 0.8  # of a plume's size: height to which it is thrown up
 RISE_S = 1.0  # in which a puff comes up
@@ -161,8 +161,8 @@ def _burst(plumes: Plumes, recipe: SequenceRecipe, thickest: float, ground: Heig
     born = np.repeat(rng.uniform(-LONGEST_S, recipe.duration_s, count), BURST_PUFFS)
     centre = np.repeat(rng.uniform(-size / 2, size / 2, (count, 2)), BURST_PUFFS, axis=0)
     strength = np.repeat(thickest * rng.uniform(0.3, 1.0, count), BURST_PUFFS)
-    level = centre + 0.3 * plan.size_m * rng.standard_normal(centre.shape)
-    spread = 0.25 * plan.size_m * rng.uniform(0.6, 1.2, len(born))
+    level = centre + 0.35 * plan.size_m * rng.standard_normal(centre.shape)
+    spread = 0.25 * plan.size_m * rng.uniform(0.4, 1.2, len(born))
     floor = ground(level[:, 0], level[:, 1])
     place = np.column_stack([level, floor + plan.size_m * rng.uniform(0.0, RISE, len(born))])
     born = born + rng.uniform(0.0, 2.0, len(born))

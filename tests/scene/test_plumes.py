@@ -13,7 +13,7 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import SequenceRecipe
 from oysterbench.recipe.turbidity import PlumesRecipe
 from oysterbench.scene.path import Path
-from oysterbench.scene.plumes import RISE_S, Plumes, Puffs, bed_stress, build_plumes, thrusts
+from oysterbench.scene.plumes import BURST_PUFFS, RISE_S, Plumes, Puffs, bed_stress, build_plumes, thrusts
 from oysterbench.scene.waves import build_waves
 from tests.helpers.reefs import small_reef
 
@@ -119,7 +119,7 @@ def test_bursts_come_as_often_as_asked() -> None:
     plumes = build_plumes(recipe, hovering(1.6), flat, Streams(3))
     assert plumes is not None
     expected = 30.0 * 4 * (30.0 + 240.0) / 60
-    assert len(plumes.born) / 6 == pytest.approx(expected, abs=4 * np.sqrt(expected))
+    assert len(plumes.born) / BURST_PUFFS == pytest.approx(expected, abs=4 * np.sqrt(expected))
 
 
 def test_the_same_recipe_makes_the_same_plumes() -> None:
