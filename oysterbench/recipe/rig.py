@@ -30,9 +30,11 @@ LAYERS = (
     "visibility",
     "dynamic",
     "flow",
+    "transmittance",
 )
 """Ground truth behind a picture: what each pixel shows, its light without water and on its path through the water, how
-much of each instance can be seen, which pixels show what moves by itself, and where each goes until the next frame."""
+much of each instance can be seen, which pixels show what moves by itself, where each goes until the
+next frame, and how much of its light gets through the water."""
 
 IMAGE_FORMATS = ("jpeg", "png")
 

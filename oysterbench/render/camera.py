@@ -81,6 +81,7 @@ LAYERS = (
     "visibility",
     "dynamic",
     "flow",
+    "transmittance",
 )
 
 
@@ -213,7 +214,8 @@ class CameraRenderer:
         the moment `following`; NaN where nothing is, and for what is then behind the camera. normals (H, W, 3)
         float32: outward unit normals in the optical frame, 0 where nothing is. visibility (N,) float32 by instance
         number: pixels in which it is seen over those in which it would be if it were alone; NaN for what has none.
-        passage: as for `render`; layers are those of an instant in each row.
+        transmittance (H, W) float32: share in green of a surface's daylight that arrives, sharp or blurred; 0 where
+        nothing is. passage: as for `render`; layers are those of an instant in each row.
         """
         unknown = sorted(set(names) - set(LAYERS))
         if unknown:
@@ -252,6 +254,11 @@ class CameraRenderer:
             base = np.round(np.asarray(following.T_map_base, dtype=float), 9)
             points = flow.carried(self._geometry, self._movers, view, self._hits, following.time_s, base)
             found["flow"] = flow.project_motion(points.numpy(), depth > 0, following, self.camera)
+        if "transmittance" in names:
+            arriving = wp.zeros(depth.shape, dtype=wp.float32, device=self.device)
+            inputs = [view, self._optics, self._hits]
+            wp.launch(visibility.transmit, depth.shape, inputs=inputs, outputs=[arriving], device=self.device)
+            found["transmittance"] = arriving.numpy()
         if "visibility" in names:
             found["visibility"] = self._visibility(view, instances)
         if "clean" in names:

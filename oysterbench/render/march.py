@@ -27,7 +27,7 @@ from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.turbidity import Turbidity, amounts, decay, decays, dimmed, mean_decays, silt_at
 from oysterbench.render.view import CameraView, ray_start, ray_through
 from oysterbench.render.water import Water
-from oysterbench.scene.plumes import Plumes, Puffs
+from oysterbench.scene.plumes import SPREADS, Plumes, Puffs
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -37,7 +37,6 @@ SHORTEST_M, LONGEST_M = 2.0, 16.0  # bounds of the range marched over
 OPAQUE = 5.0  # optical depth of even water past which nothing is seen of what the field does
 GRID_M = 0.1  # cells of silt: puffs are wider
 SILT_REACH_M = 8.0  # from the camera
-SPREADS = 3.5  # standard deviations of a puff that are counted
 DARKEST = wp.constant(wp.vec3(1.0e-9, 1.0e-9, 1.0e-9))  # veil that there is anywhere
 LAMP_STEPS = wp.constant(6)  # from a lamp to what it lights
 FAINT = wp.constant(1.0e-9)  # light of a lamp beyond its cone, so that there is a mean of all lamps everywhere
@@ -108,12 +107,10 @@ class TurbidityField:
 
     def _settle(self, puffs: Puffs, position: Array) -> None:
         """Puffs near the camera onto the grid, by tables of their separable distribution."""
-        reach = SPREADS * puffs.spread
-        near = np.abs(puffs.centre - position).max(axis=1, initial=0.0) < SILT_REACH_M + reach
-        if not near.any():
+        centre, spread, floor, amount = puffs.near(position, SILT_REACH_M)
+        if not len(amount):
             return
-        centre, spread, floor, amount = (values[near] for values in puffs)
-        reach = reach[near]
+        reach = SPREADS * spread
         low = np.maximum((centre - reach[:, None]).min(axis=0), position - SILT_REACH_M)
         high = np.minimum((centre + reach[:, None]).max(axis=0), position + SILT_REACH_M)
         low[2], high[2] = floor.min(), (centre[:, 2] + reach).max()

@@ -1,13 +1,16 @@
-"""How many pixels an instance would fill if nothing were before it."""
+"""How many pixels an instance would fill if nothing were before it, and how much light the water lets through."""
 
 from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.render.casting import Geometry, near_vehicle
+from oysterbench.render.casting import NOTHING, Geometry, Hit, near_vehicle
+from oysterbench.render.optics import Optics
+from oysterbench.render.tables import look_up_pair
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 from oysterbench.render.walk import NO_FACE, strike_mesh
+from oysterbench.render.way import way_to
 
 wp.set_module_options(KERNEL_OPTIONS)
 
@@ -57,3 +60,22 @@ def count_unhidden(world: Geometry, view: CameraView, counts: wp.array(dtype=wp.
         start = back * (origin - world.vehicle.position)
         if wp.mesh_query_ray_anyhit(world.vehicle.mesh, start, back * direction, end):
             wp.atomic_add(counts, int(world.vehicle.number), 1)
+
+
+@wp.kernel
+def transmit(view: CameraView, optics: Optics, hits: wp.array2d(dtype=Hit), arriving: wp.array2d(dtype=wp.float32)):
+    """Share in green of the daylight of each pixel's surface that arrives; 0 for none."""
+    row, column = wp.tid()
+    hit = hits[row, column]
+    share = wp.float32(0.0)
+    if hit.instance != NOTHING:
+        direction = pixel_ray(view, row, column)
+        p = pixel_start(view, row, column) + direction * hit.t
+        distance = hit.t * wp.length(direction)
+        across = float(column) / float(hits.shape[1] - 1)
+        way = way_to(optics, across, float(row) / float(hits.shape[0] - 1), distance, p)
+        depth = -p[2] / optics.depth_step
+        through = distance / optics.range_step
+        even = look_up_pair(optics.direct, depth, through) + look_up_pair(optics.forward_scatter, depth, through)
+        share = even[1] * way.image[1]
+    arriving[row, column] = share

@@ -21,12 +21,10 @@ from oysterbench.recipe import SequenceRecipe
 from oysterbench.recipe.turbidity import PlumesRecipe
 from oysterbench.scene.path import Path
 from oysterbench.scene.path.clearance import Height
-from oysterbench.scene.path.disturbance import HULL, current
+from oysterbench.scene.path.disturbance import current
 from oysterbench.scene.path.itinerary import KNOT_S
+from oysterbench.scene.path.thrust import STEP_S, thrust
 from oysterbench.scene.waves import Waves, build_waves
-
-HEAVE_ADDED_KG, HEAVE_LINEAR, HEAVE_QUADRATIC = 14.57, 5.18, 36.99
-"""Of a BlueROV2 up and down (Wu 2018), kg, N/(m/s), N/(m/s)^2; the rest of its hull is disturbance.HULL."""
 
 JET_DECAY = 6.2  # of a round jet's axial speed over U0 D / x (Albertson et al. 1950; Rajaratnam 1976)
 JET_DIAMETER_M = 0.076  # of a T200 thruster
@@ -35,12 +33,14 @@ EDGE_SHARE = 0.1  # of level thrust, whose jets sweep the bottom with their edge
 THRUSTER_BELOW_M = 0.1  # the body's origin
 WATER_KG_M3 = 1020.0
 
-EMIT_S = 0.5  # between puffs of the wash
+EMIT_STEPS = 10  # of the thrust, between puffs of the wash
 WASH_PUFFS, BURST_PUFFS = 2, 10
 WASH_M = 0.35  # by which a jet throws silt sideways before it slows down
+SPREADS = 3.5  # standard deviations of a puff that are counted
 RISE = 0.8  # of a plume's size: height to which it is thrown up
 RISE_S = 1.0  # in which a puff comes up
 LONGEST_S = 240.0
+UPSTREAM_S, UPSTREAM_M = 60.0, 10.0  # of the current, from beside the reef, and at most: silt comes from there too
 FAINTEST = 0.02  # 1/m in its middle, below which a puff is forgotten
 MIRROR_NODES, MIRROR_WEIGHTS = leggauss(8)
 
@@ -53,6 +53,11 @@ class Puffs(NamedTuple):
     spread: Array
     floor: Array
     amount: Array
+
+    def near(self, place: Array, distance: float) -> Puffs:
+        """Those that reach within a distance of a place (3,), m."""
+        chosen = np.linalg.norm(self.centre - place, axis=1) < distance + SPREADS * self.spread
+        return Puffs(*(values[chosen] for values in self))
 
     def attenuation(self, points: Array) -> Array:
         """Attenuation (M,) that they add at points (M, 3), 1/m."""
@@ -131,18 +136,16 @@ def build_plumes(recipe: SequenceRecipe, path: Path, ground_height: Height, stre
     nothing = (np.zeros(0), np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0))
     plumes = Plumes(plan, *nothing, times, drift, waves)
     plumes = _burst(plumes, recipe, thickest, ground_height, streams.generator("water", "bursts"))
-    along = np.column_stack([np.interp(_emissions(recipe), times, axis) for axis in flow.T])
-    return _wash(plumes, path, _emissions(recipe), along, thickest, ground_height, streams.generator("water", "wash"))
-
-
-def _emissions(recipe: SequenceRecipe) -> Array:
-    return np.arange(0.0, recipe.duration_s, EMIT_S)
+    steps_s = np.arange(0.0, recipe.duration_s, STEP_S)
+    force = np.einsum("nij,nj->ni", path.at(steps_s).rotation, thrust(path, recipe, streams, steps_s))
+    when = slice(None, None, EMIT_STEPS)
+    wash = streams.generator("water", "wash")
+    return _wash(plumes, path.at(steps_s[when]).position, steps_s[when], force[when], thickest, ground_height, wash)
 
 
 def _grown(plumes: Plumes, born: Array, place: Array, floor: Array, spread: Array, attenuation: Array) -> Plumes:
-    """With more puffs, of an attenuation (N,) 1/m each in its middle."""
-    mirrored = 1 + np.exp(-2 * ((place[:, 2] - floor) / spread) ** 2)
-    amount = attenuation * (np.sqrt(2 * np.pi) * spread) ** 3 / mirrored
+    """With more puffs, of an attenuation (N,) 1/m each in its middle, without what the bottom mirrors."""
+    amount = attenuation * (np.sqrt(2 * np.pi) * spread) ** 3
     return dataclasses.replace(
         plumes,
         born=np.concatenate([plumes.born, np.round(born, 7)]),
@@ -154,35 +157,48 @@ def _grown(plumes: Plumes, born: Array, place: Array, floor: Array, spread: Arra
 
 
 def _burst(plumes: Plumes, recipe: SequenceRecipe, thickest: float, ground: Height, rng: np.random.Generator) -> Plumes:
-    """Silt that current, waves and animals raise: a Poisson process over the reef and over time."""
-    plan, size = plumes.recipe, recipe.reef.size_m
+    """Silt that current, waves and animals raise: a Poisson process over reef, surroundings and time."""
+    plan = plumes.recipe
+    size = recipe.reef.size_m + 2 * min(UPSTREAM_S * recipe.site.current_m_s, UPSTREAM_M)
     span = recipe.duration_s + LONGEST_S
     count = rng.poisson(plan.bursts_per_100m2_min * size**2 / 100 * span / 60)
     born = np.repeat(rng.uniform(-LONGEST_S, recipe.duration_s, count), BURST_PUFFS)
     centre = np.repeat(rng.uniform(-size / 2, size / 2, (count, 2)), BURST_PUFFS, axis=0)
-    strength = np.repeat(thickest * rng.uniform(0.3, 1.0, count), BURST_PUFFS)
+    strength = thickest * rng.uniform(0.3, 1.0, count)
     level = centre + 0.35 * plan.size_m * rng.standard_normal(centre.shape)
     spread = 0.25 * plan.size_m * rng.uniform(0.4, 1.2, len(born))
     floor = ground(level[:, 0], level[:, 1])
     place = np.column_stack([level, floor + plan.size_m * rng.uniform(0.0, RISE, len(born))])
     born = born + rng.uniform(0.0, 2.0, len(born))
-    return _grown(plumes, born, place, floor, spread, strength * rng.uniform(0.3, 0.8, len(born)))
+    share = rng.uniform(0.3, 0.8, len(born))
+    scale = np.empty(count)
+    for k in range(count):
+        one = slice(k * BURST_PUFFS, (k + 1) * BURST_PUFFS)
+        volume = (np.sqrt(2 * np.pi) * spread[one]) ** 3
+        whole = Puffs(place[one], spread[one], floor[one], share[one] * volume)
+        scale[k] = strength[k] / whole.attenuation(place[one]).max()
+    return _grown(plumes, born, place, floor, spread, share * np.repeat(scale, BURST_PUFFS))
 
 
 def _wash(
-    plumes: Plumes, path: Path, times: Array, flow: Array, thickest: float, ground: Height, rng: np.random.Generator
+    plumes: Plumes,
+    position: Array,
+    times: Array,
+    force: Array,
+    thickest: float,
+    ground: Height,
+    rng: np.random.Generator,
 ) -> Plumes:
-    """Silt that the thrusters raise at times (N,), in a current flow (N, 2) m/s: only as much as is not there yet."""
+    """Silt that thrusters raise at times (N,), from a position (N, 3) by a force (N, 3) N, both in `map`: only as much
+    as is not there yet."""
     plan = plumes.recipe
-    motion = path.at(times)
-    thrust = thrusts(motion.velocity, motion.acceleration, flow)
-    height = motion.position[:, 2] - ground(motion.position[:, 0], motion.position[:, 1])
-    excess = np.maximum(bed_stress(thrust, height) / plan.critical_pa - 1.0, 0.0)
-    away = -thrust[:, :2] / np.maximum(np.linalg.norm(thrust[:, :2], axis=1), 1e-9)[:, None]
+    height = position[:, 2] - ground(position[:, 0], position[:, 1])
+    excess = np.maximum(bed_stress(force, height) / plan.critical_pa - 1.0, 0.0)
+    away = -force[:, :2] / np.maximum(np.linalg.norm(force[:, :2], axis=1), 1e-9)[:, None]
     draws = rng.random((len(times), WASH_PUFFS, 6))
     for i in np.flatnonzero(excess > 0.05):
         draw = draws[i]
-        level = motion.position[i, :2] + WASH_M * away[i] * 2 * draw[:, :1] + 2 * WASH_M * (draw[:, 1:3] - 0.5)
+        level = position[i, :2] + WASH_M * away[i] * 2 * draw[:, :1] + 2 * WASH_M * (draw[:, 1:3] - 0.5)
         spread = 0.25 * plan.size_m * (0.6 + 0.6 * draw[:, 3])
         floor = ground(level[:, 0], level[:, 1])
         place = np.column_stack([level, floor + plan.size_m * RISE * draw[:, 4]])
@@ -194,25 +210,14 @@ def _wash(
     return plumes
 
 
-def thrusts(velocity: Array, acceleration: Array, flow: Array) -> Array:
-    """Force (N, 3) N of the thrusters in `map`: inertia and drag of velocity (N, 3) m/s through water that flows at
-    flow (N, 2) m/s, with the means of surge and sway for both level axes."""
-    through = velocity - np.column_stack([flow, np.zeros(len(flow))])
-    level_speed = np.linalg.norm(through[:, :2], axis=1, keepdims=True)
-    added, linear, quadratic = (float(np.mean(pair)) for pair in (HULL.added_kg, HULL.linear, HULL.quadratic))
-    level = (HULL.mass_kg + added) * acceleration[:, :2] + (linear + quadratic * level_speed) * through[:, :2]
-    up = (HULL.mass_kg + HEAVE_ADDED_KG) * acceleration[:, 2]
-    up = up + (HEAVE_LINEAR + HEAVE_QUADRATIC * np.abs(through[:, 2])) * through[:, 2]
-    return np.column_stack([level, up])
+def bed_stress(force: Array, height: Array) -> Array:
+    """Stress (N,) Pa on the bottom of the jets of thrusters whose force (N, 3) N in `map` drives a vehicle that is
+    `height` (N,) m over it.
 
-
-def bed_stress(thrust: Array, height: Array) -> Array:
-    """Stress (N,) Pa of the thrusters' jets on the bottom, of a vehicle `height` (N,) m over it.
-
-    A thrust F makes a jet of speed U0 = sqrt(F / (rho A)), on the bottom of JET_DECAY U0 D / h; its stress is
+    A force F makes a jet of speed U0 = sqrt(F / (rho A)), on the bottom of JET_DECAY U0 D / h; its stress is
     C rho U^2 / 2 with C = BED_FRICTION D / h. Thrust up blows down.
     """
-    force = np.maximum(thrust[:, 2], 0.0) + EDGE_SHARE * np.linalg.norm(thrust[:, :2], axis=1)
+    on_bottom = np.maximum(force[:, 2], 0.0) + EDGE_SHARE * np.linalg.norm(force[:, :2], axis=1)
     below = np.maximum(height - THRUSTER_BELOW_M, JET_DIAMETER_M)
-    speed2 = JET_DECAY**2 * 4 / np.pi * force / (WATER_KG_M3 * below**2)
+    speed2 = JET_DECAY**2 * 4 / np.pi * on_bottom / (WATER_KG_M3 * below**2)
     return np.asarray(0.5 * BED_FRICTION * JET_DIAMETER_M / below * WATER_KG_M3 * speed2)

@@ -18,6 +18,7 @@ from oysterbench.core.ros import IMAGE, Message, decode, encode, header, image_b
 from oysterbench.recipe import CameraRecipe, SiteRecipe, count
 from oysterbench.sensors.camera_errors import camera_errors, with_errors
 from oysterbench.sensors.exposure import exposures
+from oysterbench.sensors.faults import Fault, spans
 from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, from_entry, topic
 from oysterbench.sensors.uncertainty import ErrorModel, Quality
 
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 COLOUR = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 PNG_LEVEL = 1  # of 9: a turbid frame becomes 5 % smaller at 6, in four times the time
+SIGHT_M, SIGHT_PIECES = 1.5, 12  # of the camera's rays along which silt counts in the truth
+SILT_STEP_S = 0.25
+LEAST_SILT = 0.5  # optical depth from which on silt counts: 0.6 of the sharp light is left
 FRAME_LAYERS = ("depth", "class", "instance")
 
 LAYERS = {
@@ -45,6 +49,7 @@ LAYERS = {
     "visibility": "32FC1",
     "dynamic": "mono8",
     "flow": "32FC2",
+    "transmittance": "32FC1",
 }
 """Layers of a camera and their encodings. Depth in mm along the optical axis, 0 = none (REP 118)."""
 
@@ -338,6 +343,29 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
                 made |= render_layers(world, recipe, picture)
                 layers = {name: made[name] for name in recipe.layers}
             yield CameraFrame(int(at.stamps_ns[index]), recipe.name, frame.colour, layers, given)
+
+    def faults(self, world: SensedWorld, recipe: CameraRecipe) -> list[Fault]:
+        """Where silt is before the camera: its mean optical depth in green over the first metres of its sight."""
+        plumes = world.plumes
+        if plumes is None:
+            return []
+        from oysterbench.scene.rig import camera_pose
+
+        mount = camera_pose(recipe)
+        times = np.arange(0.0, world.recipe.duration_s, SILT_STEP_S)
+        sight = SIGHT_M * (np.arange(SIGHT_PIECES) + 0.5) / SIGHT_PIECES
+        half = np.tan(np.radians(recipe.hfov_deg) / 4)
+        rays = np.array([[0, 0, 1], [half, 0, 1], [-half, 0, 1], [0, half, 1], [0, -half, 1]])
+        points = (rays / np.linalg.norm(rays, axis=1)[:, None])[:, None] * sight[:, None]
+        depths = np.zeros(len(times))
+        for k, (time_s, body) in enumerate(zip(times.tolist(), world.bodies(times), strict=True)):
+            T_map_cam = body @ mount
+            seen = plumes.at(time_s).near(T_map_cam[:3, 3], SIGHT_M)
+            if len(seen.amount):
+                there = points.reshape(-1, 3) @ T_map_cam[:3, :3].T + T_map_cam[:3, 3]
+                depths[k] = SIGHT_M * seen.attenuation(there).mean()
+        depths = np.round(depths, 4)
+        return spans(times, depths >= LEAST_SILT, "silt_optical_depth", depths)
 
     def encode(self, recipe: CameraRecipe, measurement: CameraFrame) -> list[Message]:
         stamp, name = measurement.stamp_ns, recipe.name

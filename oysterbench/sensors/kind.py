@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from oysterbench.render.camera import CameraRenderer
     from oysterbench.render.rays import RayCaster
     from oysterbench.scene.path import Path
+    from oysterbench.scene.plumes import Plumes
     from oysterbench.sensors.panels import Panel
 
 R = TypeVar("R", bound=SensorRecipe)
@@ -68,6 +69,8 @@ class SensedWorld(Protocol):
     def renderers(self) -> Mapping[str, CameraRenderer]: ...
     @property
     def calibration(self) -> RigCalibration: ...
+    @property
+    def plumes(self) -> Plumes | None: ...
 
     def bodies(self, times_s: Array) -> list[Array]:
         """T_map_base (4, 4) at times (N,) s."""

@@ -12,7 +12,6 @@ from oysterbench.recipe import LampRecipe
 from oysterbench.recipe.turbidity import LayerRecipe, PatchesRecipe, PlumesRecipe
 from oysterbench.render.admixture import silt
 from oysterbench.render.camera import CameraRenderer
-from oysterbench.render.march import SPREADS
 from oysterbench.scene.plumes import Plumes
 from oysterbench.scene.waves import build_waves
 from tests.helpers.reefs import CAMERA, FLAT, noise, pose, renderer_of, rig_with, small_reef, world_of
@@ -79,8 +78,9 @@ def test_silt_dims_surfaces_by_beers_law() -> None:
     """Of a puff between camera and bottom that throws no shadow on what is seen, by the attenuation of silt."""
     at = pose(-1.2, 0.0, -2.4, 0, 25)
     places = [(-0.6, 0.0, -2.68)]
-    with_silt = silty(*places, amount=0.15, spread=0.15).layers(at, ["direct", "forward_scatter", "depth"])
-    without = silty((50.0, 0.0, -2.5)).layers(at, ["direct", "forward_scatter"])
+    names = ["direct", "forward_scatter", "depth", "transmittance"]
+    with_silt = silty(*places, amount=0.15, spread=0.15).layers(at, names)
+    without = silty((50.0, 0.0, -2.5)).layers(at, names)
     puffs = puffs_at(*places, amount=0.15, spread=0.15).at(0.0)
     row, column = 60, 80
     reach = with_silt["depth"][row, column]
@@ -90,6 +90,9 @@ def test_silt_dims_surfaces_by_beers_law() -> None:
     assert depth > 0.5
     seen = with_silt["direct"][row, column, 1] / without["direct"][row, column, 1]
     assert -np.log(seen) == pytest.approx(depth, rel=0.12)
+    through = with_silt["transmittance"] / np.maximum(without["transmittance"], 1e-6)
+    assert seen < through[row, column] < 1.0, "most of what is scattered forward arrives, blurred"
+    assert through[-1, 0] == pytest.approx(1.0, abs=0.02)
 
 
 def test_a_plume_out_of_sight_or_of_no_strength_changes_no_byte() -> None:
@@ -180,4 +183,3 @@ def test_silt_is_mineral() -> None:
     grains = silt(1.0)
     b = grains.scatter()
     assert b[0] / b[-1] < 1.3
-    assert SPREADS > 3

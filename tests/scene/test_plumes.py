@@ -13,7 +13,7 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import SequenceRecipe
 from oysterbench.recipe.turbidity import PlumesRecipe
 from oysterbench.scene.path import Path
-from oysterbench.scene.plumes import BURST_PUFFS, RISE_S, Plumes, Puffs, bed_stress, build_plumes, thrusts
+from oysterbench.scene.plumes import BURST_PUFFS, RISE_S, Plumes, Puffs, bed_stress, build_plumes
 from oysterbench.scene.waves import build_waves
 from tests.helpers.reefs import small_reef
 
@@ -105,20 +105,12 @@ def test_stress_of_a_jet_falls_with_the_cube_of_the_height() -> None:
     assert bed_stress(-force, np.array([0.5]))[0] == 0.0, "thrust down blows up"
 
 
-def test_thrust_holds_drag_and_inertia() -> None:
-    still = np.zeros((1, 3))
-    assert thrusts(still, still, np.zeros((1, 2))) == pytest.approx(np.zeros((1, 3)))
-    against = thrusts(still, still, np.array([[0.3, 0.0]]))
-    assert against[0, 0] < 0, "held against the current"
-    assert thrusts(still, np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 2)))[0, 2] == pytest.approx(11.5 + 14.57)
-
-
 def test_bursts_come_as_often_as_asked() -> None:
     recipe = muddy(current=0.2, bursts_per_100m2_min=30.0)
     recipe = dataclasses.replace(recipe, reef=dataclasses.replace(recipe.reef, size_m=20.0))
     plumes = build_plumes(recipe, hovering(1.6), flat, Streams(3))
     assert plumes is not None
-    expected = 30.0 * 4 * (30.0 + 240.0) / 60
+    expected = 30.0 * (20.0 + 2 * 10.0) ** 2 / 100 * (30.0 + 240.0) / 60
     assert len(plumes.born) / BURST_PUFFS == pytest.approx(expected, abs=4 * np.sqrt(expected))
 
 

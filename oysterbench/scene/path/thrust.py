@@ -45,11 +45,22 @@ class Throttle:
 def throttle(path: Path, recipe: SequenceRecipe, streams: Streams) -> Throttle:
     """The throttle that keeps a BlueROV2 on its path; streams: those of the sequence.
 
-    Thrust F = (m + m_a) (a - a_w) + (d_1 + d_2 |u|) u per axis of the body, with u through the water, which moves with
-    current and waves, a_w its acceleration, and the trim; thrust goes with the square of the propellers' rate, and that
-    with the throttle: s^2 = |F / F_max|.
+    Thrust goes with the square of the propellers' rate, and that with the throttle: s^2 = |F / F_max|.
     """
     times = np.arange(0.0, recipe.duration_s + STEP_S, STEP_S)
+    force = thrust(path, recipe, streams, times)
+    asked = np.minimum(np.linalg.norm(force / np.array(BOLLARD_N), axis=1), 1.0) ** 0.5
+    share = 1.0 - np.exp(-STEP_S / MOTOR_S)
+    shares, _ = lfilter([share], [1.0, share - 1.0], asked, zi=np.array([(1.0 - share) * asked[0]]))
+    return Throttle(times, np.asarray(shares))
+
+
+def thrust(path: Path, recipe: SequenceRecipe, streams: Streams, times: Array) -> Array:
+    """Force (N, 3) N of the thrusters on the body, along its axes, at times (N,) s, STEP_S apart.
+
+    F = (m + m_a) (a - a_w) + (d_1 + d_2 |u|) u per axis of the body, with u through the water, which moves with current
+    and waves, a_w its acceleration, and the trim.
+    """
     motion = path.at(times)
     water = np.zeros((len(times), 3))
     if recipe.site.current_m_s:
@@ -65,7 +76,4 @@ def throttle(path: Path, recipe: SequenceRecipe, streams: Streams) -> Throttle:
     quadratic = np.array([*HULL.quadratic, HEAVE_QUADRATIC])
     force = mass * pushed + (linear + quadratic * np.abs(in_body)) * in_body
     force[:, 2] -= TRIM_N
-    asked = np.minimum(np.linalg.norm(force / np.array(BOLLARD_N), axis=1), 1.0) ** 0.5
-    share = 1.0 - np.exp(-STEP_S / MOTOR_S)
-    shares, _ = lfilter([share], [1.0, share - 1.0], asked, zi=np.array([(1.0 - share) * asked[0]]))
-    return Throttle(times, np.asarray(shares))
+    return np.asarray(force)
