@@ -160,6 +160,14 @@ class Sequence(ABC):
         """Where faults of the sensors struck, a row each."""
         self._lacks("truth about faults")
 
+    def moving(self) -> pd.DataFrame:
+        """Who moves by itself, a row each."""
+        self._lacks("truth about what moves")
+
+    def moving_poses(self) -> pd.DataFrame:
+        """Where what moves by itself is, a row for each and each stamp."""
+        self._lacks("truth about what moves")
+
     def steering(self) -> pd.DataFrame:
         """What an expert would command at each picture, a row each."""
         self._lacks("truth about steering")
@@ -260,6 +268,12 @@ class SensorsOnly(Sequence):
 
     def faults(self) -> pd.DataFrame:
         self._hidden("faults()")
+
+    def moving(self) -> pd.DataFrame:
+        self._hidden("moving()")
+
+    def moving_poses(self) -> pd.DataFrame:
+        self._hidden("moving_poses()")
 
     def steering(self) -> pd.DataFrame:
         self._hidden("steering()")
