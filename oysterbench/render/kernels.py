@@ -67,6 +67,8 @@ def sunlit(
     """SHADED or LIT as a ray towards a part of the sun's light says, at depth t of the picture, or SURELY_LIT."""
     # Nested, for Warp evaluates both sides of an `and`.
     seen = wp.uint8(SURELY_LIT)
+    if world.roaming_count > 0:
+        seen = wp.uint8(LIT)  # rays of neighbours ask in other directions, and may find one of them
     under = wp.bool(False)
     if world.vehicle.mesh != wp.uint64(0):
         under = near_vehicle(world.vehicle, p, towards)
