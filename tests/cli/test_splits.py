@@ -21,7 +21,7 @@ SPLITS = {
     "slam-train": (10, 20_000),
     "slam-val": (8, 11_200),
     "slam-test": (10, 18_000),
-    "slam-stress": (61, 73_200),
+    "slam-stress": (64, 76_800),
     "seg-mini": (2, 40),
     "seg-train": (24, 1_920),
     "seg-val": (8, 480),
