@@ -107,12 +107,13 @@ def _drawing(name: str, of: Mapping[str, Path], align: str) -> Drawing:
     about = f"Run {runs}, shown where it answers, laid on the truth by {align or 'the evaluator'}, thinned."
     entries = [("truth", 0), *((label, k) for k, label in enumerate(of, 1))]
     # `plots` escapes what it is given; labels of the legend are escaped here.
-    return Drawing(name, about, _legend(entries), tuple(Card(title, Markup(plot)) for title, plot in cards))
+    return Drawing(name, about, legend(entries), tuple(Card(title, Markup(plot)) for title, plot in cards))
 
 
-def _legend(entries: list[tuple[str, int]]) -> Markup:
+def legend(entries: list[tuple[str, int]], truth: bool = True) -> Markup:
+    """Labels and their styles; truth: whether the marks of its ends are explained."""
     items = "".join(
         f'<li data-label="{escape(label)}">{swatch(style)}<span>{escape(label)}</span></li>' for label, style in entries
     )
-    marks = '<li class="small">\N{WHITE CIRCLE} start, \N{WHITE SQUARE} end of the truth</li>'
+    marks = '<li class="small">\N{WHITE CIRCLE} start, \N{WHITE SQUARE} end of the truth</li>' if truth else ""
     return Markup(f'<ul class="legend" aria-label="Legend">{items}{marks}</ul>')

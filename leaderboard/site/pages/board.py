@@ -17,6 +17,7 @@ from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Later, Page, PageError
 from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.pages.ranks import RANK, TIERS, UNRANKED, rank_cells, state_mark
+from oysterbench_leaderboard.site.pages.stress import stress_drawing
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.tables import DATA_SET, has_data_set, learnt_on
@@ -131,6 +132,7 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         "states": STATES,
         "others": [(board_path(other), other) for other in others],
         "permalink": board_path(info),
+        "drawings": [drawing] if (drawing := stress_drawing(site, info, found.rows)) else [],
         "has_ranks": any(row.rank is not None for row in found.rows),
         "settings": {key: value for key, value in info.settings.items() if value not in (None, [], ())},
     }

@@ -1,0 +1,36 @@
+"""On a board of single disturbances: the score of the methods shown against the strength of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from markupsafe import Markup
+
+from oysterbench.report.stress import stress_group
+from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.site import charts, standing
+from oysterbench_leaderboard.site.site import Site
+
+MOST_METHODS = 8
+"""First of a page, as many as differ by their marks."""
+
+
+def stress_drawing(site: Site, info: BoardInfo, rows: Sequence[Row]) -> charts.Drawing | None:
+    """None where the split has no single disturbances, or no row is shown."""
+    shown = rows[:MOST_METHODS]
+    if not shown or not any("disturbance" in result.conditions for result in site.record(shown[0].digest).results):
+        return None
+    names = [row.method for row in shown]
+    labels = [row.method if names.count(row.method) == 1 else f"{row.method} ({row.digest[:8]})" for row in shown]
+    results = [
+        result
+        for label, row in zip(labels, shown, strict=True)
+        for result in standing.named(site.record(row.digest), label)
+    ]
+    board = standing.board(results)
+    group = stress_group(board, {label: 1 + i for i, label in enumerate(labels)})
+    if group is None:
+        return None
+    about = "0 is the calm dive. Medians over the runs; what failed scores 0."
+    cards = tuple(charts.Card(card.title, Markup(card.svg)) for card in group.cards)  # escaped where they are drawn
+    return charts.Drawing(group.heading, about, charts.legend(list(group.legend), truth=False), cards)
