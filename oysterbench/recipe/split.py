@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import RecipeError
+from oysterbench.core.streams import Streams
 from oysterbench.recipe.drawn import draw
 from oysterbench.recipe.keys import as_plain, build, choice, number, stated
 from oysterbench.recipe.life import check_life
@@ -57,6 +58,10 @@ class SplitRecipe:
     def rig_of(self, sequence: SequenceRecipe) -> RigRecipe:
         """The rig as it is in a sequence, with what the sequence has otherwise."""
         return vary_rig(self.rig, sequence.rig, f"split {self.name}: sequence {sequence.name}")
+
+    def streams_of(self, sequence: SequenceRecipe, salt: bytes = b"") -> Streams:
+        """The random streams of a sequence: its own, or those of the dive that it is the same as."""
+        return Streams(self.seed, salt, (sequence.same_dive_as or sequence.name,))
 
     def digest(self) -> str:
         """SHA-256 over the values of recipe and rig: two recipes with one digest make the same bytes."""

@@ -26,7 +26,6 @@ from oysterbench.core.errors import OysterbenchError, RecipeError, SequenceError
 from oysterbench.core.files import home, locked, write_atomically
 from oysterbench.core.geometry import Array
 from oysterbench.core.ros import EPOCH_NS, TF_STATIC, Message
-from oysterbench.core.streams import Streams
 from oysterbench.recipe import CLASSES, REEF_CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, count
 from oysterbench.recipe.sensors import SensorRecipe
 from oysterbench.sensors.registry import calibrate_rig, kind_of, rig_frames, rig_sensors
@@ -299,7 +298,7 @@ def assemble(
 ) -> None:
     """Put the parts of a sequence together, in time order; the file appears in one step."""
     rig = split.rig_of(recipe)
-    calibration = calibrate_rig(rig, recipe.site, recipe.calibration, Streams(split.seed, salt, (recipe.name,)))
+    calibration = calibrate_rig(rig, recipe.site, recipe.calibration, split.streams_of(recipe, salt))
     jobs = plan(split, recipe)
     temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
     with open(temporary, "wb") as file:

@@ -81,7 +81,7 @@ class SimulatedSequence:
 def build_sequence(split: SplitRecipe, name: str, salt: bytes, device: str = "cpu") -> SimulatedSequence:
     """Built once per process and sequence; a worker's next job is most often of the same sequence."""
     stated = split.find_sequence(name)
-    streams = Streams(split.seed, salt, (stated.same_dive_as or name,))
+    streams = split.streams_of(stated, salt)
     recipe = draw(
         stated,
         lambda key: float(streams.generator("drawn", key).random()),

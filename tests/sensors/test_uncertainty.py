@@ -153,6 +153,19 @@ def test_camera_info_frames_and_calibration_agree(files):
     assert not np.array_equal(camera.matrix, exact.matrix)
 
 
+def test_the_same_dive_is_calibrated_with_the_same_errors_all_through_its_file(tmp_path):
+    text = TINY_SPLIT.replace("duration_s = 2.5", 'duration_s = 1.0\ncalibration = "poor"\nsame_dive_as = "other"')
+    text += text[text.index("[[sequence]]") :].replace("tiny-01", "other").replace('same_dive_as = "other"', "")
+    split = parse_split(text, "tiny.toml", TINY_RIG + SENSORS)
+    files = generate_split(split, tmp_path)
+    given = [oysterbench.open(file).cameras["cam_front"].matrix for file in files.values()]
+    np.testing.assert_array_equal(given[0], given[1])
+    for file in files.values():
+        (message, *_) = read_messages(file, ["/cam_front/camera_info"])
+        info = decode(message.data, "sensor_msgs/msg/CameraInfo")
+        np.testing.assert_array_equal(np.reshape(info.k, (3, 3)), given[0])
+
+
 def test_the_pictures_are_those_of_the_exact_dive_and_their_stamps_are_not(files):
     exact, poor = (list(oysterbench.open(files[name]).images("cam_front")) for name in ("exact", "poor"))
     for a, b in zip(exact, poor, strict=True):
