@@ -21,6 +21,7 @@ TILES = 40  # across the picture; a way is cut at two tiles, as it is felt in th
 SHARP_PX = wp.constant(0.25)  # a shorter way is none
 ALIKE_PX = wp.constant(0.75)  # ways that differ less are alike
 STEP_PX = wp.constant(1.5)  # between samples
+LONG_PX = wp.constant(4.0)  # along a longer way, samples are pixels as they are
 SOFT_DEPTH = wp.constant(0.02)  # relative step in depth over which one surface comes to lie before another
 LEAST_WEIGHT = wp.constant(1.0e-6)  # of the pixel itself, where all along its way lies before it
 LEAST_MOVED_M = wp.constant(1.0e-5)  # while the shutter is open: less is rest
@@ -222,9 +223,16 @@ def gather(
         step = 1.0 / float(n)
         total = wp.vec3(0.0, 0.0, 0.0)
         if wp.length(most - own) < ALIKE_PX + 0.25 * longest:
-            for k in range(n):
-                at = (float(k) + 0.5) * step - 0.5
-                total += between(picture, u + own[0] * at, v + own[1] * at)
+            if longest > LONG_PX:
+                for k in range(n):
+                    at = (float(k) + 0.5) * step - 0.5
+                    row = wp.clamp(int(v + own[1] * at + 0.5), 0, picture.shape[0] - 1)
+                    column = wp.clamp(int(u + own[0] * at + 0.5), 0, picture.shape[1] - 1)
+                    total += picture[row, column]
+            else:
+                for k in range(n):
+                    at = (float(k) + 0.5) * step - 0.5
+                    total += between(picture, u + own[0] * at, v + own[1] * at)
             total = total * step
         else:
             # What is here, without what lies before it; and over that what comes before it for a share of the time.

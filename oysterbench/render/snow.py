@@ -163,7 +163,7 @@ class Snow:
     def _streaks(self, ends: Array, T_map_cam: Array, columns: Array, places: Array) -> tuple[Array, Array]:
         """Discs in a row instead of each disc, along its way over the exposure, and their places."""
         way = self._way(ends, T_map_cam, places)
-        parts = np.ceil(np.sqrt((way**2).sum(axis=1)) / np.maximum(columns[:, 2], 1.0)).astype(int) + 1
+        parts = np.ceil(np.sqrt((way**2).sum(axis=1)) / np.maximum(1.5 * columns[:, 2], 1.0)).astype(int) + 1
         owner = np.repeat(np.arange(len(parts)), parts)
         at = (np.arange(len(owner)) - (np.cumsum(parts) - parts)[owner] + 0.5) / parts[owner] - 0.5
         drawn = columns[owner]

@@ -1,0 +1,52 @@
+"""Cameras that adapt, repeat and pass a video link: files are the same however they are made."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+
+import pandas as pd
+
+import oysterbench
+from oysterbench.recipe import load_split, vary_split
+from oysterbench.sequence.read import FRAMES
+from oysterbench.simulation.generate import generate_split
+
+SPLIT = vary_split(
+    load_split("slam-mini"),
+    {
+        "duration_s": 2.0,
+        "reef.oysters": 100,
+        "reef.size_m": 6.0,
+        "light.daylight": 0.01,
+        "camera.width": 96,
+        "camera.height": 64,
+        "camera.rate_hz": 4.0,
+        "camera.layer_rate_hz": 0.0,
+        "camera.auto_exposure": True,
+        "camera.auto_balance": True,
+        "camera.readout_ms": 20.0,
+        "camera.repeats": 0.3,
+        "camera.video_mbit_s": 0.05,
+        "camera.aperture_mm": 2.0,
+        "camera.port_spots": 5,
+        "camera.hot_pixels": 300.0,
+    },
+    "test",
+)
+
+
+def test_bytes_do_not_depend_on_the_number_of_workers_and_the_truth_says_how_frames_were_taken(tmp_path):
+    hashes = set()
+    for workers in (1, 2):
+        (path,) = generate_split(SPLIT, tmp_path / str(workers), workers=workers).values()
+        hashes.add(hashlib.sha256(path.read_bytes()).hexdigest())
+    assert len(hashes) == 1
+    sequence = oysterbench.open(path)
+    images = list(sequence.images("cam_front"))
+    taken = pd.read_csv(io.BytesIO(sequence.attachments[FRAMES]))
+    assert taken["stamp_ns"].tolist() == [image.stamp_ns for image in images]
+    assert taken["exposure_ms"].between(0.05, 25.0).all()
+    by_stamp = {image.stamp_ns: image.pixels for image in images}
+    for stamp, shown in zip(taken["stamp_ns"], taken["shown_ns"], strict=True):
+        assert (by_stamp[stamp] == by_stamp[shown]).all()
