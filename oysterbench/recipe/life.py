@@ -43,7 +43,7 @@ class LifeRecipe:
     crabs: int = number(0, 100, 0)  # blue crabs, 5 to 14 cm across, walking with rests at up to 0.2 m/s
     debris: int = number(0, 200, 0)  # leaves, blades of grass and strips of film that drift with the current
     tether: bool = False  # from the stern up to the surface, trailing behind with slack
-    tether_slack_m: float = number(0, 3, 0.8)  # how far its slack hangs out to the side of the vehicle
+    tether_slack_m: float = number(0, 3, 1.0)  # how far its slack hangs out to the side of the vehicle
     sway: float = number(0, 1, 0.0)  # share of the water's motion that blades' tips take; 1: limp (Luhar & Nepf 2016)
     surge_m: float = number(0, 0.3, 0.0)  # of a far swell where the site states no waves: amplitude at the bottom
     surge_period_s: float = number(3, 8, 5.0)  # of that swell

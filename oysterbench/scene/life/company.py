@@ -18,7 +18,7 @@ from oysterbench.scene.life.flotsam import KINDS, VARIANTS, build_cable, build_f
 from oysterbench.scene.life.ground import Ground
 from oysterbench.scene.life.school import School, draw_wander, school_places
 from oysterbench.scene.life.states import Group, Vehicle
-from oysterbench.scene.life.tether import PIECES, Tether
+from oysterbench.scene.life.tether import PIECES, TURN_S, Tether
 from oysterbench.scene.life.walker import Crab
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.path import Path
@@ -205,10 +205,12 @@ def _flotsam_meshes(kind: str, streams: Streams) -> tuple[str, Callable[[], list
 
 
 def _tether(life: LifeRecipe, dive: _Meeting, ground: Ground, waves: Waves, generator: np.random.Generator) -> Company:
-    """The boat lies where the dive begins, a few metres off."""
+    """The boat lies where the dive begins, a few metres off; at some time of the dive the slack hangs ahead."""
     start = dive.vehicle(np.zeros(1))[0][0, :2]
     away = generator.uniform(0, 2 * np.pi)
     anchor = start + generator.uniform(1.5, 4.0) * np.array([np.cos(away), np.sin(away)])
-    phase = generator.uniform(0, 2 * np.pi)
+    time = generator.uniform(0.1, 0.9) * dive.duration_s
+    bow = dive.vehicle(np.array([time]))[1][0, :2, 0]
+    phase = float(np.arctan2(bow[1], bow[0])) + generator.uniform(-0.3, 0.3) - 2 * np.pi * time / TURN_S
     group = Tether(np.ones((PIECES, 3)), anchor, life.tether_slack_m, phase, dive.vehicle, waves, ground)
     return Company(group, ("tether", lambda: [build_cable()]))

@@ -12,17 +12,18 @@ from oysterbench.scene.life.ground import Ground
 from oysterbench.scene.life.states import State, Vehicle
 from oysterbench.scene.waves import Waves
 
-PIECES = 40
+PIECES = 60
 RADIUS_M = 0.0038  # of a neutrally buoyant tether for small ROVs (maker's data sheet: 7.6 mm across)
 STERN = np.array([-0.19, 0.02, 0.05])  # in base_link
 LAG_S = 9.0  # by which its far end follows: what has been pulled through water lies where the vehicle was
 TURN_S = 70.0  # period in which the slack's side goes round
-SAG = 0.5  # of the slack: how far it hangs down
+SLACKEST = 0.22  # share of the tether at which it hangs out farthest
+SAG = 0.8  # of the slack: how far it hangs down
 
 
 @dataclass(frozen=True)
 class Tether:
-    """anchor (2,) m: x and y of the boat. slack_m: how far the slack hangs out. phase: of its side, rad."""
+    """anchor (2,) m: x and y of the boat. slack_m: how far the slack hangs out. phase: of its side, rad, at time 0."""
 
     colours: Array
     anchor: Array
@@ -52,7 +53,7 @@ class Tether:
     def nodes(self, time_s: float) -> Array:
         """Points (PIECES + 1, 3) m of the tether from the stern to the surface."""
         share = np.linspace(0, 1, PIECES + 1) ** 1.5  # pieces are short where it is bent
-        position, rotation = self.vehicle(time_s - LAG_S * share)
+        position, rotation = self.vehicle(time_s - LAG_S * share**2)
         trailing = position + rotation @ STERN
         rise = share[:, None] ** 1.6
         surface = np.array([*self.anchor, 0.0])
@@ -60,8 +61,8 @@ class Tether:
         # It leaves the stern straight back before it bends.
         back = -rotation[0, :, 0] + [0.0, 0.0, 0.25]
         nodes += (0.9 * share * np.exp(-share / 0.08))[:, None] * back
-        side = self.phase + 2 * np.pi * (time_s - 4.0 * share) / TURN_S
-        loop = self.slack_m * (share / 0.22) ** 1.5 * np.exp(1.5 * (1 - share / 0.22))
+        side = self.phase + 2 * np.pi * (time_s - 4.0 * (share - SLACKEST)) / TURN_S
+        loop = self.slack_m * (share / SLACKEST) ** 1.5 * np.exp(1.5 * (1 - share / SLACKEST))
         nodes[:, 0] += loop * np.cos(side)
         nodes[:, 1] += loop * np.sin(side)
         nodes[:, 2] -= SAG * loop
