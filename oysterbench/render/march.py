@@ -35,8 +35,8 @@ CELL_PIXELS = 16  # width of a cell of the grid of rays
 NODES = 48  # of range
 SHORTEST_M, LONGEST_M = 2.0, 16.0  # bounds of the range marched over
 OPAQUE = 5.0  # optical depth of even water past which nothing is seen of what the field does
-GRID_M = 0.1  # cells of silt: puffs are wider
-SILT_REACH_M = 8.0  # from the camera
+GRID_M, LEAST_SPREAD = 0.1, 0.75  # cells of silt, and of them the narrowest puff that they hold
+SILT_REACH_M, SILT_REACH = 8.0, 0.7  # from the camera: at most, and of the range marched over
 DARKEST = wp.constant(wp.vec3(1.0e-9, 1.0e-9, 1.0e-9))  # veil that there is anywhere
 LAMP_STEPS = wp.constant(6)  # from a lamp to what it lights
 FAINT = wp.constant(1.0e-9)  # light of a lamp beyond its cone, so that there is a mean of all lamps everywhere
@@ -107,12 +107,14 @@ class TurbidityField:
 
     def _settle(self, puffs: Puffs, position: Array) -> None:
         """Puffs near the camera onto the grid, by tables of their separable distribution."""
-        centre, spread, floor, amount = puffs.near(position, SILT_REACH_M)
+        seen = min(SILT_REACH_M, SILT_REACH * self.field.reach)
+        centre, spread, floor, amount = puffs.near(position, seen)
         if not len(amount):
             return
+        spread = np.maximum(spread, LEAST_SPREAD * GRID_M)
         reach = SPREADS * spread
-        low = np.maximum((centre - reach[:, None]).min(axis=0), position - SILT_REACH_M)
-        high = np.minimum((centre + reach[:, None]).max(axis=0), position + SILT_REACH_M)
+        low = np.maximum((centre - reach[:, None]).min(axis=0), position - seen)
+        high = np.minimum((centre + reach[:, None]).max(axis=0), position + seen)
         low[2], high[2] = floor.min(), (centre[:, 2] + reach).max()
         low = np.floor(low / GRID_M) * GRID_M
         counts = np.maximum(np.ceil((high - low) / GRID_M).astype(int) + 1, 2)
@@ -125,15 +127,20 @@ class TurbidityField:
         direct = z - centre[:, 2, None]
         upright = tables[2] + _normal(mirrored, spread[:, None])
         above = _beyond(direct, spread[:, None]) + _beyond(mirrored, spread[:, None])
-        x, y = (self._floats(table) for table in (tables[0] * amount[:, None], tables[1]))
+        x, y = self._floats((tables[0] * amount[:, None]).T), self._floats(tables[1])
+        ends = (centre[:, 1, None] + reach[:, None] * [-1, 1] - low[1]) / GRID_M
+        ends = np.clip(np.ceil(ends), 0, counts[1]).astype(np.int32)
+        first, last = (wp.array(end, dtype=wp.int32, device=self.device) for end in np.ascontiguousarray(ends.T))
         column = wp.array(np.stack([upright, above], -1).round(7).astype(np.float32), dtype=wp.vec2, device=self.device)
         field = self.field
         field.grid = wp.zeros(tuple(counts.tolist()), dtype=wp.vec2, device=self.device)
         field.corner, field.cell, field.silty = wp.vec3(*np.round(low, 6).tolist()), GRID_M, 1
-        wp.launch(fill, field.grid.shape[:2], inputs=[x, y, column], outputs=[field.grid], device=self.device)
+        wp.launch(fill, counts[0], inputs=[x, y, column, first, last], outputs=[field.grid], device=self.device)
 
     def _floats(self, values: Array) -> wp.array:
-        return wp.array(np.round(values, 7).astype(np.float32), dtype=wp.float32, device=self.device)
+        return wp.array(
+            np.ascontiguousarray(np.round(values, 7), dtype=np.float32), dtype=wp.float32, device=self.device
+        )
 
     def march(self, view: CameraView, optics: Optics) -> None:
         """Along the rays of a view; optics has this field."""
@@ -157,15 +164,22 @@ def fill(
     x: wp.array2d(dtype=wp.float32),
     y: wp.array2d(dtype=wp.float32),
     column: wp.array2d(dtype=wp.vec2),
+    first: wp.array(dtype=wp.int32),
+    last: wp.array(dtype=wp.int32),
     grid: wp.array3d(dtype=wp.vec2),
 ):
-    """Silt at the points of the grid and above them: the sum of the puffs, each a product of functions of x, y, z."""
-    i, j = wp.tid()
-    for p in range(x.shape[0]):
-        weight = x[p, i] * y[p, j]
-        if weight > LEAST_WEIGHT:
-            for k in range(grid.shape[2]):
-                grid[i, j, k] = grid[i, j, k] + column[p, k] * weight
+    """Silt at the points of the grid and above them: the sum of the puffs, each a product of functions of x, y, z.
+
+    first, last: of the lines along y that a puff reaches.
+    """
+    i = wp.tid()
+    for p in range(x.shape[1]):
+        if x[i, p] > LEAST_WEIGHT:
+            for j in range(first[p], last[p]):
+                weight = x[i, p] * y[p, j]
+                if weight > LEAST_WEIGHT:
+                    for k in range(grid.shape[2]):
+                        grid[i, j, k] = grid[i, j, k] + column[p, k] * weight
 
 
 @wp.func

@@ -41,7 +41,7 @@ RISE = 0.8  # of a plume's size: height to which it is thrown up
 RISE_S = 1.0  # in which a puff comes up
 LONGEST_S = 240.0
 UPSTREAM_S, UPSTREAM_M = 60.0, 10.0  # of the current, from beside the reef, and at most: silt comes from there too
-FAINTEST = 0.02  # 1/m in its middle, below which a puff is forgotten
+FAINTEST = 0.05  # 1/m in its middle, below which a puff is forgotten
 MIRROR_NODES, MIRROR_WEIGHTS = leggauss(8)
 
 
