@@ -75,8 +75,8 @@ class CameraCalibration:
     distortion_model and distortion as in sensor_msgs/CameraInfo: plumb_bob (Brown-Conrady k1, k2, p1, p2[, k3]) or
     equidistant (Kannala-Brandt k1 to k4). Behind a flat port, methods are given a lens in water that was fitted to it;
     the true calibration has the lens in air, port_m from the pupil to the port, and port_index, the water's refractive
-    index against air. Stamps are late by
-    time_offset_s, give or take time_jitter_s, 1 sigma.
+    index against air. Stamps are late by time_offset_s, give or take time_jitter_s, 1 sigma. readout_s: in which the
+    rows of a rolling shutter are read, evenly; a stamp is the middle of the exposure of the middle row.
     """
 
     width: int
@@ -90,6 +90,7 @@ class CameraCalibration:
     port_index: float = 1.0
     time_offset_s: float = 0.0
     time_jitter_s: float = 0.0
+    readout_s: float = 0.0
 
     def taken_ns(self, stamp_ns: int) -> int:
         """When a frame of a stamp was taken, as far as the calibration knows."""
@@ -303,6 +304,8 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
             "distortion": [*recipe.distortion, *([0.0] * (4 - len(recipe.distortion)))],
             "T_base_cam": camera_pose(recipe).tolist(),
         }
+        if recipe.readout_ms:
+            entry["readout_s"] = recipe.readout_ms / 1e3
         if recipe.port_mm is not None:
             entry["port"] = {"distance_m": recipe.port_mm / 1e3, "index": PORT_INDEX}
         return entry

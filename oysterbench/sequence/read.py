@@ -61,8 +61,6 @@ STEERING = "truth/steering.csv"
 TRUE_CALIBRATION = "truth/calibration.json"
 FAULTS = "truth/faults.csv"
 FRAMES = "truth/frames.csv"
-"""How each frame was truly taken, where cameras adapt or repeat: camera, stamp_ns, shown_ns, exposure_ms, gain, and the
-white balance red, green, blue."""
 MOVING = "truth/moving.csv"
 MOVING_POSES = "truth/moving_poses.csv"
 
@@ -191,6 +189,16 @@ class McapSequence(Sequence):
         if FAULTS not in self.attachments:
             return pd.DataFrame(columns=list(COLUMNS))
         return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[FAULTS])))
+
+    def taken(self) -> pd.DataFrame:
+        """How each frame of the cameras that adapt or repeat was truly taken, a row each: camera, stamp_ns; shown_ns,
+        the stamp of the frame whose picture it shows; exposure_ms, gain, and the white balance red, green, blue. No row
+        where no camera does."""
+        import pandas as pd
+
+        if FRAMES not in self.attachments:
+            return pd.DataFrame(columns=["camera", "stamp_ns", "shown_ns"])
+        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[FRAMES])))
 
     def steering(self) -> pd.DataFrame:
         """What an expert would command at each picture of the front camera, a row each: stamp_ns; yaw and pitch, the

@@ -160,6 +160,10 @@ class Sequence(ABC):
         """Where faults of the sensors struck, a row each."""
         self._lacks("truth about faults")
 
+    def taken(self) -> pd.DataFrame:
+        """How each frame of the cameras that adapt or repeat was truly taken, a row each."""
+        self._lacks("truth about how frames were taken")
+
     def moving(self) -> pd.DataFrame:
         """Who moves by itself, a row each."""
         self._lacks("truth about what moves")
@@ -268,6 +272,9 @@ class SensorsOnly(Sequence):
 
     def faults(self) -> pd.DataFrame:
         self._hidden("faults()")
+
+    def taken(self) -> pd.DataFrame:
+        self._hidden("taken()")
 
     def moving(self) -> pd.DataFrame:
         self._hidden("moving()")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import io
 
-import pandas as pd
+import pytest
 
 import oysterbench
+from oysterbench.core.errors import MethodError
 from oysterbench.recipe import load_split, vary_split
-from oysterbench.sequence.read import FRAMES
 from oysterbench.simulation.generate import generate_split
 
 SPLIT = vary_split(
@@ -44,7 +43,10 @@ def test_bytes_do_not_depend_on_the_number_of_workers_and_the_truth_says_how_fra
     assert len(hashes) == 1
     sequence = oysterbench.open(path)
     images = list(sequence.images("cam_front"))
-    taken = pd.read_csv(io.BytesIO(sequence.attachments[FRAMES]))
+    assert sequence.cameras["cam_front"].readout_s == 0.02
+    taken = sequence.taken()
+    with pytest.raises(MethodError, match="taken"):
+        sequence.for_method().taken()
     assert taken["stamp_ns"].tolist() == [image.stamp_ns for image in images]
     assert taken["exposure_ms"].between(0.05, 25.0).all()
     by_stamp = {image.stamp_ns: image.pixels for image in images}
