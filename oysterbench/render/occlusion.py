@@ -13,6 +13,7 @@ from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 wp.set_module_options(KERNEL_OPTIONS)
 
 PRIOR_RAYS = wp.constant(1.0)  # weight of crevices by height beside rays that were cast
+FAN = wp.constant(16.0)  # rays that a pixel and its neighbours hold
 INTERREFLECTION = wp.constant(0.12)  # light of neighbours in the place of the sky that they hide
 
 
@@ -79,13 +80,13 @@ def gathered(
     prior: float,
 ):
     """Openness from the fan of the neighbours that lie on the same surface; `prior` where they are few."""
-    hidden = wp.bool(prior < 1.0)
+    hidden = wp.bool(False)
     for di in range(-2, 2):
         for dj in range(-2, 2):
             i = wp.clamp(row + di, 0, open.shape[0] - 1)
             j = wp.clamp(column + dj, 0, open.shape[1] - 1)
             hidden = hidden or open[i, j] < 1.0
-    share = wp.float32(1.0)
+    share = (PRIOR_RAYS * prior + FAN) / (PRIOR_RAYS + FAN)
     if hidden:
         total = PRIOR_RAYS * prior
         weight = wp.float32(PRIOR_RAYS)

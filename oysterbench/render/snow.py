@@ -75,14 +75,19 @@ class Snow:
         corners = np.concatenate([_turn(rotation, corners), np.zeros((1, 3))]) + place
         low, high = (np.floor(f(axis=0) / self.cell).astype(np.int64) for f in (corners.min, corners.max))
         axes = [np.arange(a - 1, b + 2) for a, b in zip(low, high, strict=True)]
-        cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        middle = _turn(rotation.T, (cells + 0.5) * self.cell - place)
+        # Along each axis of the grid apart, for sums over all cells: in one order on every processor.
+        grid = [(axis + 0.5) * self.cell - place[k] for k, axis in enumerate(axes)]
+        x, y, z = (
+            (grid[0][:, None] * rotation[0, k] + grid[1] * rotation[1, k])[:, :, None] + grid[2] * rotation[2, k]
+            for k in range(3)
+        )
         margin = self.cell * 0.87
         tangent = np.abs(rays[..., :2]).max(axis=(0, 1)) * 1.02
         slack = margin * np.sqrt(1 + tangent**2)
-        near = (middle[:, 2] > -margin) & ((middle**2).sum(axis=1) < (self._reach + margin) ** 2)
-        near &= (np.abs(middle[:, :2]) < np.maximum(middle[:, 2:], 0) * tangent + slack).all(axis=1)
-        cells = cells[near]
+        ahead = np.maximum(z, 0)
+        near = (z > -margin) & (x**2 + y**2 + z**2 < (self._reach + margin) ** 2)
+        near &= (np.abs(x) < ahead * tangent[0] + slack[0]) & (np.abs(y) < ahead * tangent[1] + slack[1])
+        cells = np.argwhere(near) + [axis[0] for axis in axes]
         key = _hash(cells[:, 0], cells[:, 1], cells[:, 2], self._salt)
         count = np.searchsorted(self._cumulative, _unit(key))
         owner = np.repeat(np.arange(len(cells)), count)
