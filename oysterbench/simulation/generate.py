@@ -49,7 +49,7 @@ from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_stron
 from oysterbench.simulation.scheduling import Results, run_here, run_in_processes, run_on_cluster
 from oysterbench.version import VERSION
 
-GENERATION = 3
+GENERATION = 4
 """Raised whenever the same recipe begins to give other bytes, so that no cached file is taken for a new one."""
 
 PROGRAM = f"oysterbench {VERSION}, generation {GENERATION}"
