@@ -414,6 +414,8 @@ class CameraRenderer:
         daylight = Daylight(float(light.sun_direction[2]), light.sky)
         water = build_water(recipe.water, daylight, recipe.reef.depth_m + DEPTH_MARGIN_M)
         fan = sun_fan(light, water, recipe.reef.depth_m)
+        if self._movers is not None:
+            self._movers.throw_shadows(np.vstack([fan, light.sun_direction]))
         self._looks = upload_looks(world, recipe, np.vstack([fan, light.sun_direction]), device)
         self._optics = upload_optics(water, light, fan, recipe, world.terrain.steepest(), device)
         shape = (camera.height, camera.width)

@@ -63,10 +63,11 @@ class Vehicle:
 
 @wp.struct
 class Geometry:
-    """A world on a device. Corners, points, normals and marks of all library meshes are end to end.
+    """A world on a device. Corners, normals and marks of all library meshes are end to end.
 
-    placed: what stands still, in `tree` and, as Warp's, in `boxes`; then, from first_swaying, the plants that sway, in
-    the tree `swaying`; then, from first_roaming, what roams, in the tree `roaming` (movers.py places these).
+    placed: what stands still, in the tree `boxes`; then, from first_swaying, the plants that sway, in the tree
+    `swaying`; then, from first_roaming, what roams, in the tree `roaming` (movers.py places these). shaded: where, on a
+    grid over the reef, indexed [y, x], what roams may stand before the sun.
     """
 
     relief: Relief
@@ -84,6 +85,9 @@ class Geometry:
     roaming: wp.uint64
     roaming_count: wp.int32
     first_roaming: wp.int32
+    shaded: wp.array2d(dtype=wp.uint8)
+    shaded_start: wp.float32
+    shaded_step: wp.float32
     corners: wp.array(dtype=wp.int32)
     points: wp.array(dtype=wp.vec3)
     normals: wp.array(dtype=wp.vec3)
@@ -238,6 +242,19 @@ def cast_instances(world: Geometry, origin: wp.vec3, direction: wp.vec3, known: 
                 item = waiting[count]
                 going = wp.bool(True)
     return hit
+
+
+@wp.func
+def under_roaming(world: Geometry, p: wp.vec3):
+    """False only where nothing that roams can stand between a point and the sun."""
+    under = wp.bool(False)
+    if world.roaming_count > 0:
+        i = int(wp.floor((p[1] - world.shaded_start) / world.shaded_step))
+        j = int(wp.floor((p[0] - world.shaded_start) / world.shaded_step))
+        under = wp.bool(True)
+        if i >= 0 and j >= 0 and i < world.shaded.shape[0] and j < world.shaded.shape[1]:
+            under = world.shaded[i, j] != wp.uint8(0)
+    return under
 
 
 @wp.func

@@ -19,6 +19,7 @@ from oysterbench.render.casting import (
     near_roaming,
     near_vehicle,
     surface_normal,
+    under_roaming,
 )
 from oysterbench.render.looks import Looks, needs_shadow_ray, openness
 from oysterbench.render.occlusion import gathered, same_surface
@@ -67,12 +68,13 @@ def sunlit(
     """SHADED or LIT as a ray towards a part of the sun's light says, at depth t of the picture, or SURELY_LIT."""
     # Nested, for Warp evaluates both sides of an `and`.
     seen = wp.uint8(SURELY_LIT)
-    if world.roaming_count > 0:
+    roamed = under_roaming(world, p)
+    if roamed:
         seen = wp.uint8(LIT)  # rays of neighbours ask in other directions, and may find one of them
     under = wp.bool(False)
     if world.vehicle.mesh != wp.uint64(0):
         under = near_vehicle(world.vehicle, p, towards)
-    if not under:
+    if roamed and not under:
         under = near_roaming(world, p, towards, FAR_M)
     wanted = under
     if not wanted:

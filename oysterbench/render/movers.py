@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from oysterbench.render.casting import Geometry, Placed
 from oysterbench.scene.instances import Instances
@@ -21,6 +22,9 @@ Rows = NDArray[Any]
 """Rows (N,) of the structure Placed."""
 
 MARGIN_M = 1e-4  # of boxes about shapes
+SHADED_CELL_M, SHADED_MARGIN_M = 0.1, 1.0  # of the grid of what roams before the sun, and how far it goes past the reef
+SHADOW_STEPS = 32  # down a direction of the sun
+LEAST_SINE = 0.1  # of the sun's elevation under water: it never stands lower than 40 degrees
 
 
 class Meshes:
@@ -83,6 +87,12 @@ class Movers:
             geometry.swaying = self._swaying.id
         if self._roaming is not None:
             geometry.roaming = self._roaming.id
+        half = world.terrain.coordinates[-world.terrain.rim - 1] + SHADED_MARGIN_M
+        cells = int(np.ceil(2 * half / SHADED_CELL_M))
+        geometry.shaded = wp.zeros((cells, cells), dtype=wp.uint8, device=device)
+        geometry.shaded_start, geometry.shaded_step = -float(half), SHADED_CELL_M
+        self._lowest = float(world.terrain.heights.min())
+        self._fan = np.zeros((0, 3))
         self.move(None)
 
     def move(self, time_s: float | None) -> None:
@@ -94,10 +104,34 @@ class Movers:
             self._assign(self._swaying, *self._leaning(plants, time_s))
             self._swaying.refit()
         self._geometry.roaming_count = 0 if time_s is None else self._roamers
+        if self._geometry.roaming_count and len(self._fan):
+            shaded = self._shaded(*self._bounds(others))
+            self._geometry.shaded.assign(shaded)
         if self._geometry.roaming_count:
             assert self._roaming is not None
             self._assign(self._roaming, *self._bounds(others))
             self._roaming.rebuild()
+
+    def throw_shadows(self, fan: NDArray[np.float32]) -> None:
+        """From now on, note where shadows may fall; fan (N, 3): unit vectors towards all that throws them."""
+        self._fan = fan.astype(float)
+
+    def _shaded(self, lowers: NDArray[np.float64], uppers: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Cells of the grid over the reef that lie under a box, along any direction of the fan."""
+        middle, radius = 0.5 * (lowers + uppers), 0.5 * float(np.linalg.norm(uppers - lowers, axis=1).max())
+        steep = np.maximum(self._fan[:, 2], LEAST_SINE)
+        drop = np.maximum(middle[:, 2] - self._lowest, 0.0)
+        share = np.linspace(0, 1, SHADOW_STEPS)
+        # Down each direction, from the middle of a box to the lowest bottom there is.
+        run = (self._fan[:, :2] / steep[:, None])[:, None, None] * (drop[:, None] * share)[None, ..., None]
+        places = middle[None, :, None, :2] - run
+        cell = np.floor((places.reshape(-1, 2) - self._geometry.shaded_start) / SHADED_CELL_M).astype(np.int64)
+        shaded = np.zeros(self._geometry.shaded.shape, dtype=np.uint8)
+        cell = cell[np.all((cell >= 0) & (cell < shaded.shape), axis=1)]
+        shaded[cell[:, 1], cell[:, 0]] = 1
+        gap = float(np.linalg.norm(run[:, :, -1], axis=-1).max(initial=0.0)) / (SHADOW_STEPS - 1)
+        wide = int(np.ceil((radius + 0.5 * gap) / SHADED_CELL_M)) + 1
+        return np.asarray(ndimage.maximum_filter(shaded, size=2 * wide + 1))
 
     def rows_at(self, time_s: float) -> Rows:
         """All moving rows as they are at a time."""
