@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -420,7 +421,8 @@ class CameraRenderer:
         self._optics = upload_optics(water, light, fan, recipe, world.terrain.steepest(), device)
         shape = (camera.height, camera.width)
         self._optics.lamps = lamps.build_lamps(self._lamps, recipe.light.lamps, water, shape, device)
-        self._turbidity = march.TurbidityField(recipe, water, daylight, plumes, world.texture_seed, shape, device)
+        self._fill = partial(march.TurbidityField, recipe, water, daylight, plumes, world.texture_seed)
+        self._turbidity = self._fill(shape, device)
         self._waves = caustics.Waves(recipe.light, water, recipe.reef.depth_m, world.texture_seed, device)
         self._clear = without_water(self._optics, device)
         self._clear.lamps = lamps.without_water(self._optics.lamps, device)

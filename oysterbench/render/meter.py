@@ -1,4 +1,4 @@
-"""The exposure meter of a camera: a very small picture of the same world, without what flickers and flies."""
+"""The exposure meter of a camera: a very small picture of the same world, without what flickers, flies and roams."""
 
 from __future__ import annotations
 
@@ -28,6 +28,10 @@ class Meter(CameraRenderer):
         self._optics = _copied(renderer._optics)
         light, shape = self.recipe.light, (ROWS, COLUMNS)
         self._optics.lamps = lamps.build_lamps(self._lamps, light.lamps, self._water, shape, self.device)
+        self._turbidity = self._fill(shape, self.device)
+        if self._movers is not None:  # 30 ms for what fills little of a picture
+            self._movers.move(None)
+            self._movers = None
         still = dataclasses.replace(light, wind_m_s=0.0)
         self._waves = caustics.Waves(still, self._water, self.recipe.reef.depth_m, 0, self.device)
         self._allocate()

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from oysterbench.render.sensor import Exposure
 
 METER_HZ = 4.0
+SILT_METER_HZ = 1.0  # among plumes of silt, whose field costs 50 ms a moment
 SHORTEST_S = 5e-5
 SETTLED = 3.0  # time constants after which a first-order loop has come within 5 % of a step
 WAKES, RESTS = 0.2, 0.05  # stops off the target from which the loop starts to move, and at which it stops: a dead band
@@ -62,7 +63,8 @@ def metered(world: SensedWorld, camera: CameraRecipe) -> Array:
     from oysterbench.scene.rig import camera_pose
 
     duration_s = world.recipe.duration_s
-    times = np.linspace(0.0, duration_s, max(round(duration_s * METER_HZ), 1) + 1)
+    rate_hz = SILT_METER_HZ if world.recipe.water.plumes.attenuation else METER_HZ
+    times = np.linspace(0.0, duration_s, max(round(duration_s * rate_hz), 1) + 1)
     meter, mount = Meter(world.renderers[camera.name]), camera_pose(camera)
     bodies = zip(times.tolist(), world.bodies(times), strict=True)
     seen = np.log2([np.maximum(meter.mean(body @ mount, time_s, body), 1e-9) for time_s, body in bodies])
