@@ -63,11 +63,11 @@ class Vehicle:
 
 @wp.struct
 class Geometry:
-    """A world on a device. Corners, normals and marks of all library meshes are end to end.
+    """A world on a device. Corners, points, normals and marks of all library meshes are end to end.
 
-    placed: what stands still, in the tree `boxes`; then, from first_swaying, the plants that sway, in the tree
-    `swaying`; then, from first_roaming, what roams, in the tree `roaming` (movers.py places these). shaded: where, on a
-    grid over the reef, indexed [y, x], what roams may stand before the sun.
+    placed: what stands still, in `tree` and, as Warp's, in `boxes`; then, from first_swaying, the plants that sway, in
+    the tree `swaying`; then, from first_roaming, what roams, in the tree `roaming` (movers.py places these). shaded:
+    where, on a grid over the reef, indexed [y, x], what roams may stand before the sun.
     """
 
     relief: Relief
