@@ -38,6 +38,8 @@ CONDITIONS: dict[str, Condition] = {
     "wave_height_m": Condition("wave height", "m"),
     "current_m_s": Condition("current", "m/s"),
     "plant_cover": Condition("plant cover"),
+    "layer_factor": Condition("turbid layer"),
+    "silt_per_m": Condition("silt in plumes", "1/m"),
     "duration_s": Condition("duration", "s"),
 }
 """Conditions by their key in a record, classes first."""

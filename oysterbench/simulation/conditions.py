@@ -29,6 +29,10 @@ def conditions(split: SplitRecipe, sequence: str) -> dict[str, float | str]:
         stated |= {"disturbance": recipe.disturbance or UNDISTURBED, "strength": recipe.strength}
     if any(other.calibration != "exact" for other in split.sequence):
         stated |= {"calibration": recipe.calibration}
+    if any(other.water.layer.factor > 1 for other in split.sequence):
+        stated |= {"layer_factor": recipe.water.layer.factor}
+    if any(other.water.plumes.attenuation for other in split.sequence):
+        stated |= {"silt_per_m": recipe.water.plumes.attenuation}
     return {
         **stated,
         "water": _class_of(secchi_m, SECCHI_CLASSES_M),

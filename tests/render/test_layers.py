@@ -201,7 +201,12 @@ for module in MODULES:
     wp.get_module(module.__name__).options["cpu_compiler_flags"] = {flags!r}
 from tests.render.test_layers import EVERYTHING, LAMPS, PLACE, THICK, noise, renderer_of, small_reef
 frame = renderer_of(small_reef(water=THICK, light=EVERYTHING), rig=LAMPS).render(PLACE, noise(), time_s=1.0)
-print(hashlib.sha256(frame.colour.tobytes() + frame.depth.tobytes() + frame.instances.tobytes()).hexdigest())
+from oysterbench.recipe.turbidity import LayerRecipe, PatchesRecipe
+from tests.render.test_turbidity import silty
+varied = {{**THICK, "layer": LayerRecipe(factor=2.0), "patches": PatchesRecipe(contrast=0.5)}}
+silt = silty((0.6, 0.0, -2.6), light=EVERYTHING, rig=LAMPS, water=varied).render(PLACE, noise(), time_s=1.0)
+parts = (frame.colour, frame.depth, frame.instances, silt.colour)
+print(hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest())
 """
 
 

@@ -21,7 +21,8 @@ STRESSED = 'difficulty = 3\ndisturbance = "blur"\nstrength = 2\ncalibration = "g
 
 
 def test_conditions_are_named_and_every_class_is_text():
-    found = of(stressed=("duration_s", f"{STRESSED}duration_s"))
+    varied = 'jerlov = "1C"\nlayer = { factor = 2.0 }\nplumes = { attenuation = 5.0 }'
+    found = of(stressed=("duration_s", f"{STRESSED}duration_s"), water=('jerlov = "1C"', varied))
     assert found.keys() == CONDITIONS.keys()
     assert all(isinstance(found[key], str) for key in STRATA if key != "difficulty")
     assert (found["difficulty"], found["disturbance"], found["strength"]) == (3, "blur", 2)
@@ -31,7 +32,8 @@ def test_conditions_are_named_and_every_class_is_text():
 
 
 def test_what_a_split_does_not_state_is_no_condition():
-    assert not {"difficulty", "disturbance", "strength", "calibration"} & of().keys()
+    stated = {"difficulty", "disturbance", "strength", "calibration", "layer_factor", "silt_per_m"}
+    assert not stated & of().keys()
 
 
 def test_water_is_classed_by_the_depth_at_which_a_disc_vanishes():
