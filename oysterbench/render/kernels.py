@@ -171,17 +171,20 @@ def softened(cosine: float, spread: float):
 
 
 @wp.func
-def day_light(optics: Optics, p: wp.vec3, n: wp.vec3, lit: float, opening: float):
+def day_light(optics: Optics, p: wp.vec3, n: wp.vec3, lit: float, opening: float, way: Way):
     """Irradiance (3,) of the day on a surface with normal n that sees those shares of sun and sky."""
     towards = wp.dot(n, optics.sun_direction)
     facing = softened(towards, optics.spread) / softened(optics.sun_direction[2], optics.spread)
-    beam = beam_at(optics, p) * optics.sun
+    beam = wp.cw_mul(beam_at(optics, p) * optics.sun, way.beam)
     soft = wp.vec3(optics.sun + optics.sky, optics.sun + optics.sky, optics.sun + optics.sky) - beam
     below = optics.bounce * 0.5 * (1.0 - n[2])
     light = (soft * (softened(n[2], SKY_SPREAD) / softened(1.0, SKY_SPREAD)) + wp.vec3(below, below, below)) * opening
     if lit > 0.0:
-        light += beam * (caustic(optics, p) * facing * lit)
-    return wp.cw_mul(look_up(optics.daylight, -p[2] / optics.depth_step), light)
+        wave = caustic(optics, p)
+        if optics.turbidity.on != 0:
+            wave = 1.0 + (wave - 1.0) * way.pattern
+        light += beam * (wave * facing * lit)
+    return wp.cw_mul(wp.cw_mul(look_up(optics.daylight, -p[2] / optics.depth_step), light), way.day)
 
 
 @wp.func
@@ -239,7 +242,7 @@ def received_radiance(
         p = origin + direction * hit.t
         material = shade_material(world, looks, view, p, smooth, direction, hit)
         n = material.normal
-        surface = wp.cw_mul(day_light(optics, p, n, lit, opening), way.day)
+        surface = day_light(optics, p, n, lit, opening, way)
         if optics.lamps.count > 0:
             lamps = lamp_light(world, optics.lamps, p, n, smooth, hit.t, LEAST_SHADOW * surface[1])
             surface += wp.cw_mul(lamps, way.lamps) * (0.25 + 0.75 * opening)

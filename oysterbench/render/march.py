@@ -19,6 +19,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SequenceRecipe
 from oysterbench.render.admixture import Admixture, admixtures
+from oysterbench.render.caustics import PATTERN_CONE_RAD
 from oysterbench.render.lamps import lamp_spread
 from oysterbench.render.optics import Optics, lamp_irradiance
 from oysterbench.render.radiance import Daylight
@@ -26,7 +27,7 @@ from oysterbench.render.tables import look_up, look_up_pair
 from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.render.turbidity import Turbidity, amounts, decay, decays, dimmed, mean_decays, silt_at
 from oysterbench.render.view import CameraView, ray_start, ray_through
-from oysterbench.render.water import Water
+from oysterbench.render.water import IMAGE_CONE_RAD, Water, forward_share
 from oysterbench.scene.plumes import SPREADS, Plumes, Puffs
 
 wp.set_module_options(KERNEL_OPTIONS)
@@ -68,6 +69,7 @@ class TurbidityField:
         depth = recipe.reef.depth_m
         field.bottom, field.excess, field.fade = -depth, layer.factor - 1.0, 1.0 / layer.thickness_m
         field.contrast, field.frequency = patches.contrast, 1.0 / patches.size_m
+        field.blurring = round(forward_share(IMAGE_CONE_RAD) - forward_share(PATTERN_CONE_RAD), 7)
         field.seed = int(Streams(texture_seed).generator("patches").integers(0, 2**31))
         ambient, own, silt = admixtures(recipe.water, water, daylight, depth)
         self._admix("own", own)

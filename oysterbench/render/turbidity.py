@@ -25,7 +25,8 @@ class Turbidity:
     Per unit of either, as of admixture.Admixture: direct, image, veil (R,), spread, scattering, dimming (D,), glow (D,
     K); of even water: image, glow (D, K), left (R,) and sky (K,). Per ray and node of range: along (R, C, N), amounts
     of own and silt to there; veil (R, C, N), the factor on the veil; lit (R, C, N), amounts of own and silt between the
-    lamps and there, and a factor on what they leave.
+    lamps and there, and a factor on what they leave. blurring: share of scattering that takes light out of the pattern
+    of caustics, and not out of the beam.
     """
 
     on: wp.int32
@@ -62,6 +63,7 @@ class Turbidity:
     veil: wp.array3d(dtype=wp.vec3)
     lit: wp.array3d(dtype=wp.vec3)
     reach: wp.float32
+    blurring: wp.float32
 
 
 @wp.func
@@ -147,6 +149,20 @@ def amounts(field: Turbidity, p: wp.vec3):
 
 
 @wp.func
+def dimming(field: Turbidity, amount: wp.vec4, row: float):
+    """Optical depth (3,) of the amounts above for daylight, at a row of the tables over depth."""
+    return look_up(field.own_dimming, row) * amount[2] + look_up(field.silt_dimming, row) * amount[3]
+
+
+@wp.func
 def dimmed(field: Turbidity, amount: wp.vec4, row: float):
     """Share (3,) of the daylight that the amounts above leave at a row of the tables over depth."""
-    return decays(look_up(field.own_dimming, row) * amount[2] + look_up(field.silt_dimming, row) * amount[3])
+    return decays(dimming(field, amount, row))
+
+
+@wp.func
+def unbeamed(field: Turbidity, amount: wp.vec4, row: float, sun_cosine: float):
+    """Of the sun's share of the daylight that throws shadows, what still does under the amounts above: the beam loses
+    what is scattered out of the image on its slanted way, all light together less."""
+    lost = (field.own_spread * amount[2] + field.silt_spread * amount[3]) / sun_cosine - dimming(field, amount, row)
+    return decays(wp.vec3(wp.max(lost[0], 0.0), wp.max(lost[1], 0.0), wp.max(lost[2], 0.0)))

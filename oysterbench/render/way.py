@@ -8,7 +8,7 @@ import warp as wp
 
 from oysterbench.render.optics import Optics
 from oysterbench.render.tables import look_up
-from oysterbench.render.turbidity import amounts, decay, decays, dimmed
+from oysterbench.render.turbidity import amounts, decay, decays, dimmed, unbeamed
 
 
 @wp.struct
@@ -16,13 +16,17 @@ class Way:
     """From a point to the camera, over what even water does.
 
     direct, image (3,): shares of the sharp and of all of a surface's light; unsilted: share of all of it, in green,
-    that no silt has scattered; day, lamps (3,): shares of the light that gets there; veil (3,): factor on the veil.
+    that no silt has scattered; day, lamps (3,): shares of the light that gets there; beam (3,): of the share of the
+    day's that throws shadows, what still does; pattern: what is left of the contrast of caustics; veil (3,):
+    factor on the veil.
     """
 
     direct: wp.vec3
     image: wp.vec3
     unsilted: wp.float32
     day: wp.vec3
+    beam: wp.vec3
+    pattern: wp.float32
     lamps: wp.vec3
     veil: wp.vec3
 
@@ -62,6 +66,8 @@ def way_to(optics: Optics, across: float, down: float, distance: float, p: wp.ve
     way.direct = wp.vec3(1.0, 1.0, 1.0)
     way.image = way.direct
     way.day = way.direct
+    way.beam = way.direct
+    way.pattern = 1.0
     way.unsilted = 1.0
     way.lamps = way.direct
     way.veil = way.direct
@@ -76,7 +82,12 @@ def way_to(optics: Optics, across: float, down: float, distance: float, p: wp.ve
         way.direct = decays(look_up(field.own_direct, column) * amount[0] + sharp)
         way.image = decays(look_up(field.own_image, column) * amount[0] + whole)
         way.unsilted = decay(sharp[1] - whole[1])
-        way.day = dimmed(field, amounts(field, p), -p[2] / optics.depth_step)
+        above = amounts(field, p)
+        row = -p[2] / optics.depth_step
+        way.day = dimmed(field, above, row)
+        way.beam = unbeamed(field, above, row, optics.sun_direction[2])
+        turned = field.own_scattering[1] * above[2] + field.silt_scattering[1] * above[3]
+        way.pattern = decay(field.blurring * turned / optics.sun_direction[2])
         way.veil = interpolate(field.veil, y, x, z)
         if optics.lamps.count > 0:
             y = y * float(field.lit.shape[0] - 1) / float(field.along.shape[0] - 1)

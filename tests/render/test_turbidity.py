@@ -125,6 +125,20 @@ def test_a_plume_hides_glows_and_shades() -> None:
     assert dark.mean() < 0.7 * bright.mean(), "it takes the daylight from what is below it"
 
 
+def test_caustics_fade_under_silt() -> None:
+    """Under plumes high over the bottom, which take little light, and most of the pattern in it."""
+    above = [(x, y, -0.6) for x in (-0.8, 0.0, 0.8) for y in (-0.8, 0.0, 0.8)]
+
+    def pattern(wind_m_s: float, places: list[tuple[float, float, float]]) -> np.ndarray:
+        light = {"wind_m_s": wind_m_s, "sky_fraction": 0.1, "sun_elevation_deg": 85.0}
+        renderer = silty(*places, amount=1.5, spread=0.3, light=light)
+        return renderer.layers(pose(0.0, 0.0, -2.4, 0, 90), ["direct"])["direct"][..., 1]
+
+    clear, under = (pattern(5.0, places) / pattern(0.0, places) for places in ([(50.0, 0.0, -2.5)], above))
+    assert under.mean() == pytest.approx(clear.mean(), rel=0.05)
+    assert 0.2 * clear.std() < under.std() < 0.75 * clear.std()
+
+
 def test_lamps_light_a_plume_and_not_what_is_behind_it() -> None:
     night = {"daylight": 0.0}
     place = (0.6, 0.0, -2.6)
