@@ -16,10 +16,12 @@ COSTS = "costs.json"
 _LOG = "cost.log"  # among the parts: a line of processor time for each, so that it outlasts an interruption
 
 PICTURE_PX = 640 * 480
-FRAME_S = 0.36  # of processor time for a picture of PICTURE_PX of an empty bottom in daylight
-OYSTERS_S = 0.45  # added by 100 oysters per m^2
-PLANTS_S = 1.5  # added by a bottom that is all plants
-LAMPS_S = 0.15  # added by lamps
+FRAME_S = 0.30  # of processor time for a picture of PICTURE_PX of an empty bottom in daylight
+OYSTERS_S = 0.30  # added by 100 oysters per m^2
+PLANTS_S = 0.8  # added by a bottom that is all plants
+LAMPS_S = 0.2  # added by lamps
+SILT_S = 0.15  # added by plumes
+LIFE_S = 0.15  # added by what moves by itself
 PING_S = 0.1  # of a sonar that renders each ping by itself
 BUILDING_S = 4e-4  # of a reef, per oyster, in each process
 """Measured on one core of a 2.6 GHz server over the splits of this project, of which it holds within a third or so."""
@@ -32,6 +34,7 @@ def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1) ->
     shaded = FRAME_S + OYSTERS_S * reef.oyster_count / reef.size_m**2 / 100.0 + PLANTS_S * reef.plant_cover
     if sequence.light.lamps > 0 and any(lamp.intensity_cd > 0 for lamp in rig.lamp):
         shaded += LAMPS_S
+    shaded += SILT_S * (sequence.water.plumes.attenuation > 0) + LIFE_S * sequence.life.moves
     total = workers * BUILDING_S * reef.oyster_count
     for kind, recipe in rig_sensors(rig):
         if kind.bulky:

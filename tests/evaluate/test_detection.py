@@ -242,7 +242,7 @@ def test_a_data_set_is_scored_at_once_and_its_interval_resamples_clips():
     pairs = [pair for seed in range(10, 17) for pair in random_images(4, seed)]
     assert whole.metrics["ap_mask"] == pytest.approx(scored(*pairs).metrics["ap_mask"], abs=1e-12)
     assert intervals["ap_mask"].low < whole.metrics["ap_mask"] < intervals["ap_mask"].high
-    assert over_clips(clips[:3])[1]["ap_mask"].reason.startswith("3 clips")
+    assert over_clips(clips[:3])[1]["ap_mask"].reason.startswith("3 sequences")
 
 
 def test_scores_that_are_no_numbers_and_other_sizes_are_refused():

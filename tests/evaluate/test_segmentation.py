@@ -225,7 +225,7 @@ def test_estimates_of_other_images_and_sizes_are_refused(truth, estimate, messag
     [
         ({"probability": np.full((2, 2), 1.5, np.float32)}, "probabilities from 0 to 1, got 1.5 to 1.5"),
         ({"probability": np.full((2, 2), NAN, np.float32)}, "probabilities from 0 to 1, got nan to nan"),
-        ({"classes": np.full((2, 2), 9, np.uint8)}, "unknown class 9; known classes: 0 water"),
+        ({"classes": np.full((2, 2), 99, np.uint8)}, "unknown class 99; known classes: 0 water"),
         ({"oyster": np.zeros((2, 2, 3), bool)}, r"an array \(H, W\), got one of shape \(2, 2, 3\)"),
         ({}, "one of oyster, probability and classes, got 0"),
     ],
