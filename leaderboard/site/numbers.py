@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 from oysterbench.evaluate import statistics
+from oysterbench.evaluate.metrics import TRACKS
 from oysterbench.evaluate.statistics import Interval
 from oysterbench.report.columns import metric_column
 from oysterbench.report.table import Bar, Column
@@ -15,8 +16,8 @@ LEVEL = f"{100 * statistics.LEVEL:.0f} %"
 
 
 def track_name(track: str) -> str:
-    """As headings write it."""
-    return "SLAM" if track == "slam" else track.capitalize()
+    """As headings write it; of a track that is not known here, its own word."""
+    return TRACKS[track].title if track in TRACKS else track.capitalize()
 
 
 def text(key: str, value: float | None) -> str:

@@ -110,6 +110,7 @@ def test_each_view_of_a_dive_is_a_lesson(dives):
     assert not equal(*dives)
 
 
+@pytest.mark.slow
 def test_dives_in_two_processes_are_those_in_one(policy, dives, tmp_path):
     (tmp_path / "round-0.pt").write_bytes((policy / "round-0.pt").read_bytes())
     again = collect(REEFS, read_checkpoint(policy / "round-0.pt"), tmp_path, NETWORK, PLAN, 1, workers=2)
@@ -136,6 +137,7 @@ def test_finished_dives_are_read_and_those_of_another_policy_are_done_again(poli
     assert done == ["two", "one", "two"]
 
 
+@pytest.mark.slow
 def test_rounds_that_are_stopped_go_on_to_the_same_weights(examples, tmp_path, monkeypatch):
     wanted = learn_rounds(examples, REEFS, tmp_path / "whole.pt", SETTINGS, PLAN, 0)
     assert read_checkpoint(tmp_path / "whole.pt").losses == wanted.losses

@@ -144,6 +144,7 @@ def test_eval_takes_every_alignment_and_association(trajectories, align, associa
     assert json.loads(result.stdout)["results"][0]["settings"]["align"] == align
 
 
+@pytest.mark.slow
 def test_eval_runs_a_method_several_times_and_says_how_the_runs_spread(recipe, kept_home, tmp_path):
     arguments = ("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", "--runs", "2")
     result = run(*arguments, "--out", tmp_path / "out", home=kept_home)

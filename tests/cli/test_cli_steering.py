@@ -109,6 +109,7 @@ def test_dives_are_made_once_printed_and_drawn(recipe, tmp_path):
     assert all(path.stat().st_mtime_ns > time for path, time in times.items())
 
 
+@pytest.mark.slow
 def test_reefs_and_seconds_are_as_many_as_asked_for(recipe, tmp_path):
     result = run("--split", recipe, "--closed-loop", "--reefs", 1, "--seconds", 5, "--json", "--out", tmp_path / "o")
     records = json.loads(result.stdout)["results"]

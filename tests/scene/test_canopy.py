@@ -39,7 +39,15 @@ def test_flat_bare_bottom_has_no_relief() -> None:
     assert np.isnan(relief.canopy_height_m)
 
 
-@pytest.mark.parametrize(("size_mm", "density_per_m2"), [(40, 600), (60, 400), (85, 200), (110, 150)])
+@pytest.mark.parametrize(
+    ("size_mm", "density_per_m2"),
+    [
+        pytest.param(40, 600, marks=pytest.mark.slow),
+        pytest.param(60, 400, marks=pytest.mark.slow),
+        (85, 200),
+        (110, 150),
+    ],
+)
 def test_dense_reef_has_the_published_relief(size_mm: float, density_per_m2: float) -> None:
     """Canopy 3.6 to 4.9 cm, sigma 1.4 to 2.0 cm, rugosity 1.28 (one year) to 1.56 (four years) on restored reefs.
 

@@ -201,6 +201,7 @@ def test_what_was_measured_is_read(sequence, split):
     assert {type(item) for item in sequence.stream("side")} >= {SidescanPing}
 
 
+@pytest.mark.slow
 def test_the_bytes_do_not_depend_on_the_workers(split, path, tmp_path):
     assert generate_split(split, tmp_path, workers=2)["tiny-01"].read_bytes() == path.read_bytes()
 

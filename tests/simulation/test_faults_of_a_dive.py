@@ -89,6 +89,7 @@ def test_neither_methods_nor_hidden_splits_show_it(path, tmp_path):
     assert FAULTS not in oysterbench.open(tmp_path / "public.mcap").attachments
 
 
+@pytest.mark.slow
 def test_the_bytes_are_the_same_for_any_number_of_workers(path, tmp_path):
     assert generate_split(split(), tmp_path, workers=2)["tiny-01"].read_bytes() == path.read_bytes()
 
