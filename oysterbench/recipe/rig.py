@@ -58,7 +58,7 @@ class CameraRecipe(NamedSensorRecipe):
     image_format: str = choice(IMAGE_FORMATS, "jpeg")  # of its colour frames in the file; png keeps every bit
     jpeg_quality: int = number(50, 100, 95)
     # Of a video link that its frames pass before, coded as by H.264; 0: none. Tethers carry 5 to 15 Mbit/s of 1080p at
-    # 30 Hz (sea.md), 0.08 to 0.24 bit a pixel: as much as 0.25 to 0.75 Mbit/s of 640 x 480 at 10 Hz.
+    # 30 Hz, 0.08 to 0.24 bit a pixel: as much as 0.25 to 0.75 Mbit/s of 640 x 480 at 10 Hz.
     video_mbit_s: float = number(0, 100, 0.0)
     max_range_m: float = number(1, 100, 20.0)  # farther than this is water
     lens: str = choice(
@@ -84,7 +84,7 @@ class CameraRecipe(NamedSensorRecipe):
     hot_pixels: float = number(0, 5000, 0.0)
     repeats: float = number(0, 0.5, 0.0)  # share of frames that show the picture before again, under a new stamp
     # A control loop over the dive sets exposure time, then gain, instead of shutter_ms and gain; it settles on a step
-    # to 5 % within 0.3 to 2 s (sea.md). 33 ms is all that video of 30 Hz leaves; amplifiers have steps of 0.3 to 3 dB.
+    # to 5 % within 0.3 to 2 s. 33 ms is all that video of 30 Hz leaves; amplifiers have steps of 0.3 to 3 dB.
     auto_exposure: bool = field(default=False)
     exposure_settle_s: float = number(0.1, 5, 0.7)
     longest_exposure_ms: float = number(0.1, 100, 25.0)
