@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -229,6 +228,8 @@ def _render_instead(
     as_json: bool,
 ) -> None:
     """Without a hub the same bytes come out of the renderer."""
+    from oysterbench.hub.download import choose_names
+
     no_hub = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
     if split is None:
         raise HubError(f"{name}: {no_hub}, and no split of this name and version can be rendered here")
@@ -236,23 +237,15 @@ def _render_instead(
         raise HubError(f"{name}: {no_hub}, and a hidden split cannot be rendered by who has not its salt")
     if topics:
         raise HubError(f"{name}: {no_hub}, and --topics needs one; `oysterbench render {name}` makes all topics")
-    names = tuple(
-        sequence.name
-        for sequence in split.sequence
-        if not patterns or any(fnmatchcase(sequence.name, pattern) for pattern in patterns)
-    )
-    if not names:
-        raise HubError(
-            f"{name}: no sequence fits {' or '.join(patterns)}; it has "
-            f"{', '.join(sequence.name for sequence in split.sequence)}"
-        )
+    known = [sequence.name for sequence in split.sequence]
+    names = choose_names(known, patterns, f"{split.name} {split.version}", f"oysterbench splits {name}")
     if dry_run:
         echo(f"{no_hub}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
         return
     echo(f"{no_hub}: {split.name} {split.version} is rendered instead, which gives the same bytes")
     group = context.find_root().command
     assert isinstance(group, click.Group)
-    context.invoke(group.commands["render"], split_name=name, names=names, out=out, as_json=as_json)
+    context.invoke(group.commands["render"], split_name=name, names=tuple(names), out=out, as_json=as_json)
 
 
 @click.command(short_help="Check what is on disk against its manifest.")

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from oysterbench.core.errors import HubError, IntegrityError
 from oysterbench.core.files import home, locked, write_atomically
+from oysterbench.core.names import instead
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import remove_drafts
 from oysterbench.hub.index import LARGEST, Index, Release, check_not_older, read_index
@@ -126,7 +127,8 @@ def find_release(index: Index, split: str, version: str | None) -> tuple[Release
     """A release and its version: the one asked for, or the newest."""
     versions = index.splits.get(split)
     if not versions:
-        raise HubError(f"the hub has no split {split!r}; it has {', '.join(sorted(index.splits)) or 'none'}")
+        other = instead(split, sorted(index.splits), "oysterbench splits --hub")
+        raise HubError(f"the hub has no split {split!r}; {other}")
     version = version or list(versions)[-1]
     if version not in versions:
         raise HubError(f"the hub has no version {version!r} of {split}; it has {', '.join(versions)}")
@@ -135,17 +137,21 @@ def find_release(index: Index, split: str, version: str | None) -> tuple[Release
 
 def choose(manifest: Manifest, patterns: Sequence[str]) -> list[FileEntry]:
     """Files whose sequence fits a pattern such as `val-0*`; all without patterns. HubError where one fits none."""
+    of = f"{manifest.split} {manifest.version}"
     names = [entry.sequence for entry in manifest.files]
+    fitting = choose_names(names, patterns, of, f"oysterbench download {manifest.split}@{manifest.version} --dry-run")
+    return [entry for entry in manifest.files if entry.sequence in fitting]
+
+
+def choose_names(names: Sequence[str], patterns: Sequence[str], of: str, listed_by: str) -> list[str]:
+    """Names that fit a pattern; all without patterns. HubError where one fits none, with the command that lists all.
+
+    of: whose names they are, in words
+    """
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in names):
-            raise HubError(
-                f"{manifest.split} {manifest.version} has no sequence that fits {pattern!r}; it has {', '.join(names)}"
-            )
-    return [
-        entry
-        for entry in manifest.files
-        if not patterns or any(fnmatchcase(entry.sequence, pattern) for pattern in patterns)
-    ]
+            raise HubError(f"{of} has no sequence that fits {pattern!r}; {instead(pattern, names, listed_by)}")
+    return [name for name in names if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)]
 
 
 @dataclass(frozen=True)

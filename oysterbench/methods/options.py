@@ -7,7 +7,6 @@ field of a field is written with a dot, as in `dead_reckoning[start.level_s=2]`.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import inspect
 import re
 import tomllib
@@ -15,13 +14,11 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from oysterbench.core.errors import MethodError
+from oysterbench.core.names import FEW, did_you_mean, nearest
 
 VARIANT = re.compile(r"(?P<method>[^\[\]]+)\[(?P<options>.*)\]", re.DOTALL)
 UNPLAIN = re.compile(r"[^A-Za-z0-9_.+=,-]+")
 """Characters that do not belong into the name of a file."""
-
-FEW_OPTIONS = 8
-"""So many are listed where another one was asked for."""
 
 
 def split_variant(reference: str) -> tuple[str, dict[str, str]]:
@@ -124,16 +121,15 @@ def _instead(key: str, known: list[str], parameters: Iterable[str], settings: An
     renamed: Mapping[str, str] = getattr(settings, "renamed", {})  # by which a method's options went before
     if key in renamed:
         return f"it is called {renamed[key]!r} now"
-    if len(known) <= FEW_OPTIONS:
+    if len(known) <= FEW:
         return f"its options: {', '.join(known)}" if known else "it has none"
     # A nested option is also looked for by its own name: level_s for start.level_s.
     by_name = {name.rpartition(".")[2]: name for name in known} | {name: name for name in known}
-    alike = dict.fromkeys(by_name[name] for name in difflib.get_close_matches(key, by_name, n=4, cutoff=0.6))
+    meant = did_you_mean(dict.fromkeys(by_name[name] for name in nearest(key, by_name)))
     all_of_them = ", ".join(parameters)
     if settings is not None:
         all_of_them += f" and the fields of {type(settings).__module__}.{type(settings).__qualname__}"
-    meant = f"did you mean {' or '.join(alike)}? Its" if alike else "its"
-    return f"{meant} {len(known)} options are {all_of_them.removeprefix(' and ')}"
+    return f"{meant}{'Its' if meant else 'its'} {len(known)} options are {all_of_them.removeprefix(' and ')}"
 
 
 def fields_of(settings: Any, prefix: str = "") -> dict[str, Any]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import RecipeError
+from oysterbench.core.names import instead
 from oysterbench.core.streams import Streams
 from oysterbench.recipe.drawn import draw
 from oysterbench.recipe.keys import as_plain, build, choice, number, stated
@@ -52,8 +53,10 @@ class SplitRecipe:
         for sequence in self.sequence:
             if sequence.name == name:
                 return sequence
-        names = ", ".join(sequence.name for sequence in self.sequence)
-        raise RecipeError(f"split {self.name} has no sequence {name!r}; it has {names}")
+        recipe = self.name if self.name in split_names() else "RECIPE.toml"
+        names = [sequence.name for sequence in self.sequence]
+        other = instead(name, names, f"oysterbench splits {recipe}")
+        raise RecipeError(f"split {self.name} has no sequence {name!r}; {other}")
 
     def rig_of(self, sequence: SequenceRecipe) -> RigRecipe:
         """The rig as it is in a sequence, with what the sequence has otherwise."""
@@ -86,9 +89,8 @@ def load_split(name_or_path: str) -> SplitRecipe:
     else:
         known = split_names()
         if name_or_path not in known:
-            raise RecipeError(
-                f"unknown split {name_or_path!r}; known splits: {', '.join(known)} (or the path of a .toml recipe)"
-            )
+            other = instead(name_or_path, known, "oysterbench splits")
+            raise RecipeError(f"unknown split {name_or_path!r}; {other}, and a recipe's path ends with .toml")
         path = Path(str(resources.files("oysterbench_datasets") / "splits" / f"{name_or_path}.toml"))
         source = _read_text(path, f"{path}: no such recipe")
     return parse_split(source, str(path))

@@ -242,7 +242,7 @@ def test_compare_refuses_what_is_no_result_in_one_line(tmp_path):
 
 def test_an_unknown_split_is_one_line(home):
     result = run("eval", "--track", "slam", "--split", "slam-maxi", home=home)
-    assert_one_line(result, "unknown split 'slam-maxi'; known splits: .*slam-mini")
+    assert_one_line(result, "unknown split 'slam-maxi'; did you mean slam-mini or .*`oysterbench splits` lists all")
     assert_one_line(run("render", "slam-maxi", home=home), "unknown split")
     assert not home.exists()
 

@@ -92,12 +92,32 @@ def test_layers_come_at_a_divisor_of_the_camera_rate():
 
 
 def test_an_unknown_split_and_rig_are_named_with_what_is_known():
-    with pytest.raises(RecipeError, match=r"unknown split 'slam-maxi'; known splits: .*slam-mini"):
+    with pytest.raises(
+        RecipeError, match=r"unknown split 'slam-maxi'; did you mean slam-mini or .*`oysterbench splits`"
+    ):
         load_split("slam-maxi")
     with pytest.raises(RecipeError, match="there is no rig 'tiny'"):
         parse_split(TINY_SPLIT, "tiny.toml")
     with pytest.raises(RecipeError, match=r"absent\.toml: no such recipe"):
         load_split("absent.toml")
+
+
+def test_of_many_sequences_those_alike_are_named_and_where_the_others_are():
+    with pytest.raises(RecipeError) as caught:
+        load_split("slam-stress").find_sequence("dusk-4")
+    assert str(caught.value) == (
+        "split slam-stress has no sequence 'dusk-4'; did you mean dusk-3 or dusk-2 or dusk-1? "
+        "`oysterbench splits slam-stress` lists all 64"
+    )
+    with pytest.raises(RecipeError, match=r"no sequence '\?'; `oysterbench splits slam-stress` lists all 64$"):
+        load_split("slam-stress").find_sequence("?")
+    one = TINY_SPLIT[TINY_SPLIT.index("[[sequence]]") :]
+    many = make_split(TINY_SPLIT + "".join(one.replace("tiny-01", f"tiny-{k:02}") for k in range(2, 12)))
+    with pytest.raises(RecipeError, match=r"`oysterbench splits RECIPE\.toml` lists all 11$"):
+        many.find_sequence("tiny-12")
+    few = make_split(TINY_SPLIT + one.replace("tiny-01", "tiny-02"))
+    with pytest.raises(RecipeError, match=r"no sequence 'tiny-12'; it has tiny-01, tiny-02$"):
+        few.find_sequence("tiny-12")
 
 
 def test_the_digest_follows_values_and_not_comments(tiny_split):

@@ -1,0 +1,42 @@
+"""Names that are asked for and are not there: what to type in place of one."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+FEW = 10
+"""So many known names are all listed where another one was asked for."""
+
+
+def instead(name: str, known: Iterable[str], listed_by: str) -> str:
+    """The known names where they are few; else those that the asked one is like, and the command that lists them all.
+
+    >>> instead("calmm", ["calm", "rough"], "oysterbench splits sea")
+    'it has calm, rough'
+    >>> instead("calmm", ["calm", *(f"rough-{k}" for k in range(10))], "oysterbench splits sea")
+    'did you mean calm? `oysterbench splits sea` lists all 11'
+    """
+    names = list(known)
+    if len(names) <= FEW:
+        return f"it has {', '.join(names) or 'none'}"
+    return f"{did_you_mean(nearest(name, names))}`{listed_by}` lists all {len(names)}"
+
+
+def nearest(name: str, known: Iterable[str]) -> list[str]:
+    """At most four known names that the asked one may have been meant to be, the likeliest first.
+
+    >>> nearest("waves-4", ["calm", "waves-1", "wave"])
+    ['waves-1', 'wave']
+    """
+    return difflib.get_close_matches(name, list(known), n=4, cutoff=0.6)
+
+
+def did_you_mean(names: Iterable[str]) -> str:
+    """The question, to be written before what else helps; nothing without names.
+
+    >>> did_you_mean(["calm", "wave"])
+    'did you mean calm or wave? '
+    """
+    meant = " or ".join(names)
+    return f"did you mean {meant}? " if meant else ""
