@@ -183,16 +183,21 @@ def export(sequence: Path, form: str, out: Path, truth: bool, as_json: bool) -> 
 
 @main.command(short_help="One HTML page to look through a sequence.")
 @click.argument("sequence", type=click.Path(path_type=Path))
+@click.option("--start", "begin_s", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Where to begin.")
+@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), metavar="S", help="How long.  [default: all]")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File.  [default: NAME.html]")
-def view(sequence: Path, out: Path | None) -> None:
-    """Make one HTML page of a sequence: all cameras, sonar fans, strips of the scalar sensors, the path from above.
+def view(sequence: Path, begin_s: float, seconds: float | None, out: Path | None) -> None:
+    """Make one HTML page that plays a sequence: cameras, layers, sonar fans, strips of the scalar sensors, the path
+    with what moves along it, and when faults struck.
 
     \b
     Examples:
       oysterbench view mini-01.mcap
       oysterbench view mini-01.mcap --out preview.html
+      oysterbench view mini-01.mcap --start 5 --seconds 10
 
-    The page needs no other file and no network, and stays small however long the sequence is.
+    The page needs no other file and no network, and stays small however long the sequence is: of a long one it shows
+    moments, of some 10 s every frame, as a film.
     """
     from oysterbench.core.files import write_atomically
     from oysterbench.report.viewer import view_page
@@ -200,7 +205,7 @@ def view(sequence: Path, out: Path | None) -> None:
 
     opened = open_sequence(sequence)
     path = out or Path(f"{opened.name}.html")
-    write_atomically(path, view_page(opened).encode())
+    write_atomically(path, view_page(opened, begin_s, seconds).encode())
     click.echo(path)
 
 

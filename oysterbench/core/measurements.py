@@ -20,7 +20,8 @@ class Image:
     frame; visibility (H, W) float32, share of the instance at a pixel that nothing hides, NaN = none; light (H, W, 3)
     float32, 1 = a white matte surface in full daylight: clean (without water), and direct + forward_scatter +
     backscatter + snow, which add up to what reaches the lens; dynamic (H, W) uint8, 1 = moves by itself; flow (H, W, 2)
-    float32 px to the right and down until the next frame, NaN = none.
+    float32 px to the right and down until the next frame, NaN = none; transmittance (H, W) float32, share of light in
+    green that arrives through the water, 0 = none.
     """
 
     stamp_ns: int

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import cv2
@@ -404,23 +403,9 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
         return Image(stamp, name, pixels)
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:
-        from oysterbench.sensors.panels import WIDTH, Panel
+        from oysterbench.sensors.camera_panels import camera_panels
 
-        calibration = sequence.cameras[name]
-        width = min(WIDTH, calibration.width)
-        height = round(calibration.height * width / calibration.width)
-        return [Panel(name, width, height, partial(_frames, sequence, name, (width, height)), width * height // 4)]
-
-
-def _frames(sequence: Any, name: str, size: tuple[int, int], times: NDArray[np.int64]) -> Iterator[bytes]:
-    from oysterbench.sensors.panels import blank, jpeg, latest
-
-    for image in latest(sequence.images, name, times):
-        if image is None:
-            yield jpeg(blank(*size))
-        else:
-            small = cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA)
-            yield jpeg(cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+        return camera_panels(sequence, name)
 
 
 KIND = Camera()

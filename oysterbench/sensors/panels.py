@@ -15,6 +15,7 @@ from oysterbench.core.geometry import Array
 WIDTH = 400
 QUALITY = 72
 BACKGROUND = 24  # grey level outside a fan
+EARLY_NS = 20_000_000  # by which jitter makes a sample early at most
 WHITE_PERCENTILE = 99.7  # of the amplitudes of a picture: what is shown brightest
 
 
@@ -96,11 +97,15 @@ def jpeg(picture: Any) -> bytes:
 
 
 def latest(read: Callable[..., Iterator[Any]], name: str, times: NDArray[np.int64]) -> Iterator[Any]:
-    """The first sample in the interval that begins at each moment, or else the one before; None before all."""
+    """The first sample in the interval that begins at each moment, or else the one before; None before all.
+
+    Intervals begin a little earlier, so that a film at the sensor's own rate shows each sample once.
+    """
     before = None
     step = max(int(times[1] - times[0]), 1) if len(times) > 1 else 1
+    early = min(EARLY_NS, step // 2)
     for time in times:
-        before = next(read(name, int(time), int(time) + step), before)
+        before = next(read(name, int(time) - early, int(time) - early + step), before)
         yield before
 
 

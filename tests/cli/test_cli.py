@@ -364,6 +364,10 @@ def test_view_writes_one_page(dive_file, tmp_path):
     assert "cam_right" in (tmp_path / "hand-made.html").read_text()
     assert run("view", dive_file, "--out", tmp_path / "pages" / "mine.html").returncode == 0
     assert (tmp_path / "pages" / "mine.html").is_file()
+    part = run("view", dive_file, "--start", 0.5, "--seconds", 1, "--out", tmp_path / "part.html")
+    assert part.returncode == 0
+    assert "1.0 s from 0.5 s on" in (tmp_path / "part.html").read_text()
+    assert_one_line(run("view", dive_file, "--start", 60), "lasts 2.0 s: expected a part of it")
     assert_one_line(run("view", tmp_path / "absent.mcap"), "no such file")
 
 

@@ -5,16 +5,24 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
 import oysterbench
+from oysterbench.core.errors import SequenceError
 from oysterbench.core.ros import EPOCH_NS
+from oysterbench.recipe import CLASSES
+from oysterbench.recipe.rig import LAYERS
+from oysterbench.report.viewer.faults import SHORTEST, fault_plot
 from oysterbench.report.viewer.page import BYTES, STEPS, moments, pictures, view_page
-from oysterbench.report.viewer.strips import path_plot
-from oysterbench.sensors.panels import BACKGROUND, WIDTH, Fan, Panel
+from oysterbench.report.viewer.path import path_plot
+from oysterbench.sensors.camera_panels import LAYER_PICTURES, layer_picture
+from oysterbench.sensors.panels import BACKGROUND, WIDTH, Fan, Panel, latest
 from oysterbench.sequence.export import export_sequence
 from tests.helpers import hand_made_dive as dive
 
@@ -31,7 +39,14 @@ def page(sequence):
 
 @pytest.fixture(scope="module")
 def data(page):
-    return json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[1])
+    return data_of(page)
+
+
+def data_of(page: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(
+        re.findall(r'<script id="data" type="application/json">(.*?)</script>', page, re.S)[0]
+    )
+    return found
 
 
 def decode(text: str) -> np.ndarray:
@@ -70,17 +85,137 @@ def test_each_moment_has_a_picture_of_each_panel(data):
     assert 2 <= n <= STEPS
     assert data["seconds"] == sorted(data["seconds"])
     assert len(data["path"]) == n
-    assert [len(panel["frames"]) for panel in data["panels"]] == [n] * 4
+    assert [len(panel["frames"]) for panel in data["panels"]] == [n] * 8  # two cameras, four layers, two sonars
 
 
 def test_a_cameras_panel_shows_the_frame_of_its_moment(data):
-    for step in (0, 40, len(data["seconds"]) - 1):
-        second = data["seconds"][step]
+    assert data["seconds"] == pytest.approx(np.arange(20) / 10), "each frame once, as they are few enough"
+    for step in (0, 7, 19):
         shown = decode(data["panels"][0]["frames"][step]).astype(int)
-        expected = [dive.colour(min(np.floor(second * 10 + k) / 10, 1.9), "cam_left").astype(int) for k in (0, 1)]
-        assert min(np.abs(shown - frame).mean() for frame in expected) < 6
+        near = [np.abs(shown - dive.colour(k / 10, "cam_left").astype(int)).mean() for k in range(20)]
+        assert int(np.argmin(near)) == step
     first, last = (decode(data["panels"][0]["frames"][k]).astype(int) for k in (0, -1))
     assert np.abs(first - last).mean() > 3
+
+
+def test_a_part_begins_where_it_is_asked_to(sequence):
+    part = data_of(view_page(sequence, 0.5, 1.0))
+    whole = data_of(view_page(sequence))
+    assert part["begin"] == 0.5
+    assert part["seconds"] == pytest.approx(np.arange(len(part["seconds"])) / 10)
+    assert part["panels"][0]["frames"] == whole["panels"][0]["frames"][5:][: len(part["seconds"])]
+    assert 10 <= len(part["seconds"]) <= 11
+    with pytest.raises(SequenceError, match=r"lasts 2\.0 s: expected a part of it, got all from 30 s on"):
+        view_page(sequence, 30.0)
+
+
+def test_a_long_sequence_is_shown_by_moments_and_a_short_part_by_frames():
+    assert len(moments(0, 600 * 10**9, [], 10.0)) == STEPS
+    np.testing.assert_array_equal(np.diff(moments(0, 10 * 10**9, [], 10.0)), 10**8)
+
+
+def test_a_frame_that_jitter_makes_early_is_shown_once():
+    stamps = [0, 95_000_000, 205_000_000, 298_000_000]
+
+    def read(name, start_ns, end_ns):
+        return (k for k, stamp in enumerate(stamps) if start_ns <= stamp < end_ns)
+
+    assert list(latest(read, "cam", np.arange(4) * 100_000_000)) == [0, 1, 2, 3]
+
+
+def test_layers_of_truth_are_shown_beside_their_camera(page):
+    titles = re.findall(r'<img class="panel" alt="([^"]+)"', page)
+    wanted = ["cam_left", "cam_left depth", "cam_left class", "cam_left instance", "cam_left visibility", "cam_right"]
+    assert [title.partition(":")[0] for title in titles[:6]] == wanted
+
+
+def test_a_layer_picture_tells_values_apart():
+    classes = np.array([list(CLASSES)], dtype=np.uint8)
+    assert len(np.unique(layer_picture("class", classes)[0], axis=0)) == len(CLASSES)
+    instances = layer_picture("instance", np.array([[0, 7, 8, 65535]], dtype=np.uint16))[0]
+    assert len(np.unique(instances, axis=0)) == 4
+    assert (instances[0] == BACKGROUND).all()
+    depth = layer_picture("depth", np.array([[0.0, 0.5, 5.0]], dtype=np.float32))[0].astype(int).sum(axis=-1)
+    assert depth[1] > depth[2] > depth[0] - 60
+    still, moves = layer_picture("dynamic", np.array([[0, 1]], dtype=np.uint8))[0]
+    assert (still == still[0]).all()
+    assert moves[0] > moves[2]
+    shares = layer_picture("transmittance", np.array([[0.1, 0.9, np.nan]], dtype=np.float32))[0].astype(int)
+    assert shares[1].sum() > shares[0].sum()
+    assert (shares[2] == BACKGROUND).all()
+    for layer in ("direct", "normals"):
+        assert layer_picture(layer, np.zeros((2, 3, 3), dtype=np.float32)).shape == (2, 3, 3)
+    assert set(LAYER_PICTURES) == set(LAYERS)
+
+
+def test_flow_is_red_to_the_right_green_downwards_and_brighter_the_faster():
+    flow = np.zeros((1, 100, 2), dtype=np.float32)
+    flow[0, 0], flow[0, 1], flow[0, 2], flow[0, 3] = (8, 0), (0, 8), (2, 0), np.nan
+    right, down, slow, unknown = layer_picture("flow", flow)[0, :4].astype(int)
+    assert right.argmax() == 0
+    assert down.argmax() == 1
+    assert right.max() > slow.max() > 60
+    assert (unknown == BACKGROUND).all()
+
+
+@dataclass
+class Disturbed:
+    """A sequence with what the hand-made dive has not: things that move, faults, and exposures."""
+
+    inner: Any
+
+    def __getattr__(self, name):
+        return getattr(self.inner, name)
+
+    def moving(self):
+        return pd.DataFrame({"id": [9, 11], "class": ["fish", "crab"]})
+
+    def moving_poses(self):
+        rows = [(EPOCH_NS + t * 10**9, k, (0.1 + 0.3 * t) if k == 9 else 0.3, 0.2) for t in (0, 2) for k in (9, 11)]
+        return pd.DataFrame(rows, columns=["stamp_ns", "id", "x", "y"])
+
+    def faults(self):
+        rows = [(0, 0, "dvl", "outlier_m_s", -0.4), (1.0, 1.5, "dvl", "outlier_m_s", 0.2), (0.5, 9, "imu", "b_k", 3)]
+        columns = ["start_ns", "end_ns", "sensor", "fault", "value"]
+        return pd.DataFrame(
+            [(EPOCH_NS + int(a * 1e9), EPOCH_NS + int(b * 1e9), *of) for a, b, *of in rows], columns=columns
+        )
+
+    def taken(self):
+        stamps = EPOCH_NS + np.arange(20) * 10**8
+        return pd.DataFrame({"camera": "cam_left", "stamp_ns": stamps, "exposure_ms": np.linspace(5, 20, 20)})
+
+
+def test_what_moves_is_on_the_map_where_it_is_at_each_moment(sequence):
+    times = EPOCH_NS + np.array([0, 1, 2]) * 10**9
+    plot = path_plot(Disturbed(sequence), times)
+    assert list(plot.moving) == ["fish", "crab"]
+    x = [float(re.match(r"M(\S+) ", dots)[1]) for dots in plot.moving["fish"]]
+    per_m = plot.bar_px / plot.bar_m
+    assert np.diff(x) == pytest.approx([0.3 * per_m] * 2, abs=1.5)
+    assert len(set(plot.moving["crab"])) == 1
+    assert path_plot(sequence, times).moving == {}
+
+
+def test_faults_have_a_lane_each_over_the_time_that_they_struck(sequence):
+    plot = fault_plot(Disturbed(sequence), EPOCH_NS, EPOCH_NS + 2 * 10**9)
+    assert [lane.text for lane in plot.lanes] == ["dvl outlier_m_s, 2 times, up to 0.4", "imu b_k, once, up to 3"]
+    across = plot.right - plot.left
+    bars = [(float(a), float(b)) for a, b in re.findall(r"M(\S+) \S+?h([\d.]+)v", plot.lanes[0].bars)]
+    assert bars == [(plot.left, SHORTEST), pytest.approx((plot.left + across / 2, across / 4), abs=0.1)]
+    ((begin, length),) = re.findall(r"M(\S+) \S+?h([\d.]+)v", plot.lanes[1].bars)
+    assert float(begin) + float(length) == pytest.approx(plot.right, abs=0.1)
+    assert fault_plot(Disturbed(sequence), EPOCH_NS + 10**10, EPOCH_NS + 2 * 10**10) is None
+    assert fault_plot(sequence, EPOCH_NS, EPOCH_NS + 10**9) is None
+
+
+def test_the_page_says_what_moves_strikes_and_adapts(sequence):
+    page = view_page(Disturbed(sequence))
+    assert "1 fish, 1 crab" in page
+    assert 'class="moving fish"' in page
+    assert "dvl outlier_m_s, 2 times" in page
+    assert 'aria-label="cam_left exposure, ms"' in page
+    assert len(data_of(page)["moving"]) == 2
 
 
 def test_a_fan_is_drawn_left_beams_left_and_far_bins_up():

@@ -1,4 +1,7 @@
-"""A sequence as one HTML page that needs nothing else: cameras, sonar fans, strips of the scalar sensors, the path."""
+"""A sequence as one HTML page that needs nothing else: cameras, sonar fans, strips of the scalar sensors, the path.
+
+The page plays. Of a part that is short enough it shows every frame, at the pace at which the camera took them.
+"""
 
 from __future__ import annotations
 
@@ -11,37 +14,46 @@ from markupsafe import Markup
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.html import render
-from oysterbench.report.viewer.strips import path_plot, strips
+from oysterbench.report.viewer.faults import fault_plot
+from oysterbench.report.viewer.path import path_plot
+from oysterbench.report.viewer.strips import strips
 from oysterbench.sensors.panels import Panel
 from oysterbench.sequence.types import Sequence
 
-STEPS = 120
+STEPS = 200
 """Moments that the page shows, at most."""
 
 BYTES = 14_000_000
 """Size of all pictures together, at most; with many sensors there are fewer moments."""
 
 
-def view_page(sequence: Sequence) -> str:
-    """The page of a sequence, as a whole HTML document of at most some 20 MB, however long the sequence is."""
-    start, end = _span(sequence)
+def view_page(sequence: Sequence, begin_s: float = 0.0, seconds: float | None = None) -> str:
+    """The page of a sequence, as a whole HTML document of at most some 20 MB, however long the sequence is.
+
+    Of all of it, or of `seconds` from begin_s on. Raises SequenceError where that lies outside.
+    """
+    start, end = _span(sequence, begin_s, seconds)
     panels = pictures(sequence)
-    times = moments(start, end, panels)
+    times = moments(start, end, panels, _fastest_hz(sequence))
     shown = [[base64.b64encode(data).decode() for data in panel.frames(times)] for panel in panels]
     path = path_plot(sequence, times)
     data = {
+        "begin": begin_s,
         "seconds": [round(float(second), 3) for second in (times - start) * 1e-9],
         "panels": [{"frames": frames} for frames in shown],
         "path": [] if path is None else path.poses,
+        "moving": [] if path is None else list(path.moving.values()),
     }
     context = {
         "title": f"{sequence.name}: sequence",
         "name": sequence.name,
-        "facts": _facts(sequence, (end - start) * 1e-9),
+        "facts": _facts(sequence, begin_s, (end - start) * 1e-9),
+        "begin": begin_s,
         "last": len(times) - 1,
         "panels": list(zip(panels, shown, strict=True)),
         "path": path,
         "plots": strips(sequence, start, end),
+        "faults": fault_plot(sequence, start, end),
         "data": Markup(json.dumps(data).replace("<", "\\u003c")),
     }
     return render("view.html", context, __package__)
@@ -52,22 +64,50 @@ def pictures(sequence: Sequence) -> list[Panel]:
     return [panel for name, kind in sequence.sensors().items() for panel in kind.panels(sequence, name)]
 
 
-def moments(start_ns: int, end_ns: int, panels: list[Panel]) -> np.ndarray:
-    """(n,) int64 stamps, evenly over the sequence: as many as the size of the page allows."""
+def moments(start_ns: int, end_ns: int, panels: list[Panel], rate_hz: float = 0.0) -> np.ndarray:
+    """(n,) int64 stamps, evenly over the sequence: as many as the size of the page allows.
+
+    Where that is enough for each frame at rate_hz, those of the frames.
+    """
     one = sum(panel.bytes_each for panel in panels) * 4 / 3  # base64
     n = int(np.clip(BYTES / max(one, 1.0), 2, STEPS))
+    frames = int((end_ns - start_ns) * 1e-9 * rate_hz + 1e-6) + 1
+    if 2 <= frames <= n:
+        return np.asarray(start_ns + np.rint(np.arange(frames) * (1e9 / rate_hz)).astype(np.int64))
     return np.linspace(start_ns, end_ns, n).astype(np.int64)
 
 
-def _span(sequence: Sequence) -> tuple[int, int]:
+def _fastest_hz(sequence: Sequence) -> float:
+    """Of the cameras, 0 without any."""
+    return max((camera.rate_hz for camera in sequence.cameras.values()), default=0.0)
+
+
+def _span(sequence: Sequence, begin_s: float, seconds: float | None) -> tuple[int, int]:
     first = next(iter(sequence.imu()), None)
     if first is None:
         raise SequenceError(f"{sequence.name} has no inertial sample: nothing to show")
-    return first.stamp_ns, first.stamp_ns + max(round(sequence.duration_s * 1e9), 1)
+    last = first.stamp_ns + max(round(sequence.duration_s * 1e9), 1)
+    start = first.stamp_ns + round(begin_s * 1e9)
+    if not first.stamp_ns <= start < last or (seconds is not None and not seconds > 0):
+        raise SequenceError(
+            f"{sequence.name} lasts {sequence.duration_s:.1f} s: expected a part of it, got "
+            f"{'all' if seconds is None else f'{seconds:g} s'} from {begin_s:g} s on"
+        )
+    return start, last if seconds is None else min(last, start + round(seconds * 1e9))
 
 
-def _facts(sequence: Sequence, duration_s: float) -> str:
+def _facts(sequence: Sequence, begin_s: float, duration_s: float) -> str:
     counts = Counter(sequence.sensors().values())
     words = [kind.title if kind.single else f"{n} {kind.title}{'s' if n > 1 else ''}" for kind, n in counts.items()]
     split = sequence.metadata.get("split")
-    return ", ".join([f"{duration_s:.1f} s", *([f"split {split}"] if split else []), *words])
+    part = f"{duration_s:.1f} s" + (f" from {begin_s:g} s on" if begin_s else "")
+    return ", ".join([part, *([f"split {split}"] if split else []), *words, *_moving(sequence)])
+
+
+def _moving(sequence: Sequence) -> list[str]:
+    """What moves by itself, counted by class."""
+    try:
+        counts = Counter(sequence.moving()["class"])
+    except SequenceError:
+        return []
+    return [f"{n} {name}" for name, n in counts.items()]

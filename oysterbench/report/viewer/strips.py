@@ -1,4 +1,4 @@
-"""Curves of the scalar sensors over time, and the path from above, in px of the SVG that `view.html` makes of them."""
+"""Curves of the scalar sensors over time, in px of the SVG that `view.html` makes of them."""
 
 from __future__ import annotations
 
@@ -48,8 +48,23 @@ def _wanted(sequence: Sequence) -> list[Strip]:
 def strips(sequence: Sequence, start_ns: int, end_ns: int) -> list[StripPlot]:
     """A plot for each, over the same span of time."""
     inertial = _inertial_table(sequence)
-    tables = ((strip, inertial if strip.topic == IMU else sequence.frame(strip.topic)) for strip in _wanted(sequence))
+    tables = [(strip, inertial if strip.topic == IMU else sequence.frame(strip.topic)) for strip in _wanted(sequence)]
+    tables += _taken(sequence)
     return [_plot(strip, table, start_ns, end_ns) for strip, table in tables]
+
+
+def _taken(sequence: Sequence) -> list[tuple[Strip, pd.DataFrame]]:
+    """How long cameras that adapt exposed, and how much they amplified; none where that is not known."""
+    try:
+        taken = sequence.taken()
+    except SequenceError:
+        return []
+    found = []
+    for camera, rows in taken.groupby("camera", sort=False):
+        for column, title in (("exposure_ms", "exposure, ms"), ("gain", "gain")):
+            if column in rows and rows[column].notna().any():
+                found.append((Strip("", f"{camera} {title}", (column,)), rows.set_index("stamp_ns")))
+    return found
 
 
 def _inertial_table(sequence: Sequence) -> pd.DataFrame:
@@ -60,6 +75,7 @@ def _inertial_table(sequence: Sequence) -> pd.DataFrame:
 
 
 def _plot(strip: Strip, table: pd.DataFrame, start_ns: int, end_ns: int) -> StripPlot:
+    table = table[(table.index >= start_ns) & (table.index <= end_ns)]
     seconds = (table.index.to_numpy() - start_ns) * 1e-9
     span = (end_ns - start_ns) * 1e-9
     values = table[list(strip.columns)].to_numpy(dtype=float) * strip.factor
@@ -76,8 +92,14 @@ def _plot(strip: Strip, table: pd.DataFrame, start_ns: int, end_ns: int) -> Stri
         span_s=span,
         curves=[_curve(x, y[:, k], known_at=np.isfinite(values[:, k])) for k in range(len(strip.columns))],
         ticks=_ticks(low, high),
-        times=[(value, LEFT + value / span * across) for value in _round_values(0.0, span * 0.995, 8)],
+        times=time_ticks(span),
     )
+
+
+def time_ticks(span_s: float) -> list[tuple[float, float]]:
+    """Round seconds and their x, px."""
+    across = WIDTH - LEFT - RIGHT
+    return [(value, LEFT + value / span_s * across) for value in round_values(0.0, span_s * 0.995, 8)]
 
 
 def _curve(x: Array, y: Array, known_at: NDArray[np.bool_]) -> str:
@@ -98,70 +120,13 @@ def _curve(x: Array, y: Array, known_at: NDArray[np.bool_]) -> str:
 
 def _ticks(low: float, high: float) -> list[tuple[float, float]]:
     """Round values between two bounds, and their height on the plot."""
-    values = _round_values(low, high, 4)
+    values = round_values(low, high, 4)
     return [(value, TOP + (high - value) / (high - low) * (HEIGHT - TOP - BOTTOM)) for value in values]
 
 
-def _round_values(low: float, high: float, n: int) -> list[float]:
+def round_values(low: float, high: float, n: int) -> list[float]:
     """About n values that are multiples of 1, 2 or 5 times a power of ten, within two bounds."""
     raw = (high - low) / n
     power = 10.0 ** np.floor(np.log10(raw))
     step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= raw * 0.999)
     return [float(round(k * step, 12)) for k in range(int(np.ceil(low / step)), int(np.floor(high / step)) + 1)]
-
-
-SIDE = 400
-
-
-@dataclass(frozen=True)
-class PathPlot:
-    """The path from above, with a marker that the page moves.
-
-    dots, line: oysters and path, as paths of SVG; bar_px, bar_m: the length of the scale; poses: per moment x, y
-    (px) and heading (deg).
-    """
-
-    title: str
-    dots: str
-    line: str
-    bar_px: float
-    bar_m: float
-    poses: list[list[float]]
-    side: int = SIDE
-
-
-def path_plot(sequence: Sequence, times: NDArray[np.int64]) -> PathPlot | None:
-    """From the truth, with the oysters where they are known; None where the sequence has no truth."""
-    try:
-        truth = sequence.truth()
-    except SequenceError:
-        return None
-    xy = truth.positions[:, :2]
-    try:
-        oysters = sequence.oysters()[["x", "y"]].to_numpy(dtype=float)
-    except SequenceError:
-        oysters = np.zeros((0, 2))
-    low, high = xy.min(axis=0), xy.max(axis=0)
-    half = max(float((high - low).max()) * 0.6, 0.5)
-    centre = (low + high) / 2
-    scale = SIDE / (2 * half)
-
-    def place(points: Array) -> Array:
-        return np.column_stack(
-            [SIDE / 2 + (points[:, 0] - centre[0]) * scale, SIDE / 2 - (points[:, 1] - centre[1]) * scale]
-        )
-
-    near = oysters[np.all(np.abs(oysters - centre) < half, axis=1)] if len(oysters) else oysters
-    dots = "".join(f"M{x:.0f} {y:.0f}h.1" for x, y in place(near))
-    every = max(len(xy) // 1000, 1)
-    line = "L".join(f"{x:.1f} {y:.1f}" for x, y in place(xy[::every]))
-    bar = _round_values(0.0, half, 2)[-1]
-    at = truth.at(np.clip(times, truth.stamps_ns[0], truth.stamps_ns[-1]))
-    forward = at.matrices[:, :2, 0]
-    heading = np.degrees(np.arctan2(-forward[:, 1], forward[:, 0]))  # y of the page points down
-    poses = [
-        [round(float(x), 1), round(float(y), 1), round(float(angle), 1)]
-        for (x, y), angle in zip(place(at.positions[:, :2]), heading, strict=True)
-    ]
-    kinds = "path and oysters" if len(near) else "path"
-    return PathPlot(f"{kinds} from above, east to the right", dots, f"M{line}", bar * scale, bar, poses)

@@ -2,6 +2,7 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const pictures = [...document.querySelectorAll("img.panel")];
 const cursors = [...document.querySelectorAll(".cursor")];
+const moving = [...document.querySelectorAll("path.moving")];
 const slider = document.getElementById("time");
 const button = document.getElementById("play");
 const last = data.seconds.length - 1;
@@ -10,7 +11,7 @@ let timer = null;
 function show(step) {
   slider.value = step;
   const second = data.seconds[step];
-  document.getElementById("clock").textContent = second.toFixed(2) + " s";
+  document.getElementById("clock").textContent = (data.begin + second).toFixed(2) + " s";
   pictures.forEach((picture, k) => { picture.src = "data:image/jpeg;base64," + data.panels[k].frames[step]; });
   for (const cursor of cursors) {
     const { left, right, span } = cursor.dataset;
@@ -18,6 +19,7 @@ function show(step) {
     cursor.setAttribute("x1", x);
     cursor.setAttribute("x2", x);
   }
+  moving.forEach((dots, k) => dots.setAttribute("d", data.moving[k][step]));
   const vehicle = document.getElementById("vehicle");
   if (vehicle) {
     const [x, y, heading] = data.path[step];

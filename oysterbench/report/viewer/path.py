@@ -1,0 +1,101 @@
+"""The path from above, the oysters along it, and what moves by itself, in px of the SVG of `view.html`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array
+from oysterbench.report.viewer.strips import round_values
+from oysterbench.sequence.types import Sequence
+
+SIDE = 400
+
+
+@dataclass(frozen=True)
+class PathPlot:
+    """The path from above, with markers that the page moves.
+
+    dots, line: oysters and path, as paths of SVG; bar_px, bar_m: the length of the scale; poses: per moment x, y
+    (px) and heading (deg); moving: class -> per moment where those are that move by themselves, as a path of SVG.
+    """
+
+    title: str
+    dots: str
+    line: str
+    bar_px: float
+    bar_m: float
+    poses: list[list[float]]
+    moving: dict[str, list[str]]
+    side: int = SIDE
+
+
+@dataclass(frozen=True)
+class Window:
+    """The square of `map` that is shown: its centre (2,) m, and half its side, m."""
+
+    centre: Array
+    half: float
+
+    def place(self, points: Array) -> Array:
+        """(N, 2) px of points (N, 2) m."""
+        scale = SIDE / (2 * self.half)
+        return np.asarray(SIDE / 2 + (points - self.centre) * [scale, -scale])
+
+    def dots(self, points: Array) -> str:
+        """Those of points (N, 2) m that lie within, as a path of SVG."""
+        near = points[np.all(np.abs(points - self.centre) < self.half, axis=1)]
+        return "".join(f"M{x:.0f} {y:.0f}h.1" for x, y in self.place(near))
+
+
+def path_plot(sequence: Sequence, times: NDArray[np.int64]) -> PathPlot | None:
+    """From the truth, with the oysters where they are known; None where the sequence has no truth."""
+    try:
+        truth = sequence.truth()
+    except SequenceError:
+        return None
+    xy = truth.positions[:, :2]
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    window = Window((low + high) / 2, max(float((high - low).max()) * 0.6, 0.5))
+    dots = window.dots(_oysters(sequence))
+    every = max(len(xy) // 1000, 1)
+    line = "L".join(f"{x:.1f} {y:.1f}" for x, y in window.place(xy[::every]))
+    bar = round_values(0.0, window.half, 2)[-1]
+    at = truth.at(np.clip(times, truth.stamps_ns[0], truth.stamps_ns[-1]))
+    forward = at.matrices[:, :2, 0]
+    heading = np.degrees(np.arctan2(-forward[:, 1], forward[:, 0]))  # y of the page points down
+    poses = [
+        [round(float(x), 1), round(float(y), 1), round(float(angle), 1)]
+        for (x, y), angle in zip(window.place(at.positions[:, :2]), heading, strict=True)
+    ]
+    moving = {name: [window.dots(points) for points in found] for name, found in _moving(sequence, times).items()}
+    kinds = "path and oysters" if dots else "path"
+    bar_px = bar * SIDE / (2 * window.half)
+    return PathPlot(f"{kinds} from above, east to the right", dots, f"M{line}", bar_px, bar, poses, moving)
+
+
+def _oysters(sequence: Sequence) -> Array:
+    """(N, 2) m, none where they are not known."""
+    try:
+        return sequence.oysters()[["x", "y"]].to_numpy(dtype=float)
+    except SequenceError:
+        return np.zeros((0, 2))
+
+
+def _moving(sequence: Sequence, times: NDArray[np.int64]) -> dict[str, Array]:
+    """Class -> where those of it are that move by themselves, (moments, N, 2) m, between the stamps of the truth."""
+    try:
+        who, where = sequence.moving(), sequence.moving_poses()
+    except SequenceError:
+        return {}
+    found = {}
+    for name, of in who.groupby("class", sort=False):
+        table = where[where["id"].isin(of["id"])].pivot(index="stamp_ns", columns="id", values=["x", "y"])
+        if len(table):
+            seconds, asked = (1e-9 * (stamps - times[0]) for stamps in (table.index.to_numpy(), times))
+            x, y = (np.stack([np.interp(asked, seconds, one) for one in table[axis].to_numpy().T], -1) for axis in "xy")
+            found[str(name)] = np.stack([x, y], axis=-1)
+    return found
