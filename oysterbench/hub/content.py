@@ -13,7 +13,7 @@ import numpy as np
 
 from oysterbench.core.ros import decode, stamp_of
 from oysterbench.hub.canonical import sha256
-from oysterbench.sensors.camera import COLOUR
+from oysterbench.sensors.camera_messages import COLOUR
 from oysterbench.sequence.file import Reading, read_attachments, read_messages, summary_of
 
 RECORD = struct.Struct("<qq")  # stamp in ns, bytes that follow

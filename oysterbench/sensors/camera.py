@@ -1,4 +1,4 @@
-"""Camera: colour frames, and the layers of truth behind each of them."""
+"""Camera: how its frames and the layers of truth behind them are taken, and its calibration."""
 
 from __future__ import annotations
 
@@ -10,12 +10,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image
-from oysterbench.core.ros import IMAGE, Message, decode, encode, header, image_bytes, make, stamp_of
+from oysterbench.core.ros import IMAGE, Message
 from oysterbench.recipe import CameraRecipe, SiteRecipe, count
 from oysterbench.sensors.camera_errors import camera_errors, with_errors
+from oysterbench.sensors.camera_messages import (
+    CAMERA_INFO,
+    COLOUR,
+    LAYERS,
+    camera_info,
+    camera_topics,
+    colour_message,
+    layer_message,
+    optical_frame,
+    read_colour,
+)
 from oysterbench.sensors.exposure import exposures
 from oysterbench.sensors.faults import Fault, spans
 from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, from_entry, topic
@@ -27,44 +37,10 @@ if TYPE_CHECKING:
     from oysterbench.render.sensor import Exposure
     from oysterbench.sensors.panels import Panel
 
-COLOUR = "sensor_msgs/msg/CompressedImage"
-CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-PNG_LEVEL = 1  # of 9: a turbid frame becomes 5 % smaller at 6, in four times the time
 SIGHT_M, SIGHT_PIECES = 1.5, 12  # of the camera's rays along which silt counts in the truth
 SILT_STEP_S = 0.25
 LEAST_SILT = 0.5  # optical depth from which on silt counts: 0.6 of the sharp light is left
 FRAME_LAYERS = ("depth", "class", "instance")
-
-LAYERS = {
-    "depth": "16UC1",
-    "class": "mono8",
-    "instance": "16UC1",
-    "normals": "32FC3",
-    "clean": "32FC3",
-    "direct": "32FC3",
-    "forward_scatter": "32FC3",
-    "backscatter": "32FC3",
-    "snow": "32FC3",
-    "visibility": "32FC1",
-    "dynamic": "mono8",
-    "flow": "32FC2",
-    "transmittance": "32FC1",
-}
-"""Layers of a camera and their encodings. Depth in mm along the optical axis, 0 = none (REP 118)."""
-
-PIXELS = {"mono8": ("u1", 1), "16UC1": ("<u2", 1), "32FC1": ("<f4", 1), "32FC2": ("<f4", 2), "32FC3": ("<f4", 3)}
-"""Encodings: type of a number, and numbers in a pixel."""
-
-
-def optical_frame(camera: str) -> str:
-    """Frame of a camera's measurements: z forward, x right, y down (REP 103)."""
-    return f"{camera}_optical_frame"
-
-
-def camera_topics(camera: str, layers: tuple[str, ...] = tuple(LAYERS)) -> dict[str, str]:
-    """Topic and type of everything that a camera sends: `image`, `camera_info` and the layers."""
-    leaves = {"image": COLOUR, "camera_info": CAMERA_INFO} | dict.fromkeys(layers, IMAGE)
-    return {topic(camera, leaf): kind for leaf, kind in leaves.items()}
 
 
 @dataclass(frozen=True)
@@ -180,76 +156,6 @@ def shown(world: SensedWorld, camera: CameraRecipe) -> NDArray[np.int64]:
     repeated = world.streams.generator("camera", camera.name, "repeats").random(n) < camera.repeats
     repeated[0] = False
     return np.asarray(np.maximum.accumulate(np.where(repeated, 0, own)))
-
-
-def camera_info(stamp_ns: int, name: str, calibration: CameraCalibration) -> Message:
-    """Calibration of a camera, valid for the frame of that stamp."""
-    k = calibration.matrix
-    message = make(
-        CAMERA_INFO,
-        header=header(stamp_ns, optical_frame(name)),
-        height=calibration.height,
-        width=calibration.width,
-        distortion_model=calibration.distortion_model,
-        d=coefficients(calibration),
-        k=k.ravel(),
-        r=np.eye(3).ravel(),
-        p=np.column_stack([k, np.zeros(3)]).ravel(),
-        binning_x=0,
-        binning_y=0,
-        roi=make("sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
-    )
-    return Message(f"/{name}/camera_info", stamp_ns, encode(message))
-
-
-def coefficients(calibration: CameraCalibration) -> NDArray[np.float64]:
-    """Distortion coefficients, as many as the model has in CameraInfo."""
-    n = 4 if calibration.distortion_model == "equidistant" else 5
-    return np.pad(calibration.distortion, (0, n - len(calibration.distortion)))
-
-
-def colour_message(
-    stamp_ns: int, camera: str, pixels: NDArray[np.uint8], quality: int, image_format: str = "jpeg"
-) -> Message:
-    """(H, W, 3) uint8 RGB as JPEG of a quality, or as PNG, which keeps every bit."""
-    suffix, settings = {
-        "jpeg": (".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality]),
-        "png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL]),
-    }[image_format]
-    done, data = cv2.imencode(suffix, cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), settings)
-    if not done:
-        raise SequenceError(f"{camera}: the frame at {stamp_ns} could not be encoded as {image_format}")
-    message = make(COLOUR, header=header(stamp_ns, optical_frame(camera)), format=image_format, data=data.ravel())
-    return Message(f"/{camera}/image", stamp_ns, encode(message))
-
-
-def read_colour(data: bytes) -> tuple[int, NDArray[Any]]:
-    """Stamp and (H, W, 3) uint8 RGB from a compressed image."""
-    message = decode(data, COLOUR)
-    pixels = cv2.imdecode(np.asarray(message.data), cv2.IMREAD_COLOR_RGB)
-    if pixels is None:
-        raise SequenceError(f"the frame at {stamp_of(message.header)} is not a readable image")
-    return stamp_of(message.header), pixels
-
-
-def layer_message(stamp_ns: int, camera: str, layer: str, pixels: NDArray[Any]) -> Message:
-    """A layer's image, in the units of `Image`; depth is rounded to mm."""
-    if layer == "depth":
-        pixels = np.rint(np.clip(pixels, 0.0, 65.535) * 1000.0)
-    kind, _ = PIXELS[LAYERS[layer]]
-    data = image_bytes(stamp_ns, optical_frame(camera), LAYERS[layer], np.asarray(pixels, dtype=kind))
-    return Message(f"/{camera}/{layer}", stamp_ns, data)
-
-
-def read_layer(data: bytes, layer: str) -> tuple[int, NDArray[Any]]:
-    """Stamp and pixels of a layer, in the units of `Image`."""
-    message = decode(data, IMAGE)
-    kind, numbers = PIXELS[message.encoding]
-    shape = (message.height, message.width) if numbers == 1 else (message.height, message.width, numbers)
-    pixels = np.asarray(message.data).view(kind).reshape(shape)
-    if layer == "depth":
-        return stamp_of(message.header), pixels.astype(np.float32) / np.float32(1000.0)
-    return stamp_of(message.header), pixels.astype(np.dtype(kind).newbyteorder("="))
 
 
 class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
@@ -385,7 +291,7 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
         if not recipe.video_mbit_s or name != topic(recipe.name, "image"):
             yield from messages
             return
-        from oysterbench.sensors.video import VideoCodec
+        from oysterbench.sensors.video.codec import VideoCodec
 
         codec = VideoCodec(recipe.height, recipe.width, recipe.rate_hz, recipe.video_mbit_s)
         before, seen = None, None

@@ -15,7 +15,7 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.measurements import Cloud, Image
 from oysterbench.core.ros import decode, stamp_of
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.sensors.camera import LAYERS, read_layer
+from oysterbench.sensors.camera_messages import LAYERS, read_layer
 from oysterbench.sensors.faults import COLUMNS
 from oysterbench.sensors.kind import Row
 from oysterbench.sensors.kind import topic as topic_of

@@ -14,7 +14,7 @@ from oysterbench.methods.policy import commands
 from oysterbench.methods.steering import VehicleState, View
 from oysterbench.recipe import SplitRecipe, parse_split
 from oysterbench.sensors.camera import KIND as CAMERA
-from oysterbench.sensors.camera import camera_info, camera_topics, colour_message
+from oysterbench.sensors.camera_messages import camera_info, camera_topics, colour_message
 from oysterbench.sequence.read import CALIBRATION, METADATA, STEERING
 from oysterbench.sequence.truth import TF, TRUTH_POSE, TRUTH_TYPES
 from oysterbench.sequence.write import SequenceWriter

@@ -24,7 +24,7 @@ from oysterbench.core.geometry import transform
 from oysterbench.core.ros import EPOCH_NS, TF_STATIC
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory, write_tum
-from oysterbench.sensors.camera import camera_topics, colour_message, layer_message
+from oysterbench.sensors.camera_messages import camera_topics, colour_message, layer_message
 from oysterbench.sensors.imu import IMU
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS, STEERING
 from oysterbench.sequence.truth import TRANSFORMS, TRUTH, TRUTH_TYPES, truth_message

@@ -13,7 +13,7 @@ from oysterbench.hub.canonical import canonical, parse, sha256
 from oysterbench.hub.content import content_of
 from oysterbench.hub.manifest import build_manifest, describe_file, read_manifest, released_manifest
 from oysterbench.hub.verify import ABSENT, DAMAGED, REPACKED, RIGHT, UNKNOWN, check_file, check_unknown, checks
-from oysterbench.sensors import camera
+from oysterbench.sensors import camera_messages
 from tests.helpers.hand_made_dive import write_dive
 from tests.helpers.trees import DIGEST, FACTS, write_sequence
 
@@ -66,7 +66,7 @@ def test_another_compression_of_the_same_data_is_known_for_it(file, tmp_path, mo
     loose = write_sequence(tmp_path / "loose.mcap", "dive-01", compress=False)
     assert loose.read_bytes() != file.read_bytes()
     assert content_of(loose) == content_of(file)
-    monkeypatch.setattr(camera, "PNG_LEVEL", 9)
+    monkeypatch.setattr(camera_messages, "PNG_LEVEL", 9)
     smaller = write_sequence(tmp_path / "smaller.mcap", "dive-01")
     assert smaller.stat().st_size < file.stat().st_size
     assert content_of(smaller) == content_of(file)
@@ -75,7 +75,7 @@ def test_another_compression_of_the_same_data_is_known_for_it(file, tmp_path, mo
 
 
 def test_one_pixel_or_one_bit_makes_another_content(file, tmp_path, monkeypatch):
-    colour = camera.colour_message
+    colour = camera_messages.colour_message
     known = content_of(file).topics
 
     def one_pixel_off(stamp_ns, name, pixels, quality, image_format="jpeg"):

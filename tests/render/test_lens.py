@@ -13,7 +13,8 @@ from oysterbench.core.errors import RecipeError
 from oysterbench.recipe import parse_split, vary_split
 from oysterbench.render.lens import pixel_rays, project
 from oysterbench.scene.rig import PORT_INDEX
-from oysterbench.sensors.camera import KIND, camera_info, coefficients
+from oysterbench.sensors.camera import KIND
+from oysterbench.sensors.camera_messages import camera_info, coefficients
 from oysterbench.sensors.registry import rig_calibration
 from tests.helpers.reefs import CAMERA, FLAT, SPLIT, noise, pose, renderer_of, small_reef
 

@@ -10,8 +10,9 @@ import pytest
 
 from oysterbench.core.ros import EPOCH_NS
 from oysterbench.recipe import CameraRecipe
-from oysterbench.sensors.camera import KIND, colour_message, read_colour
-from oysterbench.sensors.video import ALPHA, BETA, VideoCodec, chroma_qp
+from oysterbench.sensors.camera import KIND
+from oysterbench.sensors.camera_messages import colour_message, read_colour
+from oysterbench.sensors.video.codec import ALPHA, BETA, VideoCodec, chroma_qp
 
 CAMERA = CameraRecipe(name="cam", width=192, height=144, hfov_deg=69.0, rate_hz=10.0, video_mbit_s=0.1)
 FRAMES = 24

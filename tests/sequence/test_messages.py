@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 import oysterbench
 from oysterbench.core.ros import EPOCH_NS, stamp_of
 from oysterbench.recipe import RigRecipe, parse_split
-from oysterbench.sensors.camera import LAYERS
+from oysterbench.sensors.camera_messages import LAYERS
 from oysterbench.sensors.registry import rig_frames, sensor_kinds
 from oysterbench.sequence.truth import rig_topics
 from tests.helpers import hand_made_dive as dive

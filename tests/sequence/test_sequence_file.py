@@ -11,7 +11,7 @@ import oysterbench
 from oysterbench.core.errors import MethodError, SequenceError
 from oysterbench.core.ros import EPOCH_NS
 from oysterbench.recipe import parse_split
-from oysterbench.sensors.camera import LAYERS
+from oysterbench.sensors.camera_messages import LAYERS
 from oysterbench.sensors.imu import ImuRecipe
 from oysterbench.sequence import Image, ImuMeasurement
 from oysterbench.sequence.types import imu_arrays

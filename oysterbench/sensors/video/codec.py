@@ -14,7 +14,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from oysterbench.render.target import start_warp
-from oysterbench.sensors import video_kernels as kernels
+from oysterbench.sensors.video.motion import quarter, search
+from oysterbench.sensors.video.planes import deblock, join_colours, split_colours
+from oysterbench.sensors.video.prediction import code_inter, code_intra
+from oysterbench.sensors.video.transform import Quantiser
 
 GROUP_S = 2.0  # from one intra picture to the next
 ENTROPY = 0.75  # bits of adaptive codes (CAVLC, CABAC) over those of Exp-Golomb ones (Richardson 2010, 7.4)
@@ -76,17 +79,17 @@ class VideoCodec:
         """The next picture (H, W, 3) uint8 RGB, as it is decoded."""
         now, before, decoded = self._planes
         source = wp.array(np.ascontiguousarray(picture), dtype=wp.uint8, device="cpu")
-        wp.launch(kernels.split_colours, now[1].shape, inputs=[source], outputs=now, device="cpu")
+        wp.launch(split_colours, now[1].shape, inputs=[source], outputs=now, device="cpu")
         intra = self._done % self._group == 0
         wanted = self._plain_bits * (INTRA_WEIGHT if intra else 1.0)
         wanted = max(wanted - self._owed / self._made_up_in, 0.2 * wanted)
         if not intra:
             for plane, small in zip((now[0], before[0]), self._small, strict=True):
-                wp.launch(kernels.quarter, small.shape, inputs=[plane], outputs=[small], device="cpu")
+                wp.launch(quarter, small.shape, inputs=[plane], outputs=[small], device="cpu")
             inputs = [now[0], before[0], *self._small, self._known]
             outputs = [self._vectors, self._costs]
             wp.copy(self._known, self._vectors)
-            wp.launch(kernels.search, self._bits.shape, inputs=inputs, outputs=outputs, device="cpu")
+            wp.launch(search, self._bits.shape, inputs=inputs, outputs=outputs, device="cpu")
         qp = self.qp
         for _ in range(2):  # a second time where the first guess of the quantiser was bad
             self.bits = self._code(intra, qp)
@@ -100,7 +103,7 @@ class VideoCodec:
         self._owed += self.bits - self._plain_bits * (INTRA_WEIGHT if intra else 1.0)
         self._done += 1
         self._smooth()
-        wp.launch(kernels.join_colours, self.shape, inputs=decoded, outputs=[self._picture], device="cpu")
+        wp.launch(join_colours, self.shape, inputs=decoded, outputs=[self._picture], device="cpu")
         self._planes = [now, decoded, before]
         return np.asarray(self._picture.numpy().copy())
 
@@ -111,17 +114,17 @@ class VideoCodec:
         if intra:
             for plane, q in enumerate((luma, chroma, chroma)):
                 outputs = [decoded[plane], self._coded[plane], self._total[plane]]
-                wp.launch(kernels.code_intra, 1, inputs=[q, now[plane]], outputs=outputs, device="cpu")
+                wp.launch(code_intra, 1, inputs=[q, now[plane]], outputs=outputs, device="cpu")
             bits = sum(int(total.numpy()[0]) for total in self._total)
         else:
             inputs = [luma, chroma, *now, *before, self._vectors, self._costs]
             outputs = [*decoded, *self._coded, self._bits]
-            wp.launch(kernels.code_inter, self._bits.shape, inputs=inputs, outputs=outputs, device="cpu")
+            wp.launch(code_inter, self._bits.shape, inputs=inputs, outputs=outputs, device="cpu")
             bits = int(self._bits.numpy().sum())
         return round(ENTROPY * bits)
 
-    def _quantiser(self, qp: int, intra: bool) -> kernels.Quantiser:
-        q = kernels.Quantiser()
+    def _quantiser(self, qp: int, intra: bool) -> Quantiser:
+        q = Quantiser()
         q.qp, q.intra = qp, int(intra)
         q.scale, q.step, q.zigzag = self._scale, self._step, self._zigzag
         return q
@@ -135,7 +138,7 @@ class VideoCodec:
             strength = [ALPHA[qp - 16], BETA[qp - 16], round(0.5 * 2 ** ((qp - 20) / 6))]
             for axis in (1, 0):
                 edges = (plane.shape[1 - axis], plane.shape[axis] // 4 - 1)
-                wp.launch(kernels.deblock, edges, inputs=[plane, coded, side, axis, *strength], device="cpu")
+                wp.launch(deblock, edges, inputs=[plane, coded, side, axis, *strength], device="cpu")
 
 
 def chroma_qp(qp: int) -> int:
