@@ -47,27 +47,36 @@ def lesser_of_each(a: wp.vec4, b: wp.vec4):
     return wp.vec4(lesser(a[0], b[0]), lesser(a[1], b[1]), lesser(a[2], b[2]), lesser(a[3], b[3]))
 
 
-@wp.func
-def box_depths(planes: wp.array(dtype=wp.vec4), node: int, start: wp.vec3, inverse: wp.vec3, max_t: float):
+BOX_DEPTHS = """
+    const float* plane = planes.data[6 * node].c;
+    const int x = inverse.c[0] < 0.0f ? 4 : 0;  // of the near side: the low one, or, after it, the high one
+    const int y = inverse.c[1] < 0.0f ? 4 : 0;
+    const int z = inverse.c[2] < 0.0f ? 4 : 0;
+    wp::vec4 depths;
+    for (int k = 0; k < 4; ++k) {
+        const float enter_x = (plane[x + k] - start.c[0]) * inverse.c[0];
+        const float enter_y = (plane[8 + y + k] - start.c[1]) * inverse.c[1];
+        const float enter_z = (plane[16 + z + k] - start.c[2]) * inverse.c[2];
+        const float leave_x = (plane[4 - x + k] - start.c[0]) * inverse.c[0];
+        const float leave_y = (plane[12 - y + k] - start.c[1]) * inverse.c[1];
+        const float leave_z = (plane[20 - z + k] - start.c[2]) * inverse.c[2] * rounding;
+        const float enter_across = enter_x > enter_y ? enter_x : enter_y;
+        const float enter_down = enter_z > 0.0f ? enter_z : 0.0f;
+        const float leave_across = leave_x < leave_y ? leave_x : leave_y;
+        const float leave_down = leave_z < max_t ? leave_z : max_t;
+        const float enter = enter_across > enter_down ? enter_across : enter_down;
+        const float leave = leave_across < leave_down ? leave_across : leave_down;
+        depths.c[k] = enter <= leave ? enter : missed;
+    }
+    return depths;
+"""
+"""In C++: of this loop the compiler makes instructions for four numbers, of the same with Warp's vectors for two."""
+
+
+@wp.func_native(f"const float missed = {MISSED}f, rounding = {ROUNDING}f;{BOX_DEPTHS}")
+def box_depths(planes: wp.array(dtype=wp.vec4), node: int, start: wp.vec3, inverse: wp.vec3, max_t: float) -> wp.vec4:
     """Depth at which a ray enters each of the four boxes of a node; MISSED where it does not before max_t."""
-    x = 6 * node + wp.where(inverse[0] < 0.0, 1, 0)
-    y = 6 * node + wp.where(inverse[1] < 0.0, 3, 2)
-    z = 6 * node + wp.where(inverse[2] < 0.0, 5, 4)
-    enter_x = (planes[x] - wp.vec4(start[0])) * inverse[0]
-    enter_y = (planes[y] - wp.vec4(start[1])) * inverse[1]
-    enter_z = (planes[z] - wp.vec4(start[2])) * inverse[2]
-    # The side opposite: its number differs in the last bit.
-    leave_x = (planes[12 * node + 1 - x] - wp.vec4(start[0])) * inverse[0]
-    leave_y = (planes[12 * node + 5 - y] - wp.vec4(start[1])) * inverse[1]
-    leave_z = (planes[12 * node + 9 - z] - wp.vec4(start[2])) * inverse[2]
-    enter = greater_of_each(greater_of_each(enter_x, enter_y), greater_of_each(enter_z, wp.vec4(0.0)))
-    leave = lesser_of_each(lesser_of_each(leave_x, leave_y), lesser_of_each(leave_z * ROUNDING, wp.vec4(max_t)))
-    return wp.vec4(
-        wp.where(enter[0] <= leave[0], enter[0], MISSED),
-        wp.where(enter[1] <= leave[1], enter[1], MISSED),
-        wp.where(enter[2] <= leave[2], enter[2], MISSED),
-        wp.where(enter[3] <= leave[3], enter[3], MISSED),
-    )
+    ...
 
 
 @wp.func
