@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 
 import pytest
@@ -15,8 +14,6 @@ from oysterbench.hub.canonical import canonical
 from oysterbench.hub.download import Hub, choose, download, find_here, part_path, plan
 from oysterbench.hub.index import read_index
 from oysterbench.hub.manifest import Manifest, build_manifest
-from oysterbench.hub.settings import hub_key, hub_places
-from oysterbench.hub.sign import make_key
 from oysterbench.hub.topics import fetch_topics
 from oysterbench.sequence.file import read_messages
 from tests.helpers.blobs import CALM
@@ -298,38 +295,6 @@ def test_passwords_in_an_address_are_in_no_message(published):
     with pytest.raises(NetworkError) as caught:
         hub.index()
     assert "secret" not in str(caught.value)
-
-
-def test_settings_come_from_options_then_environment_then_file(home, monkeypatch, tmp_path):
-    assert hub_places() == []
-    assert hub_key() is None
-    home.mkdir()
-    public = make_key(tmp_path / "key.pem")
-    (home / "hub.toml").write_text(f'url = ["https://a.example", "https://b.example"]\nkey = "{public}"\n')
-    assert hub_places() == ["https://a.example", "https://b.example"]
-    assert hub_key() == public
-    monkeypatch.setenv("OYSTERBENCH_HUB", "https://c.example /mnt/hub")
-    monkeypatch.setenv("OYSTERBENCH_HUB_KEY", "ab" * 32)
-    assert hub_places() == ["https://c.example", "/mnt/hub"]
-    assert hub_key() == "ab" * 32
-    assert hub_places(["https://d.example"]) == ["https://d.example"]
-    assert hub_key("CD" * 32) == "cd" * 32
-    with pytest.raises(HubError, match="--key: expected a hub's public key, 64 hex digits"):
-        hub_key("no key")
-    monkeypatch.delenv("OYSTERBENCH_HUB")
-    for text, message in (("url = 3", "expected an address"), ("= x", "not valid TOML")):
-        (home / "hub.toml").write_text(text)
-        with pytest.raises(HubError, match=message):
-            hub_places()
-
-
-def test_a_private_key_is_its_owners_and_never_overwritten(tmp_path):
-    make_key(tmp_path / "key.pem")
-    assert os.stat(tmp_path / "key.pem").st_mode & 0o777 == 0o600
-    before = (tmp_path / "key.pem").read_bytes()
-    with pytest.raises(HubError, match="it was left as it is"):
-        make_key(tmp_path / "key.pem")
-    assert (tmp_path / "key.pem").read_bytes() == before
 
 
 # Parts of a split

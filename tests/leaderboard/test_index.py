@@ -3,46 +3,20 @@
 from __future__ import annotations
 
 import math
-import os
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
-import threading
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.streams import stream
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.results.records import samples, weights_of
 from oysterbench.results.standings import ScoreTable
-from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query
+from oysterbench_leaderboard.board import BoardInfo, Query
 from oysterbench_leaderboard.index import BoardIndex, open_index
-from oysterbench_leaderboard.store import RecordStore, StatusChange
+from oysterbench_leaderboard.store import StatusChange
+from tests.helpers.boards_opened import ALL, opened, pages
 from tests.helpers.records_made import fill, record_made, records_made
-from tests.helpers.waiting import run_for
-
-ALL = Query(states=("current", "superseded", "withdrawn"))
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> RecordStore:
-    return RecordStore(tmp_path / "board")
-
-
-def opened(store: RecordStore, name: str = "index.sqlite") -> BoardIndex:
-    return open_index(store, str(store.folder.parent / name))
-
-
-def pages(index: BoardIndex, query: Query = ALL) -> list[BoardPage]:
-    return [index.page(board.id, query) for board in index.boards()]
 
 
 def board_of(index: BoardIndex, track: str = "slam", split: str = "slam-val") -> BoardInfo:
@@ -308,74 +282,6 @@ def test_sequence_means_are_those_of_the_runs(store):
     )
 
 
-def test_readers_see_one_whole_index_while_it_is_made_anew(store):
-    fill(store)
-    index = opened(store)
-    expected, wrong, stop = pages(index), [], threading.Event()
-
-    def read() -> None:
-        while not stop.is_set():
-            try:
-                if pages(index) != expected:
-                    wrong.append("another page")
-            except Exception as error:
-                wrong.append(repr(error))
-
-    threads = [threading.Thread(target=read) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for _ in range(4):
-        index.rebuild()
-    stop.set()
-    for thread in threads:
-        thread.join()
-    assert wrong == []
-
-
-REBUILD = """
-import sys
-from oysterbench_leaderboard.index import BoardIndex
-from oysterbench_leaderboard.store import RecordStore
-index = BoardIndex(sys.argv[2], RecordStore(sys.argv[1]))
-print("begun", flush=True)
-while True:
-    index.rebuild()
-"""
-
-
-def test_a_killed_rebuild_leaves_the_old_index(store):
-    fill(store)
-    index = opened(store)
-    expected = pages(index)
-    draw = stream(1, b"", "tests", "kills")
-    for _ in range(3):
-        process = subprocess.Popen(
-            [sys.executable, "-c", REBUILD, str(store.folder), str(store.folder.parent / "index.sqlite")],
-            stdout=subprocess.PIPE,
-        )
-        assert process.stdout is not None
-        assert process.stdout.readline() == b"begun\n"
-        run_for(process, float(draw.uniform(0, 0.4)))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        process.stdout.close()
-        assert pages(index) == expected
-    index.rebuild()
-    assert pages(index) == expected
-
-
-def test_an_index_of_another_version_or_none_is_made_anew(store):
-    fill(store)
-    path = store.folder.parent / "index.sqlite"
-    expected = pages(opened(store))
-    path.write_bytes(b"this is no database, and never was one" * 100)
-    assert pages(opened(store)) == expected
-    path.unlink()
-    with pytest.raises(ResultError, match="oysterbench leaderboard rebuild"):
-        BoardIndex(path, store).boards()
-    assert pages(opened(store)) == expected
-
-
 def test_an_index_in_a_wrong_place_is_refused_in_one_line_without_its_password(store):
     with pytest.raises(ResultError, match="expected SQLite or PostgreSQL"):
         BoardIndex("mysql+pymysql://user@host/name", store)
@@ -385,31 +291,6 @@ def test_an_index_in_a_wrong_place_is_refused_in_one_line_without_its_password(s
         index.boards()
     assert "\n" not in str(caught.value)
     assert "secret" not in str(caught.value)
-
-
-@pytest.fixture(scope="module")
-def postgres() -> Iterator[str]:
-    """The URL of a server that lives as long as these tests."""
-    pytest.importorskip("psycopg")
-    if shutil.which("initdb") is None or shutil.which("pg_ctl") is None:
-        pytest.skip("PostgreSQL is not installed")
-    folder = Path(tempfile.mkdtemp(prefix="oysterbench-postgres-"))
-    as_user: dict[str, Any] = {}
-    if os.geteuid() == 0:  # which the server refuses to be run as
-        shutil.chown(folder, "postgres")
-        as_user = {"user": "postgres"}
-    data = folder / "data"
-    try:
-        run: dict[str, Any] = {"check": True, "capture_output": True, "timeout": 120, "cwd": folder, **as_user}
-        subprocess.run(["initdb", "-D", data, "-U", "board", "-A", "trust", "-E", "UTF8"], **run)
-        subprocess.run(
-            ["pg_ctl", "-D", data, "-l", folder / "log", "-w", "-o", f"-c listen_addresses='' -k {folder}", "start"],
-            **{**run, "capture_output": False, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL},
-        )
-        yield f"postgresql+psycopg://board@/postgres?host={folder}"
-    finally:
-        subprocess.run(["pg_ctl", "-D", data, "-m", "immediate", "stop"], capture_output=True, cwd="/", **as_user)
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def test_postgresql_gives_the_same_answers(store, postgres, request):

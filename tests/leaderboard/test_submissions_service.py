@@ -15,10 +15,9 @@ from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.database import Database, find, log, submissions
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Form, upload_of
-from oysterbench_leaderboard.submissions.settings import SubmissionSettings, load_settings
-from oysterbench_leaderboard.submissions.tokens import Guesses, issue, listed, network, recognise, revoke
+from oysterbench_leaderboard.submissions.settings import load_settings
+from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.served import FAST, answers, lay_split, make_service
-from tests.leaderboard.test_index import postgres  # noqa: F401
 
 FORM = Form("carp", "pool-test")
 
@@ -72,65 +71,6 @@ def send(service, tmp_path, case=0, form=FORM, team="reef lab"):
 def events(service, what=""):
     with service.database.reading() as connection:
         return [event for event in log(connection, limit=10_000) if event["what"] == what or not what]
-
-
-# Tokens:
-
-
-def test_a_token_is_shown_once_and_only_its_hash_is_kept(tmp_path):
-    database = Database(SubmissionSettings(folder=tmp_path / "private"))
-    one, two = issue(database, "reef lab"), issue(database, "reef lab")
-    assert one != two
-    with database.reading() as connection:
-        assert recognise(connection, one).team == recognise(connection, two).team == "reef lab"
-        for wrong in (one[:-1], one + "x", one.replace("oyb", "oya"), one.upper(), "", "oyb__", "x" * 10_000):
-            assert recognise(connection, wrong) is None
-    kept = b"".join(path.read_bytes() for path in (tmp_path / "private").iterdir())
-    assert one.split("_", 2)[2].encode() not in kept
-    assert (tmp_path / "private").stat().st_mode & 0o77 == 0
-    assert [row["team"] for row in listed(database)] == ["reef lab", "reef lab"]
-    database.close()
-
-
-def test_tokens_are_revoked_one_by_one_or_with_their_team(tmp_path):
-    database = Database(SubmissionSettings(folder=tmp_path))
-    one, two = issue(database, "reef lab"), issue(database, "reef lab")
-    assert revoke(database, one.split("_")[1]) == [one.split("_")[1]]
-    with database.reading() as connection:
-        assert recognise(connection, one) is None
-        assert recognise(connection, two) is not None
-    assert revoke(database, "reef lab") == [two.split("_")[1]]
-    with database.reading() as connection:
-        assert recognise(connection, two) is None
-    with pytest.raises(ResultError, match="no team and no token is named 'nobody'"):
-        revoke(database, "nobody")
-    database.close()
-
-
-@pytest.mark.parametrize("name", ["", " x", "a\nb", "x" * 81])
-def test_a_team_has_a_plain_name(tmp_path, name):
-    database = Database(SubmissionSettings(folder=tmp_path))
-    with pytest.raises(ResultError):
-        issue(database, name)
-    database.close()
-
-
-def test_guesses_are_counted_by_address_and_all_together(tmp_path):
-    guesses = Guesses(SubmissionSettings(folder=tmp_path, guesses_of_address=3, guesses=5))
-    for _ in range(3):
-        guesses.check("10.0.0.1")
-        guesses.failed("10.0.0.1")
-    with pytest.raises(Refusal, match="too many wrong tokens"):
-        guesses.check("10.0.0.1")
-    guesses.check("10.0.0.2")
-    guesses.failed("10.0.0.2")
-    guesses.failed("2001:db8::1")
-    with pytest.raises(Refusal):
-        guesses.check("10.0.0.2")
-    with pytest.raises(Refusal):
-        guesses.check("2001:db8::ffff")  # of the same network
-    guesses.check("10.0.0.3")  # has never sent a wrong one
-    assert network("::ffff:10.0.0.1") == "10.0.0.1"
 
 
 # Sending:
@@ -393,7 +333,7 @@ def test_the_database_keeps_what_it_has_said(service, tmp_path):
     database.close()
 
 
-def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):  # noqa: F811
+def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):
     """Each of two servers, with two workers, takes what the other one has not: nothing is scored twice."""
     shutil.copytree(laid / "splits", tmp_path / "splits")
     hosts = [make_service(tmp_path, database=postgres.replace("+psycopg", ""), **FAST) for _ in range(2)]
