@@ -8,8 +8,9 @@ from typing import Literal
 from oysterbench.core.html import capital
 from oysterbench.evaluate.statistics import Interval, compare
 from oysterbench.evaluate.steering.dataset import Whole, over_sequences
+from oysterbench.evaluate.steering.metrics import STEERING
 from oysterbench.evaluate.steering.rollouts import NormalisedScore, normalised_score
-from oysterbench.report.columns import OF_TRACK, metric_column, name_columns
+from oysterbench.report.columns import metric_column, metric_columns, name_columns
 from oysterbench.report.steering import PictureRun, RolloutRun
 from oysterbench.report.table import MINUS, Cell, Column, Table, TableRow, interval_column
 from oysterbench.report.tables import difference_column
@@ -41,7 +42,7 @@ def whole_of(runs: Sequence[PictureRun]) -> dict[str, Whole]:
 def pictures_table(wholes: Mapping[str, Whole]) -> Table:
     """A row per method, over all pictures together."""
     columns = list(name_columns("method"))
-    for column in OF_TRACK["steering"]:
+    for column in metric_columns(STEERING.table):
         columns += [column, interval_column(column)] if column.key in INTERVALS else [column]
     rows = []
     for method, whole in wholes.items():
