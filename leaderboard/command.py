@@ -64,7 +64,7 @@ class Lazy(click.Group):
     invoke_without_command=True,
     subcommand_metavar="[COMMAND [ARGS]...]",
 )
-@click.option("--track", help="Boards of this track: slam, segmentation, detection.")
+@click.option("--track", help="Boards of this track, such as slam or steering.")
 @click.option("--split", help="Boards of this split.")
 @click.option("--id", "board", help="One board by its id; those of older evaluators are history.")
 @click.option("--rows", type=click.IntRange(min=1), help="Rows of a board.  [default: 5 each, all of a single one]")

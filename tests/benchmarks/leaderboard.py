@@ -1,4 +1,4 @@
-"""How long an index of many records takes: `python tests/benchmarks/leaderboard.py [--records 100000] [--folder DIR]`.
+"""How long an index of many records takes: `python -m tests.benchmarks.leaderboard [--records 100000] [--folder DIR]`.
 
 Makes records of a realistic size (eight sequences with all metrics of the evaluator, about 40 kB each) on several
 boards, if the folder does not hold them yet; then prints what a rebuild, a refresh and pages take. CPU seconds of the
