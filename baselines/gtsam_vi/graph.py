@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.common.aiding import Aiding
-from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.cameras import CameraRig
-from oysterbench_baselines.gtsam_vi.preintegration import preintegrate, preintegration_params
+from oysterbench_baselines.gtsam_vi.preintegration import inertial_factor, preintegration_params
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
@@ -46,20 +45,13 @@ class Model:
         self.gyro_turn_on = max(imu.gyro_turn_on, 1e-4)
         self.accel_turn_on = max(imu.accel_turn_on, 1e-3)
 
-    def inertial(
-        self, before: int, after: int, segment: Segment, bias: gtsam.imuBias.ConstantBias
-    ) -> gtsam.NonlinearFactor:
-        """Preintegrated measurements between two key frames."""
-        measurements = preintegrate(segment, bias, self.params)
-        return gtsam.CombinedImuFactor(X(before), V(before), X(after), V(after), B(before), B(after), measurements)
-
     def motion(
         self, keyframe: Keyframe, before: State, state: State, bias: gtsam.imuBias.ConstantBias
     ) -> list[gtsam.NonlinearFactor]:
         """All that ties a key frame to the one before it, given the states of both."""
         k, settings = keyframe.index, self.settings
         if keyframe.trusted:
-            return [self.inertial(k - 1, k, keyframe.segment, bias), *keyframe.aiding]
+            return [inertial_factor(k - 1, k, keyframe.segment, bias, self.params), *keyframe.aiding]
         time = max(keyframe.segment.duration, settings.keyframes.min_s)
         moved = np.repeat([settings.recovery.unknown_rate, settings.recovery.unknown_speed], 3) * time
         turn_on = np.array([self.accel_turn_on] * 3 + [self.gyro_turn_on] * 3)

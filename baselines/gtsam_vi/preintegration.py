@@ -1,9 +1,10 @@
-"""IMU preintegration by GTSAM: noise model and preintegrated measurements."""
+"""IMU preintegration by GTSAM: noise model, preintegrated measurements, and the factor made of them."""
 
 from __future__ import annotations
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import B, V, X
 from scipy.spatial.transform import Rotation
 
 from oysterbench.sequence.types import ImuCalibration
@@ -46,3 +47,15 @@ def preintegrate(
     for dt, gyro, accel in zip(segment.dt, segment.gyro, force, strict=True):
         measurements.integrateMeasurement(accel, gyro, dt)
     return measurements
+
+
+def inertial_factor(
+    before: int,
+    after: int,
+    segment: Segment,
+    bias: gtsam.imuBias.ConstantBias,
+    params: gtsam.PreintegrationCombinedParams,
+) -> gtsam.NonlinearFactor:
+    """What a segment says of the states of the key frames at its ends, preintegrated at a bias."""
+    measurements = preintegrate(segment, bias, params)
+    return gtsam.CombinedImuFactor(X(before), V(before), X(after), V(after), B(before), B(after), measurements)

@@ -17,6 +17,7 @@ from oysterbench.core.geometry import Array
 from oysterbench_baselines.gtsam_vi.covariance import joint_covariance
 from oysterbench_baselines.gtsam_vi.fixed_lag import FixedLagSmoother
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
+from oysterbench_baselines.gtsam_vi.preintegration import inertial_factor
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
 
@@ -62,7 +63,8 @@ class Window:
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         stamps = {key(k): float(k) for key in (X, V, B)}
         insert_state(values, k, predicted)
-        graph.push_back(self.model.inertial(k - 1, k, keyframe.segment, keyframes[-2].estimate.bias))
+        bias = keyframes[-2].estimate.bias
+        graph.push_back(inertial_factor(k - 1, k, keyframe.segment, bias, self.model.params))
         if keyframe.stationary:
             graph.push_back(self.model.zero_velocity(k))
         for factor in keyframe.aiding:

@@ -16,18 +16,15 @@ from oysterbench.core.ros import (
     IMAGE,
     POINTS,
     Message,
-    decode,
     echo_image,
-    point_rows,
-    points_bytes,
     read_echo_image,
-    stamp_of,
 )
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.keys import number
 from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors import acoustics, echoes
+from oysterbench.sensors.clouds import cloud_message
 from oysterbench.sensors.echoes import RangeAxis, Rays, Returns
 from oysterbench.sensors.faults import Fault
 from oysterbench.sensors.interference import Beams, added_power, struck_pings
@@ -47,16 +44,6 @@ SonarPing = tuple[SonarImage, Cloud | None]
 """What a simulated ping measures: its image, and its cloud if the recipe asks for one."""
 
 CLOUD_ROWS = 32  # of the cloud, over the elevations
-
-RETURN = np.dtype(
-    {
-        "names": ["x", "y", "z", "intensity", "class", "instance"],
-        "formats": ["<f4", "<f4", "<f4", "<f4", "u1", "<u2"],
-        "offsets": [0, 4, 8, 12, 16, 18],
-        "itemsize": 20,
-    }
-)
-"""A sonar's return as a point: place in the sensor's frame (m), amplitude, and what answered."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,29 +290,6 @@ def gather(power: Array, columns: Columns, beams: int) -> Array:
         for k, tap in enumerate(taps):
             those += np.multiply(power[k : k + last : columns.per_beam], tap, out=part)
     return heard
-
-
-def cloud_message(cloud: Cloud) -> Message:
-    """A sonar's returns with what they are: fields x, y, z, intensity, class, instance."""
-    rows = np.zeros(len(cloud.points), dtype=RETURN)
-    for axis, values in zip("xyz", np.reshape(cloud.points, (-1, 3)).T, strict=True):
-        rows[axis] = values
-    rows["intensity"], rows["class"], rows["instance"] = cloud.intensity, cloud.classes, cloud.instances
-    return Message(f"/{cloud.sensor}/cloud", cloud.stamp_ns, points_bytes(cloud.stamp_ns, link(cloud.sensor), rows))
-
-
-def read_cloud(data: bytes, sensor: str) -> Cloud:
-    """Cloud from its message."""
-    message = decode(data, POINTS)
-    stamp, rows = stamp_of(message.header), point_rows(message)
-    return Cloud(
-        stamp_ns=stamp,
-        sensor=sensor,
-        points=np.stack([rows[axis] for axis in "xyz"], axis=-1).astype(np.float32),
-        intensity=rows["intensity"].astype(np.float32),
-        classes=rows["class"].astype(np.uint8),
-        instances=rows["instance"].astype(np.uint16),
-    )
 
 
 class Sonar(SensorKind[SonarRecipe, SonarCalibration, Any]):

@@ -16,11 +16,11 @@ from oysterbench.core.measurements import Cloud, Image
 from oysterbench.core.ros import decode, stamp_of
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sensors.camera_messages import LAYERS, read_layer
+from oysterbench.sensors.clouds import read_cloud
 from oysterbench.sensors.faults import COLUMNS
 from oysterbench.sensors.kind import Row
 from oysterbench.sensors.kind import topic as topic_of
 from oysterbench.sensors.registry import read_calibrations, sensor_kinds
-from oysterbench.sensors.sonar import read_cloud
 from oysterbench.sensors.uncertainty import UNCERTAINTY, Uncertainty
 from oysterbench.sequence.file import (
     DAMAGE,

@@ -25,9 +25,10 @@ from oysterbench.core.ros import EPOCH_NS, Message
 from oysterbench.recipe import RigRecipe, parse_split
 from oysterbench.sensors.camera import KIND as CAMERA
 from oysterbench.sensors.camera_messages import camera_info, camera_topics, colour_message, layer_message, optical_frame
+from oysterbench.sensors.clouds import cloud_message
 from oysterbench.sensors.registry import kind_of
 from oysterbench.sensors.sonar import KIND as SONAR
-from oysterbench.sensors.sonar import SonarRecipe, cloud_message
+from oysterbench.sensors.sonar import SonarRecipe
 from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
 from oysterbench.sequence.truth import (
     rig_topics,
