@@ -9,18 +9,18 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.render import caustics, lamps
-from oysterbench.render.camera import CameraRenderer, Pose
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.optics import Optics
+from oysterbench.render.tracing import Pose, ViewTracer
 
 COLUMNS, ROWS = 32, 24
 CENTRE = 0.5  # standard deviation of the weight over half of the picture's width and height: centre-weighted
 
 
-class Meter(CameraRenderer):
+class Meter(ViewTracer):
     """Meters for a camera with the world that its renderer has on the device."""
 
-    def __init__(self, renderer: CameraRenderer) -> None:
+    def __init__(self, renderer: ViewTracer) -> None:
         self.__dict__.update(renderer.__dict__)
         self.seconds = copy.copy(renderer.seconds)
         self.camera = dataclasses.replace(renderer.camera, width=COLUMNS, height=ROWS, readout_ms=0.0)
