@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import oysterbench
 from oysterbench.cli.main import main
@@ -392,10 +391,3 @@ def test_ctrl_c_is_one_line_and_the_work_goes_on_from_there(recipe, tmp_path):
     assert "the same command goes on from there" in stderr.splitlines()[-1]
     assert not (out / "tiny-01.mcap").exists()
     assert run("render", recipe, "--out", out).returncode == 0
-
-
-@pytest.mark.parametrize("words", [["slm"], ["--track", "slm"], ["--track=slm"]])
-def test_a_track_that_there_is_not_is_answered_by_those_there_are(words):
-    result = CliRunner().invoke(main, ["eval", *words])
-    assert result.exit_code == 2
-    assert "expected a track, one of slam, segmentation, detection, density, steering, got 'slm'" in result.output

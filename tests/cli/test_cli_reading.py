@@ -1,4 +1,4 @@
-"""What `oysterbench eval` is told of how to read its files."""
+"""What `oysterbench eval` is told: a track, and how to read its files."""
 
 from __future__ import annotations
 
@@ -110,3 +110,10 @@ def test_reading_options_without_files_are_a_usage_error():
     result = CliRunner().invoke(main, ["eval", "--track", "slam", "--quaternion", "wxyz", "--sort"])
     assert result.exit_code == 2
     assert "--quaternion, --sort: says how to read files" in result.stderr
+
+
+@pytest.mark.parametrize("words", [["slm"], ["--track", "slm"], ["--track=slm"]])
+def test_a_track_that_there_is_not_is_answered_by_those_there_are(words):
+    result = CliRunner().invoke(main, ["eval", *words])
+    assert result.exit_code == 2
+    assert "expected a track, one of slam, segmentation, detection, density, steering, got 'slm'" in result.output
