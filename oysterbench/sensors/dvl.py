@@ -125,21 +125,6 @@ def measure(
     streams: Streams,
     bottom: str = "sand",
     scale: float = 1.0,
-) -> list[DvlMeasurement]:
-    """What the log reports, as `measure_all` has it."""
-    return measure_all(path, caster, recipe, site, times_s, stamps_ns, streams, bottom, scale)[0]
-
-
-def measure_all(
-    path: Path,
-    caster: RayCaster,
-    recipe: DvlRecipe,
-    site: SiteRecipe,
-    times_s: Array,
-    stamps_ns: Sequence[int] | NDArray[np.int64],
-    streams: Streams,
-    bottom: str,
-    scale: float,
 ) -> tuple[list[DvlMeasurement], Strikes]:
     """What the log reports at times (N,) s, stamped with stamps_ns (N,), and what struck it.
 
@@ -285,7 +270,7 @@ class Dvl(SensorKind[DvlRecipe, DvlCalibration, DvlMeasurement]):
     ) -> tuple[list[DvlMeasurement], Strikes]:
         site, bottom = world.recipe.site, world.recipe.reef.bottom
         scale = self.true_entry(world, recipe).get("scale", 1.0)
-        return measure_all(world.path, world.caster, recipe, site, times_s, stamps_ns, world.streams, bottom, scale)
+        return measure(world.path, world.caster, recipe, site, times_s, stamps_ns, world.streams, bottom, scale)
 
     def times(self, world: SensedWorld, recipe: DvlRecipe) -> Array | None:
         """With `min_rate_hz`, by the altitude over what lies below."""

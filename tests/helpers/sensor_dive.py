@@ -113,7 +113,7 @@ class SensorDive(Sequence):
         for dvl_recipe in vehicle.of(DvlRecipe):
             times, stamps = self._clock(dvl_recipe.rate_hz)
             caster: Any = LevelBottom()
-            self._samples["dvl"] = dvl.measure(path, caster, dvl_recipe, site, times, stamps, streams)
+            self._samples["dvl"] = dvl.measure(path, caster, dvl_recipe, site, times, stamps, streams)[0]
         for pressure_recipe in vehicle.of(PressureRecipe):
             times, stamps = self._clock(pressure_recipe.rate_hz)
             values = pressure.measure(path, pressure_recipe, site, waves, times, streams)

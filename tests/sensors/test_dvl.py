@@ -24,7 +24,7 @@ def log(**changes) -> DvlRecipe:
 
 def listen(caster, path, recipe, count=4, site=SITE, bottom="sand", seed=1):
     times = np.arange(count) / recipe.rate_hz
-    return dvl.measure(path, caster, recipe, site, times, np.arange(count) + 1, Streams(seed), bottom)
+    return dvl.measure(path, caster, recipe, site, times, np.arange(count) + 1, Streams(seed), bottom)[0]
 
 
 def stacked(samples, name):

@@ -116,7 +116,7 @@ def level():
 def pings(caster, recipe, height=2.0, n=2000, seed=1):
     times = np.arange(n) / recipe.rate_hz
     path = Steady(at(0, 0, height - 19.0))
-    return dvl.measure_all(path, caster, recipe, SITE, times, np.arange(n), Streams(seed), "sand", 1.0)
+    return dvl.measure(path, caster, recipe, SITE, times, np.arange(n), Streams(seed), "sand", 1.0)
 
 
 def test_a_ping_that_failed_says_so_and_an_outlier_does_not(level):
