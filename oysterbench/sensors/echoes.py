@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
+from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.recipe.sensors import BinnedSonarRecipe
 from oysterbench.sensors.acoustics import absorption, echo_strength, mount_pose, range_resolution, sound_speed
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import Echoes, RayCaster
+    from oysterbench.sensors.kind import Instants, SensedWorld
+
+T = TypeVar("T")
 
 PLAIN_STEP = 5e-6
 GAINED_STEP = 1e-4
@@ -292,3 +297,14 @@ def dot(a: Array, b: Array) -> Array:
 def turn(rotation: Array, x: Array, y: Array, z: Array) -> Array:
     """Vectors (N, 3) from their parts, turned by rotation (3, 3); in the same order of sums on every processor."""
     return np.stack([row[0] * x + row[1] * y + row[2] * z for row in rotation], axis=-1)
+
+
+def pings(world: SensedWorld, at: Instants, ping: Callable[[Array, Streams, int, int], T]) -> Iterator[T]:
+    """What a sonar measures at the instants that are asked for, in the world as it then is.
+
+    ping: makes one of T_map_base (4, 4), the random streams, its index and its stamp (ns)
+    """
+    for index, T_map_base in zip(at.wanted.tolist(), world.bodies(at.times_s[at.wanted]), strict=True):
+        with world.caster.at(float(at.times_s[index])):
+            measured = ping(T_map_base, world.streams, index, int(at.stamps_ns[index]))
+        yield measured

@@ -148,11 +148,7 @@ class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
 
     def measure(self, world: SensedWorld, recipe: ScannerRecipe, at: Instants) -> Iterator[ScanPing]:
         head = ScanningSonar(world.caster, recipe, world.recipe.site, world.recipe.reef.bottom)
-        bodies = world.bodies(at.times_s)
-        for k in at.wanted.tolist():
-            with world.caster.at(float(at.times_s[k])):
-                ping = head.ping(bodies[k], world.streams, k, int(at.stamps_ns[k]))
-            yield ping
+        return echoes.pings(world, at, head.ping)
 
     def faults(self, world: SensedWorld, recipe: ScannerRecipe) -> list[Fault]:
         """Pulses of others that reach into its beam, by their azimuth."""

@@ -241,10 +241,7 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
     def measure(self, world: SensedWorld, recipe: SidescanRecipe, at: Instants) -> Iterator[SidescanPing]:
         site, bottom = world.recipe.site, world.recipe.reef.bottom
         sonar = world.instrument(recipe, lambda: SidescanSonar(world.caster, recipe, site, bottom))
-        for index, body in zip(at.wanted.tolist(), world.bodies(at.times_s[at.wanted]), strict=True):
-            with world.caster.at(float(at.times_s[index])):
-                ping = sonar.ping(body, world.streams, index, int(at.stamps_ns[index]))
-            yield ping
+        return echoes.pings(world, at, sonar.ping)
 
     def faults(self, world: SensedWorld, recipe: SidescanRecipe) -> list[Fault]:
         """Pulses of others that reach into its beams, by their azimuth off each side's axis."""

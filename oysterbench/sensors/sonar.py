@@ -321,10 +321,7 @@ class Sonar(SensorKind[SonarRecipe, SonarCalibration, Any]):
     def measure(self, world: SensedWorld, recipe: SonarRecipe, at: Instants) -> Iterator[SonarPing]:
         site, bottom = world.recipe.site, world.recipe.reef.bottom
         sonar = world.instrument(recipe, lambda: ImagingSonar(world.caster, recipe, site, bottom))
-        for index, body in zip(at.wanted.tolist(), world.bodies(at.times_s[at.wanted]), strict=True):
-            with world.caster.at(float(at.times_s[index])):
-                ping = sonar.ping(body, world.streams, index, int(at.stamps_ns[index]))
-            yield ping
+        return echoes.pings(world, at, sonar.ping)
 
     def faults(self, world: SensedWorld, recipe: SonarRecipe) -> list[Fault]:
         """Pulses of others that reach into its fan, by their azimuth."""
