@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -127,3 +127,67 @@ def coloured(grey: NDArray[np.float32]) -> NDArray[Any]:
 def blank(width: int, height: int) -> NDArray[np.uint8]:
     """(H, W, 3): what is shown before the first measurement."""
     return np.full((height, width, 3), BACKGROUND, dtype=np.uint8)
+
+
+def padded(picture: NDArray[Any], aspect: float) -> NDArray[Any]:
+    """A picture (H, W, 3) with background under and over it, or beside it, until its width is `aspect` times its
+    height."""
+    height, width = picture.shape[:2]
+    down, across = max(0, round(width / aspect) - height), max(0, round(height * aspect) - width)
+    edges = (down // 2, down - down // 2, across // 2, across - across // 2)
+    return np.asarray(cv2.copyMakeBorder(picture, *edges, cv2.BORDER_CONSTANT, value=(BACKGROUND,) * 3))
+
+
+AXES_COLOURS = ((240, 180, 90), (80, 148, 255), (159, 207, 46))  # BGR of x, y, z
+GREY = (120, 120, 120)
+MARK = (60, 90, 230)
+
+
+def curves(
+    title: str,
+    seconds: Array,
+    values: Array,
+    beside_seconds: Array,
+    beside: Array,
+    spans: Sequence[tuple[float, float]],
+) -> NDArray[Any]:
+    """(H, W, 3) uint8 BGR of values (N, up to 3) over seconds (N,), over others in grey, with spans of time marked at
+    the foot. Broken where values are not finite; between the least and the greatest of `values`."""
+    picture = np.full((WIDTH * 3 // 4, WIDTH, 3), BACKGROUND, dtype=np.uint8)
+    left, right, top, bottom = 44, WIDTH - 10, 34, len(picture) - 32
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    margin = 0.05 * (high - low) or 0.5
+    low, high = low - margin, high + margin
+    last = float(seconds[-1])
+
+    def write(text: str, x: float, y: float, colour: tuple[int, int, int] = (220, 220, 220)) -> None:
+        cv2.putText(picture, text, (int(x), int(y)), cv2.FONT_HERSHEY_SIMPLEX, 0.38, colour, 1, cv2.LINE_AA)
+
+    def line(times: Array, heights: Array, colour: tuple[int, int, int]) -> None:
+        x = left + times / last * (right - left)
+        y = bottom - (heights - low) / (high - low) * (bottom - top)
+        known = np.isfinite(y)
+        for run in np.split(np.arange(len(x)), np.flatnonzero(~known)):
+            run = run[known[run]]
+            points = np.column_stack([x[run], np.clip(y[run], top, bottom)])
+            cv2.polylines(picture, [np.rint(points).astype(np.int32)], False, colour, 1, cv2.LINE_AA)
+
+    step = _round_step((high - low) / 3)
+    for value in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step:
+        y = bottom - (value - low) / (high - low) * (bottom - top)
+        cv2.line(picture, (left, int(y)), (right, int(y)), (50, 50, 50), 1)
+        write(f"{value + 0.0:g}", 4, y + 4)
+    for value in np.arange(0.0, last, _round_step(last / 3)):
+        write(f"{value:g} s", left + value / last * (right - left), len(picture) - 6)
+    for k in range(values.shape[1]):
+        line(beside_seconds, beside[:, k], GREY)
+    for k in range(values.shape[1]):
+        line(seconds, values[:, k], AXES_COLOURS[k])
+    for begin, end in spans:
+        ends = [int(left + np.clip(at / last, 0.0, 1.0) * (right - left)) for at in (begin, end)]
+        cv2.rectangle(picture, (ends[0], bottom + 4), (max(ends[1], ends[0] + 1), bottom + 10), MARK, -1)
+    write(title.replace("\u00b2", "2").replace("\u00b5", "u"), left, 20)
+    for k in range(values.shape[1] if values.shape[1] > 1 else 0):
+        write("xyz"[k], right - 90 + 12 * k, 20, AXES_COLOURS[k])
+    write("without", right - 48, 20, GREY)
+    return picture

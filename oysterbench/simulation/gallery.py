@@ -35,7 +35,7 @@ def preview(split: SplitRecipe, sequence: str | None = None, progress: Progress 
     from oysterbench.simulation.simulated_sequence import build_sequence
 
     recipe = split.sequence[0] if sequence is None else split.find_sequence(sequence)
-    small = dataclasses.replace(split, rig=shrink(split.rig, PREVIEW_WIDTH))
+    small = _small(split)
     cameras = small.rig.camera
     if not cameras:
         raise RecipeError(f"split {split.name}: rig {split.rig.name} has no camera to look through")
@@ -113,22 +113,30 @@ def panels(table: Path, progress: Progress = lambda done, total: None) -> tuple[
     """The pictures that a gallery file describes, and their captions.
 
     A gallery file names a `split`, and has [[panel]] tables with a `caption`, a time `at_s`, and `set`, the keys of the
-    split that are replaced (see `recipe.vary_split`); where they say so, with another `rig` and through its `camera`.
+    split that are replaced (see `recipe.vary_split`); where they say so, with another `rig` and through its `camera`:
+    a `layer` of truth, or four frames `every_s` s apart. Or of another `sensor` of the rig: a sonar's fan, or curves of
+    the strip whose title begins with `strip`, beside those without what `set.rig` does.
     """
     split, rows = _read_gallery(table)
-    from oysterbench.sensors.camera import render_frame
-    from oysterbench.simulation.simulated_sequence import build_sequence
+    from oysterbench.simulation.panel import camera_picture, sensor_picture
 
     pictures: list[Picture] = []
     for k, row in enumerate(rows):
         progress(k, len(rows))
-        varied = vary_panel(split, row, table)
-        varied = dataclasses.replace(varied, rig=shrink(varied.rig, PREVIEW_WIDTH))
-        camera = next(c for c in varied.rig.camera if c.name == row.get("camera", varied.rig.camera[0].name))
-        simulated = build_sequence(varied, varied.sequence[0].name, b"")
-        pictures.append(render_frame(simulated, camera, round(row["at_s"] * camera.rate_hz)).colour)
+        varied = _small(vary_panel(split, row, table))
+        if "sensor" in row:
+            calm = {**row, "set": {key: value for key, value in row["set"].items() if key != "rig"}}
+            beside = _small(vary_panel(split, calm, table))
+            pictures.append(sensor_picture(varied, beside, row["sensor"], row["at_s"], row.get("strip", "")))
+        else:
+            camera = row.get("camera", varied.rig.camera[0].name)
+            pictures.append(camera_picture(varied, camera, row["at_s"], row.get("every_s"), row.get("layer")))
     progress(len(rows), len(rows))
     return pictures, [row["caption"] for row in rows]
+
+
+def _small(split: SplitRecipe) -> SplitRecipe:
+    return dataclasses.replace(split, rig=shrink(split.rig, PREVIEW_WIDTH))
 
 
 def vary_panel(split: SplitRecipe, row: dict[str, Any], table: Path) -> SplitRecipe:
