@@ -81,7 +81,7 @@ def main() -> None:
       oysterbench map val-01.mcap --trajectory poses.tum --masks masks --out map    oysters per m2
       oysterbench map mini-01.mcap --trajectory poses.tum --out mini-01.ply
       oysterbench view mini-01.mcap                 one page to look through it
-      oysterbench gallery                           waters, lights, reefs and views on one sheet
+      oysterbench gallery                           every effect of a recipe on one sheet
       oysterbench oyster --seed 7 --out oyster.glb
     """
 
@@ -209,11 +209,11 @@ def view(sequence: Path, begin_s: float, seconds: float | None, out: Path | None
     click.echo(path)
 
 
-@main.command(short_help="One sheet of pictures over waters, lights, reefs and views.")
+@main.command(short_help="One sheet of pictures over every effect of a recipe.")
 @click.option("--real", type=click.Path(path_type=Path, file_okay=False), help="Show close-ups beside real images.")
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), default="gallery.png", show_default=True)
 def gallery(real: Path | None, out: Path) -> None:
-    """Render one sheet of pictures: waters, lights, densities and views; or close-ups beside real images.
+    """Render one sheet of pictures: water, light, reef, life, sensors and faults; or close-ups beside real images.
 
     \b
     Examples:

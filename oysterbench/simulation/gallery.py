@@ -1,4 +1,4 @@
-"""Sheets of pictures: a recipe before it is rendered, and what water, light, reef and view do to it."""
+"""Sheets of pictures: a recipe before it is rendered, and what each effect does to it."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ Progress = Callable[[int, int], None]
 PREVIEW_WIDTH = 400  # px of a preview's frames: small enough for a sheet in seconds, large enough to judge
 PREVIEW_FRAMES = 12
 SHEET_COLUMNS = 4
+JPEG_QUALITY = 80  # of sheets: no block is seen, and seventy panels take about a megabyte
 GAP = 6  # px between pictures
 CAPTION = 24  # px of height
 PAPER = (24, 26, 28)
@@ -91,7 +92,8 @@ def _fit(picture: Picture, width: int, height: int) -> Picture:
 
 def write_picture(path: Path, picture: Picture) -> None:
     """Write an (H, W, 3) uint8 RGB picture as JPEG or PNG by its suffix, whole or not at all."""
-    done, data = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if path.suffix == ".jpg" else []
+    done, data = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), quality)
     if not done:
         raise RecipeError(f"{path}: expected a name that ends in .jpg or .png")
     write_atomically(path, data.tobytes())
@@ -168,7 +170,7 @@ def _read_gallery(path: Path) -> tuple[SplitRecipe, list[dict[str, Any]]]:
 
 
 def gallery(real: Path | None = None, progress: Progress = lambda done, total: None) -> Picture:
-    """The sheet over waters, lights, reefs and views; or, given a folder of real images, close-ups beside those."""
+    """The sheet over every effect of a recipe; or, given a folder of real images, close-ups beside those."""
     folder = Path(str(resources.files("oysterbench_datasets") / "gallery"))
     if real is None:
         return sheet(*panels(folder / "reef.toml", progress), SHEET_COLUMNS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from importlib import resources
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from oysterbench.core.errors import RecipeError
+from oysterbench.recipe.life import LifeRecipe
 from oysterbench.simulation import gallery
 
 
@@ -48,6 +50,24 @@ def test_every_panel_of_the_galleries_is_valid():
         for row in rows:
             varied = gallery.vary_panel(split, row, path)
             assert 0 <= row["at_s"] < varied.sequence[0].duration_s
+
+
+def test_every_effect_of_the_sea_has_a_panel():
+    path = Path(str(resources.files("oysterbench_datasets") / "gallery" / "reef.toml"))
+    _, rows = gallery._read_gallery(path)
+    life = {field.name for field in dataclasses.fields(LifeRecipe)}
+    sizes = {"school_fish_cm", "school_speed_m_s", "fish_speed_m_s", "surge_period_s"}
+    wanted = {f"life.{key}" for key in life - sizes}
+    wanted |= {"water.layer.factor", "water.patches.contrast", "water.plumes.attenuation", "water.snow_per_m3"}
+    wanted |= {"water.forward_blur", "light.wind_m_s", "light.daylight", "light.occlusion_m", "site.wave_height_m"}
+    camera = "auto_exposure auto_balance shutter_ms readout_ms aperture_mm port_spots port_mm hot_pixels gain repeats"
+    wanted |= {f"camera.{key}" for key in f"{camera} dropout video_mbit_s vignetting lens".split()}
+    wanted |= {"sonar.volume_db", "sonar.interference", "dvl.invalid", "dvl.outliers", "imu.warming_k"}
+    wanted |= {"imu.vibration", "magnetometer.throttle_deg"}
+    shown = {key for row in rows for key in row["set"]}
+    shown |= {f"{block}.{key}" for row in rows for block, keys in row["set"].get("rig", {}).items() for key in keys}
+    assert not wanted - shown
+    assert {row["layer"] for row in rows if "layer" in row} >= {"dynamic", "flow", "transmittance"}
 
 
 @pytest.mark.parametrize(
