@@ -161,6 +161,23 @@ def _beyond(away: Array, spread: Array) -> Array:
     return np.asarray(0.5 * erfc(away / (np.sqrt(2) * spread)))
 
 
+ADD_WEIGHED = """
+    const int count = 2 * grid.shape[2];
+    const float* __restrict from = column.data[p * grid.shape[2]].c;
+    float* __restrict to = grid.data[(i * grid.shape[1] + j) * grid.shape[2]].c;
+    for (int k = 0; k < count; ++k) to[k] = to[k] + from[k] * weight;
+"""
+"""In C++, whose compiler makes vector instructions of the loop, for it knows that the numbers lie end to end."""
+
+
+@wp.func_native(ADD_WEIGHED)
+def add_weighed(
+    column: wp.array2d(dtype=wp.vec2), p: int, weight: float, grid: wp.array3d(dtype=wp.vec2), i: int, j: int
+):
+    """Add row p of `column` (P, Z), weighed, to the line i, j of `grid` (X, Y, Z)."""
+    ...
+
+
 @wp.kernel
 def fill(
     x: wp.array2d(dtype=wp.float32),
@@ -180,8 +197,7 @@ def fill(
             for j in range(first[p], last[p]):
                 weight = x[i, p] * y[p, j]
                 if weight > LEAST_WEIGHT:
-                    for k in range(grid.shape[2]):
-                        grid[i, j, k] = grid[i, j, k] + column[p, k] * weight
+                    add_weighed(column, p, weight, grid, i, j)
 
 
 @wp.func
