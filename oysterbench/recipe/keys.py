@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import types
 import typing
@@ -60,7 +61,7 @@ def build(kind: type[Kind], table: Any, where: str, prefix: str) -> Kind:
     """Dataclass `kind` from a TOML table, key by key."""
     if not isinstance(table, Mapping):
         raise RecipeError(f"{where}: key {prefix[:-1]!r}: expected a table, got {table!r}")
-    hints = typing.get_type_hints(kind)
+    hints = _hints(kind)
     fields = {f.name: f for f in dataclasses.fields(kind)}
     for key in table:
         if key not in fields:
@@ -74,6 +75,12 @@ def build(kind: type[Kind], table: Any, where: str, prefix: str) -> Kind:
         elif definition.default is dataclasses.MISSING:
             raise RecipeError(f"{where}: missing key {prefix + name!r}{_allowed(definition)}")
     return kind(**values)
+
+
+@functools.cache
+def _hints(kind: type) -> dict[str, Any]:
+    """The types of its fields, resolved once: a split has hundreds of tables of a few kinds."""
+    return typing.get_type_hints(kind)
 
 
 def _convert(value: Any, hint: Any, definition: dataclasses.Field[Any], where: str, key: str) -> Any:
