@@ -112,15 +112,21 @@ def test_another_training_is_not_gone_on_with(tmp_path):
 
 
 def test_patches_find_themselves_again_and_colours_come_nearer(tmp_path):
+    """On the mean of two trainings: the last bits of sums are the processor's, and adversaries make them grow, so that
+    one of them alone ends 6 to 116 bluer."""
     settings = replace(SETTINGS["cut"], steps=100, learning_rate=2e-3, identity=False)
-    found = curves(learn(tmp_path / "a.pt", settings))
-    assert found.shape == (100, len(TERMS))
-    content = found[:, TERMS.index("content")]
-    assert content[-20:].mean() < 0.9 * content[:20].mean()
-    generator, _ = load_generator(tmp_path / "a.pt")
     picture = SOURCE[0].pixels
-    blue = [p[..., 2].astype(float).mean() for p in (picture, translate(generator, settings, picture))]
-    assert blue[1] > blue[0] + 10, "towards the target, which is bluer by 70"
+    shares, shifts = [], []
+    for seed in (1, 2):
+        path = tmp_path / f"{seed}.pt"
+        found = curves(train(SOURCE, TARGET, settings, path, seed=seed))
+        assert found.shape == (100, len(TERMS))
+        content = found[:, TERMS.index("content")]
+        shares.append(content[-20:].mean() / content[:20].mean())
+        translated = translate(load_generator(path)[0], settings, picture)
+        shifts.append(translated[..., 2].astype(float).mean() - picture[..., 2].astype(float).mean())
+    assert np.mean(shares) < 0.9
+    assert np.mean(shifts) > 10, "towards the target, which is bluer by 70"
 
 
 def test_a_mirrored_translation_is_held_to_the_places_of_its_original():
