@@ -68,6 +68,7 @@ def dark_dive() -> tuple[dive.SensorDive, Estimator]:
     return sequence, estimate(sequence, tracks(sequence, 1, (15.0, 135.0)))
 
 
+@pytest.mark.slow  # a minute is bridged in test_gtsam_full
 def test_two_minutes_in_the_dark_drift_as_a_dvl_does_and_pictures_are_taken_up_again(dark_dive):
     sequence, estimator = dark_dive
     trajectory = estimator.online()
@@ -77,6 +78,7 @@ def test_two_minutes_in_the_dark_drift_as_a_dvl_does_and_pictures_are_taken_up_a
     assert len(estimator.window._landmarks) > 30
 
 
+@pytest.mark.slow
 def test_the_smoothed_path_bridges_them_as_well(dark_dive):
     sequence, estimator = dark_dive
     trajectory = estimator.smoothed()

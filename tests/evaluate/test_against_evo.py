@@ -39,8 +39,8 @@ RELATIONS = {
     metrics.PoseRelation.rotation_angle_deg: lambda errors: np.rad2deg(errors.rotation_rad),
 }
 seeds = st.integers(0, 2**32 - 1)
-many = settings(max_examples=200, deadline=None, derandomize=True)
-some = settings(max_examples=60, deadline=None, derandomize=True)
+many = settings(max_examples=80, deadline=None, derandomize=True)
+some = settings(max_examples=30, deadline=None, derandomize=True)
 
 
 def random_pair(seed: int, stamp_jitter_s: float = 0.0) -> tuple[Trajectory, Trajectory]:
@@ -159,7 +159,7 @@ def our_pairs(truth: Trajectory, delta: float, unit: metrics.Unit, all_pairs: bo
     size=st.floats(0.05, 0.6),
     all_pairs=st.booleans(),
 )
-@settings(max_examples=240, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 def test_relative_errors_of_all_relations_and_pair_modes_equal_evo(seed, align, unit, size, all_pairs):
     """Pairs are chosen from the truth, which evo does when it is asked to (`pairs_from_reference`)."""
     truth, estimate = random_pair(seed)

@@ -65,7 +65,8 @@ def test_dense_reef_has_the_published_relief(size_mm: float, density_per_m2: flo
 
 def test_more_oysters_cover_and_roughen_more() -> None:
     sparse, dense = (
-        measure_relief(world(dataclasses.replace(DENSE, density_per_m2=density)), side_m=2.0) for density in (30, 300)
+        measure_relief(world(dataclasses.replace(DENSE, size_m=2.0, density_per_m2=density)), side_m=1.5)
+        for density in (30, 300)
     )
     assert sparse.cover < dense.cover
     assert sparse.rugosity < dense.rugosity

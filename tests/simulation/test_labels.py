@@ -8,6 +8,7 @@ import pytest
 import oysterbench
 from oysterbench.core.errors import MethodError, RecipeError, SequenceError
 from oysterbench.recipe import load_split, parse_split
+from oysterbench.sequence.read import STEERING
 from oysterbench.simulation.generate import generate_split
 from oysterbench.simulation.simulated_sequence import build_sequence
 from oysterbench.simulation.steering.labels import steering_csv
@@ -36,12 +37,9 @@ def test_each_picture_has_a_label(sequence):
 
 
 def test_labels_are_the_same_wherever_they_are_made(sequence):
-    split, _ = sequence
-    tables = []
-    for _ in range(2):
-        build_sequence.cache_clear()
-        tables.append(steering_csv(build_sequence(split, "mini-01", b""), split.steering))
-    assert tables[0] == tables[1]
+    split, opened = sequence
+    build_sequence.cache_clear()
+    assert steering_csv(build_sequence(split, "mini-01", b""), split.steering) == opened.attachments[STEERING]
 
 
 def test_a_method_does_not_see_them(sequence):
@@ -49,12 +47,9 @@ def test_a_method_does_not_see_them(sequence):
         sequence[1].for_method().steering()
 
 
-def test_a_file_without_labels_says_so(tmp_path):
-    text = SHORT.replace('track = "steering"', 'track = "segmentation"')
-    text = text[: text.index("[steering]")] + text[text.index("[defaults]") :]
-    files = generate_split(parse_split(text, "plain.toml"), tmp_path, names=["mini-01"])
+def test_a_file_without_labels_says_so(tiny_file):
     with pytest.raises(SequenceError, match=r"no truth about steering: no attachment truth/steering\.csv"):
-        oysterbench.open(files["mini-01"]).steering()
+        oysterbench.open(tiny_file).steering()
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,7 @@ def sequence(path):
     return oysterbench.open(path)
 
 
+@pytest.mark.slow
 def test_two_workers_make_the_same_bytes(path, tmp_path):
     split = parse_split(TEXT, "living.toml", RIG)
     other = generate_split(split, tmp_path, workers=2)["tiny-01"]

@@ -125,6 +125,7 @@ def test_the_sonar_sees_the_reef_that_the_camera_sees(sequence):
     assert image.pixels.max() > 10 * np.median(image.pixels[:4])
 
 
+@pytest.mark.slow
 def test_the_bytes_do_not_depend_on_the_workers(split, path, tmp_path):
     assert generate_split(split, tmp_path, workers=2)["tiny-01"].read_bytes() == path.read_bytes()
 

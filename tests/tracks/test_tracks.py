@@ -90,20 +90,18 @@ def test_a_perfect_estimate_has_no_error_and_a_failing_method_a_record_that_says
 
 
 def test_several_runs_are_recorded_each_with_its_seed(evaluate, tmp_path):
-    runs = evaluate("Noisy", "Perfect", runs=3)
+    runs = evaluate("Noisy", "Perfect", runs=2)
     records = [run.record for run in runs]
     assert [(record.method, record.run, record.seed) for record in records] == [
         ("noisy", 0, 40),
         ("noisy", 1, 41),
-        ("noisy", 2, 42),
         ("perfect", 0, None),
         ("perfect", 1, None),
-        ("perfect", 2, None),
     ]
-    assert len({record.metrics["ate_rmse_m"] for record in records[:3]}) == 3
-    assert (tmp_path / "out" / "tiny-01-noisy-3.tum").exists()
-    again = evaluate("Noisy", runs=3, again=True)
-    assert [run.record.metrics["ate_rmse_m"] for run in again] == [r.metrics["ate_rmse_m"] for r in records[:3]]
+    assert len({record.metrics["ate_rmse_m"] for record in records[:2]}) == 2
+    assert (tmp_path / "out" / "tiny-01-noisy-2.tum").exists()
+    again = evaluate("Noisy", runs=2, again=True)
+    assert [run.record.metrics["ate_rmse_m"] for run in again] == [r.metrics["ate_rmse_m"] for r in records[:2]]
 
 
 def test_conditions_and_the_digest_of_the_truth_are_kept(evaluate, truth):
