@@ -44,7 +44,7 @@ def camera_picture(
 
 
 def _frame(simulated: SimulatedSequence, camera: CameraRecipe, index: int, layer: str | None) -> Picture:
-    from oysterbench.sensors.camera import read_colour, read_layer
+    from oysterbench.sensors.camera_messages import read_colour, read_layer
     from oysterbench.sensors.camera_panels import layer_picture
 
     wanted = topic(camera.name, layer or "image")
