@@ -1,4 +1,4 @@
-"""The command line, as its users type it: in a process of its own, with exit codes and streams."""
+"""The command line, as its users type it, with exit codes and streams: what tells on a process in one of its own."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import oysterbench
 from oysterbench.cli.main import main
@@ -21,13 +22,19 @@ from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.waiting import until
 
 
-def run(*arguments, home=None, cwd=None):
+def start(*arguments, home=None):
+    """The command in a process of its own."""
     environment = dict(os.environ)
     if home is not None:
         environment["OYSTERBENCH_HOME"] = str(home)
-    return subprocess.run(
-        [COMMAND, *map(str, arguments)], capture_output=True, text=True, env=environment, cwd=cwd, check=False
-    )
+    return subprocess.run([COMMAND, *map(str, arguments)], capture_output=True, text=True, env=environment, check=False)
+
+
+def run(*arguments, home=None):
+    """The command in this process, which has loaded already what it needs; answered as one of its own would be."""
+    environment = {} if home is None else {"OYSTERBENCH_HOME": str(home)}
+    done = CliRunner().invoke(main, [str(argument) for argument in arguments], env=environment)
+    return subprocess.CompletedProcess(arguments, done.exit_code, done.stdout, done.stderr)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +73,7 @@ def assert_one_line(result, pattern, code=1):
 
 
 def test_help_shows_examples_and_every_command_has_its_own(recipe):
-    assert "Examples:" in run("--help").stdout
+    assert "Examples:" in start("--help").stdout
     for name in main.commands:
         assert "Examples:" in run(name, "--help").stdout
 
@@ -78,7 +85,7 @@ def test_the_readme_names_every_command():
 
 
 def test_version():
-    assert run("--version").stdout == f"oysterbench, version {oysterbench.__version__}\n"
+    assert start("--version").stdout == f"oysterbench, version {oysterbench.__version__}\n"
 
 
 def test_help_loads_no_numpy():
@@ -89,7 +96,7 @@ def test_help_loads_no_numpy():
 
 def test_eval_renders_runs_and_prints_json_and_nothing_else(recipe, kept_home, tmp_path):
     arguments = ("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", "--json")
-    first = run(*arguments, "--out", tmp_path / "out", home=kept_home)
+    first = start(*arguments, "--out", tmp_path / "out", home=kept_home)
     assert first.returncode == 0, first.stderr
     assert "rendering tiny: 25 of 25 frames" in first.stderr
     document = json.loads(first.stdout)
@@ -112,21 +119,21 @@ def test_eval_renders_runs_and_prints_json_and_nothing_else(recipe, kept_home, t
     assert json.loads((tmp_path / "out" / "results.json").read_text()) == document
     assert "<svg" in (tmp_path / "out" / "report.html").read_text()
 
-    second = run(*arguments, home=kept_home)
+    second = start(*arguments, home=kept_home)
     assert "rendering" not in second.stderr, "the second run renders nothing"
     again = json.loads(second.stdout)["results"][0]["metrics"]
     assert again["ate_rmse_m"] == metrics["ate_rmse_m"]
 
 
 def test_eval_prints_a_table(recipe, kept_home):
-    result = run("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", home=kept_home)
+    result = start("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", home=kept_home)
     assert result.returncode == 0
     assert re.search(r"tiny-01 +dead_reckoning +\d", result.stdout)
 
 
 def test_eval_scores_two_files(trajectories):
     truth, estimate = trajectories
-    result = run("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--align", "none", "--json")
+    result = start("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--align", "none", "--json")
     assert result.returncode == 0, result.stderr
     metrics = json.loads(result.stdout)["results"][0]["metrics"]
     assert metrics["ate_rmse_m"] == pytest.approx(0.1, abs=1e-9)
@@ -146,7 +153,7 @@ def test_eval_takes_every_alignment_and_association(trajectories, align, associa
 @pytest.mark.slow
 def test_eval_runs_a_method_several_times_and_says_how_the_runs_spread(recipe, kept_home, tmp_path):
     arguments = ("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", "--runs", "2")
-    result = run(*arguments, "--out", tmp_path / "out", home=kept_home)
+    result = start(*arguments, "--out", tmp_path / "out", home=kept_home)
     assert result.returncode == 0, result.stderr
     assert "running dead_reckoning on tiny-01, run 2 (2 of 2)" in result.stderr
     assert "dead_reckoning (2 runs)" in result.stdout
@@ -162,7 +169,7 @@ def test_eval_runs_a_method_several_times_and_says_how_the_runs_spread(recipe, k
 def test_eval_writes_the_forms_that_are_asked_for(trajectories, tmp_path):
     truth, estimate = trajectories
     files = ("--csv", tmp_path / "r.csv", "--md", tmp_path / "r.md", "--report", tmp_path / "new" / "r.html")
-    result = run("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--tex", "-", *files)
+    result = start("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--tex", "-", *files)
     assert result.returncode == 0, result.stderr
     assert result.stdout.startswith("% needs \\usepackage{booktabs,graphicx}")
     assert "mine.tum" in (tmp_path / "r.csv").read_text()
@@ -242,7 +249,7 @@ def test_compare_refuses_what_is_no_result_in_one_line(tmp_path):
 def test_an_unknown_split_is_one_line(home):
     result = run("eval", "--track", "slam", "--split", "slam-maxi", home=home)
     assert_one_line(result, "unknown split 'slam-maxi'; did you mean slam-mini or .*`oysterbench splits` lists all")
-    assert_one_line(run("render", "slam-maxi", home=home), "unknown split")
+    assert_one_line(start("render", "slam-maxi", home=home), "unknown split")
     assert not home.exists()
 
 
@@ -298,23 +305,23 @@ def test_a_bad_estimate_is_one_line_and_writes_nothing(trajectories, tmp_path):
 
 def test_a_damaged_sequence_is_one_line(recipe, kept_home, tmp_path):
     out = tmp_path / "data"
-    assert run("render", recipe, "--out", out).returncode == 0
+    assert start("render", recipe, "--out", out).returncode == 0
     path = out / "tiny-01.mcap"
     path.write_bytes(path.read_bytes()[:-1000])
-    assert_one_line(run("info", path), "truncated or damaged")
-    assert_one_line(run("render", recipe, "--out", out), "truncated or damaged.*delete it and render")
+    assert_one_line(start("info", path), "truncated or damaged")
+    assert_one_line(start("render", recipe, "--out", out), "truncated or damaged.*delete it and render")
 
 
 def test_render_says_where_the_files_are_and_info_what_is_in_them(recipe, kept_home):
-    result = run("render", recipe, home=kept_home)
+    result = start("render", recipe, home=kept_home)
     assert result.returncode == 0
     path = Path(result.stdout.strip())
     assert path.is_file()
     assert kept_home in path.parents
-    facts = json.loads(run("info", path, "--json").stdout)
+    facts = json.loads(start("info", path, "--json").stdout)
     assert facts["sequence"] == "tiny-01"
     assert {row["topic"]: row["messages"] for row in facts["topics"]}["/imu"] == 250
-    assert "/cam_front/image" in run("info", path).stdout
+    assert "/cam_front/image" in start("info", path).stdout
 
 
 @pytest.mark.parametrize("form", ["euroc", "tum", "kitti", "coco", "kalibr", "ply"])
@@ -357,8 +364,9 @@ def test_an_export_of_nothing_is_one_line(dive_file, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_view_writes_one_page(dive_file, tmp_path):
-    result = run("view", dive_file, cwd=tmp_path)
+def test_view_writes_one_page(dive_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run("view", dive_file)
     assert (result.returncode, result.stdout) == (0, "hand-made.html\n"), result.stderr
     assert "cam_right" in (tmp_path / "hand-made.html").read_text()
     assert run("view", dive_file, "--out", tmp_path / "pages" / "mine.html").returncode == 0
@@ -390,4 +398,11 @@ def test_ctrl_c_is_one_line_and_the_work_goes_on_from_there(recipe, tmp_path):
     assert "Traceback" not in stderr
     assert "the same command goes on from there" in stderr.splitlines()[-1]
     assert not (out / "tiny-01.mcap").exists()
-    assert run("render", recipe, "--out", out).returncode == 0
+    assert start("render", recipe, "--out", out).returncode == 0
+
+
+@pytest.mark.parametrize("words", [["slm"], ["--track", "slm"], ["--track=slm"]])
+def test_a_track_that_there_is_not_is_answered_by_those_there_are(words):
+    result = CliRunner().invoke(main, ["eval", *words])
+    assert result.exit_code == 2
+    assert "expected a track, one of slam, segmentation, detection, density, steering, got 'slm'" in result.output
