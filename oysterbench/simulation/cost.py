@@ -19,7 +19,8 @@ PICTURE_PX = 640 * 480
 FRAME_S = 0.30  # of processor time for a picture of PICTURE_PX of an empty bottom in daylight
 OYSTERS_S = 0.30  # added by 100 oysters per m^2
 PLANTS_S = 0.8  # added by a bottom that is all plants
-LAMPS_S = 0.2  # added by lamps
+LAMPS_S = 0.35  # added by lamps
+SNOW_S = 0.1  # added by marine snow
 SILT_S = 0.15  # added by plumes
 LIFE_S = 0.15  # added by what moves by itself
 PING_S = 0.1  # of a sonar that renders each ping by itself
@@ -34,6 +35,7 @@ def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1) ->
     shaded = FRAME_S + OYSTERS_S * reef.oyster_count / reef.size_m**2 / 100.0 + PLANTS_S * reef.plant_cover
     if sequence.light.lamps > 0 and any(lamp.intensity_cd > 0 for lamp in rig.lamp):
         shaded += LAMPS_S
+    shaded += SNOW_S * (sequence.water.snow_per_m3 > 0)
     shaded += SILT_S * (sequence.water.plumes.attenuation > 0) + LIFE_S * sequence.life.moves
     total = workers * BUILDING_S * reef.oyster_count
     for kind, recipe in rig_sensors(rig):

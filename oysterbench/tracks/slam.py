@@ -264,6 +264,8 @@ def sample_frames(sequence: SensorSequence) -> list[tuple[int, bytes]]:
     if camera is None:
         return []
     stamps = [image.stamp_ns for image in sequence.images(camera)]
+    if not stamps:  # of a camera that lost them all
+        return []
     wanted = {stamps[round(k * (len(stamps) - 1) / (FRAMES_IN_REPORT - 1))] for k in range(FRAMES_IN_REPORT)}
     frames = []
     for image in sequence.images(camera):

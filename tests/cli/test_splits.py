@@ -21,6 +21,9 @@ SPLITS = {
     "slam-train": (10, 20_000),
     "slam-val": (8, 11_200),
     "slam-test": (10, 18_000),
+    "slam-sea-train": (10, 26_400),
+    "slam-sea-val": (8, 29_600),
+    "slam-sea-test": (10, 37_000),
     "slam-stress": (64, 76_800),
     "seg-mini": (2, 40),
     "seg-train": (24, 1_920),
@@ -60,7 +63,7 @@ def test_a_split_has_its_sequences_and_frames(name):
     assert split.version == "1.0"
     assert split.track == TRACKS[name.split("-")[0]]
     assert (len(split.sequence), frames(split)) == SPLITS[name]
-    kind = name.split("-")[1]
+    kind = name.split("-")[-1]
     if kind == "stress":
         return
     assert [q.name for q in split.sequence] == [f"{kind}-{k + 1:02d}" for k in range(len(split.sequence))]
@@ -102,6 +105,29 @@ def test_slam_splits_span_the_grid(name):
     assert {row["path"] for row in rows} >= {"lawnmower", "transect", "inspection", "free", "loop", "orbit"}
     assert {row["motion"].split(", ")[1] for row in rows} == {"calm", "disturbed"}
     assert {q.reef.bottom for q in split.sequence} == {"sand", "mud", "gravel", "shell"}
+
+
+@pytest.mark.parametrize("name", ["slam-sea-train", "slam-sea-val", "slam-sea-test"])
+def test_dives_of_the_sea_climb_from_calm_and_exactly_calibrated_to_all_at_once(name):
+    split = load_split(name)
+    rows = [conditions(split, sequence.name) for sequence in split.sequence]
+    assert [row["difficulty"] for row in rows] == sorted(row["difficulty"] for row in rows)
+    assert {row["difficulty"] for row in rows} == {1, 2, 3, 4, 5}
+    calm, *_, hardest = split.sequence
+    assert (calm.calibration, calm.life.moves, calm.water.plumes.attenuation) == ("exact", False, 0.0)
+    assert (hardest.calibration, hardest.life.moves) == ("poor", True)
+    assert hardest.water.plumes.attenuation > 0 < hardest.light.lamps
+    secchi = [row["secchi_m"] for row in rows]
+    assert max(secchi) > 8 > 2.1 > min(secchi)
+    assert {row["light"] for row in rows} >= {"sun", "sun with caustics", "overcast"}
+    assert {"lawnmower", "inspection", "loop", "free"} <= {row["path"] for row in rows}
+    assert {q.reef.bottom for q in split.sequence} >= {"sand", "mud", "shell"}
+    at_rest = [q for q in split.sequence if q.path.rest_s >= 3.0]
+    assert len(at_rest) >= len(split.sequence) / 2, "as logs begin"
+
+
+def test_four_dives_to_compare_on_are_of_real_length():
+    assert sum(q.duration_s >= 300.0 for q in load_split("slam-sea-val").sequence) >= 4
 
 
 def load_secchi(water):
@@ -151,9 +177,10 @@ def test_every_picture_of_a_steer_split_has_its_masks(name):
     assert 15 <= camera.pitch_deg <= 25
 
 
-def test_hidden_slam_sequences_state_no_way_that_could_be_flown_blindly():
+@pytest.mark.parametrize("name", ["slam-test", "slam-sea-test"])
+def test_hidden_slam_sequences_state_no_way_that_could_be_flown_blindly(name):
     """What the text says of a survey's lines is drawn from ranges, with the salt."""
-    for sequence in load_split("slam-test").sequence:
+    for sequence in load_split(name).sequence:
         drawn = {item.key: item.between for item in sequence.drawn}
         assert drawn["path.speed_m_s"][1] > 1.2 * drawn["path.speed_m_s"][0]
         if sequence.path.kind in ("lawnmower", "transect"):
