@@ -70,7 +70,7 @@ def test_it_starts_at_rest_and_holds_its_place():
     assert np.abs(positions - positions[0]).max() < 0.02
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_dive_is_recovered_to_a_thousandth_of_its_path(seed):
     measured = dive.make_dive(seed)
     estimator = estimate(measured)
