@@ -4,17 +4,14 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-PIP = $(VENV)/bin/pip install --quiet --disable-pip-version-check --no-compile --constraint .ci/constraints.txt
+PIP = $(VENV)/bin/pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
-.PHONY: demo test pytest test-slow coverage lint clean
+.PHONY: demo test test-slow coverage lint clean
 
 demo: $(VENV)/.demo
 	$(VENV)/bin/oysterbench eval --track slam
 
-test: $(VENV)/.dev
-	@$(MAKE) --no-print-directory --jobs 2 lint pytest
-
-pytest: $(VENV)/.dev
+test: lint
 	$(VENV)/bin/pytest -n auto --dist loadfile
 
 test-slow: $(VENV)/.dev
