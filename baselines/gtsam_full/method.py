@@ -19,7 +19,7 @@ from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.gtsam_full.ranges import Ranges
 from oysterbench_baselines.gtsam_full.settings import GtsamFullSettings
 from oysterbench_baselines.gtsam_vi.estimator import AidedFilter, Estimator
-from oysterbench_baselines.gtsam_vi.pipeline import Output, check_output, estimate_of, first_camera, run_estimator
+from oysterbench_baselines.gtsam_vi.method import Output, check_output, estimate_of, first_camera, run_estimator
 
 
 class GtsamFull:

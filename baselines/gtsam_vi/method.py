@@ -1,14 +1,27 @@
-"""The methods: a sequence in, a trajectory and a map out, with one camera or with two."""
+"""The methods, with one camera or with two: a sequence through front end and estimator, in the order of time.
+
+From above: what a method is and runs; how the samples are fed; what is made of the result.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterator
+from functools import partial
+from typing import Any, Literal
+
 from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import Image
 from oysterbench.methods import Estimate
-from oysterbench.sequence.types import Sequence
+from oysterbench.sequence.types import ImuMeasurement, Sequence
+from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.pipeline import Output, check_output, estimate_of, first_camera, run_estimator
+from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
-from oysterbench_baselines.gtsam_vi.stereo import second_camera
+from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs, second_camera
+
+Output = Literal["smoothed", "online"]
 
 
 class GtsamVi:
@@ -64,3 +77,91 @@ class GtsamViStereo(GtsamVi):
         seed: int = 0,
     ) -> None:
         super().__init__(output, camera, settings, True, seed)
+
+
+def check_output(method: str, output: str) -> None:
+    """MethodError where a method cannot give such a path."""
+    if output not in ("smoothed", "online"):
+        raise MethodError(f"{method}: expected output 'smoothed' or 'online', got {output!r}")
+
+
+def first_camera(method: str, sequence: Sequence, camera: str | None) -> str:
+    """The camera of that name, by default the first one. MethodError where there is none."""
+    camera = camera or next(iter(sequence.cameras), "")
+    if camera not in sequence.cameras:
+        raise MethodError(
+            f"{method}: sequence {sequence.name} has no camera {camera!r}; cameras: "
+            f"{', '.join(sequence.cameras) or 'none'}"
+        )
+    return camera
+
+
+def run_estimator(
+    estimator: Estimator,
+    sequence: Sequence,
+    cameras: list[str],
+    stream: Iterator[Any],
+    seed: int,
+    start_ns: int | None = None,
+) -> None:
+    """Feed an estimator with a stream of a sequence, from the first to the last sample.
+
+    cameras: one, or two. start_ns: where every instant has a pose from then to the very end, with or without pictures;
+    None: a frame that is missing has one only within `max_blind_s` of the last picture.
+    """
+    settings, calibration = estimator.settings, sequence.cameras[cameras[0]]
+    front_end = FrontEnd(calibration, settings.frontend, seed)
+    second = cameras[1] if len(cameras) > 1 else None
+    matcher = None if second is None else StereoMatcher(calibration, sequence.cameras[second], settings)
+    R_imu_cam = estimator.model.rig.T_imu_cam[:3, :3]
+    patience_ns = settings.frontend.missing_periods / calibration.rate_hz * 1e9
+    samples = SampleBuffer()
+    since_image = list[Segment]()
+    last_ns = latest_ns = start_ns or 0  # of the last frame, and of the last inertial sample
+    seen_ns: int | None = None  # of the last picture
+    for item in pairs(stream, cameras[0], second, settings.stereo.sync_s):
+        image, other = item if isinstance(item, tuple) else (None, None)
+        stamp_ns: int = item.stamp_ns if image is None else image.stamp_ns
+        if isinstance(item, ImuMeasurement):
+            samples.add(item)
+            latest_ns = stamp_ns
+            blind = seen_ns is None or stamp_ns - seen_ns > settings.frontend.max_blind_s * 1e9
+            if stamp_ns - last_ns < patience_ns or (start_ns is None and blind):
+                continue
+        elif image is not None and estimator.frames and stamp_ns <= last_ns:
+            continue  # its place has been taken
+        segment = samples.cut(stamp_ns)
+        estimator.propagate(segment)
+        since_image.append(segment)
+        since = Segment.join(since_image)
+        if image is None and not isinstance(item, ImuMeasurement):
+            estimator.update(item)
+            continue
+        if image is None or (front_end.repeats(image.pixels) and estimator.has_moved(since)):
+            estimator.step(stamp_ns)  # it is missing, or stale
+        else:
+            turn = R_imu_cam.T @ relative_rotation(since, estimator.gyro_bias) @ R_imu_cam
+            tracks = front_end.track(image.pixels, turn, since.duration)
+            seen_ns, since_image = stamp_ns, []
+            match = None
+            if matcher is not None and other is not None:
+                match = partial(_match, matcher, front_end, tracks, other)
+            estimator.step(stamp_ns, tracks, match, front_end.image, image.pixels)
+        last_ns = stamp_ns
+    if start_ns is not None and latest_ns > last_ns:
+        estimator.propagate(samples.cut(latest_ns))
+        estimator.step(latest_ns)
+    estimator.finish()
+
+
+def estimate_of(estimator: Estimator, output: Output, settings: GtsamViSettings, info: dict[str, Any]) -> Estimate:
+    """What a method gives: the path of that name, the other one beside it, and the map."""
+    paths = estimator.paths()
+    others = {name: path for name, path in paths.items() if name != output and len(path)}
+    info = {"trajectory": output, **info, **estimator.info, "settings": dataclasses.asdict(settings)}
+    return Estimate(paths[output], info, output, others, estimator.map())
+
+
+def _match(matcher: StereoMatcher, front_end: FrontEnd, tracks: FeatureTracks, other: Image) -> Array:
+    assert front_end.image is not None
+    return matcher.match(front_end.image, front_end.equalise(other.pixels), tracks)
