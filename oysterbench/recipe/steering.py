@@ -37,7 +37,7 @@ class SteeringRecipe:
     """Radius of the ball that must touch nothing."""
     fence_m: float = number(0.0, 10.0, 1.0)
     """How far inside the edge of the reef the area of a rollout ends: there the vehicle is turned back like a ball."""
-    dive_s: float = number(1.0, 3600.0, 120.0)
+    rollout_s: float = number(1.0, 3600.0, 120.0)
     """Length of a rollout."""
 
 

@@ -90,7 +90,7 @@ def plan_rollouts(
     task = split.steering
     if task is None:
         raise RecipeError(f"split {split.name} is of the track {split.track!r}; expected one of the track 'steering'")
-    chosen = float(task.dive_s if seconds is None else seconds)
+    chosen = float(task.rollout_s if seconds is None else seconds)
     steps = round(chosen / task.step_s) if math.isfinite(chosen) else 0
     if steps < 1:
         raise RecipeError(
@@ -189,7 +189,7 @@ def _identity(plan: RolloutPlan, job: RolloutJob, policy: Mapping[str, Any]) -> 
 
 def _run(plan: RolloutPlan, job: RolloutJob, made: RolloutLog | str, policy: Mapping[str, Any]) -> RolloutRun:
     split = plan.split
-    settings = {"dive_s": plan.seconds, "start": plan.start}
+    settings = {"rollout_s": plan.seconds, "start": plan.start}
     about = {
         **about_sequence(TRACK, split, job.reef, "", settings, EVALUATOR),
         "split_digest": digest(split, plan.salt),

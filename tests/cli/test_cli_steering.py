@@ -115,7 +115,7 @@ def test_reefs_and_seconds_are_as_many_as_asked_for(recipe, tmp_path):
     records = json.loads(result.stdout)["results"]
     assert {one["sequence"] for one in records} == {"one"}
     assert [one["method"] for one in records] == ["expert", "lawnmower", "random"]
-    assert {one["metrics"]["dive_s"] for one in records} == {5}
+    assert {one["metrics"]["rollout_s"] for one in records} == {5}
 
 
 @pytest.mark.parametrize("closed", [(), ("--closed-loop",)])

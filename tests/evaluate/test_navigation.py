@@ -209,7 +209,7 @@ def test_a_dive_is_measured_step_by_step():
     assert metrics["distance_m"] == pytest.approx(12 * 2 * math.sin(0.1))
     assert metrics["oysters_per_m"] == pytest.approx(5 / metrics["distance_m"])
     assert metrics["steps_per_s"] == 24
-    assert (metrics["wall_s"], metrics["cpu_s"], metrics["dive_s"]) == (0.5, 0.4, 12)
+    assert (metrics["wall_s"], metrics["cpu_s"], metrics["rollout_s"]) == (0.5, 0.4, 12)
     time, seen = seen_so_far(log)
     assert time[-1] == 12
     assert seen[[0, 1, 2, 12]].tolist() == [2, 2, 5, 5]

@@ -56,7 +56,7 @@ summary = "two small reefs"
 yaw_deg = {list(YAW)}
 pitch_deg = {list(PITCH)}
 altitude_m = [0.5, 1.4]
-dive_s = 12.0
+rollout_s = 12.0
 """
 
 REEF = """

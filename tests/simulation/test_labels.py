@@ -58,7 +58,7 @@ def test_a_file_without_labels_says_so(tiny_file):
         ("yaw_deg = [30.0, 20.0", "yaw_deg = [20.0, 30.0", r"'steering\.yaw_deg': expected at least 3 falling"),
         ("-8.0, 0.0, 8.0", "-8.0, 8.0", r"'steering\.pitch_deg': expected at least 3 rising .* 0 among them"),
         ("altitude_m = [0.5, 1.4]", "altitude_m = [1.4, 0.5]", r"'steering\.altitude_m': expected the lowest"),
-        ("dive_s = 30.0", "dive_s = 0.0", r"'steering\.dive_s': expected 1 to 3600"),
+        ("rollout_s = 30.0", "rollout_s = 0.0", r"'steering\.rollout_s': expected 1 to 3600"),
         ('track = "steering"', 'track = "slam"', r"expected no table \[steering\] for track = 'slam'"),
     ],
 )
@@ -69,6 +69,6 @@ def test_a_task_that_cannot_be_is_refused(old, new, message):
 
 
 def test_a_fence_that_leaves_no_room_is_refused():
-    split = parse_split(SHORT.replace("dive_s = 30.0", "dive_s = 30.0\nfence_m = 5.0"), "short.toml")
+    split = parse_split(SHORT.replace("rollout_s = 30.0", "rollout_s = 30.0\nfence_m = 5.0"), "short.toml")
     with pytest.raises(RecipeError, match=r"'steering\.fence_m': expected a fence that leaves"):
         steering_csv(build_sequence(split, "mini-01", b""), split.steering)

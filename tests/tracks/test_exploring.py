@@ -281,7 +281,7 @@ def test_records_of_rollouts_say_all_that_decides_them(tmp_path):
     (run,) = run_rollouts(plan_rollouts(SPLIT, 6, explore=made_explore), ["two"], [POLICIES + ":WithOption"], tmp_path)
     record = run.record
     assert (record.track, record.split, record.sequence) == ("exploration", "made", "two")
-    assert record.settings == {"dive_s": 6.0, "start": 0}
+    assert record.settings == {"rollout_s": 6.0, "start": 0}
     assert record.method_settings == {"gain": 1.0}
     assert record.conditions["water_type"] == "5C"
     assert record.truth_digest

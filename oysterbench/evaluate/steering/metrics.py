@@ -85,7 +85,7 @@ ROLLOUTS: dict[str, Metric] = {
         "Commands by the wall time of the rollout: steering, moving, and, for a policy, rendering what it sees; the "
         "references are shown no picture."
     ),
-    "dive_s": neutral("Rollout", "s")("Length of the rollout."),
+    "rollout_s": neutral("Rollout", "s")("Length of the rollout."),
 }
 """Metrics of a rollout in a closed loop by their key."""
 

@@ -58,7 +58,7 @@ def score_rollout(log: RolloutLog, task: SteeringRecipe) -> Score:
     measures["distance_m"] = path_length_m
     measures.ratio("oysters_per_m", seen, path_length_m, not_moved)
     measures.ratio("steps_per_s", steps, log.wall_s, "no time was measured")
-    measures["dive_s"] = steps * log.step_s
+    measures["rollout_s"] = steps * log.step_s
     measures["wall_s"], measures["cpu_s"] = float(log.wall_s), float(log.cpu_s)
     return Score(measures.values, measures.reasons)
 
