@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from oysterbench.recipe import SplitRecipe
+    from oysterbench.recipe import SequenceRecipe, SplitRecipe
     from oysterbench.simulation.generate import Progress
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -24,7 +24,11 @@ TOLD_FROM_S = 60.0  # what rendering will take is said before it begins, from so
 @click.command(short_help="Render a split into sequence files.")
 @click.argument("split_name", metavar="SPLIT")
 @click.option("--sequence", "names", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes that render.  [default: one per core]")
+@click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    help="Processes that render.  [default: one per core; one where there is little to render]",
+)
 @click.option("--scheduler", metavar="ADDRESS", help="Render on the workers of a Dask scheduler instead.")
 @click.option("--device", default="cpu", show_default=True, help="cpu, cuda, or cuda:N, where it is rendered.")
 @click.option("--salt-file", type=FILE, help="Secret of a hidden split.  [default: OYSTERBENCH_SALT_FILE]")
@@ -85,23 +89,33 @@ def render_files(
     scheduler: str | None = None,
 ) -> dict[str, Path]:
     """The sequence files of a split, rendered with a progress bar where they are not there yet."""
-    from oysterbench.simulation.generate import check_workers, generate_split, split_folder
+    from oysterbench.simulation import cost
+    from oysterbench.simulation.generate import check_workers, default_workers, generate_split, split_folder
 
     folder = folder or split_folder(split, salt, device)
+    missing = _missing(split, folder, names)
+    if workers is None:
+        workers = default_workers(sum(cost.estimated(split, sequence) for sequence in missing))
+    workers = check_workers(workers)
     if scheduler is None and device == "cpu":
-        _announce(split, folder, check_workers(workers), names)
+        _announce(split, missing, workers)
     with frames_bar(f"rendering {split.name}") as progress:
-        return generate_split(split, folder, check_workers(workers), progress, salt, device, scheduler, names)
+        return generate_split(split, folder, workers, progress, salt, device, scheduler, names)
 
 
-def _announce(split: SplitRecipe, folder: Path, workers: int, names: tuple[str, ...]) -> None:
-    """Say what rendering will take, where it is minutes."""
-    from oysterbench.simulation import cost
+def _missing(split: SplitRecipe, folder: Path, names: tuple[str, ...]) -> list[SequenceRecipe]:
+    """The sequences that are asked for and not there yet."""
     from oysterbench.simulation.generate import sequence_files
 
     files = sequence_files(split, folder)
     wanted = [sequence for sequence in split.sequence if not names or sequence.name in names]
-    missing = [sequence for sequence in wanted if not files[sequence.name].exists()]
+    return [sequence for sequence in wanted if not files[sequence.name].exists()]
+
+
+def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int) -> None:
+    """Say what rendering will take, where it is minutes."""
+    from oysterbench.simulation import cost
+
     seconds = sum(cost.estimated(split, sequence, workers) for sequence in missing) / workers
     if seconds > TOLD_FROM_S:
         what = missing[0].name if len(missing) == 1 else f"{len(missing)} sequences"

@@ -49,6 +49,9 @@ from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_stron
 from oysterbench.simulation.scheduling import Results, run_here, run_in_processes, run_on_cluster
 from oysterbench.version import VERSION
 
+WORKER_S = 10.0
+"""Of rendering that a worker must find to be worth its start, which takes some 4 s of processor time."""
+
 GENERATION = 4
 """Raised whenever the same recipe begins to give other bytes, so that no cached file is taken for a new one."""
 
@@ -357,6 +360,14 @@ def _frames(rig: RigRecipe, calibration: Mapping[str, Any]) -> dict[str, tuple[A
         T = np.array(entry[kind.pose])
         frames[frame] = (T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
     return frames
+
+
+def default_workers(cpu_s: float) -> int:
+    """One per core that this process may use, but none that would have less to do than its start takes; at least one.
+
+    cpu_s: processor time of all that is to be rendered.
+    """
+    return min(check_workers(None), 1 + int(cpu_s / WORKER_S))
 
 
 def check_workers(workers: int | None) -> int:
