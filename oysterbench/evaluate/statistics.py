@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm, t
+from scipy.special import ndtr, stdtrit
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import stream
@@ -206,7 +206,7 @@ def resampled_interval(values: Array, n: int) -> Interval:
 @lru_cache(maxsize=64)
 def _tails(n: int) -> tuple[float, float]:
     """Between which quantiles of the resamples of n sequences the mean lies: expanded percentiles (Hesterberg 2015)."""
-    tail = float(norm.cdf(-math.sqrt(n / (n - 1)) * t.ppf(0.5 + LEVEL / 2, n - 1)))
+    tail = float(ndtr(-math.sqrt(n / (n - 1)) * stdtrit(n - 1, 0.5 + LEVEL / 2)))
     return tail, 1 - tail
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from oysterbench.core.geometry import Array
 
@@ -22,8 +22,8 @@ def count_interval(count: float, variance: float, level: float = LEVEL) -> tuple
     times = variance / count if count > 0 and variance > 0 else 1.0
     tail = (1.0 - level) / 2.0
     whole = count / times
-    low = times * float(chi2.ppf(tail, 2.0 * whole)) / 2.0 if count > 0 else 0.0
-    return low, times * float(chi2.ppf(1.0 - tail, 2.0 * whole + 2.0)) / 2.0
+    low = times * float(gammaincinv(whole, tail)) if count > 0 else 0.0
+    return low, times * float(gammaincinv(whole + 1.0, 1.0 - tail))
 
 
 def clumping(counts: Array, areas_m2: Array) -> float:

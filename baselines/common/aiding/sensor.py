@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from oysterbench.core.geometry import Array
 from oysterbench_baselines.common.filter import InvariantFilter
@@ -74,7 +74,7 @@ class AidingSensor:
         filter that is wrong: what the sensor measures is then as uncertain as it is off, and the sample counts.
         """
         spread = np.einsum("ki,ij,kj->k", slope, filter.covariance, slope) + variances
-        near = residual**2 <= float(chi2.isf(self.gate.chance, 1)) * spread
+        near = residual**2 <= float(chdtri(1, self.gate.chance)) * spread
         self.refused += not near.all()
         self._refused_in_a_row = 0 if near.any() else self._refused_in_a_row + 1
         if self._refused_in_a_row > self.gate.patience:

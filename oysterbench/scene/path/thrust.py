@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
@@ -47,6 +46,8 @@ def throttle(path: Path, recipe: SequenceRecipe, streams: Streams) -> Throttle:
 
     Thrust goes with the square of the propellers' rate, and that with the throttle: s^2 = |F / F_max|.
     """
+    from scipy.signal import lfilter  # half a second for every worker, most of whom need none
+
     times = np.arange(0.0, recipe.duration_s + STEP_S, STEP_S)
     force = thrust(path, recipe, streams, times)
     asked = np.minimum(np.linalg.norm(force / np.array(BOLLARD_N), axis=1), 1.0) ** 0.5
