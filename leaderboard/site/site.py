@@ -47,6 +47,13 @@ class Site:
         """A record as it was published."""
         return self.store.record(digest)
 
+    def has_disturbances(self, board: str, digest: str) -> bool:
+        """Whether the sequences of a board are single disturbances, by one of its records."""
+        return self._once(
+            f"disturbances of {board}",
+            lambda: any("disturbance" in result.conditions for result in self.record(digest).results),
+        )
+
     def status_changes(self, digest: str) -> list[StatusChange]:
         """What was announced of a record, the oldest first."""
         return self._once("status_changes", self._status_changes).get(digest, [])

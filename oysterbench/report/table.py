@@ -199,7 +199,7 @@ class Table:
             shown.append([next(own) if cell.text is None else cell.text for cell in cells])
         return tuple(zip(*shown, strict=True))
 
-    @property
+    @cached_property
     def heads(self) -> int:
         """Number of the column whose cells head the rows: the first of text."""
         return next((i for i, column in self.shown if not column.number), -1)

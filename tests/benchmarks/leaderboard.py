@@ -53,7 +53,7 @@ def template(board: int) -> dict[str, Any]:
             sequence=name,
             method="method",
             metrics=dict.fromkeys(SLAM, 1.0),
-            conditions=dict.fromkeys(CONDITIONS, 1.0),
+            conditions=dict.fromkeys(sorted(set(CONDITIONS) - {"disturbance", "strength"}), 1.0),
             settings=SlamSettings().as_dict(),
             info={"settings": {f"option_{i}": float(i) for i in range(60)}, "run": {"limit_s": 600.0}},
             evaluator_version="slam 3",

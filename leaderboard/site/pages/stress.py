@@ -18,7 +18,7 @@ MOST_METHODS = 8
 def stress_drawing(site: Site, info: BoardInfo, rows: Sequence[Row]) -> charts.Drawing | None:
     """None where the split has no single disturbances, or no row is shown."""
     shown = rows[:MOST_METHODS]
-    if not shown or not any("disturbance" in result.conditions for result in site.record(shown[0].digest).results):
+    if not shown or not site.has_disturbances(info.id, shown[0].digest):
         return None
     names = [row.method for row in shown]
     labels = [row.method if names.count(row.method) == 1 else f"{row.method} ({row.digest[:8]})" for row in shown]
