@@ -6,12 +6,15 @@ PYTHON ?= python3
 VENV ?= .venv
 PIP = $(VENV)/bin/pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
-.PHONY: demo test test-slow coverage lint clean
+.PHONY: demo test unit test-slow coverage lint clean
 
 demo: $(VENV)/.demo
 	$(VENV)/bin/oysterbench eval --track slam
 
-test: lint
+test: $(VENV)/.dev # the type checker has one core's work for a minute or two, beside which the tests begin
+	$(MAKE) --no-print-directory --jobs 2 lint unit
+
+unit: $(VENV)/.dev
 	$(VENV)/bin/pytest -n auto --dist loadfile
 
 test-slow: $(VENV)/.dev
