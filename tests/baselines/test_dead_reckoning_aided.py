@@ -40,7 +40,7 @@ def drift(sequence: dive.SensorDive, trajectory: Trajectory) -> float:
     return float(np.linalg.norm(errors(sequence, trajectory)[-1, :3]) / sequence.truth().path_length)
 
 
-@pytest.mark.parametrize(("resting", "seed"), [(True, 0), (False, 1)])
+@pytest.mark.parametrize(("resting", "seed"), [pytest.param(True, 0, marks=pytest.mark.slow), (False, 1)])
 def test_with_a_dvl_the_path_drifts_by_less_than_a_hundredth_in_two_minutes(resting, seed):
     sequence = make(seed, ("dvl", "pressure"), 120.0, resting)
     trajectory = reckon(sequence)
@@ -49,6 +49,7 @@ def test_with_a_dvl_the_path_drifts_by_less_than_a_hundredth_in_two_minutes(rest
     assert np.abs(errors(sequence, trajectory)[:, 2]).max() < 0.05  # depth does not drift at all
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_covariances_say():
     """NEES over dives that differ in noise, biases, misalignment and sway, in a gauge of its own: where the vehicle
     starts and points. At one instant the sum over independent dives is chi-square with 6 degrees each."""

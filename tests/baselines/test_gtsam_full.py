@@ -95,6 +95,7 @@ def nees(sequence: dive.SensorDive, trajectory: Trajectory) -> Array:
 ALL = ("dvl", "pressure", "magnetometer")
 
 
+@pytest.mark.slow
 def test_a_minute_without_pictures_is_bridged_and_pictures_are_taken_up_again():
     sequence = dive.SensorDive(1, dive.rig("dvl", "pressure"), dive.survey_path(90.0, resting=False))
     estimator = estimate(sequence, tracks(sequence, 1, (15.0, 75.0)))
@@ -170,6 +171,7 @@ def test_without_a_dvl_the_window_has_the_compass_that_the_filter_has():
     assert np.linalg.norm(aligned - truth.positions, axis=1).max() < 0.005 * truth.path_length
 
 
+@pytest.mark.slow
 def test_it_finds_back_to_the_true_motion_after_the_inertial_unit_has_lied():
     sequence = dive.SensorDive(4, dive.rig(*ALL), dive.survey_path(30.0, resting=False))
 

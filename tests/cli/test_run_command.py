@@ -13,6 +13,7 @@ import pytest
 import oysterbench
 from oysterbench.core.trajectory import write_tum
 from oysterbench.results.records import read_results
+from tests.helpers.command import run as run_here
 from tests.helpers.paths import COMMAND
 from tests.helpers.programs import command
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
@@ -68,7 +69,7 @@ def test_a_failed_run_is_one_line_and_exit_code_1(dive_file, answer, tmp_path):
     assert result["metrics"]["score"] == 0.0
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_what_was_finished_survives_and_the_same_command_goes_on(number, dive_file, answer, tmp_path):
     arguments = ("mine", "--command", command(tmp_path, "waits", answer), "--on", dive_file)
     arguments = (*arguments, "--runs", "2", "--jobs", "1", "--out", tmp_path / "out")
@@ -91,7 +92,7 @@ def test_what_was_finished_survives_and_the_same_command_goes_on(number, dive_fi
     assert [record.run for record in read_results(tmp_path / "out/results.json")] == [0, 1]
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGKILL, marks=pytest.mark.slow), signal.SIGINT])
 def test_jobs_that_run_side_by_side_all_end_and_all_go_on(number, dive_file, answer, tmp_path):
     arguments = ("mine", "--command", command(tmp_path, "holds", answer, "mcap", "{seed}"), "--on", dive_file)
     arguments = (*arguments, "--runs", "3", "--jobs", "2", "--out", tmp_path / "out")
@@ -155,7 +156,7 @@ def test_a_split_is_rendered_and_run_on(tmp_path):
     ],
 )
 def test_a_request_that_contradicts_itself_is_a_usage_error(arguments, message):
-    done = run(*arguments)
+    done = run_here("run", *arguments)
     assert done.returncode == 2
     assert message in done.stderr
 
@@ -177,7 +178,7 @@ def test_variants_of_a_method_stand_in_one_table(dive_file, tmp_path):
 
 
 def test_an_unknown_option_is_one_line_with_those_like_it(home):
-    done = run("dead_reckoning", "--ablate", "level_s=1", "--split", "slam-mini")
+    done = run_here("run", "dead_reckoning", "--ablate", "level_s=1", "--split", "slam-mini")
     assert done.returncode == 1
     assert "method 'dead_reckoning' has no option 'level_s'; did you mean start.level_s? Its " in done.stderr
     assert "the fields of oysterbench_baselines.dead_reckoning" in done.stderr
@@ -186,7 +187,7 @@ def test_an_unknown_option_is_one_line_with_those_like_it(home):
 
 
 def test_an_unknown_method_is_named_before_anything_is_rendered(home):
-    done = run("orb_slam", "--split", "slam-mini")
+    done = run_here("run", "orb_slam", "--split", "slam-mini")
     assert done.returncode == 1
     assert "unknown method 'orb_slam'; installed methods: " in done.stderr
     assert "module:Class" in done.stderr

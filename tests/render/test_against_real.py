@@ -39,6 +39,7 @@ def rendered() -> pd.DataFrame:
     return pd.DataFrame([image_statistics(picture) for picture in pictures], index=captions)
 
 
+@pytest.mark.slow
 def test_statistics_of_close_ups_lie_inside_the_spread_of_the_real_clips(real, rendered, capsys):
     low, high = real.quantile(SHARE[0]), real.quantile(SHARE[1])
     table = pd.DataFrame(

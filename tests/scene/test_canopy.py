@@ -44,7 +44,7 @@ def test_flat_bare_bottom_has_no_relief() -> None:
     [
         pytest.param(40, 600, marks=pytest.mark.slow),
         pytest.param(60, 400, marks=pytest.mark.slow),
-        (85, 200),
+        pytest.param(85, 200, marks=pytest.mark.slow),
         (110, 150),
     ],
 )

@@ -50,7 +50,7 @@ def test_a_crowd_is_felt_where_it_stands_and_nowhere_else() -> None:
     ("size_mm", "density_per_m2", "most"),
     [
         (85, 50, 0.004),
-        (85, 200, 0.025),
+        pytest.param(85, 200, 0.025, marks=pytest.mark.slow),
         pytest.param(40, 600, 0.013, marks=pytest.mark.slow),
         pytest.param(85, 600, 0.38, marks=pytest.mark.slow),
     ],
