@@ -10,41 +10,32 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import shutil
+import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from oysterbench.core.errors import OysterbenchError, RecipeError, SequenceError
 from oysterbench.core.files import home, locked, write_atomically
-from oysterbench.core.geometry import Array
-from oysterbench.core.ros import EPOCH_NS, TF_STATIC, Message
-from oysterbench.recipe import CLASSES, REEF_CLASSES, RigRecipe, SequenceRecipe, SplitRecipe, count
-from oysterbench.recipe.sensors import SensorRecipe
-from oysterbench.sensors.registry import calibrate_rig, kind_of, rig_frames, rig_sensors
-from oysterbench.sequence.file import read_attachments, read_messages
+from oysterbench.recipe import SequenceRecipe, SplitRecipe
 from oysterbench.sequence.read import (
-    CALIBRATION,
     FAULTS,
     FRAMES,
-    METADATA,
     MOVING,
     MOVING_POSES,
     OYSTERS,
     STEERING,
-    TRUE_CALIBRATION,
     McapSequence,
 )
-from oysterbench.sequence.truth import rig_topics, static_transforms
-from oysterbench.sequence.write import SequenceWriter, pack
+from oysterbench.sequence.truth import rig_topics
+from oysterbench.sequence.write import pack
 from oysterbench.simulation import cost
+from oysterbench.simulation.assembly import assemble
+from oysterbench.simulation.jobs import Job, bulky_sensors, plan, sources
 from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
 from oysterbench.simulation.scheduling import Results, run_here, run_in_processes, run_on_cluster
 from oysterbench.version import VERSION
@@ -60,25 +51,6 @@ PROGRAM = f"oysterbench {VERSION}, generation {GENERATION}"
 
 Progress = Callable[[int, int], None]
 """Called with the frames done and the frames wanted."""
-
-
-@dataclass(frozen=True)
-class Job:
-    """A frame or ping of a camera or sonar, by its name; or, without one, all the small sensors."""
-
-    sequence: str
-    source: str = ""
-    frame: int = 0
-
-    @property
-    def part(self) -> str:
-        """Name of the file that keeps its bytes."""
-        return f"{self.source}-{self.frame:06d}.part" if self.source else "sensors.part"
-
-    @property
-    def frames(self) -> int:
-        """How many frames it makes, for counting."""
-        return 1 if self.source else 0
 
 
 def digest(split: SplitRecipe, salt: bytes = b"", device: str = "cpu") -> str:
@@ -147,14 +119,16 @@ def generate_split(
         if missing:
             task = partial(make_timed_part, split, salt=Salt(salt), device=device, program=PROGRAM)
 
+            elsewhere = scheduler is not None or workers > 1
+
             def run(jobs: list[Job]) -> Results[Job, Timed]:
                 if scheduler is not None:
                     return run_on_cluster(task, jobs, scheduler)
-                if workers > 1 and len(jobs) > 1:
+                if elsewhere and jobs:
                     return run_in_processes(task, jobs, workers, partial(_warm_up, device))
                 return run_here(task, jobs)
 
-            _render(split, missing, folder, made_by, salt, run, progress or (lambda done, total: None))
+            _render(split, missing, folder, made_by, salt, run, elsewhere, progress or (lambda done, total: None))
         with contextlib.suppress(OSError):  # absent, or with parts of other recipes in it
             (folder / ".parts").rmdir()
     return files
@@ -172,19 +146,6 @@ def _parts(folder: Path, sequence: str, made_by: str) -> Path:
     return folder / ".parts" / f"{sequence}-{made_by[:12]}"
 
 
-def plan(split: SplitRecipe, sequence: SequenceRecipe) -> list[Job]:
-    """All jobs of a sequence."""
-    jobs = [Job(sequence.name)]
-    for source, recipe in bulky_sensors(split.rig_of(sequence)).items():
-        jobs += [Job(sequence.name, source, frame) for frame in range(count(sequence.duration_s, recipe.rate_hz))]
-    return jobs
-
-
-def bulky_sensors(rig: RigRecipe) -> dict[str, SensorRecipe]:
-    """Name -> recipe of the sensors of which each measurement is a job of its own."""
-    return {kind.name_of(recipe): recipe for kind, recipe in rig_sensors(rig) if kind.bulky}
-
-
 def _render(
     split: SplitRecipe,
     sequences: list[SequenceRecipe],
@@ -192,9 +153,14 @@ def _render(
     made_by: str,
     salt: bytes,
     run: Callable[[list[Job]], Results[Job, Timed]],
+    elsewhere: bool,
     progress: Progress,
 ) -> None:
-    """Run the jobs that have left no part yet; put each sequence together as soon as its last part is there."""
+    """Run the jobs that have left no part yet; put each sequence together as soon as its last part is there.
+
+    elsewhere: whether the jobs run in other processes. Then the next sequence is rendered meanwhile, for putting one
+    together takes minutes where a video link codes each frame after the one before.
+    """
     waiting: dict[str, set[Job]] = {}
     todo: list[Job] = []
     done = total = 0
@@ -207,25 +173,37 @@ def _render(
         total += sum(job.frames for job in jobs)
         done += sum(job.frames for job in jobs if job not in waiting[sequence.name])
     progress(done, total)
+    stop = threading.Event()
+    whole: list[Future[None]] = []
 
     def put_together(name: str) -> None:
         parts = _parts(folder, name, made_by)
-        assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", made_by, salt)
+        assemble(split, split.find_sequence(name), parts, folder / f"{name}.mcap", made_by, salt, stop)
         cost.keep(folder, name, parts)
         shutil.rmtree(parts, ignore_errors=True)
 
-    for name in [name for name, missing in waiting.items() if not missing]:
-        put_together(name)
-    with contextlib.closing(run(todo)) as results:
-        for job, (part, cpu_s) in results:
+    def put_together_if_whole(name: str) -> None:
+        if not waiting[name]:
+            whole.append(assembler.submit(put_together, name))
+        for one in whole:
+            if one.done() or not elsewhere:
+                one.result()  # what went wrong there ends this
+
+    with contextlib.ExitStack() as stack:
+        assembler = stack.enter_context(ThreadPoolExecutor(1))
+        stack.callback(stop.set)  # before the assembler is waited for: who interrupts this does not wait for it
+        for sequence in sequences:
+            put_together_if_whole(sequence.name)
+        for job, (part, cpu_s) in stack.enter_context(contextlib.closing(run(todo))):
             parts = _parts(folder, job.sequence, made_by)
             write_atomically(parts / job.part, part)
             cost.add(parts, cpu_s)
             done += job.frames
             progress(done, total)
             waiting[job.sequence].discard(job)
-            if not waiting[job.sequence]:
-                put_together(job.sequence)
+            put_together_if_whole(job.sequence)
+        for one in whole:
+            one.result()
 
 
 def _warm_up(device: str) -> None:
@@ -286,80 +264,8 @@ def make_part(split: SplitRecipe, job: Job, salt: bytes, device: str, program: s
 
             tables[STEERING] = steering_csv(simulated, split.steering)
     kinds = rig_topics(simulated.rig)
-    types = {name: kinds[name] for name, source in _sources(simulated.rig).items() if source == job.source}
+    types = {name: kinds[name] for name, source in sources(simulated.rig).items() if source == job.source}
     return pack(messages, types, tables)
-
-
-def _sources(rig: RigRecipe) -> dict[str, str]:
-    """Topic -> the source of the jobs whose parts hold it, in the order of the file; all but the rig's frames."""
-    bulky = {topic: name for name, recipe in bulky_sensors(rig).items() for topic in kind_of(recipe).topics(recipe)}
-    return {name: bulky.get(name, "") for name in rig_topics(rig) if name != TF_STATIC}
-
-
-def assemble(
-    split: SplitRecipe, recipe: SequenceRecipe, parts: Path, path: Path, made_by: str, salt: bytes = b""
-) -> None:
-    """Put the parts of a sequence together, in time order; the file appears in one step."""
-    rig = split.rig_of(recipe)
-    calibration = calibrate_rig(rig, recipe.site, recipe.calibration, split.streams_of(recipe, salt))
-    jobs = plan(split, recipe)
-    temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
-    with open(temporary, "wb") as file:
-        writer = SequenceWriter(file, rig_topics(rig))
-        writer.metadata(
-            METADATA,
-            {
-                "sequence": recipe.name,
-                "split": split.name,
-                "split_version": split.version,
-                "track": split.track,
-                "rig": rig.name,
-                "digest": made_by,
-                "oysterbench": VERSION,
-            },
-        )
-        writer.attachment(CALIBRATION, "application/json", json.dumps(calibration.given, indent=1).encode())
-        classes = CLASSES if recipe.life.moves else REEF_CLASSES
-        writer.attachment("classes.json", "application/json", json.dumps(classes).encode())
-        writer.attachment("split.toml", "application/toml", split.source.encode())
-        writer.attachment("rig.toml", "application/toml", split.rig_source.encode())
-        for name, table in read_attachments(parts / Job(recipe.name).part).items():
-            writer.attachment(name, "text/csv", table)
-        if calibration.true != calibration.given:
-            truth = {**calibration.true, "errors": calibration.errors}
-            writer.attachment(TRUE_CALIBRATION, "application/json", json.dumps(truth, indent=1).encode())
-        writer.write(static_transforms(EPOCH_NS, _frames(rig, calibration.given)))
-        writer.section()
-        bulky = bulky_sensors(rig)
-        for topic, source in _sources(rig).items():  # a section each, so that reading one touches no other
-            files = [parts / job.part for job in jobs if job.source == source]
-            messages = _read_parts(files, topic)
-            if source:
-                messages = kind_of(bulky[source]).pass_on(bulky[source], topic, messages)
-            for message in messages:
-                writer.write(message)
-            writer.section()
-        writer.finish()
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
-
-
-def _read_parts(files: list[Path], topic: str) -> Iterator[Message]:
-    for file in files:
-        yield from read_messages(file, [topic])
-
-
-def _frames(rig: RigRecipe, calibration: Mapping[str, Any]) -> dict[str, tuple[Array, Array]]:
-    """Poses in base_link of the rig's frames: name -> (position (3,) m, quaternion (4,))."""
-    from scipy.spatial.transform import Rotation
-
-    frames = {}
-    for frame, (kind, name) in rig_frames(rig).items():
-        entry = calibration[kind.key] if kind.single else calibration[kind.key][name]
-        T = np.array(entry[kind.pose])
-        frames[frame] = (T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True))
-    return frames
 
 
 def default_workers(cpu_s: float) -> int:

@@ -21,6 +21,7 @@ from oysterbench.recipe import load_split
 from oysterbench.sensors.registry import sensor_kinds
 from oysterbench.sequence.write import pack
 from oysterbench.simulation import generate
+from oysterbench.simulation.assembly import assemble
 from oysterbench.simulation.simulated_sequence import build_sequence
 
 SHARE = 0.10
@@ -73,7 +74,7 @@ def measure(split_name: str, seconds: float, image_format: str) -> dict[str, flo
         return pack(clock.drawn("making", iter(messages)), *arguments)
 
     generate.pack = clock.timed("packing", pack_timed)  # type: ignore[attr-defined]
-    generate.assemble = clock.timed("assembling", generate.assemble)
+    generate.assemble = clock.timed("assembling", assemble)  # type: ignore[attr-defined]
     with tempfile.TemporaryDirectory() as folder:
         start = time.process_time()
         (path,) = generate.generate_split(split, Path(folder)).values()

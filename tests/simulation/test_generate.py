@@ -13,10 +13,13 @@ from pathlib import Path
 import pytest
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
-from oysterbench.core.errors import SequenceError
+from oysterbench.core.errors import OysterbenchError, SequenceError
 from oysterbench.core.files import locked
 from oysterbench.recipe import count
-from oysterbench.simulation.generate import digest, generate_split, plan, split_folder
+from oysterbench.simulation import generate
+from oysterbench.simulation.assembly import assemble
+from oysterbench.simulation.generate import digest, generate_split, split_folder
+from oysterbench.simulation.jobs import plan
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
 from tests.helpers.waiting import until
 
@@ -36,6 +39,20 @@ def test_two_workers_give_the_bytes_of_one(tiny_split, tiny_file, tmp_path):
         "costs.json",
         "tiny-01.mcap",
     ], "nothing else is left behind"
+
+
+def test_what_is_stopped_while_it_is_put_together_keeps_its_parts(tiny_split, tiny_file, tmp_path, monkeypatch):
+    stopped = threading.Event()
+    stopped.set()
+    with monkeypatch.context() as patch:
+        patch.setattr(generate, "assemble", lambda *given: assemble(*given[:-1], stopped))
+        with pytest.raises(OysterbenchError, match=r"tiny-01\.mcap: stopped while .* its parts are kept"):
+            generate_split(tiny_split, tmp_path)
+    assert not (tmp_path / "tiny-01.mcap").exists()
+    monkeypatch.setattr(
+        generate, "make_timed_part", lambda *given, **more: pytest.fail()
+    )  # nothing is left to be rendered
+    assert sha256(generate_split(tiny_split, tmp_path)["tiny-01"]) == sha256(tiny_file)
 
 
 def test_what_is_there_is_not_rendered_again(tiny_split, tiny_file):

@@ -9,7 +9,8 @@ import sys
 import pytest
 
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.simulation.generate import PROGRAM, Job, generate_split, make_part
+from oysterbench.simulation.generate import PROGRAM, generate_split, make_part
+from oysterbench.simulation.jobs import Job
 from oysterbench.simulation.salt import Salt
 from oysterbench.simulation.scheduling import run_on_cluster
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT

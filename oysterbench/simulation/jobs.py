@@ -1,0 +1,49 @@
+"""What a sequence is made of by jobs that know nothing of each other: frames, pings, and all small sensors together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from oysterbench.core.ros import TF_STATIC
+from oysterbench.recipe import RigRecipe, SequenceRecipe, SplitRecipe, count
+from oysterbench.recipe.sensors import SensorRecipe
+from oysterbench.sensors.registry import kind_of, rig_sensors
+from oysterbench.sequence.truth import rig_topics
+
+
+@dataclass(frozen=True)
+class Job:
+    """A frame or ping of a camera or sonar, by its name; or, without one, all the small sensors."""
+
+    sequence: str
+    source: str = ""
+    frame: int = 0
+
+    @property
+    def part(self) -> str:
+        """Name of the file that keeps its bytes."""
+        return f"{self.source}-{self.frame:06d}.part" if self.source else "sensors.part"
+
+    @property
+    def frames(self) -> int:
+        """How many frames it makes, for counting."""
+        return 1 if self.source else 0
+
+
+def plan(split: SplitRecipe, sequence: SequenceRecipe) -> list[Job]:
+    """All jobs of a sequence."""
+    jobs = [Job(sequence.name)]
+    for source, recipe in bulky_sensors(split.rig_of(sequence)).items():
+        jobs += [Job(sequence.name, source, frame) for frame in range(count(sequence.duration_s, recipe.rate_hz))]
+    return jobs
+
+
+def bulky_sensors(rig: RigRecipe) -> dict[str, SensorRecipe]:
+    """Name -> recipe of the sensors of which each measurement is a job of its own."""
+    return {kind.name_of(recipe): recipe for kind, recipe in rig_sensors(rig) if kind.bulky}
+
+
+def sources(rig: RigRecipe) -> dict[str, str]:
+    """Topic -> the source of the jobs whose parts hold it, in the order of the file; all but the rig's frames."""
+    bulky = {topic: name for name, recipe in bulky_sensors(rig).items() for topic in kind_of(recipe).topics(recipe)}
+    return {name: bulky.get(name, "") for name in rig_topics(rig) if name != TF_STATIC}
