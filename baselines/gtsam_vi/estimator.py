@@ -360,7 +360,11 @@ class Estimator:
             self.info["smoothed_error_px"] = float(np.median(bundle.errors_px))
         lever = invert(self.imu.T_base_imu)[:3, 3]
         # Each frame with the covariance of the key frame before it: the one after holds it from the other side.
-        known = pose_covariances(bundle, keyframes, lever, self.model)
+        try:
+            known = pose_covariances(bundle, keyframes, lever, self.model)
+        except RuntimeError:  # GTSAM: a landmark is too weakly known to be eliminated; the poses are none the worse
+            self.info["covariances_failed"] = 1
+            return self._trajectory(poses, [])
         return self._trajectory(poses, [known[frame.keyframe] for frame in self.frames])
 
     def map(self) -> LandmarkMap | None:

@@ -61,3 +61,16 @@ def test_there_is_no_map_where_nothing_was_found():
     result = GtsamVi().run(FlatBottom(0.4).for_method())
     assert result.map is None
     assert len(result.trajectory) == round(0.4 * dive.camera_calibration().rate_hz)
+
+
+def test_a_landmark_too_weakly_known_costs_the_covariances_and_not_the_path(monkeypatch):
+    def unsolvable(*given):
+        raise RuntimeError("Indeterminate linear system detected")
+
+    monkeypatch.setattr("oysterbench_baselines.gtsam_vi.estimator.pose_covariances", unsolvable)
+    sequence = FlatBottom(5.0)
+    result = GtsamVi().run(sequence.for_method())
+    assert result.trajectory.covariances is None
+    assert result.info["covariances_failed"] == 1
+    assert len(result.trajectory) > 40
+    assert position_error(sequence.truth(), result.trajectory) < 0.01
