@@ -121,6 +121,7 @@ def test_in_the_dark_from_the_first_frame_to_the_last_it_still_answers_every_fra
     assert estimator.info["initialised"] == 1
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_covariances_say():
     """Not overconfident, which is what costs a user his vehicle; what it is too modest by comes from pixel_sigma_px,
     which stands for a real tracker's drift and not for the 0.4 px of these tracks."""

@@ -221,6 +221,7 @@ class Beginning(EurocSequence):
             yield image
 
 
+@pytest.mark.slow
 def test_it_follows_a_sequence_that_others_rendered():
     folder = floor_folder()
     truth = read_trajectory(folder / "truth_body.tum")

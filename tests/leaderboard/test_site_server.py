@@ -303,6 +303,7 @@ def test_the_description_of_files_asks_nothing_of_a_server():
 # As files:
 
 
+@pytest.mark.slow
 def test_every_link_of_the_files_leads_to_a_file_of_them(exported):
     there = {str(path.relative_to(exported)) for path in exported.rglob("*") if path.is_file()}
     pages = [name for name in there if name.endswith(".html")]

@@ -33,6 +33,7 @@ def some_rays(world, count):
     return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
+@pytest.mark.slow
 def test_ranges_normals_and_instances_agree_with_trimesh(world, caster):
     origins, directions = some_rays(world, 60)
     echoes = caster.cast(origins, directions, FAR)
