@@ -13,7 +13,7 @@ import oysterbench
 from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.core.ros import TF_STATIC, decode
 from oysterbench.core.streams import Streams
-from oysterbench.recipe import SiteRecipe, load_split, parse_split
+from oysterbench.recipe import SiteRecipe, load_split, parse_split, with_rig
 from oysterbench.sensors.registry import calibrate_rig, rig_calibration
 from oysterbench.sensors.uncertainty import GOOD, POOR, Uncertainty
 from oysterbench.sequence.cut import cut_public
@@ -30,7 +30,7 @@ SITE = SiteRecipe()
 
 @pytest.fixture(scope="module")
 def rig():
-    return load_split("slam-val").rig
+    return with_rig(load_split("slam-val"), "survey-stereo", "").rig
 
 
 @pytest.fixture(scope="module")
