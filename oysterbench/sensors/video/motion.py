@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.render.target import KERNEL_OPTIONS
+from oysterbench.sensors.video.transform import VIDEO_OPTIONS
 
-wp.set_module_options(KERNEL_OPTIONS)
+wp.set_module_options(VIDEO_OPTIONS)
 
 REACH = wp.constant(8)  # of the search on pictures of a quarter of the size, px
 VECTOR_COST = wp.constant(2)  # absolute differences that a half pixel of motion must save, at least

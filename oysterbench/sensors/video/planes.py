@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.sensors.video.motion import moved
+from oysterbench.sensors.video.transform import VIDEO_OPTIONS
 
-wp.set_module_options(KERNEL_OPTIONS)
+wp.set_module_options(VIDEO_OPTIONS)
 
 
 @wp.kernel

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.render.target import KERNEL_OPTIONS
 from oysterbench.sensors.video.motion import LUMA, moved
-from oysterbench.sensors.video.transform import Quantiser, bits_of, code_block, mat44i, signed_bits
+from oysterbench.sensors.video.transform import VIDEO_OPTIONS, Quantiser, bits_of, code_block, mat44i, signed_bits
 
-wp.set_module_options(KERNEL_OPTIONS)
+wp.set_module_options(VIDEO_OPTIONS)
 
 INTRA_COST = wp.constant(512)  # absolute differences that a macroblock without prediction must save
 CHROMA = wp.constant(4)  # steps of a motion vector, in half pixels of luma, in a pixel of a colour difference
