@@ -11,6 +11,7 @@ from oysterbench.core.errors import OysterbenchError
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.manifest import released_manifest
 from oysterbench.recipe import SplitRecipe, load_split, split_names
+from oysterbench.simulation.generate import digest
 from oysterbench_leaderboard.board import Query, State
 from oysterbench_leaderboard.site.site import Site
 
@@ -25,6 +26,7 @@ class DataSet:
 
     sequences:  in order
     duration_s: of all sequences together; None where it is not known
+    digest:     of the recipe, as records name it
     manifest:   SHA-256 of the one that was released; size: bytes of its files
     """
 
@@ -61,7 +63,7 @@ def _of_recipe(split: SplitRecipe) -> DataSet:
         split.rig.summary,
         split.seed,
         split.hidden,
-        split.digest(),
+        digest(split),
         tuple(sequence.name for sequence in split.sequence),
         sum(sequence.duration_s for sequence in split.sequence),
         sha256(manifest.data) if manifest else "",

@@ -76,7 +76,6 @@ def split_page(site: Site, split: str) -> Page:
         "minutes": "" if found.duration_s is None else f"{found.duration_s / 60:.1f}",
         "megabytes": "" if found.size is None else f"{found.size / 1e6:.0f}",
         "boards": [(split_path(b.track, b.split) if b.newest else board_path(b), b) for b in boards],
-        "other_recipes": [b for b in boards if b.split_digest != found.digest and b.newest],
     }
     data = {**_plain(found), "recipe": found.recipe, "conditions": like, "boards": [_board(info) for info in boards]}
     return Page(data_path(found.name), found.name, "split.html", context, (table,), plain(data))
