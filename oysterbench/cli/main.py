@@ -46,7 +46,8 @@ class Commands(click.Group):
         except BrokenPipeError:
             raise
         except OSError as error:
-            place = f"{error.filename}: " if error.filename else ""
+            file = error.filename2 or error.filename  # the one that is written, where one is read
+            place = f"{file}: " if file else ""
             _fail(f"{place}{error.strerror or error}", 1)
 
 

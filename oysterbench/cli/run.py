@@ -106,7 +106,8 @@ def run_command(
       {out}    the file that it leaves   {seed}  the number of the run, from 0
 
     The folder keeps each run's predictions, logs, cost and versions. A run that ends badly, takes too long, or leaves
-    nothing that can be read is a failure in the results. Whatever is interrupted, even killed: the same command goes
+    nothing that can be read is a failure in the results; one that the machine killed, or had no room for, is not, and
+    the same command runs it again. Whatever is interrupted, even killed: the same command goes
     on from there. Files between processes lie in the folder that TMPDIR names.
     """
     if (split_name is None) == (not places):

@@ -31,6 +31,10 @@ class MethodError(OysterbenchError):
     """A method is unknown, cannot be loaded, or its run gave no estimate."""
 
 
+class MachineError(OysterbenchError):
+    """The machine failed, and not what ran on it: a process was killed from outside, as where memory is short."""
+
+
 class ResultError(OysterbenchError):
     """A result file is unreadable or its records are not what this version writes."""
 

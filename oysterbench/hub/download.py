@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from oysterbench.core.errors import HubError, IntegrityError
-from oysterbench.core.files import home, locked, write_atomically
+from oysterbench.core.files import free_bytes, home, locked, write_atomically
 from oysterbench.core.names import instead
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import remove_drafts
@@ -215,8 +214,7 @@ def part_path(folder: Path, entry: FileEntry) -> Path:
 
 def check_space(folder: Path, wanted: int) -> None:
     """Raise HubError unless there is room for so many bytes more."""
-    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
-    free = shutil.disk_usage(there).free
+    free = free_bytes(folder)
     if wanted + SPARE > free:
         raise HubError(
             f"{folder}: not enough room: {wanted / 1e6:.0f} MB are to be fetched, and {free / 1e6:.0f} MB are free; "

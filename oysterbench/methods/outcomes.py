@@ -49,6 +49,7 @@ class Outcome:
     contained:    whether the truth was hidden by the kernel, and not only left out of what the method was given
     info, notes:  of the method, and of the reading of its predictions
     prediction:   what the interface of the method has to know to read them
+    finished:     False where the machine failed, and not the method: then nothing is kept, so that it is run again
     """
 
     identity: Mapping[str, Any]
@@ -66,6 +67,7 @@ class Outcome:
     notes: list[str] = field(default_factory=list)
     prediction: Mapping[str, Any] = field(default_factory=dict)
     contained: bool = False
+    finished: bool = True
 
     def write(self, folder: Path) -> None:
         """Whole or not at all."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -13,23 +14,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from oysterbench.core.errors import MethodError
+from oysterbench.core.errors import MachineError
+from oysterbench.core.files import free_bytes
 from oysterbench.methods.sandbox import Sandbox, can_hide
 
 SUPERVISOR = Path(__file__).with_name("supervise.py")
 STDOUT, STDERR, REPORT = "stdout.txt", "stderr.txt", "process.json"
+LEAST_FREE = 1 << 20
+"""Bytes; where a disk has less, whatever fails beside it fails for that."""
+KILLED_STATUS = 128 + signal.SIGKILL
+"""By which a shell says that what it ran was killed."""
 TAIL_BYTES, TAIL_LINES, TAIL_CHARACTERS = 4096, 5, 500
 
 
 @dataclass(frozen=True)
 class Ended:
-    """How a command ended: what it cost (see `supervise`), and why it failed; None where it ended with status 0."""
+    """How a command ended: what it cost (see `supervise`), and why it failed; None where it ended with status 0.
+
+    killed: whether it was from outside, and neither by itself nor at its limit
+    """
 
     wall_s: float
     cpu_s: float
     peak_bytes: int
     left_behind: int
     failure: str | None
+    killed: bool = False
 
 
 class Stopped(Exception):
@@ -48,6 +58,7 @@ class Processes:
         """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder. Stopped by `stop`.
 
         hidden: what it cannot open, where the kernel can hide it (`sandbox`); then nothing tells it where that is.
+        Raises MachineError where it was killed from outside: by the kernel for memory, or by a person.
         """
         report = folder / REPORT
         report.unlink(missing_ok=True)
@@ -74,10 +85,13 @@ class Processes:
         if self._stopped:
             raise Stopped
         if not report.is_file():
-            raise MethodError(
+            raise MachineError(
                 f"the supervisor of {command[0]} was killed: {tail(folder / STDERR) or 'no word from it'}"
             )
-        return _ended(json.loads(report.read_text(encoding="utf-8")), limit_s, folder)
+        ended = _ended(json.loads(report.read_text(encoding="utf-8")), limit_s, folder)
+        if ended.killed:
+            raise MachineError(ended.failure)
+        return ended
 
     def stop(self) -> None:
         """End all commands, and let none start."""
@@ -104,20 +118,21 @@ def environment() -> dict[str, str]:
 def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:
     if report["error"]:
         return Ended(0.0, 0.0, 0, 0, f"could not be started: {report['error']}")
-    failure = None
+    failure, killed = None, False
     if report["timed_out"]:
         failure = f"time limit of {limit_s:g} s reached: killed"
     elif report["signal"] is not None:
         failure = f"killed by {signal_name(report['signal'])}"
-        if report["signal"] == signal.SIGKILL:
-            failure += " (out of memory?)"
+        killed = report["signal"] == signal.SIGKILL
     elif report["stopped"]:
-        failure = "its supervisor was ended by SIGTERM"
+        failure, killed = "its supervisor was ended by SIGTERM", True
     elif report["status"]:
-        failure = f"exit status {report['status']}"
+        failure, killed = f"exit status {report['status']}", report["status"] == KILLED_STATUS
+    if killed:
+        failure = f"{failure} (out of memory?)"
     if failure is not None and (last := tail(folder / STDERR) or tail(folder / STDOUT)):
         failure = f"{failure}; it last said: {last}"
-    return Ended(report["wall_s"], report["cpu_s"], report["peak_bytes"], report["left_behind"], failure)
+    return Ended(report["wall_s"], report["cpu_s"], report["peak_bytes"], report["left_behind"], failure, killed)
 
 
 def failure_of(report: Path, limit_s: float, folder: Path) -> str | None:
@@ -126,6 +141,13 @@ def failure_of(report: Path, limit_s: float, folder: Path) -> str | None:
         return _ended(json.loads(report.read_text(encoding="utf-8")), limit_s, folder).failure
     except (OSError, ValueError):
         return tail(folder / STDERR) or None
+
+
+def raise_if_full(folder: Path, said: str) -> None:
+    """Raise OSError where the disk of a folder is full, or was for a process by what it `said`."""
+    full = os.strerror(errno.ENOSPC)
+    if full in said or free_bytes(folder) < LEAST_FREE:
+        raise OSError(errno.ENOSPC, full, str(folder))
 
 
 def signal_name(number: int) -> str:

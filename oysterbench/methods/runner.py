@@ -17,11 +17,11 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from oysterbench.core.errors import LabelError, MethodError, SequenceError
+from oysterbench.core.errors import LabelError, MachineError, MethodError, SequenceError
 from oysterbench.core.files import home, link
 from oysterbench.methods.interfaces import Predicted
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
-from oysterbench.methods.processes import Processes
+from oysterbench.methods.processes import Processes, raise_if_full
 from oysterbench.methods.sandbox import can_hide
 
 ASSUMED_BYTES = 2 * 2**30
@@ -51,7 +51,8 @@ def run_jobs(
 
     root: folder of the results, which one runner at a time may work in. again: run the finished ones too; retry: those
     of them that failed. A job that ends badly has a `failure`; nothing that a method does raises here.
-    Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names.
+    Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names, and
+    OSError where a disk is full.
     """
     with _alone(root):
         todo = []
@@ -109,7 +110,7 @@ def _run(
 def run_job(
     job: Job, root: Path, inputs: Inputs, processes: Processes, hardware: Mapping[str, Any] | None = None
 ) -> Outcome:
-    """Run one job and keep what became of it."""
+    """Run one job and keep what became of it, where that is the method's doing."""
     kept = job.folder(root)
     shutil.rmtree(kept, ignore_errors=True)
     kept.mkdir(parents=True)
@@ -146,11 +147,18 @@ def run_job(
     except (MethodError, SequenceError, LabelError) as error:
         seeded = f" with seed {seed}" if seed is not None else ""
         outcome = replace(outcome, failure=f"{who}{seeded}: {error}")
+    except MachineError as error:
+        failure = f"{who}: {error}; the run is not counted, and the same command runs it again"
+        outcome = replace(outcome, failure=failure, finished=False)
     finally:
         inputs.done(job)
         shutil.rmtree(folder, ignore_errors=True)
+    if outcome.failure is not None:
+        for place in (inputs.scratch, kept):
+            raise_if_full(place, outcome.failure)
     outcome = replace(outcome, ended=_now())
-    outcome.write(kept)
+    if outcome.finished:
+        outcome.write(kept)
     return outcome
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from oysterbench.core.errors import OysterbenchError
+from oysterbench.core.files import naming
 from oysterbench.core.geometry import Array
 from oysterbench.core.ros import EPOCH_NS, Message
 from oysterbench.recipe import CLASSES, REEF_CLASSES, RigRecipe, SequenceRecipe, SplitRecipe
@@ -39,7 +40,7 @@ def assemble(
     calibration = calibrate_rig(rig, recipe.site, recipe.calibration, split.streams_of(recipe, salt))
     jobs = plan(split, recipe)
     temporary = parts / "whole.mcap"  # beside the parts, so that what a kill leaves goes with them
-    with open(temporary, "wb") as file:
+    with naming(temporary), open(temporary, "wb") as file:
         writer = SequenceWriter(file, rig_topics(rig))
         writer.metadata(
             METADATA,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 from oysterbench.core.files import write_atomically
@@ -24,8 +25,14 @@ SNOW_S = 0.1  # added by marine snow
 SILT_S = 0.15  # added by plumes
 LIFE_S = 0.15  # added by what moves by itself
 PING_S = 0.1  # of a sonar that renders each ping by itself
+FILE_BYTES = 0.35  # of a finished file, per pixel of its pictures, labels included
+PART_BYTES = 0.9  # of what is kept of them until it is finished
+LINK_PART_BYTES = 2.3  # and where a video link waits for whole pictures
 BUILDING_S = 4e-4  # of a reef, per oyster, in each process
 """Measured on one core of a 2.6 GHz server over the splits of this project, of which it holds within a third or so."""
+
+ASSEMBLED = 2
+"""Sequences whose parts are there at a time: one is put together while the next is rendered."""
 
 
 def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1) -> float:
@@ -44,6 +51,20 @@ def estimated(split: SplitRecipe, sequence: SequenceRecipe, workers: int = 1) ->
             camera = isinstance(recipe, CameraRecipe)
             total += pictures * (shaded * recipe.width * recipe.height / PICTURE_PX if camera else PING_S)
     return total
+
+
+def space(split: SplitRecipe, sequences: Iterable[SequenceRecipe]) -> int:
+    """Bytes, about, that rendering these sequences needs on the disk at most."""
+    files, parts = 0.0, []
+    for sequence in sequences:
+        part = 0.0
+        for kind, recipe in rig_sensors(split.rig_of(sequence)):
+            if kind.bulky and isinstance(recipe, CameraRecipe):
+                pixels = count(sequence.duration_s, recipe.rate_hz) * recipe.width * recipe.height
+                files += FILE_BYTES * pixels
+                part += (LINK_PART_BYTES if recipe.video_mbit_s else PART_BYTES) * pixels
+        parts.append(part)
+    return int(files + sum(sorted(parts)[-ASSEMBLED:]))
 
 
 def measured(folder: Path) -> dict[str, float]:

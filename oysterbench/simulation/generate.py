@@ -19,8 +19,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from oysterbench.core.errors import OysterbenchError, RecipeError, SequenceError
-from oysterbench.core.files import home, locked, write_atomically
+from oysterbench.core.errors import MachineError, OysterbenchError, RecipeError, SequenceError
+from oysterbench.core.files import free_bytes, home, locked, write_atomically
 from oysterbench.recipe import SequenceRecipe, SplitRecipe
 from oysterbench.sequence.read import (
     FAULTS,
@@ -117,6 +117,7 @@ def generate_split(
                 shutil.rmtree(_parts(folder, name, made_by), ignore_errors=True)
         missing = [sequence for sequence in wanted if not files[sequence.name].exists()]
         if missing:
+            _check_space(split, missing, folder, made_by)
             task = partial(make_timed_part, split, salt=Salt(salt), device=device, program=PROGRAM)
 
             elsewhere = scheduler is not None or workers > 1
@@ -132,6 +133,17 @@ def generate_split(
         with contextlib.suppress(OSError):  # absent, or with parts of other recipes in it
             (folder / ".parts").rmdir()
     return files
+
+
+def _check_space(split: SplitRecipe, sequences: list[SequenceRecipe], folder: Path, made_by: str) -> None:
+    kept = sum(part.stat().st_size for one in sequences for part in _parts(folder, one.name, made_by).glob("*"))
+    needed, free = cost.space(split, sequences) - kept, free_bytes(folder)
+    if needed > free:
+        raise MachineError(
+            f"{folder}: not enough room: rendering needs some {needed / 1e6:.0f} MB, and {free / 1e6:.0f} MB are free; "
+            "nothing was rendered: make room, choose fewer with --sequence, or another place with --out or "
+            "OYSTERBENCH_HOME"
+        )
 
 
 def _check_made_by(path: Path, split: SplitRecipe, made_by: str) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.annotations import labelled_sequence
-from oysterbench.core.errors import MethodError, TrajectoryError
+from oysterbench.core.errors import MachineError, MethodError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.evaluate.density.scoring import EVALUATOR
 from oysterbench.evaluate.slam.settings import SlamSettings
@@ -114,7 +114,7 @@ class DensityTrack(Track):
             found = {method: read_trajectory(file) for method, file in kept.items()}
         within = replace(request, out=request.out / "paths")
         for done in SLAM.run([sequence], methods, SlamSettings(), within) if methods else ():
-            failed = done.outcome.failure
+            failed = _failure(done.outcome)
             name = done.job.adapter.name
             file = within.out / f"{sequence.name}-{name}.tum"
             found[name] = read_trajectory(file) if failed is None else MethodError(failed)
@@ -143,10 +143,17 @@ class DensityTrack(Track):
         }
 
 
+def _failure(outcome: Outcome) -> str | None:
+    """Of the method. Raises MachineError where it was the machine's."""
+    if not outcome.finished:
+        raise MachineError(outcome.failure)
+    return outcome.failure
+
+
 def _seen(job: Job, outcome: Outcome, out: Path, camera: str, threshold: float) -> Iterator[Seen]:
     """The oysters that a method found in the pictures of a camera. Raises MethodError where it failed."""
-    if outcome.failure is not None:
-        raise MethodError(outcome.failure)
+    if (failed := _failure(outcome)) is not None:
+        raise MethodError(failed)
     assert isinstance(job.sequence, PictureSequence)
     labelled = job.sequence.labelled
     found = read_predictions(job.folder(out), labelled.names)

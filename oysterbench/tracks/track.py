@@ -57,7 +57,7 @@ class Run(Protocol):
 
 @dataclass(frozen=True)
 class Finished:
-    """A job that is finished. scored: None where the sequence has no truth."""
+    """A job that has ended. scored: None where the sequence has no truth, or the machine failed."""
 
     job: Job
     outcome: Outcome
@@ -75,7 +75,7 @@ class Evaluation:
 
     runs: scored; data_set: of tracks of images, each method over all sequences together; first: tables that stand
     before those of every track in files; printed: those of the terminal; figures: of the report, each with its file;
-    files: further ones by name; unscored: jobs whose sequence has no truth
+    files: further ones by name; unscored: jobs whose sequence has no truth, or where the machine failed
     """
 
     runs: Sequence[Any]
@@ -246,7 +246,7 @@ class Track(ABC):
             request.announce,
         )
         for job, outcome in finished:
-            yield Finished(job, outcome, self.score(job, outcome, request.out, settings))
+            yield Finished(job, outcome, self.score(job, outcome, request.out, settings) if outcome.finished else None)
 
 
 def about_sequence(

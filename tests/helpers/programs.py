@@ -10,6 +10,12 @@ PROGRAMS = {
     "copies": "import shutil; shutil.copy(argv[0], argv[2])",
     "sleeps": "import time; print('still here', file=sys.stderr, flush=True); time.sleep(600)",
     "crashes": "import signal; os.kill(os.getpid(), signal.SIGSEGV)",
+    "killed": "import signal\n"
+    "open(argv[0] + '.log', 'a').write('run\\n')\n"
+    "if len(open(argv[0] + '.log').readlines()) == 1: os.kill(os.getpid(), signal.SIGKILL)\n"
+    "import shutil; shutil.copy(argv[0], argv[2])",
+    "killed_in_a_shell": "sys.exit(137)",
+    "full": "sys.exit(f'cannot write map.bin: {os.strerror(28)}')",
     "refuses": "print('first'); sys.stderr.write('no vocabulary\\ngiving up\\n'); sys.exit(3)",
     "silent": "pass",
     "garbage": "open(argv[2], 'w').write('tracking lost at frame 7\\n')",

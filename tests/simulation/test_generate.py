@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import signal
@@ -13,8 +14,8 @@ from pathlib import Path
 import pytest
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
-from oysterbench.core.errors import OysterbenchError, SequenceError
-from oysterbench.core.files import locked
+from oysterbench.core.errors import MachineError, OysterbenchError, SequenceError
+from oysterbench.core.files import locked, write_atomically
 from oysterbench.recipe import count
 from oysterbench.simulation import generate
 from oysterbench.simulation.assembly import assemble
@@ -155,6 +156,24 @@ def test_another_processor_gives_the_same_bytes(tiny_file, tmp_path):
     rig.write_text(TINY_RIG)
     subprocess.run([sys.executable, script, recipe, rig, out], env={**os.environ, **PLAIN_PROCESSOR}, check=True)
     assert sha256(out / "tiny-01.mcap") == sha256(tiny_file)
+
+
+def test_without_room_nothing_is_rendered(tiny_split, tmp_path, monkeypatch):
+    monkeypatch.setattr(generate, "free_bytes", lambda folder: 10_000)
+    with pytest.raises(MachineError, match=r"not enough room: rendering needs some .* MB, and 0 MB are free; nothing"):
+        generate_split(tiny_split, tmp_path / "out")
+    assert not list((tmp_path / "out").rglob("*.part"))
+
+
+def test_a_disk_that_fills_up_is_named(tmp_path, monkeypatch):
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left") as raised:
+        write_atomically(tmp_path / "results.json", b"{}")
+    assert raised.value.filename == str(tmp_path / "results.json")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_of_another_recipe_is_refused_and_left_alone(tiny_file, tmp_path):

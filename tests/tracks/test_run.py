@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -183,6 +184,37 @@ def test_a_program_that_fails_leaves_a_record_that_says_how(program, failure, ru
     assert "\n" not in record.failure
     assert record.metrics["coverage"] == 0.0
     assert record.metrics["score"] == 0.0
+
+
+def test_a_program_that_the_machine_killed_is_not_scored_and_runs_again(run, answer, tmp_path):
+    mine = ExternalCommand(command(tmp_path, "killed", answer), "mine")
+    (done,) = run(mine)
+    assert done.scored is None
+    assert done.failure == (
+        "method 'mine' on hand-made: killed by SIGKILL (out of memory?); the run is not counted, and the same command "
+        "runs it again"
+    )
+    (done,) = run(mine)
+    assert done.scored.record.failure is None
+    assert Path(f"{answer}.log").read_text() == "run\n" * 2
+
+
+def test_a_shell_tells_that_what_it_ran_was_killed(run, answer, tmp_path):
+    (done,) = run(ExternalCommand(command(tmp_path, "killed_in_a_shell", answer), "mine"))
+    assert done.scored is None
+    assert "exit status 137 (out of memory?); the run is not counted" in done.failure
+
+
+def test_a_full_disk_ends_all_and_is_no_failure_of_the_method(run, answer, tmp_path, monkeypatch):
+    with pytest.raises(OSError, match="No space left on device"):
+        run(ExternalCommand(command(tmp_path, "full", answer), "mine"))
+    refuses = ExternalCommand(command(tmp_path, "refuses", answer), "other")
+    with monkeypatch.context() as patch:
+        patch.setattr("oysterbench.methods.processes.free_bytes", lambda folder: 0)
+        with pytest.raises(OSError, match="No space left on device"):
+            run(refuses)
+    (done,) = run(refuses)
+    assert done.scored.record.failure is not None
 
 
 def test_megabytes_of_output_do_no_harm(run, answer, tmp_path):
