@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from oysterbench.tracks.images import ImageTrack
 
 IMAGE = ".png"
-LARGEST_IMAGE_PX = 1 << 26
 
 Reader = Callable[..., Any]
 """Reads a prediction when it is asked to. Of a path: takes the options that its file leaves open, returns a Trajectory;
@@ -217,13 +216,7 @@ def _png(read: Callable[[], bytes], label: str, name: str, wanted: Wanted, budge
     def pixels() -> Any:
         from oysterbench.annotations.masks import read_png
 
-        data = read()
-        if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 33:
-            raise Refusal("format", f"{shown(label)}: not a PNG file")
-        width, height = int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-        if not 0 < width * height <= LARGEST_IMAGE_PX:  # before anything of that size is made
-            raise Refusal("format", f"{shown(label)}: {width} x {height} pixels are more than any image here has")
-        with in_memory(data, label) as path, refusing(label, path):
+        with in_memory(read(), label) as path, refusing(shown(label), path):
             return read_png(path)
 
     return {name: _mask_reader(name, pixels, wanted)}
@@ -263,7 +256,7 @@ def _mask_reader(name: str, pixels: Callable[[], Any], wanted: Wanted) -> Reader
         with refusing(name):
             given = Segmentation(found.name, found.oyster, found.probability, found.classes)
             taken: EstimateImage | ImageInstances = track.of_prediction(
-                given, name, wanted.size(name) or (1, 1), track.settings({})
+                given, name, wanted.size(name) or values.shape, track.settings({})
             )
             return taken
 

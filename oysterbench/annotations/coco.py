@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
+import re
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -13,14 +14,24 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, planes_of, read_picture
+from oysterbench.annotations.image import (
+    LARGEST_IMAGE_PX,
+    Entry,
+    LabelledImage,
+    LabelledSet,
+    planes_of,
+    read_picture,
+)
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection import ImageInstances, Instance
-from oysterbench.evaluate.detection.instances import Runs, mask_tools, numpy_2
+from oysterbench.evaluate.detection.instances import OUTSIDE, Runs, mask_tools, numpy_2
 from oysterbench.evaluate.segmentation import EstimateImage
 
-MORE = 0x20
-"""Bit of a character of compressed run lengths: the number goes on in the next one."""
+PACKED = re.compile(rb"([P-o]{0,6}[0-O])+")
+"""Compressed run lengths: each number is characters of 5 bits from '0' on, all but its last with a sixth bit set. Seven
+hold any run of an image; pycocotools trusts that no number has more."""
+
+LONGEST_SIDE_PX = 1 << 16
 
 
 class CocoImage(NamedTuple):
@@ -39,6 +50,17 @@ class CocoItem(NamedTuple):
 
     where: str
     values: Mapping[str, Any]
+
+    def score(self, default: float | None = None) -> float:
+        """How sure it is. Raises LabelError where it does not say, and there is no default."""
+        return self.number("score", default)
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """A number under a key. Raises LabelError where there is none that a float64 holds."""
+        value = self.values.get(key, default)
+        if not _is_number(value):
+            raise LabelError(f"{self.where}: expected {key!r}, a number, got {value!s:.60}")
+        return float(value)
 
 
 @dataclass(frozen=True)
@@ -84,7 +106,7 @@ class CocoFile:
         """All of an image's items from a score on (all, where they have none), as one mask."""
         mask = np.zeros(self.sizes[name], dtype=bool)
         for item in self.items[name]:
-            if "score" not in item.values or _score(item) >= threshold:
+            if item.score(threshold) >= threshold:
                 mask |= self.mask_of(name, item)
         return EstimateImage(name, oyster=mask)
 
@@ -146,11 +168,11 @@ def read_coco(path: Path, images: Mapping[Any, CocoImage] | None = None, categor
     for key in ("images", "annotations", "categories"):
         if not isinstance(content, dict) or not isinstance(content.get(key), list):
             raise LabelError(f"{path}: expected a list of results, or an object with the list {key!r}")
-    names = {one.get("name"): one.get("id") for one in content["categories"] if isinstance(one, dict)}
+    names = {str(one.get("name")): one.get("id") for one in content["categories"] if isinstance(one, dict)}
+    for number in names.values():
+        _check_id(number, f"{path}: categories")
     if category not in names:
-        raise LabelError(
-            f"{path}: no category is named {category!r}; its categories: {', '.join(map(str, names)) or 'none'}"
-        )
+        raise LabelError(f"{path}: no category is named {category!r}; its categories: {', '.join(names) or 'none'}")
     own = _images(path, content["images"])
     items = _checked(path, "annotations", content["annotations"], own, {one: name for name, one in names.items()})
     return _sorted(path, own, (item for item in items if item.values["category_id"] == names[category]))
@@ -162,7 +184,7 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise LabelError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:  # ValueError also for a whole number of 5000 digits
         raise LabelError(f"{path}: cannot be read as JSON: {error}") from None
 
 
@@ -174,12 +196,19 @@ def _images(path: Path, images: list[Any]) -> dict[Any, CocoImage]:
         for key in ("id", "file_name", "width", "height"):
             if not isinstance(image, dict) or key not in image:
                 raise LabelError(f"{where}: key {key!r} is missing")
+        _check_id(image["id"], where)
         file = str(image["file_name"])
         name = PurePosixPath(file).with_suffix("").as_posix()
         if image["id"] in found or name in names:
             raise LabelError(f"{where}: id {image['id']!r} or file_name {file!r} is used a second time")
-        if not all(isinstance(image[key], int) and image[key] > 0 for key in ("width", "height")):
-            raise LabelError(f"{where}: expected width and height in px, got {image['width']} x {image['height']}")
+        sides = [image[key] for key in ("width", "height")]
+        if not all(type(side) is int and 0 < side <= LONGEST_SIDE_PX for side in sides) or (
+            sides[0] * sides[1] > LARGEST_IMAGE_PX
+        ):
+            got = " x ".join(f"{side!s:.20}" for side in sides)
+            raise LabelError(
+                f"{where}: expected width and height in px, of an image of at most {LARGEST_IMAGE_PX} px, got {got}"
+            )
         about = (str(image.get(key, "")) for key in ("clip", "split"))
         found[image["id"]] = CocoImage(name, image["height"], image["width"], file, *about)
         names.add(name)
@@ -197,6 +226,8 @@ def _checked(
         where = f"{path}: {key}[{k}]"
         if not isinstance(item, dict):
             raise LabelError(f"{where}: expected an object, got {type(item).__name__}")
+        for name in ("image_id", "category_id", "id"):
+            _check_id(item.get(name), where)
         if item.get("image_id") not in images:
             raise LabelError(
                 f"{where}: image_id {item.get('image_id')!r} is of no image; {len(images)} images are known"
@@ -220,30 +251,43 @@ def _sorted(path: Path, images: Mapping[Any, CocoImage], items: Iterator[CocoIte
     return CocoFile(path, images, {name: tuple(own) for name, own in found.items()})
 
 
-def _score(item: CocoItem) -> float:
-    score = item.values.get("score")
-    if isinstance(score, bool) or not isinstance(score, int | float) or not math.isfinite(score):
-        raise LabelError(f"{item.where}: expected a 'score', a number, got {score!r}")
-    return float(score)
+def _check_id(value: Any, where: str) -> None:
+    if not isinstance(value, str | int | float | None):
+        raise LabelError(f"{where}: expected ids as numbers or texts, got {value!s:.60}")
+
+
+def _is_number(value: Any, low: float = -sys.float_info.max, high: float = sys.float_info.max) -> bool:
+    """Whether it is a number from low to high: neither NaN nor infinite, nor a whole one that no float64 holds."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
+
+
+def _is_place(value: Any, size: int) -> bool:
+    """Whether it is a coordinate in an image of so many px across or down, or near it."""
+    return _is_number(value, -OUTSIDE * size, (1 + OUTSIDE) * size)
 
 
 def _instance(item: CocoItem, height: int, width: int, scored: bool) -> Instance:
     values, tools = item.values, mask_tools()
     runs = run_lengths(item, height, width) if values.get("segmentation") else None
     with numpy_2():
-        box = _box(item.where, values["bbox"] if "bbox" in values else tools.toBbox(runs).tolist())
+        given = values["bbox"] if "bbox" in values else tools.toBbox(runs).tolist()
+        box = _box(item.where, given, height, width)
         area = float(tools.area(runs)) if runs is not None else box[2] * box[3]
     if scored:
-        return Instance(box, runs, area, _score(item))
-    return Instance(box, runs, float(values.get("area", area)), crowd=bool(values.get("iscrowd")))
+        return Instance(box, runs, area, item.score())
+    return Instance(box, runs, item.number("area", area), crowd=bool(values.get("iscrowd")))
 
 
-def _box(where: str, box: Any) -> tuple[float, float, float, float]:
-    numbers = isinstance(box, list) and len(box) == 4 and all(isinstance(v, int | float) for v in box)
-    if not numbers or not all(map(math.isfinite, box)) or box[2] < 0 or box[3] < 0:
-        raise LabelError(f"{where}: expected 'bbox' as [x, y, width, height] in px, got {box!s:.60}")
-    x, y, w, h = map(float, box)
-    return x, y, w, h
+def _box(where: str, box: Any, height: int, width: int) -> tuple[float, float, float, float]:
+    if isinstance(box, list) and len(box) == 4 and all(map(_is_number, box)):
+        x, y, w, h = map(float, box)
+        corners = ((x, width), (x + w, width), (y, height), (y + h, height))
+        if w >= 0 and h >= 0 and all(_is_place(*corner) for corner in corners):
+            return x, y, w, h
+    raise LabelError(
+        f"{where}: expected 'bbox' as [x, y, width, height] in px, in or near the image of {width} x {height}, got "
+        f"{box!s:.60}"
+    )
 
 
 def run_lengths(item: CocoItem, height: int, width: int) -> Runs:
@@ -255,8 +299,11 @@ def run_lengths(item: CocoItem, height: int, width: int) -> Runs:
             if not isinstance(polygon, list) or len(polygon) < 6 or len(polygon) % 2:
                 count = len(polygon) if isinstance(polygon, list) else 0
                 raise LabelError(f"{where}: expected polygons of three corners x y or more, got {count} numbers")
-            if not all(isinstance(v, int | float) and math.isfinite(v) for v in polygon):
-                raise LabelError(f"{where}: expected the corners of polygons as numbers, got {polygon!s:.60}")
+            if not all(_is_place(v, height if k % 2 else width) for k, v in enumerate(polygon)):
+                raise LabelError(
+                    f"{where}: expected the corners of polygons as numbers, in or near the image of {width} x "
+                    f"{height} px, got {polygon!s:.60}"
+                )
         with numpy_2():
             return dict(tools.merge(tools.frPyObjects(segmentation, height, width)))
     size = segmentation.get("size") if isinstance(segmentation, dict) else None
@@ -265,15 +312,16 @@ def run_lengths(item: CocoItem, height: int, width: int) -> Runs:
     counts = segmentation.get("counts")
     wanted = f"{where}: expected run lengths that add up to {height * width} pixels, got"
     if isinstance(counts, list):
-        if not all(isinstance(n, int) and n >= 0 for n in counts) or sum(counts) != height * width:
-            raise LabelError(f"{wanted} {sum(counts) if all(isinstance(n, int) for n in counts) else counts!s:.60}")
+        known = all(type(n) is int and 0 <= n <= height * width for n in counts)
+        if not known or sum(counts) != height * width:
+            raise LabelError(f"{wanted} {sum(counts) if known else counts!s:.60}")
         with numpy_2():
-            return dict(tools.frPyObjects(segmentation, height, width))
-    data = counts.encode() if isinstance(counts, str) else b""
+            return dict(tools.frPyObjects({"size": [height, width], "counts": counts}, height, width))
+    data = counts.encode("utf-8", "replace") if isinstance(counts, str) else b""
     # pycocotools refuses what is longer than the image, and reads what is shorter from beyond its end.
-    if not data or (data[-1] - ord("0")) & MORE or not _fits(data, height * width) or _fits(data, height * width - 1):
-        raise LabelError(f"{wanted} {counts!s:.40}")
-    return {"size": size, "counts": data}
+    if not PACKED.fullmatch(data) or not _fits(data, height * width) or _fits(data, height * width - 1):
+        raise LabelError(f"{wanted} {counts!a:.40}")
+    return {"size": [height, width], "counts": data}
 
 
 def _fits(data: bytes, pixels: int) -> bool:

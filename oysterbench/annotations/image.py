@@ -18,6 +18,9 @@ from oysterbench.recipe import CLASSES
 OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
 """Number of the class in `recipe.CLASSES`."""
 
+LARGEST_IMAGE_PX = 1 << 26
+"""What claims to be larger is no image: nothing of that size is made to find out."""
+
 
 @dataclass(frozen=True)
 class LabelledImage:

@@ -10,22 +10,27 @@ NAME is the image's name, which may hold folders.
 
 from __future__ import annotations
 
-import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
-from oysterbench.annotations.image import read_plane
+from oysterbench.annotations.image import LARGEST_IMAGE_PX, read_plane
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.segmentation import EstimateImage
 
 Form = Literal["auto", "mask", "probability", "classes"]
 FORMS: tuple[str, ...] = get_args(Form)
 SUFFIXES = (".png", ".npy", ".npz")
-PNG_END = b"IEND\xaeB`\x82"
+PNG_MAGIC, PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
+
+MOST_BYTES = 8 * LARGEST_IMAGE_PX
+
+T = TypeVar("T")
 
 
 class MaskFiles:
@@ -50,12 +55,7 @@ class MaskFiles:
 
     def get(self, name: str) -> EstimateImage:
         """The prediction of an image. Raises LabelError naming its file."""
-        values = np.asarray(self._readers[name]())
-        where = f"{self.place}: {name}"
-        if values.ndim == 3 and 1 in (values.shape[0], values.shape[-1]):
-            values = values.squeeze()
-        if values.ndim != 2:
-            raise LabelError(f"{where}: expected an array (H, W), got one of shape {values.shape}")
+        values, where = self.plane(name), f"{self.place}: {name}"
         if values.dtype == bool:
             return EstimateImage(name, oyster=values)
         if self.form == "classes":
@@ -64,9 +64,19 @@ class MaskFiles:
             return EstimateImage(name, oyster=as_mask(values, where))
         if np.issubdtype(values.dtype, np.floating):
             return EstimateImage(name, probability=values)
-        if not np.issubdtype(values.dtype, np.integer):
-            raise LabelError(f"{where}: expected numbers or truth values, got {values.dtype}")
         return self._integers(name, values, where)
+
+    def plane(self, name: str) -> NDArray[Any]:
+        """(H, W) bool, integer or float, as it is kept for an image. Raises LabelError naming its file."""
+        values = np.asarray(self._readers[name]())
+        where = f"{self.place}: {name}"
+        if values.ndim == 3 and 1 in (values.shape[0], values.shape[-1]):
+            values = values.squeeze()
+        if values.ndim != 2:
+            raise LabelError(f"{where}: expected an array (H, W), got one of shape {values.shape}")
+        if values.dtype.kind not in "biuf":
+            raise LabelError(f"{where}: expected numbers or truth values, got {values.dtype}")
+        return values
 
     def _integers(self, name: str, values: NDArray[Any], where: str) -> EstimateImage:
         """Integers whose meaning is to be guessed, or that are said to be probabilities."""
@@ -97,7 +107,7 @@ def as_mask(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
     if values.dtype == bool:
         return values
     greatest = values.max(initial=0)
-    if greatest > 0 and not ((values == 0) | (values == greatest)).all():
+    if not ((values == 0) | (values == greatest)).all():
         found = [f"{number:g}" for number in np.unique(values)[:6]]
         raise LabelError(
             f"{where}: expected a mask of 0 and one other number, got {', '.join(found)}...; for probabilities "
@@ -130,7 +140,7 @@ def _reader(path: Path) -> Callable[[], NDArray[Any]]:
     if path.suffix.lower() == ".png":
         return lambda: read_png(path)
     if path.suffix.lower() == ".npy":
-        return lambda: _load(path)
+        return lambda: _load(path, np.ndarray)
     return lambda: _single(path)
 
 
@@ -139,24 +149,43 @@ def read_png(path: Path) -> NDArray[Any]:
     in what is not there without a word."""
     try:
         with open(path, "rb") as file:
+            head = file.read(24)
             file.seek(max(0, path.stat().st_size - len(PNG_END)))
             whole = file.read() == PNG_END
     except OSError as error:
         raise LabelError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if head and not head.startswith(PNG_MAGIC):
+        raise LabelError(f"{path}: not a PNG file")
     if not whole:
         raise LabelError(f"{path}: not a whole PNG file: its end is missing ({path.stat().st_size} bytes)")
+    width, height = int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
+    if width * height > LARGEST_IMAGE_PX:
+        raise LabelError(f"{path}: {width} x {height} pixels are more than any image here has")
     return read_plane(path)
 
 
-def _load(path: Path) -> Any:
+@contextmanager
+def _reading(what: str) -> Iterator[None]:
+    """In one line what numpy and zipfile, each in its own ways, raise for bytes that a stranger may have made."""
     try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise LabelError(f"{path}: cannot be read as numpy arrays: {' '.join(str(error).split())}") from None
+        yield
+    except LabelError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise LabelError(f"{what} cannot be read as numpy arrays: {reason[:200]}") from None
+
+
+def _load(path: Path, kind: type[T]) -> T:
+    with _reading(str(path)):
+        found = np.load(path, allow_pickle=False)
+    if not isinstance(found, kind):
+        raise LabelError(f"{path}: expected one array in an .npy, several in an .npz, got the other")
+    return found
 
 
 def _arrays(path: Path) -> dict[str, Callable[[], NDArray[Any]]]:
-    archive = _load(path)
+    archive = _load(path, NpzFile)
     if not archive.files:
         raise LabelError(f"{path}: expected an array per image, got none")
     return {key: _member(archive, key, path) for key in sorted(archive.files)}
@@ -164,19 +193,21 @@ def _arrays(path: Path) -> dict[str, Callable[[], NDArray[Any]]]:
 
 def _member(archive: Any, key: str, path: Path) -> Callable[[], NDArray[Any]]:
     def read() -> NDArray[Any]:
-        try:
+        with _reading(f"{path}: array {key}"):
+            size = sum(entry.file_size for entry in archive.zip.infolist() if entry.filename in (key, f"{key}.npy"))
+            if size > MOST_BYTES:
+                raise LabelError(f"{path}: array {key}: expected at most {MOST_BYTES >> 20} MiB, got {size >> 20} MiB")
             return np.asarray(archive[key])
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
-            raise LabelError(f"{path}: array {key} cannot be read: {' '.join(str(error).split())}") from None
 
     return read
 
 
 def _single(path: Path) -> NDArray[Any]:
-    archive = _load(path)
-    if len(archive.files) != 1:
-        raise LabelError(f"{path}: expected one array, got {', '.join(archive.files) or 'none'}")
-    return _member(archive, archive.files[0], path)()
+    arrays = _arrays(path)
+    if len(arrays) != 1:
+        raise LabelError(f"{path}: expected one array, got {', '.join(arrays)}")
+    (read,) = arrays.values()
+    return read()
 
 
 def check_names(truth: Iterable[str], predicted: Iterable[str], place: Path) -> None:

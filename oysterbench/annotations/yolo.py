@@ -13,9 +13,7 @@ from oysterbench.annotations.image import Entry, LabelledImage, LabelledSet, pla
 from oysterbench.annotations.manifest import images_with
 from oysterbench.core.errors import LabelError
 from oysterbench.core.polygons import rasterise
-
-OUTSIDE = 1.0
-"""Widths or heights by which a corner may lie outside, as after a crop; the mask ends where the image does."""
+from oysterbench.evaluate.detection.instances import OUTSIDE
 
 
 def yolo_set(folder: Path, classes: Mapping[int, str] | None = None) -> LabelledSet:
@@ -23,7 +21,7 @@ def yolo_set(folder: Path, classes: Mapping[int, str] | None = None) -> Labelled
 
     A line of a label file is `CLASS x1 y1 x2 y2 ...` in fractions of width and height. classes: names of the numbers,
     {0: "oyster"} by default; an image without a label file, a number without a name or a class that is no oyster is
-    refused, by file and line.
+    refused, by file and line. Where a polygon leaves the image, the mask ends.
     """
     names = dict(classes or {0: "oyster"})
     entries = []

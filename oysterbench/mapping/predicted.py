@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from oysterbench.annotations import open_predictions, read_coco
 from oysterbench.annotations.coco import CocoFile, read_json
-from oysterbench.annotations.masks import Form, read_png
+from oysterbench.annotations.masks import Form
 from oysterbench.core.errors import LabelError
 from oysterbench.evaluate.detection import ImageInstances
-from oysterbench.evaluate.detection.instances import mask_tools
+from oysterbench.evaluate.detection.instances import instance_numbers, mask_tools
 from oysterbench.mapping.projection import Seen
 from oysterbench.recipe import CLASSES
 from oysterbench.sequence.types import Sequence
@@ -94,28 +94,9 @@ def _stamps(place: Path, names: tuple[str, ...], sequence: Sequence, camera: str
 
 
 def _numbered(place: Path, stamps: Mapping[int, str], camera: str) -> Iterator[Seen]:
+    files = open_predictions(place)
     for stamp_ns, name in stamps.items():
-        values = _plane(place, name)
-        if values.ndim != 2 or not np.issubdtype(values.dtype, np.integer) or values.min(initial=0) < 0:
-            raise LabelError(
-                f"{place}: {name}: expected numbers of oysters as integers (H, W), 0 for none, got {values.dtype} of "
-                f"shape {values.shape}"
-            )
-        yield Seen(stamp_ns, camera, values.astype(np.int32))
-
-
-def _plane(place: Path, name: str) -> NDArray[Any]:
-    if place.is_file():
-        with np.load(place, allow_pickle=False) as archive:
-            return np.asarray(archive[name])
-    for suffix in (".png", ".npy", ".npz"):
-        path = place / f"{name}{suffix}"
-        if path.is_file():
-            if suffix == ".png":
-                return read_png(path)
-            loaded = np.load(path, allow_pickle=False)
-            return np.asarray(loaded if suffix == ".npy" else loaded[loaded.files[0]])
-    raise LabelError(f"{place}: {name}: no such file")
+        yield Seen(stamp_ns, camera, instance_numbers(files.plane(name), f"{place}: {name}").astype(np.int32))
 
 
 def _components(place: Path, stamps: Mapping[int, str], camera: str, form: Form, threshold: float) -> Iterator[Seen]:
@@ -178,10 +159,10 @@ def _annotated(
         numbers = np.zeros(files[0][1].sizes[name], dtype=np.int32)
         items = [(state, item) for state, file in files for item in file.items[name]]
         # The surest are laid on last, and so on top.
-        items = sorted(items, key=lambda one: float(one[1].values.get("score", 1.0)))
+        items = sorted(items, key=lambda one: one[1].score(1.0))
         states, scores = {}, {}
         for k, (state, item) in enumerate(items, start=1):
-            score = float(item.values.get("score", 1.0))
+            score = item.score(1.0)
             if score < threshold or item.values.get("iscrowd"):
                 continue
             numbers[files[0][1].mask_of(name, item)] = k

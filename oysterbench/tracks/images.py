@@ -9,12 +9,14 @@ from typing import Any, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.annotations import LabelledSequence, labelled_sequence, open_predictions, open_truth, read_coco
 from oysterbench.annotations.masks import Form, check_names
+from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.evaluate.detection import ImageInstances
-from oysterbench.evaluate.detection.instances import Instance, from_mask, from_planes
+from oysterbench.evaluate.detection.instances import Instance, from_mask, from_planes, instance_numbers
 from oysterbench.evaluate.segmentation import EstimateImage
 from oysterbench.methods.images import Detections, Picture, Segmentation
 from oysterbench.methods.interfaces import RunSequence
@@ -232,8 +234,9 @@ def instances_of(prediction: Prediction, method: str, shape: tuple[int, int], th
     """The single oysters of a prediction. Of a mask, or of probabilities from `threshold` on, each connected component
     (by edges and corners) is one, its score the mean probability in it; 1 where there are no probabilities."""
     if isinstance(prediction, Detections):
-        return _detections(prediction, method, shape)
+        return _detections(prediction, f"method {method!r} on {prediction.name}", shape)
     estimate = segmentation_of(prediction, method)
+    _check_shape(estimate.shape, prediction.name, shape)
     mask = np.ascontiguousarray(estimate.mask(threshold))
     count, numbers = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
     scores = np.ones(count)
@@ -243,36 +246,44 @@ def instances_of(prediction: Prediction, method: str, shape: tuple[int, int], th
     return from_planes(prediction.name, np.asarray(numbers, np.int32), scores=dict(enumerate(scores.tolist())))
 
 
-def _detections(prediction: Detections, method: str, shape: tuple[int, int]) -> ImageInstances:
-    scores = np.asarray(prediction.scores, dtype=float).ravel()
-    given = [one for one in (prediction.numbers, prediction.masks, prediction.boxes) if one is not None]
+def _detections(prediction: Detections, where: str, shape: tuple[int, int]) -> ImageInstances:
+    """Whatever a stranger's arrays hold, checked: sizes, types and ranges."""
+    name, scores = prediction.name, np.asarray(prediction.scores).ravel()
+    if scores.dtype.kind not in "iuf" or not np.isfinite(scores := scores.astype(float)).all():
+        raise MethodError(f"{where}: expected scores (N,), finite numbers, got {scores.dtype} {scores[:4]}")
+    given = [np.asarray(one) for one in (prediction.numbers, prediction.masks, prediction.boxes) if one is not None]
     if len(given) != 1:
-        raise MethodError(
-            f"method {method!r} on {prediction.name}: expected one of numbers, masks and boxes, got {len(given)}"
-        )
+        raise MethodError(f"{where}: expected one of numbers, masks and boxes, got {len(given)}")
     if prediction.numbers is not None:
-        if int(prediction.numbers.max(initial=0)) > len(scores):
-            raise MethodError(
-                f"method {method!r} on {prediction.name}: expected a score for each of "
-                f"{int(prediction.numbers.max())} oysters, got {len(scores)}"
-            )
-        return from_planes(prediction.name, prediction.numbers, scores=dict(enumerate(scores.tolist(), start=1)))
-    if len(given[0]) != len(scores):
-        raise MethodError(
-            f"method {method!r} on {prediction.name}: expected a score for each of {len(given[0])} oysters, got "
-            f"{len(scores)}"
-        )
+        numbers = instance_numbers(given[0], where)
+        _check_shape(numbers.shape, name, shape)
+        _check_count(int(numbers.max(initial=0)), scores, where, at_most=True)
+        return from_planes(name, numbers, scores=dict(enumerate(scores.tolist(), start=1)))
+    _check_count(len(given[0]) if given[0].ndim else 0, scores, where)
+    found: list[Instance] = []
     if prediction.masks is not None:
-        height, width = prediction.masks.shape[1:]
-        pairs = zip(prediction.masks, scores.tolist(), strict=True)
-        return ImageInstances(prediction.name, height, width, tuple(from_mask(m, s) for m, s in pairs if m.any()))
-    boxes = np.asarray(prediction.boxes, dtype=float).reshape(-1, 4)
-    if not np.isfinite(boxes).all() or (boxes[:, 2:] < 0).any():
-        raise MethodError(
-            f"method {method!r} on {prediction.name}: expected boxes x, y, width, height in px, got {boxes[:1]}"
-        )
-    found = [
-        Instance((x, y, w, h), None, w * h, score)
-        for (x, y, w, h), score in zip(boxes.tolist(), scores.tolist(), strict=True)
-    ]
-    return ImageInstances(prediction.name, *shape, tuple(found))
+        if given[0].ndim != 3:
+            raise MethodError(f"{where}: expected masks (N, H, W), got an array of shape {given[0].shape}")
+        _check_shape(given[0].shape[1:], name, shape)
+        masks = truth_values(given[0], where)
+        found = [from_mask(m, s) for m, s in zip(masks, scores.tolist(), strict=True) if m.any()]
+    else:
+        boxes = given[0].reshape(0, 4) if not given[0].size else given[0]
+        if boxes.ndim != 2 or boxes.shape[1] != 4 or boxes.dtype.kind not in "iuf":
+            raise MethodError(
+                f"{where}: expected boxes (N, 4), x, y, width, height in px, got {boxes.dtype} of shape {boxes.shape}"
+            )
+        pairs = zip(boxes.astype(float).tolist(), scores.tolist(), strict=True)
+        found = [Instance((x, y, w, h), None, w * h, score) for (x, y, w, h), score in pairs]
+    return ImageInstances(name, *shape, tuple(found))
+
+
+def _check_count(count: int, scores: NDArray[Any], where: str, at_most: bool = False) -> None:
+    if count > len(scores) or (count < len(scores) and not at_most):
+        raise MethodError(f"{where}: expected a score for each of {count} oysters, got {len(scores)}")
+
+
+def _check_shape(found: tuple[int, ...], name: str, shape: tuple[int, int]) -> None:
+    if found != shape:
+        size, got = (" x ".join(str(n) for n in one[::-1]) for one in (shape, found))
+        raise LabelError(f"{name}: expected an estimate of the picture's size, {size}, got {got}")

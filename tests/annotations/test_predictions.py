@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import cv2
 import numpy as np
@@ -68,6 +69,7 @@ def cut(path):
 @pytest.mark.parametrize(
     ("spoil", "form", "message"),
     [
+        (lambda p: p.write_bytes(p.read_bytes()[:16] + b"\x7f" * 8 + p.read_bytes()[24:]), "auto", "pixels are more"),
         (lambda p: cut(p), "auto", r"a\.png: not a whole PNG file: its end is missing"),
         (lambda p: p.write_bytes(b""), "auto", r"a\.png: not a whole PNG file"),
         (lambda p: write_png(p, np.full((4, 4, 3), (1, 2, 3), np.uint8)), "auto", "expected one channel"),
@@ -141,11 +143,19 @@ def test_coco_is_read_from_polygons_and_run_lengths(tmp_path, segmentation):
         ({"segmentation": [POLYGON[:-1]]}, "three corners x y or more, got 7 numbers"),
         ({"segmentation": {"size": [8, 6], "counts": COUNTS}}, r"run lengths of the size \[6, 8\], got \[8, 6\]"),
         ({"segmentation": {"size": [6, 8], "counts": [40]}}, "add up to 48 pixels, got 40"),
-        ({"segmentation": {"size": [6, 8], "counts": [60, -12]}}, "add up to 48 pixels, got 48"),
-        ({"segmentation": {"size": [6, 8], "counts": "X1"}}, "add up to 48 pixels, got X1"),
-        ({"segmentation": {"size": [6, 8], "counts": "=3l"}}, "add up to 48 pixels, got =3l"),
+        ({"segmentation": {"size": [6, 8], "counts": [60, -12]}}, "add up to 48 pixels, got \\[60, -12\\]"),
+        ({"segmentation": {"size": [6, 8], "counts": "X1"}}, "add up to 48 pixels, got 'X1'"),
+        ({"segmentation": {"size": [6, 8], "counts": "=3l"}}, "add up to 48 pixels, got '=3l'"),
         ({"segmentation": {"size": [6, 8]}}, "add up to 48 pixels, got None"),
-        ({"bbox": [1, 2, -3, 4]}, r"expected 'bbox' as \[x, y, width, height\] in px, got \[1, 2, -3, 4\]"),
+        ({"segmentation": {"size": [6, 8], "counts": "P" * 99 + "0"}}, "add up to 48 pixels, got 'PPP"),
+        ({"segmentation": {"size": [6, 8], "counts": "\ud800"}}, r"add up to 48 pixels, got '\\ud800'"),
+        ({"segmentation": [[*POLYGON[:-1], 1e9]]}, "in or near the image of 8 x 6 px"),
+        ({"segmentation": [[*POLYGON[:-1], 10**400]]}, "in or near the image of 8 x 6 px"),
+        ({"bbox": [1, 2, 1e200, 1e200]}, r"in or near the image of 8 x 6, got \[1, 2, 1e\+200"),
+        ({"image_id": [1]}, r"expected ids as numbers or texts, got \[1\]"),
+        ({"area": 10**400}, "expected 'area', a number, got 1000"),
+        ({"area": math.nan}, "expected 'area', a number, got nan"),
+        ({"bbox": [1, 2, -3, 4]}, r"expected 'bbox' as \[x, y, width, height\] in px, .* 8 x 6, got \[1, 2, -3, 4\]"),
     ],
 )
 def test_bad_annotations_are_refused_by_item(tmp_path, changes, message):
@@ -158,7 +168,7 @@ def test_results_without_a_score_are_refused_by_item(tmp_path, score):
     truth = read_coco(wrote(tmp_path / "x.json", document()))
     result = {"image_id": 1, "category_id": 3, "segmentation": [POLYGON]} | ({} if score is None else {"score": score})
     file = read_coco(wrote(tmp_path / "r.json", [result]), truth.images)
-    with pytest.raises(LabelError, match=r"r\.json: \[0\]: expected a 'score', a number, got"):
+    with pytest.raises(LabelError, match=r"r\.json: \[0\]: expected 'score', a number, got"):
         file.instances("clip/a", scored=True)
 
 
@@ -202,3 +212,34 @@ def test_a_number_of_the_truth_may_be_ignored_and_unknown_classes_are_refused(tm
         list(open_truth(tmp_path, "classes", ignore_value=7)[0].images())
     with pytest.raises(LabelError, match=r"a\.png: expected a mask of 0 and one other number, got 0, 2, 255"):
         list(open_truth(tmp_path)[0].images())
+
+
+@pytest.mark.parametrize(
+    ("values", "form", "message"),
+    [
+        (np.array([["1", "0"]]), "mask", "expected numbers or truth values, got <U1"),
+        (np.array([[1 + 1j]]), "auto", "expected numbers or truth values, got complex128"),
+        (np.array([[np.nan, 1.0]]), "mask", "expected a mask of 0 and one other number"),
+        (np.array([[-1.0, 0.0]]), "mask", "expected a mask of 0 and one other number"),
+        (np.array([[1.0, 0.0]]), "classes", "expected numbers of classes from 0 to 255, got float64"),
+    ],
+)
+def test_arrays_of_other_values_than_their_form_has_are_refused(tmp_path, values, form, message):
+    np.save(tmp_path / "a.npy", values)
+    with pytest.raises(LabelError, match=message):
+        predicted(tmp_path, form=form)
+
+
+def test_files_that_are_no_arrays_or_claim_to_be_huge_are_refused_by_name(tmp_path):
+    np.save(tmp_path / "a.npy", MASK)
+    header = (tmp_path / "a.npy").read_bytes()
+    np.savez_compressed(tmp_path / "bomb.npz", np.zeros((1 << 15, 1 << 15), np.uint8))
+    for name, data, message in (
+        ("a.npy", header.replace(b"(6, 8)", b"(6**8"), "a.npy cannot be read as numpy arrays"),
+        ("a.npy", (tmp_path / "bomb.npz").read_bytes(), "expected one array in an .npy, several in an .npz"),
+        ("b.npz", header, "expected one array in an .npy, several in an .npz"),
+        ("b.npz", (tmp_path / "bomb.npz").read_bytes(), "array arr_0: expected at most 512 MiB, got 1024 MiB"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(LabelError, match=message):
+            predicted(tmp_path, name[0])

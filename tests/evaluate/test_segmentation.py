@@ -12,11 +12,13 @@ from hypothesis.extra.numpy import arrays
 
 from oysterbench.core.errors import LabelError
 from oysterbench.core.streams import stream
+from oysterbench.evaluate.detection.instances import from_mask
 from oysterbench.evaluate.metrics import find_metric
 from oysterbench.evaluate.segmentation import SEGMENTATION, ClipScorer, EstimateImage, SegmentationSettings, TruthImage
 from oysterbench.evaluate.segmentation.boundary import boundary_depth, inner_boundary
 from oysterbench.evaluate.segmentation.clip import join
 from oysterbench.evaluate.segmentation.dataset import over_dataset
+from oysterbench.evaluate.segmentation.images import OYSTER
 from oysterbench.evaluate.segmentation.settings import class_names
 from oysterbench.evaluate.segmentation.thresholds import STEPS
 from oysterbench.recipe import CLASSES
@@ -248,3 +250,39 @@ def test_every_metric_is_defined():
     metrics = scorer.result().metrics
     assert all(find_metric(key) is not None for key in metrics)
     assert all(metric.weight in metrics for key, metric in SEGMENTATION.items() if metric.weight)
+
+
+def test_bytes_that_no_bool_has_count_as_true_and_nothing_else(tmp_path):
+    forged = np.where(LEFT, np.uint8(0), np.uint8(3)).view(bool)  # 2 * truth + 3 is a hit where there is none
+    np.save(tmp_path / "a.npy", forged)
+    kept = np.load(tmp_path / "a.npy")
+    assert kept.view(np.uint8).max() == 3
+    for mask in (forged, kept, kept.T.copy().T):
+        assert scored((LEFT, mask)).tally == scored((LEFT, ~LEFT)).tally
+        assert from_mask(mask) == from_mask(~LEFT)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (
+            {"oyster": LEFT.astype(np.uint8) * 3},
+            "expected a mask of bool, or of the integers 0 and 1, got uint8",
+        ),
+        ({"oyster": LEFT.astype(float)}, "expected a mask of bool, or of the integers 0 and 1, got float64"),
+        ({"oyster": LEFT.astype(str)}, "expected a mask of bool, or of the integers 0 and 1, got <U5"),
+        ({"classes": LEFT.astype(float)}, "expected numbers of classes as integers, got float64"),
+        ({"probability": LEFT.astype(int)}, "expected probabilities as floating point numbers, got int64"),
+    ],
+)
+def test_arrays_of_other_types_are_refused(given, message):
+    with pytest.raises(LabelError, match=f"a: {message}"):
+        EstimateImage("a", **given)
+
+
+def test_masks_and_classes_of_any_integers_are_counted_alike():
+    assert scored((LEFT, LEFT.astype(np.int64))).metrics["iou"] == 1.0
+    scorer = ClipScorer()
+    classes = np.where(LEFT, OYSTER, 0).astype(np.uint64)
+    scorer.add(TruthImage("a", np.where(LEFT, OYSTER, 0).astype(np.uint8)), EstimateImage("a", classes=classes))
+    assert scorer.result().metrics["iou"] == 1.0

@@ -231,6 +231,10 @@ def test_annotations_tell_live_from_dead(once, tmp_path):
     (tmp_path / "a.json").write_text(json.dumps(document))
     found = map_of(once, seen=lambda: read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5))
     assert (found.total.live, found.total.dead, found.total.unknown) == (1, 1, 0)
+    document["annotations"][0]["score"] = "high"
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    with pytest.raises(LabelError, match=r"annotations\[0\]: expected 'score', a number, got high"):
+        list(read_seen(tmp_path / "a.json", once, "cam", "auto", 0.5))
 
 
 def test_what_is_written_says_what_was_found(found, tmp_path):

@@ -8,10 +8,11 @@ import json
 import numpy as np
 import pytest
 
-from oysterbench.core.errors import LabelError, RecipeError, ResultError
+from oysterbench.core.errors import LabelError, MethodError, RecipeError, ResultError
 from oysterbench.exploration.labelled_views import labelled_views
 from oysterbench.exploration.rollout_store import packed, unpacked
 from oysterbench.methods.interfaces import Stopwatch
+from oysterbench.methods.interfaces.steering import COMMANDS, read_classes
 from oysterbench.report.exploring import places, places_table, policies_table, whole_of
 from oysterbench.report.steering_samples import bow_pixels, samples_of
 from oysterbench.results.records import ResultRecord
@@ -113,6 +114,18 @@ def test_a_method_that_does_not_do_as_agreed_fails_by_name_and_the_others_go_on(
     assert "\n" not in runs[0].record.failure
     assert runs[0].record.metrics == {"skill": 0.0}
     assert runs[1].record.metrics["skill"] == 1
+
+
+@pytest.mark.parametrize(
+    "share", [np.array([1001.0, -1000.0]), np.array([np.nan, 1.0]), np.array([2.0, 0.0]), np.array([1.0 + 0j, 0.0])]
+)
+def test_commands_whose_probabilities_are_none_are_refused(tmp_path, share):
+    task = SPLIT.steering
+    yaw, pitch = (np.zeros((1, len(degrees)), share.dtype) for degrees in (task.yaw_deg, task.pitch_deg))
+    yaw[0, :2], pitch[0, 0] = share, 1.0
+    np.savez(tmp_path / COMMANDS, classes=np.zeros((1, 2), np.int64), yaw=yaw, pitch=pitch)
+    with pytest.raises(MethodError, match="probabilities that add up to 1"):
+        read_classes(tmp_path, task)
 
 
 def test_a_sequence_without_labels_is_refused_by_name(tmp_path):

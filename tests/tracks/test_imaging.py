@@ -11,13 +11,15 @@ from click.testing import CliRunner
 
 from oysterbench.annotations import LabelledSequence
 from oysterbench.cli.main import main
+from oysterbench.core.errors import LabelError, MethodError
 from oysterbench.core.streams import stream
 from oysterbench.evaluate.segmentation import TruthImage
 from oysterbench.evaluate.segmentation.images import OYSTER
+from oysterbench.methods.images import Detections, Segmentation
 from oysterbench.report import dataset_tables, html_report, images_csv
 from oysterbench.results.records import ResultRecord
 from oysterbench.tracks import TRACKS
-from oysterbench.tracks.images import PictureSequence
+from oysterbench.tracks.images import PictureSequence, instances_of
 from tests.helpers.track_runs import runs_of
 
 
@@ -107,6 +109,42 @@ def test_what_hangs_together_is_one_oyster_and_detections_are_taken_as_they_are(
     assert by_name["boxed"]["ap_box"] == pytest.approx(1.0)
     assert np.isnan(by_name["boxed"]["ap_mask"])
     assert by_name["none"]["density_error_per_m2"] == pytest.approx(-6 / 10)
+
+
+ONE = np.zeros((48, 64), np.uint8)
+ONE[10:22, 8:20] = 1
+
+
+@pytest.mark.parametrize(
+    ("scores", "given", "message"),
+    [
+        ([0.9], {"numbers": ONE[:2, :2]}, "expected an estimate of the picture's size, 64 x 48, got 2 x 2"),
+        ([0.9], {"numbers": np.dstack([ONE, ONE])}, r"integers \(H, W\) from 0, .* of shape \(48, 64, 2\)"),
+        ([0.9], {"numbers": ONE - 2.5}, "integers .* got float64"),
+        ([0.9], {"numbers": ONE.astype(np.int64) - (1 << 32)}, "integers .* got int64"),
+        ([0.9], {"numbers": ONE * 2}, "expected a score for each of 2 oysters, got 1"),
+        ([np.nan], {"numbers": ONE}, "expected scores"),
+        (["high"], {"numbers": ONE}, "expected scores"),
+        ([0.9], {"masks": ONE}, r"expected a score for each of 48 oysters"),
+        ([0.9] * 48, {"masks": ONE}, r"expected masks \(N, H, W\)"),
+        ([0.9], {"masks": ONE[None] * 3}, "expected a mask of bool, or of the integers 0 and 1"),
+        ([0.9], {"boxes": np.ones((1, 8))}, r"expected boxes \(N, 4\), .* of shape \(1, 8\)"),
+        ([0.9], {"boxes": np.array([[1, 2, 1e200, 1e200]])}, "expected a box .* in or near the image of 64 x 48"),
+        ([0.9], {"boxes": np.array([[1, 2, np.nan, 1]])}, "expected a box"),
+        ([0.9], {"boxes": np.array([[1, 2, -3, 1]])}, "expected a box"),
+    ],
+)
+def test_detections_of_other_shapes_types_and_ranges_are_refused_in_a_line(scores, given, message):
+    with pytest.raises((MethodError, LabelError), match=message):
+        instances_of(Detections("a", np.array(scores), **given), "x", (48, 64), 0.5)
+
+
+def test_bytes_that_no_bool_has_are_taken_for_true_in_masks_of_single_oysters():
+    masks = (ONE[None] * np.uint8(7)).view(bool)
+    (one,) = instances_of(Detections("a", np.array([0.9]), masks=masks), "x", (48, 64), 0.5).instances
+    assert one.area == ONE.sum()
+    whole = instances_of(Segmentation("a", oyster=masks[0]), "x", (48, 64), 0.5)
+    assert [each.area for each in whole.instances] == [ONE.sum()]
 
 
 def test_the_report_has_tables_curves_and_pictures(clips, tmp_path):

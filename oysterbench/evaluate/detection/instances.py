@@ -12,7 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError
+
+OUTSIDE = 1.0
+"""Widths or heights of the image by which a box or a corner may lie outside, as after a crop."""
 
 Runs = Mapping[str, Any]
 """A mask as run lengths: `size` [H, W] and compressed `counts`, as pycocotools has them."""
@@ -66,12 +70,36 @@ class ImageInstances:
     instances: tuple[Instance, ...]
     footprint_m2: float | None = None
 
+    def __post_init__(self) -> None:
+        for k, one in enumerate(self.instances):
+            x, y, w, h = one.box
+            across, down = self.width * OUTSIDE, self.height * OUTSIDE
+            # NaN fails as well.
+            inside = -across <= x <= x + w <= self.width + across and -down <= y <= y + h <= self.height + down
+            if not inside:
+                raise LabelError(
+                    f"{self.name}: instance {k}: expected a box x, y, width, height in px, in or near the image of "
+                    f"{self.width} x {self.height}, got {', '.join(f'{v:g}' for v in one.box)}"
+                )
+
+
+def instance_numbers(values: NDArray[Any], where: str) -> NDArray[np.integer]:
+    """The same plane (H, W), of numbers of instances: integers from 0, for none, that an int32 holds. Raises
+    LabelError."""
+    most = np.iinfo(np.int32).max
+    if values.ndim == 2 and values.dtype.kind in "iu" and 0 <= values.min(initial=0) <= values.max(initial=0) <= most:
+        return values
+    raise LabelError(
+        f"{where}: expected numbers of oysters as integers (H, W) from 0, for none, to {most}, got {values.dtype} of "
+        f"shape {values.shape}"
+    )
+
 
 def from_mask(mask: NDArray[np.bool_], score: float = math.nan, crowd: bool = False) -> Instance:
     """An instance of a mask (H, W) that has at least a pixel."""
     tools = mask_tools()
     with numpy_2():
-        runs = tools.encode(np.asfortranarray(mask.view(np.uint8)))
+        runs = tools.encode(np.asfortranarray(truth_values(mask, "mask").view(np.uint8)))
         x, y, width, height = (float(value) for value in tools.toBbox(runs))
     return Instance((x, y, width, height), runs, float(tools.area(runs)), score, crowd)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from oysterbench.core.arrays import truth_values
 from oysterbench.core.errors import LabelError
 from oysterbench.recipe import CLASSES
 
@@ -47,7 +48,11 @@ class TruthImage:
 @dataclass(frozen=True)
 class EstimateImage:
     """What is said of one image, one of three: (H, W) bool, where there is an oyster; (H, W) float, the probability of
-    it; or (H, W) uint8, numbers of `recipe.CLASSES`."""
+    it; or (H, W) uint8, numbers of `recipe.CLASSES`.
+
+    Arrays of strangers come in here: they are checked, and kept as these types (`core.arrays.truth_values`). Raises
+    LabelError naming the image.
+    """
 
     name: str
     oyster: NDArray[np.bool_] | None = None
@@ -60,10 +65,12 @@ class EstimateImage:
             raise LabelError(f"{self.name}: expected one of oyster, probability and classes, got {len(given)}")
         if given[0].ndim != 2:
             raise LabelError(f"{self.name}: expected an array (H, W), got one of shape {given[0].shape}")
+        if self.oyster is not None:
+            object.__setattr__(self, "oyster", truth_values(self.oyster, self.name))
         if self.probability is not None:
             self._check_probability(self.probability)
         if self.classes is not None:
-            self._check_classes(self.classes)
+            object.__setattr__(self, "classes", self._checked_classes(self.classes))
 
     def _check_probability(self, values: NDArray[np.floating[Any]]) -> None:
         if not np.issubdtype(values.dtype, np.floating):
@@ -75,11 +82,14 @@ class EstimateImage:
                 "through a sigmoid first"
             )
 
-    def _check_classes(self, values: NDArray[np.uint8]) -> None:
+    def _checked_classes(self, values: NDArray[Any]) -> NDArray[np.uint8]:
+        if values.dtype.kind not in "iu":
+            raise LabelError(f"{self.name}: expected numbers of classes as integers, got {values.dtype}")
         unknown = sorted(set(np.unique(values).tolist()) - set(CLASSES))
         if unknown:
             known = ", ".join(f"{number} {name}" for number, name in CLASSES.items())
             raise LabelError(f"{self.name}: unknown class {unknown[0]}; known classes: {known}")
+        return values.astype(np.uint8)
 
     @property
     def kind(self) -> str:

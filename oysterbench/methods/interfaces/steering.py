@@ -180,9 +180,10 @@ def read_classes(folder: Path, task: SteeringRecipe) -> tuple[NDArray[np.int64],
         fits = classes.dtype == np.int64 and classes.shape == (len(classes), 2)
         fits = fits and bool((classes >= 0).all() and (classes < counts).all())
         for each, count in zip(shares, counts, strict=True):
-            fits = fits and each.shape == (len(classes), count) and math.isfinite(each.sum())
+            fits = fits and each.dtype.kind == "f" and each.shape == (len(classes), count)
+            fits = fits and bool((each >= 0).all() and np.allclose(each.sum(axis=1), 1.0))
         if not fits:
-            raise ValueError("expected classes and probabilities of the task")
+            raise ValueError("expected classes of the task, and probabilities that add up to 1")
     except Exception as error:  # numpy and zipfile each have their own, for bytes that a stranger may have made
         raise MethodError(f"{folder / COMMANDS}: no commands can be read: {type(error).__name__}: {error}") from None
     return classes, shares[0], shares[1]
