@@ -16,7 +16,7 @@ class BoardInfo:
     id:        16 hex digits (`Record.board`)
     settings:  of the evaluator
     metric:    key of the metric that ranks; columns: keys that stand beside it in a table, in order
-    sequences: of the split, by name: those that any current record has. A record that lacks one failed there
+    sequences: of the split, by name: those that any ranked record has. A record that lacks one failed there
     entries:   current records
     updated:   creation of the newest of them
     newest:    whether no board of the same track, split and recipe has a later evaluator; the others are history
@@ -40,7 +40,8 @@ class BoardInfo:
 class Row:
     """A record on its board.
 
-    place:     by the ranking metric's mean alone; equal means share one. None without a value, or not current
+    place:     by the ranking metric's mean alone; equal means share one. None without a value, not
+               current, or self-reported
     rank:      by significance (`oysterbench.results.standings`); None with too few sequences, or without a place
     tied:      whether another record has the same rank; the same place where there are no ranks
     score:     mean of the ranking metric over all sequences of the board; low, high: its interval, None where there are

@@ -21,7 +21,7 @@ from oysterbench.results.standings import PRIMARY, ScoreTable, direction
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.board import BoardInfo
 from oysterbench_leaderboard.database import CONTENTS, METADATA, ROWS
-from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.record import RANKED, Record
 from oysterbench_leaderboard.record_summary import (
     COLUMNS,
     RecordSummary,
@@ -32,7 +32,7 @@ from oysterbench_leaderboard.record_summary import (
 )
 from oysterbench_leaderboard.store import RecordStore, StatusChange
 
-SCHEMA = f"7 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
+SCHEMA = f"8 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
 """Changes with every change of a table, or of what is put into it: an index of another is made anew."""
 
 CHUNK = 1000
@@ -175,17 +175,19 @@ def _set_states(connection: Connection, gone: set[str]) -> set[str]:
 def _rank(connection: Connection, board: BoardInfo) -> BoardInfo | None:
     """Score, interval, place and rank of a board's records; the board as it is now, None where it has none.
 
-    Its sequences are those of the current records, or of all where none is current: what was withdrawn takes no part.
-    Records that are not current have a score alone, and follow in the order of their scores.
+    Its sequences are those of the ranked records, or of the current ones, or of all where there are no others: what was
+    withdrawn takes no part. What is self-reported is not ranked: anybody can write a number down. It has a score alone,
+    as have records that are not current, and follows in the order of the scores.
     """
-    keys = ("digest", "state", "created", "low", "high", "summary_data")
+    keys = ("digest", "state", "tier", "created", "low", "high", "summary_data")
     asked = select(*(ROWS.c[key] for key in keys)).where(ROWS.c.board == board.id).order_by(ROWS.c.digest)
     found = connection.execute(asked).all()
     if not found:
         return None
     summaries = [RecordSummary.decode(row.summary_data) for row in found]
     current = [k for k, row in enumerate(found) if row.state == "current"]
-    sequences = sorted({name for k in current or range(len(found)) for name in summaries[k].sequences})
+    ranked = [k for k in current if found[k].tier in RANKED]
+    sequences = sorted({name for k in ranked or current or range(len(found)) for name in summaries[k].sequences})
     table = ScoreTable.of([summary.scores for summary in summaries], sequences, board.track)
     means = table.means().tolist()
     # An interval costs half a millisecond; it stays while the board's sequences do, and the record has them all.
@@ -199,7 +201,7 @@ def _rank(connection: Connection, board: BoardInfo) -> BoardInfo | None:
     new = [k for k in range(len(found)) if k not in intervals]
     intervals |= dict(zip(new, table.take(new).intervals().tolist(), strict=True))
     better = direction(board.metric)
-    standings = dict(zip(current, table.take(current).standings(better), strict=True)) if current else {}
+    standings = dict(zip(ranked, table.take(ranked).standings(better), strict=True)) if ranked else {}
     shared = Counter(standing.rank or standing.place for standing in standings.values())
     rows: list[dict[str, Any]] = []
     for k, (row, summary) in enumerate(zip(found, summaries, strict=True)):

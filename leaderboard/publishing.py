@@ -15,6 +15,7 @@ from oysterbench.core.errors import OysterbenchError, RecipeError, ResultError, 
 from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.metrics import FAILED
 from oysterbench.hub.canonical import sha256
+from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key, read_results
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.curves import curves_document, sequence_curve
@@ -148,6 +149,8 @@ def _check(path: Path, method: str, split: str, group: Sequence[ResultRecord]) -
                 f"{path}: the results of {method} on {split} are of several {what}, and would be averaged; give them "
                 "files of their own"
             )
+    for result in group:
+        check_plausible(result, f"{path}: {method} on {result.sequence}")
     aggregate(group)  # refuses what cannot be averaged
 
 

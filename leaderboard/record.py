@@ -20,6 +20,9 @@ server against truth that they need not have seen; reported: results that their 
 
 TIERS: tuple[Tier, ...] = get_args(Tier)
 
+RANKED: tuple[Tier, ...] = ("baseline", "scored")
+"""Those that a board ranks: of these it is known that a program computed the numbers from an estimate."""
+
 MOST_TEXT = {"method": 80, "team": 80, "url": 300, "summary": 500, "reason": 500}
 """Key of a record -> characters that it may have."""
 

@@ -15,12 +15,15 @@ from oysterbench.report.columns import STANDING_OF_TRACK, metric_column, metric_
 from oysterbench.report.renderers import csv_text
 from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow, interval_column
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Literature, Row
+from oysterbench_leaderboard.record import RANKED
 
 SHORT = 8
 """Digits of a digest that is shown."""
 
 DATA_SET = "{} ranks by its mean over sequences; 'data set' is of all sequences at once, and does not rank."
 """Said of a ranking metric, or a record, that has both."""
+
+NOT_RANKED = "What is self-reported (tier 'reported') is not ranked: nobody but its authors computed it."
 
 
 def board_name(board: BoardInfo) -> str:
@@ -113,6 +116,8 @@ def _notes(page: BoardPage, rows: Sequence[Row]) -> list[str]:
         notes.append(f"{count}: too few for a significant difference; places in brackets are the order of these means.")
     elif rows:
         notes.append(f"Over {count}; one that is lacking or failed counts as nothing, and is among 'failed'.")
+    if any(row.state == "current" and row.tier not in RANKED for row in rows):
+        notes.append(NOT_RANKED)
     if has_data_set(board, rows):
         notes.append(DATA_SET.format(metric_column(board.metric).heading))
     if warning := learnt_on(board.split):

@@ -6,6 +6,7 @@ from typing import Any
 
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.evaluate.metrics import find_metric
+from oysterbench.results.plausible import BOUNDING, check_plausible
 from oysterbench.results.records import ResultRecord, aggregate, method_key
 from oysterbench_leaderboard.record import check_text
 from oysterbench_leaderboard.submissions.archive import Limits, shown
@@ -20,7 +21,7 @@ LONGEST = 2000
 
 def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: Limits) -> tuple[ResultRecord, ...]:
     """Results that somebody else computed: of this split, by an evaluator of this version, with no key that is not of
-    the track."""
+    the track, and no number that cannot be."""
     if wanted.hidden:
         raise Refusal("type", f"{wanted.split} is hidden: results are computed here; expected estimates")
     if len(data) > limits.results_bytes:
@@ -55,6 +56,12 @@ def read_results(data: bytes, content: dict[str, Any], wanted: Wanted, limits: L
     if len({(record.sequence, record.run) for record in found}) < len(found):
         raise Refusal("format", "results.json: expected each run of a sequence once, got one of them twice")
     with refusing("results.json"):
+        for i, record in enumerate(found):
+            where = f"results.json: results[{i}]"
+            lacking = [key for key in BOUNDING.get(record.track, ()) if key not in record.metrics]
+            if lacking and record.failure is None:
+                raise Refusal("format", f"{where}: expected the metrics {', '.join(lacking)}, which are not there")
+            check_plausible(record, where)
         aggregate(found)
         _check_texts([record.to_dict() for record in found], "results.json")
     return tuple(found)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -106,13 +106,8 @@ def score_predictions(
     predictions: Predictions, wanted: Wanted, truth: Mapping[str, Path], method: str, created: str
 ) -> Scored:
     """The same bytes for the same input, whenever and wherever it is scored. created: of the submission, UTC."""
-    if predictions.kind == "results":  # as their authors computed them; what the split is like says the server
-        return Scored(
-            tuple(
-                replace(record, method=method, conditions=dict(wanted.conditions[record.sequence]))
-                for record in predictions.results
-            )
-        )
+    if predictions.kind == "results":
+        return _reported(predictions.results, wanted, truth, method)
     version, settings = evaluator(wanted.track)
     common: dict[str, Any] = {
         "track": wanted.track,
@@ -144,6 +139,19 @@ def score_predictions(
     if not wanted.hidden:
         return scored
     return Scored(tuple(_discreet(record) for record in scored.results), _rounded(scored.data_set))
+
+
+def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[str, Path], method: str) -> Scored:
+    """As their authors computed them; what the split is like says the server. Raises Refusal where they were computed
+    against another truth than the one that is here."""
+    scorer = SCORERS[wanted.kind](wanted, method)
+    digests = {name: scorer.open(truth[name], name) for name in {one.sequence for one in results} & truth.keys()}
+    for one in results:
+        if one.truth_digest != digests.get(one.sequence, one.truth_digest):
+            raise Refusal("format", f"{one.sequence}: the results were computed against another truth than the split's")
+    return Scored(
+        tuple(replace(one, method=method, conditions=dict(wanted.conditions[one.sequence])) for one in results)
+    )
 
 
 class PathScorer(Scorer):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from typing import Literal
@@ -33,6 +34,7 @@ class Metric:
     weight:     key of the metric that weighs sequences in a mean over them: that of the denominator of a ratio, so
                 that the mean is the ratio over the whole data set; empty where every sequence has one vote
     column:     where there is little room; heading and unit where not given
+    limits:     least and greatest value, where better and unit do not say them (`range`)
     """
 
     definition: str
@@ -42,6 +44,16 @@ class Metric:
     better: Literal["lower", "higher", ""] = ""
     weight: str = ""
     column: Column | None = None
+    limits: tuple[float, float] | None = None
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and greatest value that can be: errors are not below 0, and what has no unit is a share of 1."""
+        if self.limits is not None:
+            return self.limits
+        if not self.better:
+            return -math.inf, math.inf
+        return 0.0, 1.0 if self.better == "higher" and not self.unit else math.inf
 
     @property
     def narrow(self) -> tuple[str, str]:
@@ -64,9 +76,15 @@ class Metric:
         return self.column.factor if self.column else Column.factor
 
 
-def higher(heading: str, unit: str = "", column: Column | None = None, weight: str = "") -> Callable[[str], Metric]:
+def higher(
+    heading: str,
+    unit: str = "",
+    column: Column | None = None,
+    weight: str = "",
+    limits: tuple[float, float] | None = None,
+) -> Callable[[str], Metric]:
     """A metric of which greater is better, once called with its definition: `higher("Recall")("Share of ...")`."""
-    return lambda text: Metric(text, heading, unit=unit, better="higher", weight=weight, column=column)
+    return lambda text: Metric(text, heading, unit=unit, better="higher", weight=weight, column=column, limits=limits)
 
 
 def lower(heading: str, unit: str = "", column: Column | None = None, weight: str = "") -> Callable[[str], Metric]:

@@ -247,9 +247,7 @@ def records_made() -> dict[str, Record]:
             "summary": f"{method} by {team}",
             "url": 'https://example.org/?a="><script>alert(3)</script>',
         }
-        found[f"nasty{i}"] = record_made(
-            method, team, 0.5 - 0.1 * i, tier="reported", created=f"2026-10-1{i}T00:00:00Z", **text
-        )
+        found[f"nasty{i}"] = record_made(method, team, 0.5 - 0.1 * i, created=f"2026-10-1{i}T00:00:00Z", **text)
     for name, made_of in CURVES.items():
         found[name] = replace(found[name], curves=sha256(canonical(curves_made(*made_of))))
     return found

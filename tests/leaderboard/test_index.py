@@ -15,6 +15,7 @@ from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.board import BoardInfo, Query
 from oysterbench_leaderboard.index import BoardIndex, open_index
 from oysterbench_leaderboard.store import StatusChange
+from oysterbench_leaderboard.tables import board_table
 from tests.helpers.boards_opened import ALL, opened, pages
 from tests.helpers.records_made import fill, record_made, records_made
 
@@ -263,6 +264,22 @@ def test_pages_sort_search_and_choose(store):
     for odd in ("abc", "x" * 64, "0" * 64, "../../etc/passwd"):
         with pytest.raises(ResultError):
             index.row(odd)
+
+
+def test_what_is_self_reported_is_shown_and_not_ranked(store):
+    records = {name: record for name, record in records_made().items() if name in ("carp1", "cod", "drift")}
+    fill(store, records)
+    index = opened(store)
+    before = [(row.method, row.place, row.rank, row.low) for row in index.page(board_of(index).id, Query()).rows]
+    # The best of all, and on fewer sequences.
+    store.add(record_made("boast", "somebody", 0.99, tier="reported", without=("val-08",)))
+    index = opened(store, "with.sqlite")
+    rows = index.page(board_of(index).id, Query()).rows
+    assert [(row.method, row.place, row.rank, row.low) for row in rows[:-1]] == before
+    boast = rows[-1]
+    assert (boast.method, boast.state, boast.place, boast.rank, boast.tied) == ("boast", "current", None, None, False)
+    assert boast.score == pytest.approx(0.99 * 7 / 8, abs=0.02)
+    assert any("is not ranked" in note for note in board_table(index.page(board_of(index).id, Query())).notes)
 
 
 def test_the_newest_evaluator_has_the_board(store):

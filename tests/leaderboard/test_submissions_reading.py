@@ -13,6 +13,7 @@ import pytest
 from oysterbench.annotations import labelled_sequence
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, SegmentationSettings
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
+from oysterbench.results.plausible import BOUNDING
 from oysterbench.results.records import ResultRecord, document, read_results, write_results
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Catalogue, serve_split
 from oysterbench_leaderboard.submissions.refusals import Refusal
@@ -217,6 +218,9 @@ def test_results_of_a_public_split_are_taken_as_their_authors_computed_them(serv
     assert scored.results[0].seed == 3
 
 
+WHOLE = dict.fromkeys(BOUNDING["slam"], 1.0)
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -229,12 +233,24 @@ def test_results_of_a_public_split_are_taken_as_their_authors_computed_them(serv
         ({"info": {"x": "a\u202eb"}}, "plain text in one line"),
         ({"info": {"x": "y" * 3000}}, "at most 2000 characters"),
         ({"run": 1, "sequence": "pool-01"}, "each run of a sequence once"),
+        ({"metrics": {"score": 5.0, "coverage": 1.0}}, "expected the metrics recall_0.5percent"),
+        ({"metrics": WHOLE | {"score": 1e308}}, r"results\[0\]: metric 'score': expected 0 to 1, got 1e\+308"),
+        ({"metrics": WHOLE | {"recall_0.5percent": 0.1}}, "the score does not belong to the recalls"),
     ],
 )
 def test_results_that_would_not_stand_on_the_board_are_refused(served, tmp_path, changes, message):
     data = reported(served, tmp_path, **changes)
     with pytest.raises(Refusal, match=message):
         opened(tmp_path, data, wanted_of(served, "pool-val"))
+
+
+def test_results_against_another_truth_are_refused(served, tmp_path):
+    wanted, truth = wanted_of(served, "pool-val"), served["pool-val"].truth
+    made_up, _ = opened(tmp_path, reported(served, tmp_path, truth_digest="0" * 64), wanted)
+    with pytest.raises(Refusal, match="pool-01: the results were computed against another truth than the split's"):
+        score_predictions(made_up, wanted, truth, "carp", "x")
+    honest, _ = opened(tmp_path, reported(served, tmp_path), wanted)
+    assert len(score_predictions(honest, wanted, truth, "carp", "x").results) == len(wanted.sequences)
 
 
 def test_results_of_a_hidden_split_are_refused(served, tmp_path):

@@ -12,6 +12,7 @@ from oysterbench.report.columns import STANDING_OF_TRACK, metric_column
 from oysterbench.report.table import Cell, Column, Table, TableRow, interval_column
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row, State
+from oysterbench_leaderboard.record import RANKED
 from oysterbench_leaderboard.record import TIERS as ALL_TIERS
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Later, Page, PageError
@@ -20,7 +21,7 @@ from oysterbench_leaderboard.site.pages.ranks import RANK, TIERS, UNRANKED, rank
 from oysterbench_leaderboard.site.pages.stress import stress_drawing
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.tables import DATA_SET, has_data_set, learnt_on
+from oysterbench_leaderboard.tables import DATA_SET, NOT_RANKED, has_data_set, learnt_on
 
 MOST_ROWS = 1000
 LONGEST_TEXT = 100
@@ -242,6 +243,8 @@ def _notes(info: BoardInfo, rows: Sequence[Row]) -> tuple[str, ...]:
     notes = [f"{mean}; what failed or was not answered scores 0. Errors are of what was answered: mind the coverage."]
     if has_data_set(info, rows):
         notes.append(DATA_SET.format(metric_column(info.metric).heading))
+    if any(row.state == "current" and row.tier not in RANKED for row in rows):
+        notes.append(NOT_RANKED)
     if warning := learnt_on(info.split):
         notes.append(warning)
     if any(row.rank is not None for row in rows):

@@ -10,7 +10,7 @@ from oysterbench_leaderboard.board import Row
 TIERS = {
     "baseline": "Run and scored by us, from this project's own tree.",
     "scored": "Estimates of others, scored by a server against truth that they need not have seen.",
-    "reported": "Results that their authors computed themselves.",
+    "reported": "Results that their authors computed themselves: shown, and not ranked.",
 }
 """Tier -> who vouches for the numbers."""
 
@@ -25,7 +25,7 @@ def rank_cells(rows: Sequence[Row]) -> list[Cell]:
     cells = []
     for row in rows:
         if row.place is None:
-            cells.append(Cell("", ABSENT, about=row.state))
+            cells.append(Cell("", ABSENT, about=row.tier if row.state == "current" else row.state))
         elif row.rank is None:
             cells.append(Cell(row.place, f"({row.place})", about=UNRANKED.capitalize(), kind="rank"))
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
@@ -153,7 +154,7 @@ SLAM: dict[str, Metric] = {
         for part, freedom, of in (("position", 3, "position"), ("rotation", 3, "attitude"), ("pose", 6, "whole pose"))
         for key, metric in _consistency(part, freedom, of).items()
     },
-    "realtime_factor": higher("Speed", column=Column("speed", "x", 1, small=0.1))(
+    "realtime_factor": higher("Speed", column=Column("speed", "x", 1, small=0.1), limits=(0.0, math.inf))(
         "Duration of the sequence divided by the wall time of the method; above 1 it keeps up with the sensors."
     ),
     "wall_s": lower("Wall time", "s")("Wall time of the method."),

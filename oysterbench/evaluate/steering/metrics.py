@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from oysterbench.evaluate.metric import Column, Metric, TrackMetrics, higher, lower, neutral
 
 PER_MIN = "per min"
@@ -36,7 +38,7 @@ def _axis(axis: str, sides: str) -> dict[str, Metric]:
 
 
 PICTURES: dict[str, Metric] = {
-    "skill": higher("Skill", column=Column("skill"))(
+    "skill": higher("Skill", column=Column("skill"), limits=(-math.inf, 1.0))(
         "1 - regret / regret of commands drawn evenly from all pairs of classes, over all pictures: 1 of the expert's "
         "own commands, 0 of chance, below 0 of what is worse than chance. Where several commands are as good, any of "
         "them is right. A failed run counts 0."
@@ -59,7 +61,7 @@ ROLLOUTS: dict[str, Metric] = {
         "first view included. An oyster is seen when it is near enough for the water, and large enough in the picture, "
         "for the task's limits. A failed rollout counts 0."
     ),
-    "oysters_seen": higher("Seen")("Those oysters."),
+    "oysters_seen": higher("Seen", limits=(0.0, math.inf))("Those oysters."),
     "found_share": higher("Found", column=Column("found", "%", 1, factor=100.0))(
         "Those oysters by all live ones of the area (0 to 1): what can be found in a rollout."
     ),

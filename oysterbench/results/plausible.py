@@ -1,0 +1,137 @@
+"""Whether the numbers of a result can be: each in its range, and those that follow from others as they follow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
+
+from oysterbench.core.errors import ResultError
+from oysterbench.evaluate.metrics import find_metric
+from oysterbench.results.records import ResultRecord
+
+RELATIVE, ABSOLUTE = 1e-6, 1e-6
+"""By which numbers may miss a relation: results that a server published are rounded."""
+
+Metrics = Mapping[str, float]
+
+
+def check_plausible(record: ResultRecord, where: str = "result") -> None:
+    """Raise ResultError, in one line, for the first number that cannot be.
+
+    It is no proof of anything: numbers that are made up with care pass.
+    """
+    known = {key: float(value) for key, value in record.metrics.items() if not math.isnan(value)}
+    for key, value in known.items():
+        metric = find_metric(key, record.track)
+        low, high = (-math.inf, math.inf) if metric is None else metric.range
+        if not _above(value, low) or not _above(high, value):
+            raise ResultError(f"{where}: metric {key!r}: expected {_between(low, high)}, got {value:.6g}")
+    for keys, holds, relation in RELATIONS.get(record.track, ()):
+        if all(key in known for key in keys) and not holds(*(known[key] for key in keys)):
+            values = ", ".join(f"{key} = {known[key]:.6g}" for key in keys)
+            raise ResultError(f"{where}: expected {relation}, got {values}")
+    if record.track == "slam" and record.failure is None:
+        _check_recalls(record, known, where)
+
+
+def _between(low: float, high: float) -> str:
+    if math.isinf(high):
+        return f"{low:g} or more"
+    return f"{high:g} or less" if math.isinf(low) else f"{low:g} to {high:g}"
+
+
+def _above(value: float, low: float) -> bool:
+    return value >= low - ABSOLUTE - RELATIVE * abs(low) if math.isfinite(low) else True
+
+
+def _same(one: float, other: float) -> bool:
+    return math.isclose(one, other, rel_tol=RELATIVE, abs_tol=ABSOLUTE)
+
+
+def _least(greater: str, *keys: str) -> Iterator[tuple[tuple[str, ...], Callable[..., bool], str]]:
+    for key in keys:
+        yield (key, greater), lambda a, b: _above(b, a), f"{key} <= {greater}"
+
+
+def _chain(*keys: str) -> Iterator[tuple[tuple[str, ...], Callable[..., bool], str]]:
+    for less, greater in pairwise(keys):
+        yield from _least(greater, less)
+
+
+RELATIONS: dict[str, tuple[tuple[tuple[str, ...], Callable[..., bool], str], ...]] = {
+    "slam": (
+        *_chain("ate_mean_m", "ate_rmse_m", "ate_max_m"),
+        *_least("ate_max_m", "ate_median_m"),
+        *_least("ate_rotation_max_deg", "ate_rotation_median_deg", "ate_rotation_rmse_deg"),
+        (
+            ("ate_percent", "ate_rmse_m", "path_length_m"),
+            lambda percent, ate, path: _same(percent * path, 100.0 * ate),
+            "ate_percent = 100 ate_rmse_m / path_length_m",
+        ),
+    ),
+    "segmentation": (
+        *_least("precision", "iou"),
+        *_least("recall", "iou"),
+        (("dice", "iou"), lambda dice, iou: _same(dice * (1.0 + iou), 2.0 * iou), "dice = 2 iou / (1 + iou)"),
+        *_least("best_iou", "iou"),
+    ),
+    "detection": (
+        *_least("ap50_mask", "ap_mask"),
+        *_least("ap50_box", "ap_box"),
+        (("pq", "sq", "rq"), lambda pq, sq, rq: _same(pq, sq * rq), "pq = sq rq"),
+        *_chain("count_mae", "count_rmse"),
+        (("count_bias", "count_mae"), lambda bias, mae: _above(mae, abs(bias)), "|count_bias| <= count_mae"),
+        (
+            ("count_error", "count_estimate", "count_truth"),
+            lambda error, estimate, truth: _same(error, estimate - truth),
+            "count_error = count_estimate - count_truth",
+        ),
+    ),
+    "density": (
+        (
+            ("cell_bias_per_m2", "cell_mae_per_m2"),
+            lambda bias, mae: _above(mae, abs(bias)),
+            "|cell_bias_per_m2| <= cell_mae_per_m2",
+        ),
+        (
+            ("count_off_percent", "count_error_percent"),
+            lambda off, error: _same(off, abs(error)),
+            "count_off_percent = |count_error_percent|",
+        ),
+    ),
+    "steering": (
+        *_least("yaw_accuracy", "joint_accuracy"),
+        *_least("pitch_accuracy", "joint_accuracy"),
+        *_least("yaw_within_one", "yaw_accuracy"),
+        *_least("pitch_within_one", "pitch_accuracy"),
+    ),
+}
+"""Track -> keys, what must hold of their values, and how it is said."""
+
+RECALLS = (0.5, 1.0, 2.0, 5.0)
+"""Errors, % of the path, of the recalls that bound the score."""
+
+BOUNDING = {"slam": ("score", "coverage", *(f"recall_{percent:g}percent" for percent in RECALLS))}
+"""Track -> keys without which a score that was scored cannot be checked."""
+
+
+def _check_recalls(record: ResultRecord, known: Metrics, where: str) -> None:
+    """Recalls grow up to the coverage, and the score, the mean of 1 / (1 + e / e0), lies between its least and its
+    greatest value for them."""
+    score, coverage, *recalls = BOUNDING[record.track]
+    names = [*recalls, coverage]
+    if any(key not in known for key in BOUNDING[record.track]):
+        return
+    for less, greater in pairwise(names):
+        if not _above(known[greater], known[less]):
+            got = f"{known[less]:.6g} and {known[greater]:.6g}"
+            raise ResultError(f"{where}: expected {less} <= {greater}, got {got}")
+    steps = [b - a for a, b in pairwise([0.0, *(known[name] for name in names)])]
+    scale = float(record.settings.get("recall_scale_percent", 1.0))
+    worth = [1.0 / (1.0 + percent / scale) for percent in (0.0, *RECALLS)] + [0.0]
+    high = sum(step * most for step, most in zip(steps, worth, strict=False))
+    low = sum(step * least for step, least in zip(steps, worth[1:], strict=True))
+    if not _above(known[score], low) or not _above(high, known[score]):
+        expected = f"expected {low:.4f} to {high:.4f}, got {known[score]:.6g}"
+        raise ResultError(f"{where}: the score does not belong to the recalls: {expected}")

@@ -1,0 +1,70 @@
+"""Numbers that cannot be are refused, and all that a program has computed pass."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oysterbench.core.errors import ResultError
+from oysterbench.results.plausible import RECALLS, check_plausible
+from oysterbench.results.records import ResultRecord
+
+RECORDS = sorted((Path(__file__).parents[2] / "leaderboard" / "records").glob("*.json"))
+
+
+def results() -> list[ResultRecord]:
+    return [ResultRecord.from_dict(row) for path in RECORDS for row in json.loads(path.read_bytes())["results"]]
+
+
+@pytest.fixture(scope="module")
+def scored() -> dict[str, ResultRecord]:
+    """One of each track."""
+    return {one.track: one for one in results() if one.failure is None}
+
+
+def test_all_that_is_on_the_board_can_be():
+    for one in results():
+        check_plausible(one)
+
+
+@pytest.mark.parametrize(
+    ("track", "metrics", "said"),
+    [
+        ("slam", {"score": 1e308}, r"metric 'score': expected 0 to 1, got 1e\+308"),
+        ("slam", {"score": 5.0}, "metric 'score': expected 0 to 1, got 5"),
+        ("slam", {"ate_rmse_m": -1.0}, "metric 'ate_rmse_m': expected 0 or more, got -1"),
+        ("slam", {"coverage": 7.0}, "metric 'coverage': expected 0 to 1, got 7"),
+        ("slam", {"score": 1.0, "recall_0.5percent": 0.0}, "the score does not belong to the recalls"),
+        ("slam", {"recall_5percent": 0.0}, "expected recall_2percent <= recall_5percent"),
+        ("slam", {"ate_percent": 1e-4}, "expected ate_percent = 100 ate_rmse_m / path_length_m"),
+        ("slam", {"ate_rmse_m": 0.0}, "expected ate_mean_m <= ate_rmse_m"),
+        ("segmentation", {"iou": 0.999}, "expected iou <= precision"),
+        ("segmentation", {"dice": 0.99}, "expected dice = "),
+        ("detection", {"ap_mask": 0.99}, "expected ap_mask <= ap50_mask"),
+        ("steering", {"skill": 1.5}, "metric 'skill': expected 1 or less"),
+        ("steering", {"joint_accuracy": 1.0}, "expected joint_accuracy <= yaw_accuracy"),
+    ],
+)
+def test_what_cannot_be_is_named(track, metrics, said, scored):
+    with pytest.raises(ResultError, match=said):
+        check_plausible(replace(scored[track], metrics={**scored[track].metrics, **metrics}))
+
+
+@given(st.lists(st.floats(0, 30), min_size=1, max_size=40), st.integers(0, 20), st.sampled_from([0.5, 1.0, 2.0]))
+def test_scores_of_any_errors_lie_between_the_bounds_of_their_recalls(errors, silent, scale):
+    percent = np.array(errors)
+    stamps = len(errors) + silent
+    metrics = {f"recall_{limit:g}percent": float((percent <= limit).sum() / stamps) for limit in RECALLS}
+    metrics |= {"coverage": len(errors) / stamps, "score": float((1 / (1 + percent / scale)).sum() / stamps)}
+    settings = {"recall_scale_percent": scale}
+    check_plausible(
+        ResultRecord(
+            track="slam", split="slam-val", sequence="val-01", method="carp", metrics=metrics, settings=settings
+        )
+    )
