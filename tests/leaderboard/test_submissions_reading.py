@@ -234,7 +234,7 @@ WHOLE = dict.fromkeys(BOUNDING["slam"], 1.0)
         ({"info": {"x": "y" * 3000}}, "at most 2000 characters"),
         ({"run": 1, "sequence": "pool-01"}, "each run of a sequence once"),
         ({"metrics": {"score": 5.0, "coverage": 1.0}}, "expected the metrics recall_0.5percent"),
-        ({"metrics": WHOLE | {"score": 1e308}}, r"results\[0\]: metric 'score': expected 0 to 1, got 1e\+308"),
+        ({"metrics": WHOLE | {"score": 1e300}}, r"results\[0\]: metric 'score': expected 0 to 1, got 1e\+300"),
         ({"metrics": WHOLE | {"recall_0.5percent": 0.1}}, "the score does not belong to the recalls"),
     ],
 )
