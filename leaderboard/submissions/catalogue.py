@@ -149,7 +149,7 @@ def serve_split(name_or_path: str, truth: Path | None = None, cache: Path | None
         raise ResultError(f"split {split.name}: the track {split.track} is not scored by this version of oysterbench")
     files: dict[str, Path] = {}
     if truth is not None:
-        files = sequence_files(split, truth)
+        files = sequence_files(split, truth.absolute())
         if missing := [str(path) for path in files.values() if not path.is_file()]:
             raise ResultError(f"--truth {split.name}: expected {missing[0]}; render the split there, with its salt")
     elif split.hidden:

@@ -11,21 +11,12 @@ from sqlalchemy import and_, or_, select
 from oysterbench.core.errors import OysterbenchError
 from oysterbench_leaderboard.submissions import sandbox
 from oysterbench_leaderboard.submissions.database import Submission, change, log_event, submissions
+from oysterbench_leaderboard.submissions.refusals import FAILED
 from oysterbench_leaderboard.submissions.sandbox import Job
 from oysterbench_leaderboard.submissions.service import Service
 
 POLL_S = 1.0
 """How often a worker looks for what another host has queued."""
-
-FAILED = {
-    "time": "scoring took longer than is allowed",
-    "memory": "scoring took more memory than is allowed",
-    "crash": "scoring ended without a result; the operators can see why, and try again",
-    "refused": "what was sent can no longer be read by this version; send it again",
-    "absent": "the split is no longer served here",
-    "none": "no sequence could be scored; ",
-}
-"""Why a submission failed, for its team: sentences that no truth is in."""
 
 
 def claim(service: Service) -> Submission | None:
@@ -94,7 +85,8 @@ def score(service: Service, mine: Submission, stop: threading.Event) -> None:
             finish(service, mine, "failed", reason=FAILED[ended.cause])
         return
     if "refused" in ended.answer:
-        finish(service, mine, "failed", reason=FAILED["refused"])
+        reported = mine.kind == "results"  # of a public split: no reason tells of a truth that is kept back
+        finish(service, mine, "failed", reason=ended.answer["refused"]["reason"] if reported else FAILED["refused"])
         return
     try:
         record = service.build(mine, ended.answer)

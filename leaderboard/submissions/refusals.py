@@ -44,3 +44,17 @@ class Refusal(OysterbenchError):
     def status(self) -> int:
         """Of the HTTP answer."""
         return STATUS[self.kind]
+
+
+FAILED = {
+    "time": "scoring took longer than is allowed",
+    "memory": "scoring took more memory than is allowed",
+    "crash": "scoring ended without a result; the operators can see why, and try again",
+    "refused": "what was sent can no longer be read by this version; send it again",
+    "absent": "the split is no longer served here",
+    "none": "no sequence could be scored; ",
+}
+"""Why a submission failed, for its team: sentences that no truth is in."""
+
+SERVER_FAULTS = tuple(FAILED[cause] for cause in ("crash", "refused", "absent"))
+"""Those that a server which was mended may not give again."""

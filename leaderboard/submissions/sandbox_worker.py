@@ -34,7 +34,10 @@ def do(job: Job) -> dict[str, Any]:
     from oysterbench_leaderboard.submissions.scoring import score_predictions
 
     truth = {name: Path(path) for name, path in job.truth.items()}
-    scored = score_predictions(predictions, job.wanted, truth, job.method, job.created)
+    try:
+        scored = score_predictions(predictions, job.wanted, truth, job.method, job.created)
+    except Refusal as refusal:  # of results that others computed: all else has a failure of its sequence
+        return {"refused": {"kind": refusal.kind, "reason": printable(refusal.reason)}}
     results = [record.to_dict() for record in scored.results]
     return {"results": results, "data_set": scored.data_set, "curves": scored.curves}
 

@@ -7,6 +7,7 @@ import logging
 import logging.handlers
 import os
 import secrets
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -33,10 +34,11 @@ from oysterbench_leaderboard.submissions.database import (
     teams,
     utc,
 )
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.refusals import SERVER_FAULTS, Refusal
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 DAY_S = 86400.0
+AGAIN_S = 3600.0
 LATER = "a later submission of the same method by the same team"
 
 
@@ -114,9 +116,10 @@ class Service:
         form, wanted = self.check_form(form)
         with self.database.reading() as connection:
             known = self._same(connection, team, form, upload.digest)
-            if known is not None:
+            if known is not None and not self._ours(known):
                 return known, False
-            self._check_quota(connection, team, form.split)
+            if known is None:
+                self._check_quota(connection, team, form.split)
         with self._checks:
             facts = sandbox.check(self.settings, upload.path, wanted, self.hidden, self.log.info)
         if facts["kind"] != "results" and not self.catalogue.splits[form.split].truth:
@@ -178,7 +181,7 @@ class Service:
             connection.execute(select(teams.c.name).where(teams.c.name == team).with_for_update()).first()
             known = self._same(connection, team, form, upload.digest)
             if known is not None:
-                return known, False
+                return self._again(connection, known, at)
             self._check_quota(connection, team, form.split)
             made = Submission(
                 id=secrets.token_hex(8),
@@ -195,6 +198,35 @@ class Service:
             log_event(connection, at, team, "queued", made.id, f"{form.method} on {form.split} ({form.track})")
         self.wake.set()
         return made, True
+
+    def _ours(self, known: Submission) -> bool:
+        """Whether a submission failed by the server's fault, so that it may be sent again: no more than once an hour,
+        as an upload may as well have been made to end its reader."""
+        long_ago = known.updated < utc(self.clock() - AGAIN_S)
+        return known.state == "failed" and known.reason in SERVER_FAULTS and long_ago
+
+    def _again(self, connection: Connection, known: Submission, at: str) -> tuple[Submission, bool]:
+        """Score once more what failed by the server's fault; whether it is."""
+        state = submissions.c.state == "failed"
+        if not self._ours(known) or not change(connection, known.id, at, state, state="queued", reason="", attempt=0):
+            return known, False
+        log_event(connection, at, known.team, "queued", known.id, "sent again")
+        self.wake.set()
+        return replace(known, state="queued", reason="", attempt=0, updated=at), True
+
+    def self_test(self) -> None:
+        """Read an upload as those of teams are read. Raises ResultError where this server cannot."""
+        wanted = Wanted("slam", "self-test", "", False, ("one",))
+        with tempfile.NamedTemporaryFile(dir=self.incoming, suffix=".tum") as file:
+            file.write(b"0.0 0 0 0 0 0 0 1\n1.0 1 0 0 0 0 0 1\n")
+            file.flush()
+            try:
+                sandbox.check(self.settings, Path(file.name), wanted, self.hidden, self.log.info)
+            except Refusal as refusal:
+                raise ResultError(
+                    f"{self.settings.folder}: uploads cannot be read here, a valid one was refused: {refusal.reason}; "
+                    "private.log there says why"
+                ) from None
 
     def refused(self, who: str, what: str, refusal: Refusal) -> None:
         """Log a refusal, with its reason."""

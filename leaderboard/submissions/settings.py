@@ -90,7 +90,8 @@ def load_settings(folder: Path, **changes: Any) -> SubmissionSettings:
     try:
         if path.is_file():
             found = tomllib.loads(path.read_text(encoding="utf-8"))
-        return msgspec.convert({**found, **changes, "folder": folder}, SubmissionSettings)
+        # Absolute, as what reads uploads works in a folder of its own.
+        return msgspec.convert({**found, **changes, "folder": folder.absolute()}, SubmissionSettings)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ResultError(f"{path}: not valid TOML: {error}") from None
     except msgspec.ValidationError as error:

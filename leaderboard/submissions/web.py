@@ -73,7 +73,9 @@ def open_service(
     elsewhere; SPLIT is a name, or a recipe (.toml). changed: called when a record came onto the board, or off it.
 
     Every public split is served: its estimates are scored where it is rendered here, and its results are taken.
-    Raises ResultError where a truth is missing, or of another split.
+    Raises ResultError where a truth is missing, or of another split, or where it cannot read what is sent.
     """
     settings = load_settings(folder)
-    return Service(settings, served_splits(truths, folder / "catalogue"), store, changed)
+    service = Service(settings, served_splits(truths, folder / "catalogue"), store, changed)
+    service.self_test()
+    return service

@@ -6,17 +6,20 @@ import json
 import shutil
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import msgspec
 import pytest
 
 from oysterbench.core.errors import ResultError
+from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.database import Database, find, log, submissions
-from oysterbench_leaderboard.submissions.refusals import Refusal
+from oysterbench_leaderboard.submissions.refusals import FAILED, Refusal
 from oysterbench_leaderboard.submissions.service import Form, upload_of
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
+from oysterbench_leaderboard.submissions.web import open_service
 from tests.helpers.served import FAST, answers, lay_split, make_service
 
 FORM = Form("carp", "pool-test")
@@ -183,10 +186,32 @@ def test_a_scoring_without_an_answer_fails_with_a_sentence_of_the_list(service, 
     found = service.get("reef lab", made.id)
     assert found.state == "failed"
     assert reason in found.reason
-    assert found.reason in queue.FAILED.values()
+    assert found.reason in FAILED.values()
     assert tries == (service.settings.attempts if cause == "crash" else 1)
     assert "/secret/place" in (service.settings.folder / "private.log").read_text()
     assert "/secret/place" not in str(events(service))
+
+
+def test_what_failed_by_the_servers_fault_may_be_sent_again_after_an_hour(service, tmp_path, monkeypatch):
+    made, _ = send(service, tmp_path)
+    with monkeypatch.context() as broken:
+        broken.setattr(sandbox, "run", lambda *args: sandbox.Ended(None, "crash", ""))
+        queue.drain(service)
+    assert send(service, tmp_path) == (service.get("reef lab", made.id), False)
+    service.clock.now += 3601
+    again, taken = send(service, tmp_path)
+    assert (again.id, again.state, taken) == (made.id, "queued", True)
+    assert queue.drain(service) == 1
+    assert service.get("reef lab", made.id).state == "done"
+
+
+def test_what_failed_by_its_own_fault_stays_so(service, tmp_path, monkeypatch):
+    made, _ = send(service, tmp_path)
+    with monkeypatch.context() as slow:
+        slow.setattr(sandbox, "run", lambda *args: sandbox.Ended(None, "time", ""))
+        queue.drain(service)
+    service.clock.now += 7200
+    assert send(service, tmp_path) == (service.get("reef lab", made.id), False)
 
 
 def test_nothing_that_can_be_scored_is_a_failure(service, tmp_path):
@@ -353,3 +378,30 @@ def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):
     assert hosts[0].store.digests() == [published]
     for host in hosts:
         host.close()
+
+
+# In the sandbox itself:
+
+
+def test_folders_may_be_given_as_seen_from_here(laid, tmp_path, monkeypatch):
+    shutil.copytree(laid / "splits", tmp_path / "splits")
+    monkeypatch.chdir(tmp_path)
+    truths = [f"splits/{name}.toml=splits/{name}-truth" for name in ("pool-test", "pool-val")]
+    service = open_service(Path("private"), truths, RecordStore(Path("board")))
+    try:
+        issue(service.database, "reef lab")
+        made, _ = send(service, tmp_path)
+        queue.drain(service)
+        assert service.get("reef lab", made.id).state == "done"
+    finally:
+        service.close()
+
+
+def test_a_server_that_cannot_read_uploads_does_not_start(laid, tmp_path):
+    shutil.copytree(laid / "splits", tmp_path / "splits")
+    service = make_service(tmp_path, memory_bytes=10_000_000)
+    try:
+        with pytest.raises(ResultError, match=r"uploads cannot be read here.*private\.log there says why"):
+            service.self_test()
+    finally:
+        service.close()
