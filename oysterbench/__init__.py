@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from oysterbench.core import pictures as _pictures  # noqa: F401  before OpenCV, for which it sets a limit
 from oysterbench.version import VERSION as __version__
 
 if TYPE_CHECKING:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.annotations.image import (
-    LARGEST_IMAGE_PX,
     Entry,
     LabelledImage,
     LabelledSet,
@@ -23,6 +22,7 @@ from oysterbench.annotations.image import (
     read_picture,
 )
 from oysterbench.core.errors import LabelError
+from oysterbench.core.pictures import LARGEST_IMAGE_PX
 from oysterbench.evaluate.detection import ImageInstances, Instance
 from oysterbench.evaluate.detection.instances import OUTSIDE, Runs, mask_tools, numpy_2
 from oysterbench.evaluate.segmentation import EstimateImage

@@ -13,13 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import LabelError
+from oysterbench.core.pictures import decode_picture
 from oysterbench.recipe import CLASSES
 
 OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
 """Number of the class in `recipe.CLASSES`."""
-
-LARGEST_IMAGE_PX = 1 << 26
-"""What claims to be larger is no image: nothing of that size is made to find out."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +177,7 @@ def _decoded(path: Path, flags: int) -> NDArray[Any]:
         data = path.read_bytes()
     except OSError as error:
         raise LabelError(f"{path}: cannot be read: {error.strerror or error}") from None
-    values = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags) if data else None
+    values = decode_picture(data, flags)
     if values is None:
         raise LabelError(f"{path}: not an image that can be decoded ({len(data)} bytes); get the file again")
     if (path.suffix.lower() in (".jpg", ".jpeg")) and not data.rstrip(b"\0\r\n").endswith(b"\xff\xd9"):

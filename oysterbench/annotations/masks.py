@@ -19,8 +19,9 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
-from oysterbench.annotations.image import LARGEST_IMAGE_PX, read_plane
+from oysterbench.annotations.image import read_plane
 from oysterbench.core.errors import LabelError
+from oysterbench.core.pictures import LARGEST_IMAGE_PX
 from oysterbench.evaluate.segmentation import EstimateImage
 
 Form = Literal["auto", "mask", "probability", "classes"]

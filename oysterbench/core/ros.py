@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -79,8 +80,11 @@ def encode(message: Any) -> bytes:
 
 
 def decode(data: bytes, type_name: str) -> Any:
-    """Message object from CDR bytes."""
-    return typestore().deserialize_cdr(data, type_name)
+    """Message object from CDR bytes. Raises ValueError, struct.error and the like where they are none."""
+    try:
+        return typestore().deserialize_cdr(data, type_name)
+    except (SerdeError, AssertionError) as error:
+        raise ValueError(f"no message {type_name}: {str(error) or 'of another length'}") from None
 
 
 def stamp_of(header: Any) -> int:

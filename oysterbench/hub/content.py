@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
+from oysterbench.core.pictures import decode_picture
 from oysterbench.core.ros import decode, stamp_of
 from oysterbench.hub.canonical import sha256
 from oysterbench.sensors.camera_messages import COLOUR
-from oysterbench.sequence.file import Reading, read_attachments, read_messages, summary_of
+from oysterbench.sequence.file import Reading, read_attachments, read_messages
 
 RECORD = struct.Struct("<qq")  # stamp in ns, bytes that follow
 
@@ -36,8 +36,8 @@ def content_of(path: Path) -> Content:
     file. The payload is the CDR data; of an image in PNG it is header, shape and pixels. So neither the compression of
     chunks nor that of PNG images changes it. JPEG stays as it is: its decoders may differ in the last bit.
     """
-    with Reading(path) as reader:
-        summary = summary_of(path, reader)
+    with Reading(path) as (_, summary):
+        pass
     assert summary.statistics is not None
     counts = summary.statistics.channel_message_counts
     content = {}
@@ -61,7 +61,7 @@ def decoded_image(data: bytes) -> bytes:
     message = decode(data, COLOUR)
     if message.format != "png":
         return data
-    pixels = cv2.imdecode(np.asarray(message.data), cv2.IMREAD_UNCHANGED)
+    pixels = decode_picture(message.data, cv2.IMREAD_UNCHANGED)
     if pixels is None:
         return data
     shape = "x".join(str(n) for n in pixels.shape)

@@ -13,6 +13,7 @@ from mcap.summary import Summary
 
 from oysterbench.core.errors import HubError
 from oysterbench.core.files import appearing
+from oysterbench.core.mcap import FOOTER, MAGIC
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.download import Hub, Progress, check_space, part_path
 from oysterbench.hub.draft import remove_drafts
@@ -20,7 +21,7 @@ from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part
 from oysterbench.hub.transfer import Transfer
 from oysterbench.sequence.cut import chunks_with, cut, match_topics
-from oysterbench.sequence.file import FOOTER, MAGIC, Reading, damaged, summary_of
+from oysterbench.sequence.file import Reading, damaged
 
 Count = Callable[[int], None]
 
@@ -76,8 +77,8 @@ def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names
     try:
         fetch([(0, len(MAGIC)), (entry.size - FOOTER.size - len(MAGIC), entry.size)])
         fetch([(_summary_start(path, entry.size), entry.size)])
-        with Reading(path) as reader:
-            summary = summary_of(path, reader)
+        with Reading(path) as (_, summary):
+            pass
         fetch(_spans(summary, names))
         _cut_into(target, path, names)
     finally:

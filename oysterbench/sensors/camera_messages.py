@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.core.pictures import decode_picture
 from oysterbench.core.ros import IMAGE, Message, decode, encode, header, image_bytes, make, stamp_of
 from oysterbench.sensors.kind import topic
 
@@ -95,7 +96,7 @@ def colour_message(
 def read_colour(data: bytes) -> tuple[int, NDArray[Any]]:
     """Stamp and (H, W, 3) uint8 RGB from a compressed image."""
     message = decode(data, COLOUR)
-    pixels = cv2.imdecode(np.asarray(message.data), cv2.IMREAD_COLOR_RGB)
+    pixels = decode_picture(message.data, cv2.IMREAD_COLOR_RGB)
     if pixels is None:
         raise SequenceError(f"the frame at {stamp_of(message.header)} is not a readable image")
     return stamp_of(message.header), pixels

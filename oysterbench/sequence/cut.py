@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex
-from mcap.records import Message as ChunkMessage
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Channel, ChunkIndex
 from mcap.summary import Summary
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.core.mcap import read_chunk as records_of
 from oysterbench.core.ros import TF_STATIC, Message
 from oysterbench.sensors.registry import sensor_kinds
-from oysterbench.sequence.file import DAMAGE, RECORD, Reading, damaged, read_attachments, read_metadata, summary_of
+from oysterbench.sequence.file import DAMAGE, Reading, damaged, read_attachments, read_metadata
 from oysterbench.sequence.read import CALIBRATION
 from oysterbench.sequence.types import is_measured
 from oysterbench.sequence.write import SequenceWriter
@@ -50,9 +46,8 @@ def cut(
     Chunks keep their order and bounds, so that small topics stay in chunks of their own. The same call gives the same
     bytes.
     """
-    with Reading(source) as reader:
-        summary = summary_of(source, reader)
-        records = read_metadata(reader)
+    with Reading(source) as (file, summary):
+        records = read_metadata(file, summary)
     types = {
         channel.topic: summary.schemas[channel.schema_id].name
         for channel in sorted(summary.channels.values(), key=lambda channel: channel.id)
@@ -95,16 +90,10 @@ def read_chunk(path: Path, index: ChunkIndex, channels: Mapping[int, Channel]) -
     """Messages of a chunk, in the order in which they were written; the chunk's CRC is checked."""
     try:
         with open(path, "rb") as file:
-            file.seek(index.chunk_start_offset)
-            opcode, _ = RECORD.unpack(file.read(RECORD.size))
-            if opcode != Opcode.CHUNK:
-                raise ValueError(f"expected a chunk at byte {index.chunk_start_offset}")
-            records = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
-    except (*DAMAGE, struct.error) as error:
+            for record in records_of(file, index):
+                yield Message(channels[record.channel_id].topic, record.log_time, record.data)
+    except DAMAGE as error:
         raise SequenceError(damaged(path, str(error))) from None
-    for record in records:
-        if isinstance(record, ChunkMessage):
-            yield Message(channels[record.channel_id].topic, record.log_time, record.data)
 
 
 def match_topics(known: Collection[str], wanted: Collection[str], what: str) -> list[str]:

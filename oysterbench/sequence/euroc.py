@@ -13,6 +13,7 @@ import numpy as np
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image, ImuMeasurement
+from oysterbench.core.pictures import decode_picture
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
@@ -66,7 +67,7 @@ class EurocSequence(Sequence):
             if not _within(int(stamp), start_ns, end_ns):
                 continue
             path = self._root / camera / "data" / file.strip()
-            pixels = cv2.imread(str(path), cv2.IMREAD_COLOR_RGB)
+            pixels = decode_picture(path.read_bytes() if path.is_file() else b"", cv2.IMREAD_COLOR_RGB)
             if pixels is None:
                 raise SequenceError(f"{path}: expected an image, could not read one")
             yield Image(int(stamp), camera, pixels)

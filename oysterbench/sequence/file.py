@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import json
-import os
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
-from mcap.exceptions import InvalidMagic, McapError
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import McapReader, make_reader
 from mcap.summary import Summary
 from zstandard import ZstdError
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.core.mcap import MAGIC, RECORD, iter_messages, iter_metadata, read_summary
 from oysterbench.core.ros import Message
 
 DAMAGE = (
@@ -30,37 +29,39 @@ DAMAGE = (
     ArithmeticError,
     MemoryError,
     OSError,
+    RecursionError,
+    AttributeError,
 )
 """What the libraries underneath raise on bytes that are not what they should be."""
 
-MAGIC = b"\x89MCAP0\r\n"
-FOOTER = struct.Struct("<BQQQI")  # opcode, length of what follows, start of the summary, of its offsets, its CRC
 CHECKSUM = "crc32"
-RECORD = struct.Struct("<BQ")  # opcode, length of what follows
 
 
 class Reading:
-    """A file opened with the MCAP reader; whatever is wrong with its bytes becomes one SequenceError.
+    """An MCAP file and its index, with statistics; whatever is wrong with its bytes becomes one SequenceError.
 
-    The reader checks the CRC of each chunk that it reads. That of the summary, which leads to the chunks, is checked
-    here; those of attachments in `read_attachment`.
+    The CRCs of the index and of each chunk that is read are checked in `core.mcap`; those of attachments in
+    `read_attachment`.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def __enter__(self) -> McapReader:
+    def __enter__(self) -> tuple[IO[bytes], Summary]:
         self._file = open(self.path, "rb")
         try:
-            reader = make_reader(self._file, validate_crcs=True)
-            check_summary(self._file)
-            return reader
-        except InvalidMagic:
+            if self._file.read(len(MAGIC)) != MAGIC:
+                raise SequenceError(
+                    f"{self.path}: not an MCAP file; expected a sequence (.mcap) or an EuRoC folder; if it was one, "
+                    "delete it and render or download it again"
+                )
+            summary = read_summary(self._file)
+            if summary is None or summary.statistics is None:
+                raise SequenceError(damaged(self.path, "it has no index"))
+            return self._file, summary
+        except SequenceError:
             self._file.close()
-            raise SequenceError(
-                f"{self.path}: not an MCAP file; expected a sequence (.mcap) or an EuRoC folder; if it was one, delete "
-                "it and render or download it again"
-            ) from None
+            raise
         except DAMAGE as error:
             self._file.close()
             raise SequenceError(damaged(self.path, str(error) or type(error).__name__)) from None
@@ -79,35 +80,15 @@ def damaged(path: Path, cause: str) -> str:
     )
 
 
-def check_summary(file: IO[bytes]) -> None:
-    """Raise ValueError unless the file ends as it should and its summary has the CRC that its footer says."""
-    size = file.seek(0, os.SEEK_END)
-    tail = FOOTER.size + len(MAGIC)
-    if size < tail + len(MAGIC):
-        raise EOFError("it ends before its index")
-    file.seek(size - tail)
-    end = file.read(tail)
-    opcode, length, start, _, crc = FOOTER.unpack(end[: FOOTER.size])
-    if end[FOOTER.size :] != MAGIC or opcode != Opcode.FOOTER or length != FOOTER.size - RECORD.size:
-        raise EOFError("it has no end")
-    if not len(MAGIC) <= start <= size - tail:
-        raise ValueError("its index is outside it")
-    file.seek(start)
-    # The CRC covers the footer as well, up to the CRC itself.
-    # Zero says that there is none: a file of another program.
-    if crc and zlib.crc32(file.read(size - tail - start) + end[: FOOTER.size - 4]) != crc:
-        raise ValueError("the CRC of its index is wrong")
-
-
 def checksum(values: Mapping[str, str]) -> str:
     """CRC of the values of a metadata record, which MCAP leaves unprotected."""
     return f"{zlib.crc32(json.dumps(dict(values), sort_keys=True).encode()):08x}"
 
 
-def read_metadata(reader: McapReader) -> dict[str, dict[str, str]]:
+def read_metadata(file: IO[bytes], summary: Summary) -> dict[str, dict[str, str]]:
     """Metadata records that `SequenceWriter` wrote, by name. Raises ValueError where a checksum is wrong."""
     found = {}
-    for record in reader.iter_metadata():
+    for record in iter_metadata(file, summary):
         if CHECKSUM not in record.metadata:
             continue  # of another program
         values = {key: value for key, value in record.metadata.items() if key != CHECKSUM}
@@ -161,16 +142,8 @@ class Attachments(Mapping[str, bytes]):
 
 def read_attachments(path: Path) -> Attachments:
     """Attachments by name."""
-    with Reading(path) as reader:
-        return Attachments(path, summary_of(path, reader))
-
-
-def summary_of(path: Path, reader: McapReader) -> Summary:
-    """The index of a file, with its statistics."""
-    summary = reader.get_summary()
-    if summary is None or summary.statistics is None:
-        raise SequenceError(damaged(path, "it has no index"))
-    return summary
+    with Reading(path) as (_, summary):
+        return Attachments(path, summary)
 
 
 def read_messages(
@@ -182,8 +155,7 @@ def read_messages(
     """
     if start_ns is not None and end_ns is not None and start_ns >= end_ns:
         return
-    with Reading(path) as reader:
-        for _, channel, message in reader.iter_messages(
-            topics=None if names is None else list(names), starting_at=start_ns, ending_before=end_ns
-        ):
+    wanted = None if names is None else set(names)
+    with Reading(path) as (file, summary):
+        for _, channel, message in iter_messages(file, summary, wanted, start_ns, end_ns):
             yield Message(channel.topic, message.log_time, message.data)

@@ -30,7 +30,6 @@ from oysterbench.sequence.file import (
     read_attachments,
     read_messages,
     read_metadata,
-    summary_of,
 )
 from oysterbench.sequence.truth import TRUTH, TRUTH_POSE, odometry_row, pose_row, read_truth
 from oysterbench.sequence.types import Sequence
@@ -72,9 +71,8 @@ class McapSequence(Sequence):
         self.path = Path(path)
         if not self.path.is_file():
             raise SequenceError(f"{self.path}: no such file; expected a sequence (.mcap) or an EuRoC folder")
-        with Reading(self.path) as reader:
-            summary = summary_of(self.path, reader)
-            records = read_metadata(reader)
+        with Reading(self.path) as (file, summary):
+            records = read_metadata(file, summary)
             self.attachments: Mapping[str, bytes] = Attachments(self.path, summary)
             if METADATA not in records or CALIBRATION not in self.attachments:
                 raise SequenceError(f"{self.path}: an MCAP file, but not a sequence written by oysterbench")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import threading
 
 import numpy as np
@@ -48,6 +49,30 @@ def test_covariances_are_read(tmp_path, form):
 def test_a_ros_1_bag_is_read(tmp_path):
     expected = dive(covariances=True)
     assert_same(read_trajectory(files.write_bag1(tmp_path / "poses.bag", expected)), expected)
+
+
+@pytest.mark.parametrize("kind", ["bz2", "lz4"])
+def test_a_ros_1_bag_that_unpacks_to_more_than_any_chunk_is_refused(tmp_path, monkeypatch, kind):
+    path = tmp_path / "a.bag"
+    writer = files.BagWriter(path)
+    writer.set_compression(files.BagWriter.CompressionFormat[kind.upper()])
+    with writer:
+        connection = writer.add_connection("/pose", "geometry_msgs/msg/PoseStamped", typestore=files.ROS1)
+        pose = Messages(dive(), files.ROS1).pose_stamped(0)
+        stamped = files.ROS1.serialize_ros1(pose, "geometry_msgs/msg/PoseStamped")
+        writer.write(connection, 1, stamped)
+    assert len(read_trajectory(path)) == 1
+    monkeypatch.setattr("oysterbench.core.mcap.LARGEST_CHUNK", 99)
+    with pytest.raises(TrajectoryError, match="expected chunks of at most 0 MiB unpacked, got more"):
+        read_trajectory(path)
+
+
+def test_a_compressed_ros_2_bag_is_refused_unread(tmp_path):
+    folder = files.write_bag2(tmp_path / "bag", dive())
+    described = folder / "metadata.yaml"
+    described.write_text(re.sub("compression_mode: .*", "compression_mode: FILE", described.read_text()))
+    with pytest.raises(TrajectoryError, match="expected a bag that is not compressed; `ros2 bag convert` writes one"):
+        read_trajectory(folder)
 
 
 def test_an_mcap_file_of_ros_1_messages_is_read(tmp_path):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,9 @@ POSE_TYPES = (
     "nav_msgs/msg/Path",
     "tf2_msgs/msg/TFMessage",
 )
+PACKED = re.compile(rb"compression_mode:\s*['\"]?(file|message)", re.IGNORECASE)
+"""Of a ROS 2 bag, which then may unpack to any size."""
+
 LATCHED = "/tf_static"
 """Carries the places of sensors, never a trajectory."""
 
@@ -193,14 +197,14 @@ def _full_name(name: str) -> str:
 
 def _mcap(parts: list[Path]) -> Bag:
     """MCAP files of one recording, with their checksums checked."""
-    from mcap.reader import make_reader
+    from oysterbench.core.mcap import iter_messages, read_summary
 
     types: dict[str, str] = {}
     encodings: dict[str, str] = {}
     counts: dict[str, int] = {}
     for part in parts:
         with open(part, "rb") as file:
-            summary = make_reader(file, validate_crcs=True).get_summary()
+            summary = read_summary(file)
         if summary is None or summary.statistics is None:
             raise TrajectoryError(f"{part}: damaged: it has no index; recover it with `mcap recover`")
         for key, channel in summary.channels.items():
@@ -216,7 +220,9 @@ def _mcap(parts: list[Path]) -> Bag:
         count = 0
         for part in parts:
             with open(part, "rb") as file:
-                for schema, _, message in make_reader(file, validate_crcs=True).iter_messages(topics=[topic]):
+                summary = read_summary(file)
+                assert summary is not None  # it was there a moment ago
+                for schema, _, message in iter_messages(file, summary, {topic}):
                     count += 1
                     yield decode(message.data, _full_name(schema.name) if schema else types[topic])
         _check_count(count, counts[topic], parts[0], topic)
@@ -225,14 +231,28 @@ def _mcap(parts: list[Path]) -> Bag:
 
 
 def _ros1(path: Path) -> Bag:
-    from rosbags.rosbag1 import Reader
+    from rosbags.rosbag1 import Reader, reader
 
+    # Its own unpack to whatever size.
+    reader.decompressors.update({kind: partial(_unpacked, kind) for kind in ("bz2", "lz4")})
     return _rosbags(lambda: Reader(path), path, "ros1")
+
+
+def _unpacked(compression: str, data: bytes) -> bytes:
+    from oysterbench.core.mcap import LARGEST_CHUNK, unpack
+
+    found = unpack(data, compression, LARGEST_CHUNK)
+    if len(found) > LARGEST_CHUNK:
+        raise ValueError(f"expected chunks of at most {LARGEST_CHUNK >> 20} MiB unpacked, got more")
+    return found
 
 
 def _ros2(path: Path) -> Bag:
     from rosbags.rosbag2 import Reader
 
+    described = path / "metadata.yaml"
+    if described.is_file() and PACKED.search(described.read_bytes()):
+        raise TrajectoryError(f"{path}: expected a bag that is not compressed; `ros2 bag convert` writes one")
     return _rosbags(lambda: Reader(path), path, "cdr")
 
 

@@ -1,0 +1,224 @@
+"""MCAP files that anybody may have made: their index, and messages in time order, in bounded time and memory.
+
+The reader of the package mcap unpacks a chunk to whatever size its compressed bytes claim, and takes records of no
+length for records: 9 kB then cost minutes. Here a chunk unpacks to the size that it declares, or not at all.
+"""
+
+from __future__ import annotations
+
+import heapq
+import os
+import struct
+import zlib
+from collections.abc import Collection, Iterator
+from typing import IO
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    Message,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+from mcap.stream_reader import CRCValidationError, StreamReader
+from mcap.summary import Summary
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER = struct.Struct("<BQQQI")  # opcode, length of what follows, start of the summary, of its offsets, its CRC
+RECORD = struct.Struct("<BQ")  # opcode, length of what follows
+MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; then the data
+
+LARGEST_CHUNK = 1 << 27
+"""Bytes, unpacked: 32 times what writers make by default, and more than the largest picture of a camera."""
+MOST_RECORDS = 1 << 19
+"""In a chunk: 4 times what fits into one of the default size."""
+
+
+def read_summary(file: IO[bytes]) -> Summary | None:
+    """The index of a file; None where it has none. Raises ValueError, EOFError and errors of mcap for damage."""
+    start = summary_start(file)
+    if start == 0:
+        return None
+    file.seek(start)
+    summary = Summary()
+    # A chunk has no place here: with `emit_chunks` it is passed over, packed.
+    for record in StreamReader(file, skip_magic=True, emit_chunks=True).records:
+        if isinstance(record, Statistics):
+            summary.statistics = record
+        elif isinstance(record, Schema):
+            summary.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            summary.channels[record.id] = record
+        elif isinstance(record, AttachmentIndex):
+            summary.attachment_indexes.append(record)
+        elif isinstance(record, ChunkIndex):
+            summary.chunk_indexes.append(record)
+        elif isinstance(record, MetadataIndex):
+            summary.metadata_indexes.append(record)
+    end = 0
+    for index in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
+        if index.chunk_start_offset < end:
+            raise ValueError(f"its index has two chunks at byte {index.chunk_start_offset}")
+        end = index.chunk_start_offset + index.chunk_length
+    return summary
+
+
+def summary_start(file: IO[bytes]) -> int:
+    """Where the index begins, 0 where there is none. Raises ValueError or EOFError unless the file ends as it should
+    and its index has the CRC that its footer says."""
+    size = file.seek(0, os.SEEK_END)
+    tail = FOOTER.size + len(MAGIC)
+    if size < tail + len(MAGIC):
+        raise EOFError("it ends before its index")
+    file.seek(size - tail)
+    end = file.read(tail)
+    opcode, length, start, _, crc = FOOTER.unpack(end[: FOOTER.size])
+    if end[FOOTER.size :] != MAGIC or opcode != Opcode.FOOTER or length != FOOTER.size - RECORD.size:
+        raise EOFError("it has no end")
+    if start == 0:
+        return 0
+    if not len(MAGIC) <= start <= size - tail:
+        raise ValueError("its index is outside it")
+    file.seek(start)
+    # The CRC covers the footer as well, up to the CRC itself.
+    # Zero says that there is none: a file of another program.
+    if crc and zlib.crc32(file.read(size - tail - start) + end[: FOOTER.size - 4]) != crc:
+        raise ValueError("the CRC of its index is wrong")
+    return int(start)
+
+
+def iter_metadata(file: IO[bytes], summary: Summary) -> Iterator[Metadata]:
+    """The metadata records of a file."""
+    for index in summary.metadata_indexes:
+        yield Metadata.read(_record_at(file, index.offset, Opcode.METADATA))
+
+
+def iter_messages(
+    file: IO[bytes],
+    summary: Summary,
+    topics: Collection[str] | None = None,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> Iterator[tuple[Schema | None, Channel, Message]]:
+    """Messages of some topics (all by default) in the order of their log times, of `start_ns <= log_time < end_ns`;
+    only chunks that hold such messages are read, and a chunk when its time has come."""
+    low, high = -1 if start_ns is None else start_ns, 1 << 64 if end_ns is None else end_ns
+    wanted = {key: channel for key, channel in summary.channels.items() if topics is None or channel.topic in topics}
+    # Entries are told apart by time, offset of the chunk, and place in it: -1 of the chunk itself.
+    queue: list[tuple[int, int, int, ChunkIndex | Message]] = [
+        (index.message_start_time, index.chunk_start_offset, -1, index)
+        for index in summary.chunk_indexes
+        if index.message_end_time >= low
+        and index.message_start_time < high
+        # Without message indexes, only the chunk itself says whose messages it holds.
+        and (not index.message_index_offsets or topics is None or wanted.keys() & index.message_index_offsets.keys())
+    ]
+    if not summary.chunk_indexes:
+        queue = [(message.log_time, 0, k, message) for k, message in enumerate(_in_file(file))]
+    heapq.heapify(queue)
+    while queue:
+        _, offset, _, item = heapq.heappop(queue)
+        for k, message in enumerate(read_chunk(file, item) if isinstance(item, ChunkIndex) else (item,)):
+            if message.channel_id not in summary.channels:
+                raise ValueError(f"it has messages of a channel {message.channel_id}, which its index has not")
+            if message.channel_id not in wanted or not low <= message.log_time < high:
+                continue
+            if message is item:
+                channel = wanted[message.channel_id]
+                yield summary.schemas[channel.schema_id] if channel.schema_id else None, channel, message
+            else:
+                heapq.heappush(queue, (message.log_time, offset, k, message))
+
+
+def read_chunk(file: IO[bytes], index: ChunkIndex) -> Iterator[Message]:
+    """Messages of a chunk, in the order in which they were written; its CRC is checked."""
+    return _messages(_unpacked(Chunk.read(_record_at(file, index.chunk_start_offset, Opcode.CHUNK))))
+
+
+def _record_at(file: IO[bytes], offset: int, expected: Opcode) -> ReadDataStream:
+    file.seek(offset)
+    opcode, _ = RECORD.unpack(file.read(RECORD.size))
+    if opcode != expected:
+        raise ValueError(f"expected a record {expected.name} at byte {offset}, got one of number {opcode}")
+    return ReadDataStream(file)
+
+
+def _in_file(file: IO[bytes]) -> Iterator[Message]:
+    """All messages of a file whose index names no chunk, in the order of the file."""
+    file.seek(0)
+    for record in StreamReader(file, emit_chunks=True).records:
+        if isinstance(record, Message):
+            yield record
+        elif isinstance(record, Chunk):
+            yield from _messages(_unpacked(record))
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """The records in a chunk. Raises ValueError where they are not as many bytes as it declares, or damaged."""
+    size = chunk.uncompressed_size
+    if size > LARGEST_CHUNK:
+        raise ValueError(
+            f"expected chunks of at most {LARGEST_CHUNK >> 20} MiB unpacked, got {size >> 20} MiB; `mcap compress "
+            "--chunk-size 4194304` writes smaller ones"
+        )
+    data = unpack(chunk.data, chunk.compression, size)
+    if len(data) != size:
+        raise ValueError(f"expected a chunk of {size} bytes, as it declares, got {_count(len(data), size)}")
+    if chunk.uncompressed_crc and (crc := zlib.crc32(data)) != chunk.uncompressed_crc:
+        raise CRCValidationError(chunk.uncompressed_crc, crc, chunk)
+    return data
+
+
+def _count(found: int, expected: int) -> str:
+    return "more" if found > expected else f"{found}"
+
+
+def unpack(data: bytes, compression: str, most: int) -> bytes:
+    """Data unpacked, by zstd, lz4, bz2 or (empty) none, and of more than so many bytes the first `most` + 1 alone."""
+    if compression == "zstd":
+        import zstandard
+
+        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+            return bytes(reader.read(most + 1))
+    if compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor
+
+        try:
+            return bytes(LZ4FrameDecompressor().decompress(data, max_length=most + 1))
+        except RuntimeError as error:
+            raise ValueError(f"lz4: {error}") from None
+    if compression == "bz2":  # of chunks of ROS 1
+        import bz2
+
+        return bz2.BZ2Decompressor().decompress(data, most + 1)
+    if compression:
+        raise ValueError(f"expected chunks packed by zstd, lz4 or not at all, got {compression!a:.40}")
+    return data
+
+
+def _messages(data: bytes) -> Iterator[Message]:
+    at = count = 0
+    while at < len(data):
+        count += 1
+        if count > MOST_RECORDS:
+            raise ValueError(f"expected at most {MOST_RECORDS} records in a chunk, got more")
+        opcode, length = RECORD.unpack_from(data, at)
+        at += RECORD.size
+        if opcode == 0 or length > len(data) - at:
+            raise ValueError(f"expected records in a chunk, got {'none' if opcode == 0 else 'a part of one'}")
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, log_time, publish_time = MESSAGE.unpack_from(data, at)
+            yield Message(
+                channel_id=channel,
+                log_time=log_time,
+                data=data[at + MESSAGE.size : at + length],
+                publish_time=publish_time,
+                sequence=sequence,
+            )
+        at += length
