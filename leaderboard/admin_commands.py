@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import find_place
 from oysterbench_leaderboard.terminal import AS_JSON
@@ -23,7 +24,7 @@ DAMAGED = 3
 
 def notify(text: str) -> None:
     """A message to the user, on stderr."""
-    click.echo(text, err=True)
+    message(text)
 
 
 @click.command("add", short_help="Put results on the board.")
@@ -78,12 +79,12 @@ def add_command(
         made = [
             {"record": digest, "new": new, **_standing(row)} for (_, digest, new), row in zip(done, rows, strict=True)
         ]
-        click.echo(dump(made))
+        echo(dump(made))
         return
     for (record, digest, new), row in zip(done, rows, strict=True):
         kept = "kept" if new else "already there"
         instead = f", in place of {record.supersedes[:8]}" if new and record.supersedes else ""
-        click.echo(f"{digest[:8]}  {kept}: {record.method} on {record.split}, {_place_text(index, row)}{instead}")
+        echo(f"{digest[:8]}  {kept}: {record.method} on {record.split}, {_place_text(index, row)}{instead}")
 
 
 def _standing(row: Row) -> dict[str, Any]:
@@ -118,7 +119,7 @@ def _announcing(action: Any, past: str) -> Any:
             raise ResultError(f"{row.digest[:8]} ({row.method} by {row.team}) is {row.state} already")
         index.store.change_status(row.digest, action, reason)
         index.refresh()
-        click.echo(f"{row.digest[:8]}  {past}: {row.method} by {row.team}")
+        echo(f"{row.digest[:8]}  {past}: {row.method} by {row.team}")
 
     return announce
 
@@ -170,16 +171,16 @@ def rebuild_command(context: click.Context, as_json: bool) -> None:
     entries = sum(board.entries for board in boards)
     if as_json:
         facts = {"boards": len(boards), "entries": entries, "records": len(store.digests()), "left_out": problems}
-        click.echo(dump({"index": index.name, "revision": index.revision, **facts}))
+        echo(dump({"index": index.name, "revision": index.revision, **facts}))
         return
     for file, why in problems.items():
         notify(f"left out: {file[:12]}: {why}")
-    click.echo(f"records: {len(store.digests())}, current ones: {entries}, boards: {len(boards)}, index: {index.name}")
+    echo(f"records: {len(store.digests())}, current ones: {entries}, boards: {len(boards)}, index: {index.name}")
 
 
 def _progress() -> Any:
     def show(done: int, of: int) -> None:
-        click.echo(f"\rreading records: {done} of {of}", err=True, nl=done == of)
+        click.echo(f"\rreading records: {done} of {of}", err=True, nl=done == of)  # noqa: TID251
 
     return show
 
@@ -202,12 +203,12 @@ def verify_command(context: click.Context, as_json: bool) -> None:
 
     found = verify(find_place(context).store())
     if as_json:
-        click.echo(dump({"checked": found.checked, "problems": found.problems}))
+        echo(dump({"checked": found.checked, "problems": found.problems}))
     else:
         for file, why in found.problems.items():
-            click.echo(f"{file}: {why}")
+            echo(f"{file}: {why}")
         counts = ", ".join(f"{kind}: {count}" for kind, count in found.checked.items())
-        click.echo(f"{counts}; {f'{len(found.problems)} damaged' if found.problems else 'all whole'}")
+        echo(f"{counts}; {f'{len(found.problems)} damaged' if found.problems else 'all whole'}")
     if found.problems:
         sys.exit(DAMAGED)
 
@@ -290,16 +291,16 @@ def rescore_command(
         index.refresh()
     shown = [_change(index, before, made, dry_run) for before, made in changes]
     if as_json:
-        click.echo(dump(shown))
+        echo(dump(shown))
         return
     for line in shown:
-        click.echo(
+        echo(
             f"{line['before']['record'][:8]} -> {line['after']['record'][:8]}  {line['method']} on {line['split']}: "
             f"score {_number(line['before']['score'])} -> {_number(line['after']['score'])}, "
             f"rank {_rank(line['before'])} -> {_rank(line['after'])}"
         )
     if not shown:
-        click.echo("nothing was scored again: all current records are of this version's evaluator, or were not kept")
+        echo("nothing was scored again: all current records are of this version's evaluator, or were not kept")
 
 
 def _current(index: BoardIndex, board: str) -> list[Row]:

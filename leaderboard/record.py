@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any, Literal, get_args
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.text import compatible, mixed_word, unseen
 from oysterbench.hub.canonical import SHA256, canonical, sha256
 from oysterbench.results.records import ResultRecord, checked, comparable_key, now, plain
 
@@ -25,9 +25,6 @@ RANKED: tuple[Tier, ...] = ("baseline", "scored")
 
 MOST_TEXT = {"method": 80, "team": 80, "url": 300, "summary": 500, "reason": 500}
 """Key of a record -> characters that it may have."""
-
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff]")
-"""Characters that let a name look like another or turn the line around."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,5 +138,10 @@ def check_text(key: str, value: Any, most: int) -> None:
         raise ResultError(f"record: key {key!r}: expected text, got {value!r:.60}")
     if len(value) > most:
         raise ResultError(f"record: key {key!r}: expected at most {most} characters, got {len(value)}")
-    if (odd := _CONTROL.search(value)) is not None:
-        raise ResultError(f"record: key {key!r}: expected plain text in one line, got the character {odd[0]!r}")
+    if (odd := unseen(value)) is not None:
+        raise ResultError(f"record: key {key!r}: expected plain text in one line, got the character {odd!a}")
+    if key in ("method", "team"):
+        if compatible(value) != value:
+            raise ResultError(f"record: key {key!r}: expected common letters, {compatible(value)!r}, got {value!a}")
+        if (word := mixed_word(value)) is not None:
+            raise ResultError(f"record: key {key!r}: expected words of one script, got {word!a}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench.cli.outputs import print_rich
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import Place, find_place
@@ -59,14 +60,14 @@ def show_boards(
         if path is not None:
             _write(path, makers[form]())
     if as_json:
-        click.echo(dump({"revision": index.revision, "boards": [page_plain(page) for page in pages]}))
+        echo(dump({"revision": index.revision, "boards": [page_plain(page) for page in pages]}))
     elif Path("-") not in files.values():
         if not tables:
-            click.echo(f"no board is in {place.path} yet; `oysterbench leaderboard add` puts results on one", err=True)
+            message(f"no board is in {place.path} yet; `oysterbench leaderboard add` puts results on one")
         for table in tables:
             print_rich(terminal_table(table))
     for file, why in index.problems().items():
-        click.echo(f"left out: {file[:12]}: {why}", err=True)
+        message(f"left out: {file[:12]}: {why}")
 
 
 def _chosen(index: BoardIndex, track: str | None, split: str | None, board: str | None, every: bool) -> list[BoardInfo]:
@@ -90,10 +91,10 @@ def _write(path: Path, text: str) -> None:
     from oysterbench.core.files import write_atomically
 
     if path == Path("-"):
-        click.echo(text, nl=False)
+        echo(text, nl=False)
     else:
         write_atomically(path, text.encode())
-        click.echo(f"written: {path}", err=True)
+        message(f"written: {path}")
 
 
 AS_JSON = click.option("--json", "as_json", is_flag=True, help="Print as JSON on stdout, and nothing else.")
@@ -123,20 +124,20 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
     row = index.row(digest)
     record = index.store.record(row.digest)
     if as_json:
-        click.echo(dump({"row": asdict(row), "record": record.to_dict()}))
+        echo(dump({"row": asdict(row), "record": record.to_dict()}))
         return
     board = next(each for each in index.boards() if each.id == row.board)
     for name, value in _facts(row, record, board):
         if value:
-            click.echo(f"{name:<12}{value}")
+            echo(f"{name:<12}{value}")
     reasons = [n for n in index.store.read_status_changes()[0] if n.record == row.digest]
     for change in reasons:
-        click.echo(f"{change.action:<12}{change.created[:10]}: {change.reason}")
+        echo(f"{change.action:<12}{change.created[:10]}: {change.reason}")
     means = index.sequence_means(row.digest)
     print_rich(terminal_table(record_table(row, means, TRACKS[board.track].table)))
     for result in record.results:
         if result.failure is not None:
-            click.echo(f"{result.sequence}, run {result.run + 1} failed: {result.failure}")
+            echo(f"{result.sequence}, run {result.run + 1} failed: {result.failure}")
 
 
 def _facts(row: Any, record: Any, board: BoardInfo) -> list[tuple[str, str]]:
@@ -188,7 +189,7 @@ def history_command(context: click.Context, method: str, team: str | None, as_js
         known = ", ".join(dict.fromkeys(name for name, _, _ in index.methods())) or "none yet"
         raise ResultError(f"no record of {method!r:.80}{f' by {team}' if team else ''}; the methods are: {known:.300}")
     if as_json:
-        click.echo(dump([asdict(row) for row in rows]))
+        echo(dump([asdict(row) for row in rows]))
         return
     print_rich(terminal_table(history_table(rows, {board.id: board for board in index.boards()})))
 
@@ -213,8 +214,8 @@ def literature_command(track: str | None, as_json: bool) -> None:
     if not rows:
         raise ResultError(f"nothing is listed for the track {track!r:.40}")
     if as_json:
-        click.echo(dump({"note": REPORTED, "rows": [asdict(row) for row in rows]}))
+        echo(dump({"note": REPORTED, "rows": [asdict(row) for row in rows]}))
         return
-    click.echo(REPORTED)
+    echo(REPORTED)
     for table in literature_tables(rows):
         print_rich(terminal_table(table))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench_baselines.learning.trained import device_option, seed_option
 
 if TYPE_CHECKING:
@@ -90,12 +91,11 @@ def train_command(
     with frames_bar(f"training {method} on {len(rendered)} and {len(real)} images", "steps") as bar:
         checkpoint = train(rendered, real, settings, out / "checkpoint.pt", seed, pick_device(device), bar, keep)
     last = curves(checkpoint)[-100:].mean(axis=0)
-    click.echo(
+    message(
         f"{checkpoint.step} steps, looks {last[1]:.3f}, content {last[2]:.3f} over the last 100, "
-        f"{checkpoint.seconds:.0f} s of a processor",
-        err=True,
+        f"{checkpoint.seconds:.0f} s of a processor"
     )
-    click.echo(out / "checkpoint.pt")
+    echo(out / "checkpoint.pt")
 
 
 @click.command("cut", short_help="By a trained generator.")
@@ -184,9 +184,8 @@ def _write(source: LabelledSet, change: Callable[[LabelledSet], Iterator[Labelle
     known = rows[~np.isnan(rows).any(axis=1)]
     if len(known):
         edges, kept, flow, offset = np.median(known, axis=0)
-        click.echo(
+        message(
             f"mask drift, medians of {len(known)} images: edges correlate {edges:.2f}, {100 * kept:.0f} % of the "
-            f"strongest are kept, flow {flow:.1f} px, best offset {offset:.0f} px",
-            err=True,
+            f"strongest are kept, flow {flow:.1f} px, best offset {offset:.0f} px"
         )
-    click.echo(out)
+    echo(out)

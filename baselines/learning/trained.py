@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import MethodError
 from oysterbench.core.files import home
 
@@ -73,9 +74,8 @@ def on_torch(name: str) -> Iterator[None]:
 def tell_end(checkpoint: Checkpoint, path: Path) -> None:
     """What a training command says at its end: steps, loss and time on stderr, the checkpoint's path on stdout."""
     last = checkpoint.losses[-LAST:]
-    click.echo(
+    message(
         f"{checkpoint.step} steps, loss {sum(last) / len(last):.3f} over the last {len(last)}, "
-        f"{checkpoint.seconds:.0f} s of a processor",
-        err=True,
+        f"{checkpoint.seconds:.0f} s of a processor"
     )
-    click.echo(path)
+    echo(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import partial
 from pathlib import Path
 
 import click
@@ -62,6 +61,7 @@ def command(
     goes on from there; started twice, both share the work. Training images that nearly are test images are named, and
     left out.
     """
+    from oysterbench.cli.echo import message
     from oysterbench.cli.labelled import open_all, open_data
     from oysterbench.cli.outputs import print_rich
     from oysterbench.cli.render import frames_bar
@@ -91,7 +91,7 @@ def command(
         device=device,
         train=not only_table,
         bar=frames_bar,
-        echo=partial(click.echo, err=True),
+        echo=message,
         show=lambda table: print_rich(terminal_table(table)),
     )
 

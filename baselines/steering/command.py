@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from oysterbench.cli.echo import message
 from oysterbench_baselines.learning.trained import checkpoint_path, tell_end, training_options
 
 
@@ -73,5 +74,5 @@ def command(
             checkpoint = train(examples, path, settings, seed, progress)
     if val is not None:
         unseen = read_all(files_of(val), settings.network)
-        click.echo(f"{val}: {score(SteeringModel.of(checkpoint), unseen)}", err=True)
+        message(f"{val}: {score(SteeringModel.of(checkpoint), unseen)}")
     tell_end(checkpoint, path)

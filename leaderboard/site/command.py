@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from oysterbench.cli.echo import message
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import Place, find_place
 
@@ -61,7 +62,7 @@ def serve_command(
     if root and (not root.startswith("/") or root.endswith("/")):
         raise click.UsageError(f"--root: expected a path like /board, got {root!r}")
     app = whole(_place(context, folder, url).index(), submissions, truths, workers, root)
-    click.echo(f"serving http://{host}:{port}{root}/ (stop with Ctrl-C)", err=True)
+    message(f"serving http://{host}:{port}{root}/ (stop with Ctrl-C)")
     uvicorn.run(**settings(app, host, port))
 
 
@@ -88,10 +89,10 @@ def build_command(context: click.Context, target: Path, folder: Path | None, url
 
     def progress(done: int, of: int) -> None:
         if sys.stderr.isatty() and (done % 20 == 0 or done == of):
-            click.echo(f"\r{done} of {of} pages", err=True, nl=done == of)
+            click.echo(f"\r{done} of {of} pages", err=True, nl=done == of)  # noqa: TID251
 
     try:
         count = export(site_of(_place(context, folder, url).index()), target, progress)
     except OSError as error:
         raise ResultError(f"{target}: cannot be written: {error.strerror or error}") from None
-    click.echo(f"{target}: {count} files; open {target / 'index.html'}", err=True)
+    message(f"{target}: {count} files; open {target / 'index.html'}")

@@ -5,17 +5,15 @@ from __future__ import annotations
 import json
 import os
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import OysterbenchError, ResultError
 
 TOKEN = "OYSTERBENCH_TOKEN"
-
-echo = partial(click.echo, err=True)
 
 
 @click.command("submit", short_help="Send results or estimates to a leaderboard.")
@@ -77,7 +75,7 @@ def command(
 
     client = Client(url, _token(team_token_file))
     if client.open:
-        echo(f"{url}: without https others on the way can read the token and what is sent")
+        message(f"{url}: without https others on the way can read the token and what is sent")
     offered = client.splits()
     known_split, known_track = split_in(place)
     chosen = _choose(offered["splits"], split or known_split, place)
@@ -90,14 +88,14 @@ def command(
     results = results or "estimates" not in chosen["takes"]
     found = find_package(place, chosen["sequences"], of, run, results)
     with packed(found, wanted_of(chosen["split"], of_track, chosen), offered["limits"]) as package:
-        echo(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to be sent")
+        message(f"checked: {_described(package.facts)}; {package.size / 1e6:.3g} MB to be sent")
         if absent := [name for name in chosen["sequences"] if name not in package.facts["sequences"]]:
-            echo(f"nothing is sent for {', '.join(absent)}: counted as failed there")
+            message(f"nothing is sent for {', '.join(absent)}: counted as failed there")
         with bytes_bar("sending") as progress:
             sent = client.send(package, method, about, summary, progress)
-    echo(f"submission {sent['id']}: {url.rstrip('/')}{sent['page']}")
+    message(f"submission {sent['id']}: {url.rstrip('/')}{sent['page']}")
     if wait:
-        sent = client.wait(sent["id"], lambda now: echo(f"{now['state']}{_before(now)}"))
+        sent = client.wait(sent["id"], lambda now: message(f"{now['state']}{_before(now)}"))
         if publish and sent["state"] == "done":
             sent = client.publish(sent["id"])
     _show(sent, as_json)
@@ -144,18 +142,18 @@ def _before(found: dict[str, Any]) -> str:
 def _show(sent: dict[str, Any], as_json: bool) -> None:
     """On stdout, what became of it; exit status 1 where it failed."""
     if as_json:
-        click.echo(json.dumps(sent, indent=2))
+        echo(json.dumps(sent, indent=2))
     else:
-        click.echo(
+        echo(
             f"{sent['method']} on {sent['split']}: {sent['state']}" + (": " + sent["reason"] if sent["reason"] else "")
         )
         for key, value in sent.get("score", {}).items():
-            click.echo(f"  {key}: {'no value' if value is None else format(value, '.4g')}")
+            echo(f"  {key}: {'no value' if value is None else format(value, '.4g')}")
         for sequence, failure in sent.get("failures", {}).items():
-            click.echo(f"  {sequence}: {failure}")
+            echo(f"  {sequence}: {failure}")
         if sent["published"]:
-            click.echo(f"  published: {sent['published']}")
+            echo(f"  published: {sent['published']}")
         elif sent["state"] == "done":
-            click.echo("  private until it is published: the same command with --publish does so")
+            echo("  private until it is published: the same command with --publish does so")
     if sent["state"] in ("failed", "withdrawn"):
         sys.exit(OysterbenchError.exit_code)

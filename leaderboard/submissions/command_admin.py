@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import ResultError
 
 FOLDER = click.option(
@@ -43,8 +44,8 @@ def add(name: str, folder: Path, as_json: bool) -> None:
     from oysterbench_leaderboard.submissions.tokens import issue
 
     token = issue(_database(folder), name)
-    click.echo(json.dumps({"team": name, "token": token}) if as_json else token)
-    click.echo("this token is not shown again; OYSTERBENCH_TOKEN or --team-token-file gives it to `submit`", err=True)
+    echo(json.dumps({"team": name, "token": token}) if as_json else token)
+    message("this token is not shown again; OYSTERBENCH_TOKEN or --team-token-file gives it to `submit`")
 
 
 @team.command("list", short_help="All teams and tokens.")
@@ -56,11 +57,9 @@ def list_teams(folder: Path, as_json: bool) -> None:
 
     rows = listed(_database(folder, must_exist=True))
     if as_json:
-        click.echo(json.dumps(rows, indent=2))
+        echo(json.dumps(rows, indent=2))
     for row in () if as_json else rows:
-        click.echo(
-            f"{row['id']}  {row['created']}  {'revoked ' + row['revoked'] if row['revoked'] else ''}  {row['team']}"
-        )
+        echo(f"{row['id']}  {row['created']}  {'revoked ' + row['revoked'] if row['revoked'] else ''}  {row['team']}")
 
 
 @team.command("revoke", short_help="Revoke a token, or all of a team.")
@@ -72,9 +71,7 @@ def revoke_token(name: str, folder: Path, as_json: bool) -> None:
     from oysterbench_leaderboard.submissions.tokens import revoke
 
     gone = revoke(_database(folder, must_exist=True), name)
-    click.echo(
-        json.dumps({"revoked": gone}) if as_json else f"revoked: {', '.join(gone) or 'none that was not before'}"
-    )
+    echo(json.dumps({"revoked": gone}) if as_json else f"revoked: {', '.join(gone) or 'none that was not before'}")
 
 
 @click.group("submissions", short_help="What was submitted, and what became of it.")
@@ -104,14 +101,12 @@ def list_submissions(folder: Path, of: str | None, state: str | None, limit: int
     with _database(folder, must_exist=True).reading() as connection:
         found = database.find(connection, *wanted, limit=limit)
     if as_json:
-        click.echo(json.dumps([asdict(one) for one in found], indent=2))
+        echo(json.dumps([asdict(one) for one in found], indent=2))
         return
     for one in found:
         why = f": {one.reason}" if one.reason else ""
         shown = ", published" if one.published and one.state == "done" else ""
-        click.echo(
-            f"{one.id}  {one.created}  {one.team}  {one.method} on {one.split} ({one.track})  {one.state}{shown}{why}"
-        )
+        echo(f"{one.id}  {one.created}  {one.team}  {one.method} on {one.split} ({one.track})  {one.state}{shown}{why}")
 
 
 @submissions.command("log", short_help="Events: who, what, when, why; also refusals.")
@@ -126,9 +121,9 @@ def show_log(folder: Path, id: str, limit: int, as_json: bool) -> None:
     with _database(folder, must_exist=True).reading() as connection:
         rows = database.log(connection, id, limit)
     if as_json:
-        click.echo(json.dumps(rows, indent=2))
+        echo(json.dumps(rows, indent=2))
     for row in () if as_json else rows:
-        click.echo(f"{row['at']}  {row['who']}  {row['what']}  {row['submission']}  {row['why']}".rstrip())
+        echo(f"{row['at']}  {row['who']}  {row['what']}  {row['submission']}  {row['why']}".rstrip())
 
 
 @submissions.command("retry", short_help="Score again what failed.")
@@ -150,7 +145,7 @@ def retry(id: str, folder: Path, as_json: bool) -> None:
                 f"{id}: no submission of that id has failed; `submissions list --state failed` lists them"
             )
         database.log_event(connection, at, "operator", "queued", id, "tried again")
-    click.echo(json.dumps({"id": id, "state": "queued"}) if as_json else f"{id}: queued")
+    echo(json.dumps({"id": id, "state": "queued"}) if as_json else f"{id}: queued")
 
 
 def _database(folder: Path, must_exist: bool = False) -> Any:

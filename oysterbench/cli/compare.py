@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench.cli.outputs import Outputs, output_options, print_rich
 
 if TYPE_CHECKING:
@@ -52,9 +53,9 @@ def compare_command(results: tuple[str, ...], split: str | None, outputs: Output
         raise ResultError(f"expected results on {split}, got none")
     found = boards(records)
     for path in outputs.write([SlamRun(record) for record in records]):
-        click.echo(f"written: {path}", err=True)
+        message(f"written: {path}")
     if outputs.as_json:
-        click.echo(dump({"remarks": remarks(found), "comparisons": [as_plain(board) for board in found]}))
+        echo(dump({"remarks": remarks(found), "comparisons": [as_plain(board) for board in found]}))
     elif not outputs.on_stdout:
         for table in comparison_tables(records) or results_tables(records):
             print_rich(terminal_table(table))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench.cli.outputs import Outputs, print_rich
 from oysterbench.core.errors import OysterbenchError
 
@@ -72,7 +73,7 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
         # After each run, so that a kill leaves a table of what was finished.
         write_results(results, [run.record for run in runs])
 
-    shown = replace(request, render=render_files, bar=frames_bar, announce=echo, finished=keep)
+    shown = replace(request, render=render_files, bar=frames_bar, announce=message, finished=keep)
     finish(track.evaluate(shown), request.out, outputs)
 
 
@@ -92,22 +93,22 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
         figures = [figure for _, figure in found.figures]
         written += outputs.write(found.runs, out, found.data_set, found.first, figures)
     if outputs.as_json:
-        click.echo(dump(document(records, data_set)))
+        echo(dump(document(records, data_set)))
     elif not outputs.on_stdout:
         for table in found.printed:
             if table.rows:
                 print_table(table)
     for each in found.unscored:
         if each.failure is not None:
-            echo(each.failure)
+            message(each.failure)
         elif out is not None:
             place = each.job.folder(out)
-            echo(f"{each.job.sequence.name} has no truth to score by; the predictions: {place}")
+            message(f"{each.job.sequence.name} has no truth to score by; the predictions: {place}")
     for path in written:
-        echo(f"written: {path}")
+        message(f"written: {path}")
     failures = {f"{one.method} failed on {one.sequence}": one.failure for one in records if one.failure is not None}
     for what, why in failures.items():
-        echo(f"{what}: {why}")
+        message(f"{what}: {why}")
     if failures or any(each.failure is not None for each in found.unscored):
         sys.exit(OysterbenchError.exit_code)
 
@@ -117,11 +118,6 @@ def print_table(table: Any) -> None:
     from oysterbench.report import terminal_table
 
     print_rich(terminal_table(table))
-
-
-def echo(text: str) -> None:
-    """A message to the user, on stderr."""
-    click.echo(text, err=True)
 
 
 def foreign_options(track: str, options: Mapping[str, Sequence[str]]) -> None:

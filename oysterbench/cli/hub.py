@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import HubError, IntegrityError
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, dir_okay=False)
 
 
-echo = partial(click.echo, err=True)
 """A message to the user, on stderr."""
 
 
@@ -40,8 +39,8 @@ def hub_key(path: Path) -> None:
     from oysterbench.hub.sign import make_key
 
     public = make_key(path)
-    echo(f"private key: {path}; the public one, for OYSTERBENCH_HUB_KEY or --key of those who download:")
-    click.echo(public)
+    message(f"private key: {path}; the public one, for OYSTERBENCH_HUB_KEY or --key of those who download:")
+    echo(public)
 
 
 @click.command(short_help="Write a split into a tree that any web server can serve.")
@@ -98,15 +97,15 @@ def publish(
     check_made_by(files, split.name, split.version, digest(split), hidden)
     shared = {"version": split.version, "track": split.track, "summary": split.summary}
     facts = {"split": split.name, "rig": split.rig.name, **shared}
-    manifest = publish(tree, facts, files, key, digest(split), url, echo, old_keys, truth_out)
+    manifest = publish(tree, facts, files, key, digest(split), url, message, old_keys, truth_out)
     if as_json:
-        click.echo(json.dumps({**_facts(manifest), "key": public_hex(key), "folder": str(tree)}, indent=2))
+        echo(json.dumps({**_facts(manifest), "key": public_hex(key), "folder": str(tree)}, indent=2))
         return
-    echo(f"{manifest.split} {manifest.version}: {len(manifest.files)} files, {manifest.size / 1e6:.1f} MB in {tree}")
+    message(f"{manifest.split} {manifest.version}: {len(manifest.files)} files, {manifest.size / 1e6:.1f} MB in {tree}")
     if manifest.commitment:
-        echo(f"commitment: {manifest.commitment}")
-    echo(f"public key: {public_hex(key)}")
-    click.echo(manifest.sha256)
+        message(f"commitment: {manifest.commitment}")
+    message(f"public key: {public_hex(key)}")
+    echo(manifest.sha256)
 
 
 @click.command(short_help="Serve a published tree.")
@@ -178,7 +177,7 @@ def download(
     if here is None and not hub_at:
         _render_instead(context, split, name, patterns, topics, out, dry_run, as_json)
         return
-    hub = Hub([], None) if here else Hub.at(hub_at, hub_key(key), echo, connections=connections)
+    hub = Hub([], None) if here else Hub.at(hub_at, hub_key(key), message, connections=connections)
     folder, manifest = here or (None, hub.manifest(split_name, version or None))
     folder = folder or out or _folder(split, manifest)
     entries = choose(manifest, patterns)
@@ -213,7 +212,9 @@ def _folder(split: SplitRecipe | None, manifest: Manifest) -> Path:
     if split is not None and manifest.recipe_digest == digest(split):
         return split_folder(split)
     if split is not None and not manifest.hidden:
-        echo(f"{manifest.split} {manifest.version} of the hub was made by another recipe or version: it is kept apart")
+        message(
+            f"{manifest.split} {manifest.version} of the hub was made by another recipe or version: it is kept apart"
+        )
     return home() / "splits" / manifest.split / f"{manifest.version}-{manifest.sha256[:12]}"
 
 
@@ -240,9 +241,9 @@ def _render_instead(
     known = [sequence.name for sequence in split.sequence]
     names = choose_names(known, patterns, f"{split.name} {split.version}", f"oysterbench splits {name}")
     if dry_run:
-        echo(f"{no_hub}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
+        message(f"{no_hub}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
         return
-    echo(f"{no_hub}: {split.name} {split.version} is rendered instead, which gives the same bytes")
+    message(f"{no_hub}: {split.name} {split.version} is rendered instead, which gives the same bytes")
     group = context.find_root().command
     assert isinstance(group, click.Group)
     context.invoke(group.commands["render"], split_name=name, names=tuple(names), out=out, as_json=as_json)
@@ -269,12 +270,12 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
     found = [check for name in (what or ("",)) for check in checks(name)]
     if as_json:
         rows = [{"file": str(check.path), "state": check.state, "detail": check.detail} for check in found]
-        click.echo(json.dumps({"files": rows}, indent=2))
+        echo(json.dumps({"files": rows}, indent=2))
     else:
         for check in found:
-            click.echo(f"{check.path}: {check.state}" + (f" ({check.detail})" if check.detail else ""))
+            echo(f"{check.path}: {check.state}" + (f" ({check.detail})" if check.detail else ""))
     if not found:
-        echo("nothing is here; `oysterbench splits` lists what there is")
+        message("nothing is here; `oysterbench splits` lists what there is")
     bad = sum(not check.good for check in found)
     if bad:
         raise IntegrityError(
@@ -295,10 +296,10 @@ def _facts(manifest: Manifest) -> dict[str, Any]:
 
 def _print_files(files: dict[str, Path], split: str, as_json: bool) -> None:
     if as_json:
-        click.echo(json.dumps({"split": split, "files": {k: str(v) for k, v in files.items()}}, indent=2))
+        echo(json.dumps({"split": split, "files": {k: str(v) for k, v in files.items()}}, indent=2))
         return
     for path in files.values():
-        click.echo(path)
+        echo(path)
 
 
 def _print_plan(manifest: Manifest, steps: list[Any], as_json: bool) -> None:
@@ -307,12 +308,12 @@ def _print_plan(manifest: Manifest, steps: list[Any], as_json: bool) -> None:
         for step in steps
     ]
     if as_json:
-        click.echo(json.dumps({**_facts(manifest), "files": rows}, indent=2))
+        echo(json.dumps({**_facts(manifest), "files": rows}, indent=2))
         return
     for row in rows:
-        click.echo(f"{row['file']}: {row['state']}, {row['size_bytes'] / 1e6:.1f} MB")
+        echo(f"{row['file']}: {row['state']}, {row['size_bytes'] / 1e6:.1f} MB")
     wanted = sum(row["size_bytes"] - row["there_bytes"] for row in rows)
-    echo(
+    message(
         f"{manifest.split} {manifest.version}: {wanted / 1e6:.1f} of {sum(r['size_bytes'] for r in rows) / 1e6:.1f} MB "
         "to fetch"
     )
@@ -332,7 +333,7 @@ def bytes_bar(title: str) -> Iterator[Progress]:
             nonlocal told
             if (tenth := 10 * done // max(total, 1)) > told:
                 told = tenth
-                echo(f"{title}: {done / 1e6:.1f} of {total / 1e6:.1f} MB")
+                message(f"{title}: {done / 1e6:.1f} of {total / 1e6:.1f} MB")
 
         yield tell
         return

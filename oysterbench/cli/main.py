@@ -10,8 +10,8 @@ from typing import Any
 import click
 
 from oysterbench.cli.compare import compare_command
+from oysterbench.cli.echo import echo, message
 from oysterbench.cli.eval import eval_command
-from oysterbench.cli.evaluate import echo
 from oysterbench.cli.hub import COMMANDS as HUB_COMMANDS
 from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
@@ -51,8 +51,8 @@ class Commands(click.Group):
             _fail(f"{place}{error.strerror or error}", 1)
 
 
-def _fail(message: str, code: int) -> None:
-    click.echo(f"oysterbench: {' '.join(message.split())}", err=True)
+def _fail(why: str, code: int) -> None:
+    message(f"oysterbench: {' '.join(why.split())}")
     sys.exit(code)
 
 
@@ -117,17 +117,15 @@ def info(sequence: Path, as_json: bool) -> None:
 
     facts = describe(sequence)
     if as_json:
-        click.echo(json.dumps(facts, indent=2))
+        echo(json.dumps(facts, indent=2))
         return
     from rich.table import Table
 
-    click.echo(
-        f"{facts['sequence']}: {facts['duration_s']:g} s, {facts['path_length_m'] or float('nan'):.2f} m of path"
-    )
+    echo(f"{facts['sequence']}: {facts['duration_s']:g} s, {facts['path_length_m'] or float('nan'):.2f} m of path")
     for key, value in facts["metadata"].items():
-        click.echo(f"  {key}: {value}")
+        echo(f"  {key}: {value}")
     for name, camera in facts["cameras"].items():
-        click.echo(f"  {name}: {camera['width']} x {camera['height']} at {camera['rate_hz']:g} Hz")
+        echo(f"  {name}: {camera['width']} x {camera['height']} at {camera['rate_hz']:g} Hz")
     table = Table(box=None, pad_edge=False)
     for heading in ("topic", "type", "messages", "per second"):
         table.add_column(heading, justify="right" if heading in ("messages", "per second") else "left")
@@ -175,11 +173,11 @@ def export(sequence: Path, form: str, out: Path, truth: bool, as_json: bool) -> 
 
     folder, notes = export_sequence(open_sequence(sequence), form, out, truth)
     if as_json:
-        click.echo(json.dumps({"folder": str(folder), "format": form, "notes": notes}, indent=2))
+        echo(json.dumps({"folder": str(folder), "format": form, "notes": notes}, indent=2))
         return
     for note in notes:
-        echo(note)
-    click.echo(folder)
+        message(note)
+    echo(folder)
 
 
 @main.command(short_help="One HTML page to look through a sequence.")
@@ -207,7 +205,7 @@ def view(sequence: Path, begin_s: float, seconds: float | None, out: Path | None
     opened = open_sequence(sequence)
     path = out or Path(f"{opened.name}.html")
     write_atomically(path, view_page(opened, begin_s, seconds).encode())
-    click.echo(path)
+    echo(path)
 
 
 @main.command(short_help="One sheet of pictures over every effect of a recipe.")
@@ -232,7 +230,7 @@ def gallery(real: Path | None, out: Path) -> None:
     with frames_bar("gallery") as progress:
         picture = make_gallery(real, progress)
     write_picture(out, picture)
-    click.echo(out)
+    echo(out)
 
 
 @main.command(short_help="Export one oyster as a mesh.")
@@ -253,7 +251,7 @@ def oyster(seed: int, size_mm: float | None, state: str, out: Path, as_json: boo
 
     facts = export_oyster(seed, out, size_mm, state)
     if as_json:
-        click.echo(json.dumps({"file": str(out), **facts}, indent=2))
+        echo(json.dumps({"file": str(out), **facts}, indent=2))
         return
     height, length, width = (1000 * facts[f"{key}_m"] for key in ("height", "length", "width"))
-    click.echo(f"{out}: {height:.0f} x {length:.0f} x {width:.0f} mm, {1e6 * facts['volume_m3']:.1f} ml")
+    echo(f"{out}: {height:.0f} x {length:.0f} x {width:.0f} mm, {1e6 * facts['volume_m3']:.1f} ml")

@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import OysterbenchError
 
 SOURCES = ("pictures", "echoes")
@@ -96,7 +97,7 @@ def map_command(
         camera = cameras[0] if cameras else None
         facts = _oysters(sequence, trajectory, masks, out, camera, given["depth"], given["kind"] or "auto", chosen)
         summary = facts.pop("summary")
-    click.echo(json.dumps(facts, indent=2) if as_json else summary)
+    echo(json.dumps(facts, indent=2) if as_json else summary)
 
 
 def _cloud(
@@ -171,7 +172,7 @@ def _oysters(
     own = str(masks) == TRUTH
     if own or depth == "layer":
         used = " and ".join([*(["masks"] if own else []), *(["depths"] if depth == "layer" else [])])
-        click.echo(f"the true {used} of {opened.name} are used: this map is no estimate", err=True)
+        message(f"the true {used} of {opened.name} are used: this map is no estimate")
     start = time.process_time()
 
     def seen() -> Any:

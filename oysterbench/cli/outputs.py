@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.cli.echo import echo
+
 if TYPE_CHECKING:
     from oysterbench.report import DatasetRow
     from oysterbench.report.cards import Card
@@ -61,7 +63,7 @@ class Outputs:
         for form, path in places:
             text = makers[form](records, [*first, *dataset_tables(data_set)])
             if path == Path("-"):
-                click.echo(text, nl=False)
+                echo(text, nl=False)
             else:
                 write_atomically(path, text.encode())
         for path in reports:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from oysterbench.cli.echo import echo, message
+
 if TYPE_CHECKING:
     from oysterbench.recipe import SequenceRecipe, SplitRecipe
     from oysterbench.simulation.generate import Progress
@@ -73,10 +75,10 @@ def render(
         salt = salt_for(split.name, split.hidden, salt_file)
         files = render_files(split, out, workers, names, salt, device, scheduler)
     if as_json:
-        click.echo(json.dumps({"split": split.name, "files": {k: str(v) for k, v in files.items()}}, indent=2))
+        echo(json.dumps({"split": split.name, "files": {k: str(v) for k, v in files.items()}}, indent=2))
     else:
         for path in files.values():
-            click.echo(path)
+            echo(path)
 
 
 def render_files(
@@ -120,7 +122,7 @@ def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int) -
     if seconds > TOLD_FROM_S:
         what = missing[0].name if len(missing) == 1 else f"{len(missing)} sequences"
         on = f"{workers} worker{'s' if workers > 1 else ''}"
-        click.echo(f"rendering {split.name}: {what} will take about {_time(seconds)} on {on}", err=True)
+        message(f"rendering {split.name}: {what} will take about {_time(seconds)} on {on}")
 
 
 def _preview(split: SplitRecipe, names: tuple[str, ...], folder: Path) -> dict[str, Path]:
@@ -180,7 +182,7 @@ def plain_progress(title: str, unit: str = "frames") -> Progress:
             return
         told, at = tenth, now
         left = f", {_time((now - began) * (total - done) / (done - first))} left" if first < done < total else ""
-        click.echo(f"{title}: {done} of {total} {unit}{left}", err=True)
+        message(f"{title}: {done} of {total} {unit}{left}")
 
     return tell
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from oysterbench.cli.echo import echo
+
 if TYPE_CHECKING:
     from oysterbench.hub.manifest import Manifest
     from oysterbench.recipe import SplitRecipe
@@ -81,7 +83,7 @@ def splits(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | 
     if ask_hub or places:
         rows = list(_with_hub(rows, places, key))
     if as_json:
-        click.echo(json.dumps({"splits": [asdict(row) for row in rows]}, indent=2))
+        echo(json.dumps({"splits": [asdict(row) for row in rows]}, indent=2))
         return
     from rich.table import Table
 
@@ -104,7 +106,7 @@ def _print_sequences(split: SplitRecipe, as_json: bool) -> None:
 
     table = sequences_table(split)
     if as_json:
-        click.echo(json.dumps({"split": split.name, "sequences": json_rows(table)}, indent=2))
+        echo(json.dumps({"split": split.name, "sequences": json_rows(table)}, indent=2))
     else:
         print_rich(terminal_table(table))
 

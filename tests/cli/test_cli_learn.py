@@ -37,7 +37,7 @@ def test_what_is_installed_is_listed_and_run(group):
     @click.command("mine", short_help="My own.")
     @click.option("--name")
     def mine(name):
-        click.echo(f"trained {name}")
+        print(f"trained {name}")
 
     run = group(mine=mine)
     assert "mine  My own." in run("--help").stdout

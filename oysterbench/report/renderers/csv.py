@@ -6,6 +6,7 @@ import csv
 import io
 import math
 
+from oysterbench.core.text import IGNORABLE, compatible
 from oysterbench.evaluate.statistics import Interval
 from oysterbench.report.table import Cell, Column, Estimate, Table
 
@@ -44,5 +45,6 @@ def field(value: str | float | None) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     if isinstance(value, str):
-        return f"'{value}" if value.startswith(FORMULA) or value.lstrip().startswith(FORMULA) else value
+        begins = compatible(IGNORABLE.sub("", value)).lstrip()[:1]  # as a spreadsheet may see it
+        return f"'{value}" if value.startswith(FORMULA) or begins in FORMULA else value
     return repr(float(value)) if isinstance(value, float) else str(value)

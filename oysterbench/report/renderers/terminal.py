@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from oysterbench.core.text import printable
 from oysterbench.report.table import Column, Table
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True) -> Ri
     from rich.text import Text
 
     def styled(text: str, style: str) -> Text:
-        return Text(text, style=style if colour else "")
+        return Text(printable(text), style=style if colour else "")
 
     made = RichTable(
         title=styled(table.title, "bold") if titled else None,

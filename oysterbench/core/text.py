@@ -1,0 +1,59 @@
+"""Text of strangers: what may be printed as it is, and what lets a name look like another."""
+
+from __future__ import annotations
+
+import json
+import re
+import unicodedata
+
+IGNORABLE = re.compile(
+    "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef]"
+)
+"""What is drawn as nothing, although its category says nothing of it (Default_Ignorable_Code_Point of Unicode, and the
+blank of Braille)."""
+
+LIKE_LATIN = re.compile("[\u0370-\u03ff\u0400-\u052f\u0530-\u058f\u13a0-\u13fd]")
+"""Greek, Cyrillic, Armenian, Cherokee: scripts with letters that look like Latin ones."""
+
+LATIN = re.compile("[A-Za-z]")
+GREEK_ALONE = re.compile("[\u0391-\u03a9\u03b1-\u03c9]")
+"""Letters that stand beside Latin ones in formulas; most of them look like no other."""
+
+GREEK_LIKE_LATIN = re.compile("[ΑΒΕΖΗΙΚΜΝΟΡΤΥΧινορυ]")
+
+
+def printable(text: str) -> str:
+    r"""Text with everything that a terminal may obey, or that nobody sees, written as JSON writes it.
+
+    So text that is JSON stays JSON, of the same values; line ends and tabs stay.
+
+    >>> printable("a\x1b[2Jb")
+    'a\\u001b[2Jb'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in "\n\t" else json.dumps(c)[1:-1] for c in text)
+
+
+def unseen(text: str) -> str | None:
+    """The first character that is no sign on the paper: of control, of format, of no meaning, a space other than the
+    common one. None where there is none."""
+    return next((c for c in text if not c.isprintable() or IGNORABLE.match(c)), None)
+
+
+def mixed_word(text: str) -> str | None:
+    """The first word in which Latin letters stand beside letters that look like them. None where there is none.
+
+    >>> mixed_word("ORB-SL\u0410M") == "SL\u0410M", mixed_word("\u03b1-SLAM")
+    (True, None)
+    """
+    for word in re.findall(r"[^\W\d_]+", text):
+        foreign = [c for c in LIKE_LATIN.findall(word) if not GREEK_ALONE.match(c) or GREEK_LIKE_LATIN.match(c)]
+        if foreign and LATIN.search(word):
+            return str(word)
+    return None
+
+
+def compatible(text: str) -> str:
+    """In the signs that stand for those that look like them: wide letters, ligatures, circled digits (NFKC)."""
+    return unicodedata.normalize("NFKC", text)

@@ -1,0 +1,48 @@
+"""Text of strangers: what reaches a terminal, and names that look like others."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from oysterbench.core.text import compatible, mixed_word, printable, unseen
+from oysterbench.report.renderers.csv import field
+
+HOSTILE = "a\x1b]0;title\x07\x9b2Jb\r\u202ec\u3164\U000e0041"
+
+
+@given(st.text())
+def test_nothing_but_signs_lines_and_tabs_is_printed_and_json_keeps_its_values(text):
+    assert all(c.isprintable() or c in "\n\t" for c in printable(text))
+    assert json.loads(printable(json.dumps(text, ensure_ascii=False))) == text
+
+
+def test_what_a_terminal_obeys_is_written_out():
+    assert printable(HOSTILE).startswith("a\\u001b]0;title\\u0007\\u009b2Jb\\r\\u202ec")
+
+
+@pytest.mark.parametrize(
+    "odd", ["\u3164", "\u00ad", "\u034f", "\U000e0041", "\u061c", "\u200b", "\ufe0f", "\u2003", "\x9b"]
+)
+def test_what_nobody_sees_is_found(odd):
+    assert unseen(f"reef{odd} lab") == odd
+
+
+@pytest.mark.parametrize("name", ["reef lab", "Łódź team", "小組", "naïve café", "команда", "α-SLAM v2.1 (mono)"])
+def test_names_of_all_scripts_are_names(name):
+    assert unseen(name) is None
+    assert mixed_word(name) is None
+    assert compatible(name) == name
+
+
+@pytest.mark.parametrize("name", ["ORB-SL\u0410M", "c\u043ed", "\u039dET", "\u13a0RB"])
+def test_words_of_letters_that_look_like_latin_ones_are_found(name):
+    assert mixed_word(name) == name.rpartition("-")[2]
+
+
+@pytest.mark.parametrize("text", ["=1", "\uff1d1", "\ufe0f=1", " \u3164=1", "+1", "\uff0b1", "@x", "\ufe62x"])
+def test_no_cell_begins_a_formula(text):
+    assert field(text) == f"'{text}"
