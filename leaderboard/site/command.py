@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from oysterbench.cli.echo import message
+from oysterbench.cli.hub import PROXY
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import Place, find_place
 
@@ -30,6 +31,7 @@ def _place(context: click.Context, folder: Path | None, url: str | None) -> Plac
     "--workers", type=click.IntRange(min=1), help="Submissions scored at once.  [default: as the folder says]"
 )
 @click.option("--root", default="", help="Path that a proxy puts before our addresses, such as /board.")
+@PROXY
 @click.pass_context
 def serve_command(
     context: click.Context,
@@ -41,6 +43,7 @@ def serve_command(
     truths: tuple[str, ...],
     workers: int | None,
     root: str,
+    proxies: tuple[str, ...],
 ) -> None:
     """Serve the site: boards, records, data sets; with --submissions, take estimates and score them.
 
@@ -51,11 +54,12 @@ def serve_command(
       oysterbench leaderboard serve --board board --submissions private --truth slam-test=truth/slam-test
 
     Records that come into the folder while it runs are shown within seconds. For the world, put a proxy with TLS before
-    it; teams and their tokens are made by `oysterbench leaderboard team`.
+    it, and name it with --proxy; teams and their tokens are made by `oysterbench leaderboard team`.
     """
     import uvicorn
 
-    from oysterbench_leaderboard.site.running import settings, whole
+    from oysterbench.hub.connections import server_settings
+    from oysterbench_leaderboard.site.running import whole
 
     if truths and submissions is None:
         raise click.UsageError("--truth says what submissions are scored against: give --submissions, too")
@@ -63,7 +67,7 @@ def serve_command(
         raise click.UsageError(f"--root: expected a path like /board, got {root!r}")
     app = whole(_place(context, folder, url).index(), submissions, truths, workers, root)
     message(f"serving http://{host}:{port}{root}/ (stop with Ctrl-C)")
-    uvicorn.run(**settings(app, host, port))
+    uvicorn.run(**server_settings(app, host, port, "on", proxies))
 
 
 @click.command("build", short_help="Write the whole site as files, for any web host.")

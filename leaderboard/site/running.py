@@ -13,7 +13,6 @@ import anyio.to_thread
 from starlette.applications import Starlette
 
 from oysterbench.core.errors import OysterbenchError
-from oysterbench.hub.serve import CLIENTS, LARGEST_HEADERS, LOGGING
 from oysterbench_leaderboard.index import BoardIndex
 from oysterbench_leaderboard.literature import literature
 from oysterbench_leaderboard.site import datasets, render
@@ -100,20 +99,3 @@ def whole(
 
     app.router.lifespan_context = lifespan
     return app
-
-
-def settings(app: Starlette, host: str, port: int) -> dict[str, Any]:
-    """How uvicorn serves it."""
-    return {
-        "app": app,
-        "host": host,
-        "port": port,
-        "http": "h11",
-        "ws": "none",
-        "lifespan": "on",
-        "server_header": False,
-        "h11_max_incomplete_event_size": LARGEST_HEADERS,
-        "limit_concurrency": CLIENTS,
-        "timeout_keep_alive": 30,
-        "log_config": LOGGING,
-    }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import tempfile
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import IO
@@ -12,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 
+from oysterbench.hub.addresses import network
 from oysterbench_leaderboard.submissions.database import Submission
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.service import Form, Service
@@ -46,7 +48,7 @@ class Auth:
     def __init__(self, service: Service) -> None:
         self.service = service
         self.guesses = Guesses(service.settings)
-        self._receiving = 0
+        self._receiving: Counter[str] = Counter()
 
     async def holder(self, request: Request, token: str) -> Holder:
         """Who holds a token. Raises Refusal for a wrong one, and where too many wrong ones came."""
@@ -64,14 +66,23 @@ class Auth:
         return found
 
     @asynccontextmanager
-    async def _slot(self) -> AsyncIterator[None]:
-        if self._receiving >= self.service.settings.uploads_at_once:
-            raise Refusal("busy", "too many uploads at once; try again in a minute", 60)
-        self._receiving += 1
+    async def _slot(self, team: str, address: str) -> AsyncIterator[None]:
+        settings = self.service.settings
+        of_team, of_address = f"team {team}", f"address {network(address)}"
+        shares = {
+            "": settings.uploads_at_once,
+            of_team: settings.uploads_of_team,
+            of_address: settings.uploads_of_address,
+        }
+        for whose, most in shares.items():
+            if self._receiving[whose] >= most:
+                of = f" of this {whose.partition(' ')[0]}" if whose else ""
+                raise Refusal("busy", f"too many uploads{of} at once; try again in a minute", 60)
+        self._receiving.update(shares.keys())
         try:
             yield
         finally:
-            self._receiving -= 1
+            self._receiving -= Counter(shares.keys())
 
     async def submit(
         self, request: Request, team: str, check_fields: Callable[[dict[str, str]], None] = lambda fields: None
@@ -80,7 +91,7 @@ class Auth:
         settings, folder = self.service.settings, self.service.incoming
         check_headers(request, settings)
         fields = dict(request.query_params)
-        async with self._slot(), AsyncExitStack() as stack:
+        async with self._slot(team, address_of(request)), AsyncExitStack() as stack:
             with tempfile.TemporaryFile(dir=folder) as body:
                 file: IO[bytes] = body
                 if request.headers.get("content-type", "").lower().startswith("multipart/"):

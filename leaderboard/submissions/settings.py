@@ -33,7 +33,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     ratio:              of an entry's size to what it takes in the archive. Images compress hundreds of times as arrays,
                         so .npz files are held by `unpacked_bytes` alone
     per_day, per_split: submissions that are accepted of a team in 24 hours, and of a team on one split in all
-    uploads_at_once, checks_at_once: of all clients
+    uploads_at_once, checks_at_once: of all clients; uploads_of_team, uploads_of_address: of one
     idle_s:             after which a client that sends nothing is sent away; upload_s: an upload takes at most
     workers:            submissions scored at once
     lease_s:            a worker that is not heard of for so long has died, and another one takes over
@@ -55,6 +55,8 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     per_day: Count = 10
     per_split: Count = 100
     uploads_at_once: Count = 8
+    uploads_of_team: Count = 2
+    uploads_of_address: Count = 4
     checks_at_once: Count = 2
     idle_s: Seconds = 30.0
     upload_s: Seconds = 3600.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import ipaddress
 import secrets
 import threading
 import time
@@ -14,6 +13,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, insert, select, update
 
 from oysterbench.core.errors import ResultError
+from oysterbench.hub.addresses import network
 from oysterbench_leaderboard.record import MOST_TEXT, check_text
 from oysterbench_leaderboard.submissions.database import Database, log_event, teams, tokens, utc
 from oysterbench_leaderboard.submissions.refusals import Refusal
@@ -133,16 +133,3 @@ class Guesses:
             while times[0] < oldest:
                 times.popleft()
         return now
-
-
-def network(address: str) -> str:
-    """What counts as one client: an IPv4 address, or the /64 that an IPv6 host chooses its addresses from."""
-    try:
-        found = ipaddress.ip_address(address)
-    except ValueError:
-        return address
-    if isinstance(found, ipaddress.IPv6Address):
-        if found.ipv4_mapped is not None:
-            return str(found.ipv4_mapped)
-        return str(ipaddress.ip_network((int(found) >> 64 << 64, 64)))
-    return str(found)

@@ -36,7 +36,9 @@ KINDS = {
 OVERHEAD = 1_000_000
 """Bytes of a form beside its files."""
 
-MOST_PARTS = 1000
+MOST_FILES, MOST_FIELDS = 100, 20
+"""Parts of a form. A file of it of more than a megabyte is an open one of the server; more go into an archive."""
+
 MOST_FIELD = 4000
 """Bytes of a field of a form."""
 
@@ -117,8 +119,8 @@ async def receive_form(request: Request, settings: SubmissionSettings) -> FormDa
     parser = _Parser(
         request.headers,
         paced(request.stream(), settings, settings.upload_bytes + OVERHEAD),
-        max_files=MOST_PARTS,
-        max_fields=MOST_PARTS,
+        max_files=MOST_FILES,
+        max_fields=MOST_FIELDS,
         max_part_size=MOST_FIELD,
     )
     try:

@@ -43,6 +43,15 @@ def hub_key(path: Path) -> None:
     echo(public)
 
 
+PROXY = click.option(
+    "--proxy",
+    "proxies",
+    multiple=True,
+    metavar="ADDRESS",
+    help="A proxy before the server, which is believed when it says who asks. Repeatable.",
+)
+
+
 @click.command(short_help="Write a split into a tree that any web server can serve.")
 @click.argument("split_name", metavar="SPLIT")
 @click.argument("tree", type=FOLDER, metavar="DIR")
@@ -112,7 +121,8 @@ def publish(
 @click.argument("tree", type=FOLDER, metavar="DIR")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8000, show_default=True, help="0: any that is free.")
-def serve(tree: Path, host: str, port: int) -> None:
+@PROXY
+def serve(tree: Path, host: str, port: int, proxies: tuple[str, ...]) -> None:
     """Serve a published tree: ranges, conditional requests, a page with pictures and sizes, /health.
 
     \b
@@ -124,7 +134,7 @@ def serve(tree: Path, host: str, port: int) -> None:
     """
     from oysterbench.hub.serve import serve
 
-    serve(tree, host, port)
+    serve(tree, host, port, proxies)
 
 
 @click.command(short_help="Fetch a split from a hub, or render it where there is none.")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 import stat
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import anyio.to_thread
 from starlette.applications import Starlette
@@ -20,6 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from oysterbench.core.errors import HubError
 from oysterbench.hub.canonical import sha256
+from oysterbench.hub.connections import LARGEST_HEADERS, MOST_HEADERS, server_settings
 from oysterbench.version import VERSION
 
 FOREVER = "public, max-age=31536000, immutable"
@@ -33,11 +34,6 @@ KINDS = {
     "pictures": (".jpg", "image/jpeg"),
 }
 """Folder -> suffix and media type."""
-
-LARGEST_HEADERS = 16 << 10
-MOST_HEADERS = 100
-CLIENTS = 512
-"""Bytes and number of a request's headers, and clients at once, beyond which a request is refused."""
 
 HEADERS = {"Accept-Ranges": "bytes", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 PAGE_HEADERS = {"Content-Security-Policy": "default-src 'none'; img-src 'self'; style-src 'unsafe-inline'"}
@@ -175,36 +171,13 @@ class BlobResponse(FileResponse):
         await super().__call__(scope, receive, send)
 
 
-def serve(tree: Path, host: str, port: int) -> None:
-    """Serve until interrupted; every request is logged on stderr."""
+def serve(tree: Path, host: str, port: int, proxies: Sequence[str] = ()) -> None:
+    """Serve until interrupted; every request is logged on stderr. Raises HubError where there is no tree.
+
+    proxies: addresses that are believed when they say whom they speak for
+    """
     import uvicorn
 
-    uvicorn.run(**settings(tree, host, port))
-
-
-def settings(tree: Path, host: str, port: int) -> dict[str, Any]:
-    """How uvicorn serves a tree. Raises HubError where there is none."""
     if not (tree / "index.json").is_file():
         raise HubError(f"{tree}: expected a published tree (index.json is absent); `oysterbench publish` makes one")
-    return {
-        "app": application(tree),
-        "host": host,
-        "port": port,
-        "http": "h11",
-        "ws": "none",
-        "lifespan": "off",
-        "server_header": False,
-        "h11_max_incomplete_event_size": LARGEST_HEADERS,
-        "limit_concurrency": CLIENTS,
-        "timeout_keep_alive": 30,
-        "log_config": LOGGING,
-    }
-
-
-LOGGING = {
-    "version": 1,
-    "disable_existing_loggers": False,
-    "formatters": {"plain": {"format": "%(asctime)s %(levelname)s %(message)s"}},
-    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "plain", "stream": "ext://sys.stderr"}},
-    "loggers": {"uvicorn": {"handlers": ["stderr"], "level": "INFO", "propagate": False}},
-}
+    uvicorn.run(**server_settings(application(tree), host, port, proxies=proxies))

@@ -38,11 +38,12 @@ def serve(folder: Path, index: str, ready: Event, port: Any) -> None:
     """The server that `oysterbench leaderboard serve` runs, without its log."""
     import uvicorn
 
-    from oysterbench_leaderboard.site.running import settings, whole
+    from oysterbench.hub.connections import server_settings
+    from oysterbench_leaderboard.site.running import whole
 
     app = whole(BoardIndex(index, RecordStore(folder)))
     server = uvicorn.Server(
-        uvicorn.Config(**{**settings(app, "127.0.0.1", 0), "log_level": "error", "log_config": None})
+        uvicorn.Config(**{**server_settings(app, "127.0.0.1", 0, "on"), "log_level": "error", "log_config": None})
     )
 
     async def run() -> None:

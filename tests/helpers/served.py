@@ -278,9 +278,9 @@ def serve(folder: Path, port: int) -> None:
     """Until it is killed."""
     import uvicorn
 
+    from oysterbench.hub.connections import server_settings
     from oysterbench_leaderboard.index import open_index
     from oysterbench_leaderboard.site.render import server_links
-    from oysterbench_leaderboard.site.running import settings
     from oysterbench_leaderboard.site.server import application
     from oysterbench_leaderboard.site.site import Site
     from oysterbench_leaderboard.submissions.web import Submissions
@@ -291,7 +291,7 @@ def serve(folder: Path, port: int) -> None:
     submissions = Submissions(service, server_links())
     app = application(Site(index, form=submissions.form), more=submissions.routes())
     submissions.attach(app)
-    uvicorn.run(**settings(app, "127.0.0.1", port))
+    uvicorn.run(**server_settings(app, "127.0.0.1", port, "on"))
 
 
 def free_port() -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import threading
+from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -99,13 +100,14 @@ def tree_bytes(tree: Path) -> dict[str, bytes]:
 
 
 @contextmanager
-def oysterbench_serve(tree: Path):
+def oysterbench_serve(tree: Path, proxies: Sequence[str] = ()):
     """`oysterbench serve` in a thread; gives its address."""
     import uvicorn
 
-    from oysterbench.hub.serve import settings
+    from oysterbench.hub.connections import server_settings
+    from oysterbench.hub.serve import application
 
-    server = uvicorn.Server(uvicorn.Config(**settings(tree, "127.0.0.1", 0)))
+    server = uvicorn.Server(uvicorn.Config(**server_settings(application(tree), "127.0.0.1", 0, proxies=proxies)))
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     until(lambda: server.started or not thread.is_alive())

@@ -14,8 +14,10 @@ import urllib.parse
 
 import pytest
 
-from oysterbench.hub.serve import LARGEST_HEADERS
+from oysterbench.hub import connections
+from oysterbench.hub.connections import CLIENTS_OF_ADDRESS, LARGEST_HEADERS
 from tests.helpers.trees import a_key, oysterbench_serve, publish_split, write_split
+from tests.helpers.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +29,9 @@ def site(tmp_path_factory):
     (folder / "secret").write_text("the truth")
     with oysterbench_serve(folder / "tree") as url:
         yield url, folder / "tree", manifest
+
+
+WHOLE = b"GET /health HTTP/1.1\r\nHost: x\r\n\r\n"
 
 
 def ask(url, path, method="GET", **headers):
@@ -243,6 +248,30 @@ def test_nonsense_and_floods_are_refused_and_the_server_lives(site, data):
     answer = raw(site[0], data)
     assert answer == b"" or re.match(rb"HTTP/1.1 4\d\d ", answer), answer[:200]
     assert ask(site[0], "/health")[0] == 200
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET / HTT", b"GET / HTTP/1.1\r\nHost: x\r\n", WHOLE + b"GET /"])
+def test_who_never_says_what_it_wants_is_sent_away(site, monkeypatch, begun):
+    monkeypatch.setattr(connections, "HEADERS_S", 0.2)
+    answer = raw(site[0], begun)  # until the server closes
+    assert answer.startswith(b"HTTP/1.1 200") if begun.startswith(WHOLE) else answer == b""
+
+
+def test_no_address_keeps_all_others_out(tmp_path, site):
+    place = urllib.parse.urlsplit(site[0])
+    with contextlib.ExitStack() as stack:
+        for _ in range(CLIENTS_OF_ADDRESS):
+            stack.enter_context(socket.create_connection((place.hostname, place.port), timeout=10))
+        assert raw(site[0], b"").startswith(b"HTTP/1.1 429 ")
+    until(lambda: ask(site[0], "/health")[0] == 200)
+
+
+def test_a_proxy_has_the_connections_of_many(site):
+    with oysterbench_serve(site[1], proxies=["127.0.0.1"]) as url, contextlib.ExitStack() as stack:
+        place = urllib.parse.urlsplit(url)
+        for _ in range(CLIENTS_OF_ADDRESS):
+            stack.enter_context(socket.create_connection((place.hostname, place.port), timeout=10))
+        assert ask(url, "/health")[0] == 200
 
 
 def test_nothing_can_be_written(site, blob):

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from oysterbench.hub.connections import server_settings
 from oysterbench_leaderboard.site.export import export
-from oysterbench_leaderboard.site.running import settings, whole
+from oysterbench_leaderboard.site.running import whole
 from tests.helpers.browser import CHROMIUM, browsing
 from tests.helpers.site_made import make_site
 
@@ -65,7 +66,7 @@ def address(made, tmp_path_factory):
 
     site, _ = made
     app = whole(site.index, tmp_path_factory.mktemp("private"), workers=1)
-    server = uvicorn.Server(uvicorn.Config(**{**settings(app, "127.0.0.1", 0), "log_config": None}))
+    server = uvicorn.Server(uvicorn.Config(**{**server_settings(app, "127.0.0.1", 0, "on"), "log_config": None}))
     thread = threading.Thread(target=server.run)
     thread.start()
     while not server.started:

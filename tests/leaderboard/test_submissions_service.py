@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import shutil
 import threading
+from contextlib import AsyncExitStack
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import pytest
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
+from oysterbench_leaderboard.submissions.auth import Auth
 from oysterbench_leaderboard.submissions.database import Database, find, log, submissions
 from oysterbench_leaderboard.submissions.refusals import FAILED, Refusal
 from oysterbench_leaderboard.submissions.service import Form, upload_of
@@ -378,6 +381,30 @@ def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):
     assert hosts[0].store.digests() == [published]
     for host in hosts:
         host.close()
+
+
+def test_no_team_and_no_address_takes_all_uploads(service):
+    auth = Auth(service)
+    most = service.settings
+
+    async def at_once(*uploads: tuple[str, str]) -> None:
+        async with AsyncExitStack() as stack:
+            for team, address in uploads:
+                await stack.enter_async_context(auth._slot(team, address))
+
+    def refused(*uploads: tuple[str, str]) -> str:
+        with pytest.raises(Refusal) as caught:
+            asyncio.run(at_once(*uploads))
+        return caught.value.reason
+
+    of_team = [("reef lab", f"10.0.0.{k}") for k in range(most.uploads_of_team + 1)]
+    assert "too many uploads of this team at once" in refused(*of_team)
+    of_address = [(f"team {k}", f"2001:db8::{k}") for k in range(most.uploads_of_address + 1)]
+    assert "too many uploads of this address at once" in refused(*of_address)
+    of_all = [(f"team {k}", f"10.0.0.{k}") for k in range(most.uploads_at_once + 1)]
+    assert refused(*of_all).startswith("too many uploads at once")
+    asyncio.run(at_once(*of_team[:-1], *of_address[:-1]))
+    assert not auth._receiving, "all slots were given back"
 
 
 # In the sandbox itself:

@@ -1,0 +1,109 @@
+"""Connections to a server of ours: how many there may be, and how long a client may take to say what it wants."""
+
+from __future__ import annotations
+
+import asyncio
+import resource
+from collections.abc import Sequence
+from typing import Any
+
+import h11
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from oysterbench.hub.addresses import network
+
+LARGEST_HEADERS = 16 << 10
+MOST_HEADERS = 100
+CLIENTS = 512
+"""Bytes and number of a request's headers, and clients at once, beyond which a request is refused."""
+
+CLIENTS_OF_ADDRESS = 64
+"""Connections that one address may hold: an eighth, so that nobody keeps all others out alone."""
+
+HEADERS_S = 20.0
+"""From a connection, or the answer before, to the last byte of a request's headers."""
+
+REFUSED = b"HTTP/1.1 429 Too Many Requests\r\nConnection: close\r\nContent-Length: 0\r\n\r\n"
+
+LOGGING = {
+    "version": 1,
+    "disable_existing_loggers": False,
+    "formatters": {"plain": {"format": "%(asctime)s %(levelname)s %(message)s"}},
+    "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "plain", "stream": "ext://sys.stderr"}},
+    "loggers": {"uvicorn": {"handlers": ["stderr"], "level": "INFO", "propagate": False}},
+}
+
+
+class Guarded(H11Protocol):
+    """HTTP/1.1 as uvicorn speaks it, with an end to requests that are never finished, and a share for each address."""
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        if self._of_address() > CLIENTS_OF_ADDRESS:
+            transport.write(REFUSED)
+            transport.close()
+            return
+        self._watch()
+
+    def data_received(self, data: bytes) -> None:
+        if not self.transport.is_closing():  # of one that was refused nothing more is wanted
+            super().data_received(data)
+            self._watch()
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        self._watch()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._forget()
+        super().connection_lost(exc)
+
+    def _of_address(self) -> int:
+        """Connections of this one's client. A proxy's are those of many."""
+        if self.client is None or self.client[0] in trusted(self.config.forwarded_allow_ips):
+            return 0
+        mine = network(self.client[0])
+        clients = [getattr(other, "client", None) for other in self.connections]
+        return sum(client is not None and network(client[0]) == mine for client in clients)
+
+    def _watch(self) -> None:
+        """Wait for the end of a request's headers, as long as they are not there."""
+        if self.conn.their_state is not h11.IDLE:
+            self._forget()
+        elif self._deadline is None:
+            self._deadline = self.loop.call_later(HEADERS_S, self.transport.close)
+
+    def _forget(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+
+def trusted(proxies: str | Sequence[str]) -> set[str]:
+    """Addresses of the proxies that a server stands behind, as uvicorn keeps them."""
+    return {part.strip() for part in (proxies.split(",") if isinstance(proxies, str) else proxies)}
+
+
+def server_settings(
+    app: Any, host: str, port: int, lifespan: str = "off", proxies: Sequence[str] = ()
+) -> dict[str, Any]:
+    """How uvicorn serves an application. proxies: addresses that are believed when they say whom they speak for."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # connections and files are counted elsewhere
+    return {
+        "app": app,
+        "host": host,
+        "port": port,
+        "http": Guarded,
+        "ws": "none",
+        "lifespan": lifespan,
+        "server_header": False,
+        "h11_max_incomplete_event_size": LARGEST_HEADERS,
+        "limit_concurrency": CLIENTS,
+        "timeout_keep_alive": int(HEADERS_S),
+        "proxy_headers": bool(proxies),
+        "forwarded_allow_ips": list(proxies),
+        "log_config": LOGGING,
+    }
