@@ -3,17 +3,19 @@ same method and split are one submission, however often they arrive."""
 
 from __future__ import annotations
 
-import json
 import time
 import urllib.parse
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
 import urllib3
 
+from oysterbench.core.documents import read_json
 from oysterbench.core.errors import HubError, NetworkError
-from oysterbench.hub.sources import RETRIED, Patience
+from oysterbench.hub.pool import open_pool
+from oysterbench.hub.sources import RETRIED, Patience, retry_after_s
 from oysterbench.hub.transfer import pause_s
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions.package import Package
@@ -21,6 +23,9 @@ from oysterbench_leaderboard.submissions.package import Package
 MOST_ANSWER = 64_000_000
 WAIT_S = (1.0, 10.0)
 """Between two requests for a submission that is not scored yet: at first, and at most."""
+
+CHECKED_S = 300.0
+"""Within which a server answers."""
 
 REFUSED_FOR_GOOD = ("quota", "guessing")
 """Kinds of refusals that come with a status that otherwise is worth another attempt."""
@@ -47,8 +52,8 @@ class Client:
         self.url = url.rstrip("/")
         self.open = parts.scheme == "http" and parts.hostname not in ("localhost", "127.0.0.1", "::1")
         self._patience = patience or Patience()
-        timeout = urllib3.Timeout(connect=self._patience.connect_s, read=300.0)
-        self._pool = urllib3.PoolManager(timeout=timeout, retries=False)
+        # What was sent is read and checked before it is answered.
+        self._pool = open_pool(self.url, 1, replace(self._patience, idle_s=CHECKED_S, window_s=CHECKED_S))
         self._headers = {"User-Agent": f"oysterbench/{VERSION}", "Accept": "application/json"}
         if token:
             self._headers["Authorization"] = f"Bearer {token}"
@@ -134,11 +139,11 @@ class Client:
         finally:
             response.release_conn()
         try:
-            answer = json.loads(data)
+            answer = read_json(data)
         except ValueError:
             answer = {"reason": f"status {response.status}, and no answer in JSON: {data[:60]!r}"}
-        asked = response.headers.get("Retry-After", "")
-        return response.status, answer if isinstance(answer, dict) else {}, float(asked) if asked.isdigit() else 0.0
+        asked_s = retry_after_s(response.headers.get("Retry-After"))
+        return response.status, answer if isinstance(answer, dict) else {}, asked_s
 
 
 def _counted(file: IO[bytes], total: int, progress: Progress) -> Iterator[bytes]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import email.utils
 import os
 import re
 import threading
@@ -18,12 +19,11 @@ from oysterbench.core.errors import HubError, NetworkError
 from oysterbench.version import VERSION
 
 if TYPE_CHECKING:
-    from urllib3 import BaseHTTPResponse, PoolManager
+    from urllib3 import BaseHTTPResponse
 
 READ = 1 << 20
 """Bytes asked for at a time."""
 
-REDIRECTS = 5
 RETRIED = (408, 425, 429, 500, 502, 503, 504)
 """Status codes after which the same request may succeed."""
 
@@ -50,7 +50,7 @@ class Patience:
     longest_wait_s: float = 60.0  # a server that asks for more is given up
     connect_s: float = 10.0
     idle_s: float = 30.0  # without a byte
-    window_s: float = 60.0  # within which `least_bytes` have to come
+    window_s: float = 60.0  # of waiting, within which the headers have to come, and then `least_bytes` again and again
     least_bytes: int = 1 << 14
     wait: Callable[[threading.Event, float], object] = threading.Event.wait  # so long, or until the transfer stops
 
@@ -115,30 +115,20 @@ class Folder:
             raise Setback(f"{self.folder / path}: {error.strerror or error}") from None
 
 
+@dataclass
 class HttpBody:
-    """The body of an answer, watched: a connection that trickles is as dead as one that is silent."""
+    """The body of an answer."""
 
-    def __init__(self, response: BaseHTTPResponse, start: int, patience: Patience) -> None:
-        self.start = start
-        self._response = response
-        self._patience = patience
-        self._since = time.monotonic()
-        self._got = 0
+    response: BaseHTTPResponse
+    start: int
 
     def read(self) -> bytes:
         import urllib3
 
         try:
-            data: bytes = self._response.read1(READ, decode_content=False)
+            return self.response.read1(READ, decode_content=False) or b""
         except (urllib3.exceptions.HTTPError, OSError, ValueError) as error:
             raise Setback(f"the connection broke: {_cause(error)}") from None
-        self._got += len(data or b"")
-        now = time.monotonic()
-        if now - self._since > self._patience.window_s:
-            if self._got < self._patience.least_bytes:
-                raise Setback(f"only {self._got} bytes in {now - self._since:.0f} s")
-            self._since, self._got = now, 0
-        return data or b""
 
 
 class Web:
@@ -150,8 +140,9 @@ class Web:
         self.url = url.rstrip("/")
         parts = urllib.parse.urlsplit(self.url)
         self.name = parts._replace(netloc=parts.netloc.rpartition("@")[2]).geturl()  # no password in a message
-        self._patience = patience
-        self._pool = _pool(parts, connections, patience)
+        from oysterbench.hub.pool import open_pool  # urllib3 is loaded only when needed
+
+        self._pool = open_pool(self.url, connections, patience)
 
     @contextlib.contextmanager
     def open(self, path: str, start: int = 0, end: int | None = None) -> Iterator[HttpBody]:
@@ -166,7 +157,7 @@ class Web:
             raise Setback(f"no answer: {_cause(error)}") from None
         try:
             begins = _check(response, start, end)
-            yield HttpBody(response, begins, self._patience)
+            yield HttpBody(response, begins)
         finally:
             # A connection whose answer was read to its end is used again; what is left over is not read.
             if response.length_remaining == 0:
@@ -179,52 +170,40 @@ def _check(response: BaseHTTPResponse, start: int, end: int | None) -> int:
     """Where the body begins in the file. Raises Setback or Refusal where it is not what was asked for."""
     status = response.status
     if status in RETRIED:
-        raise Setback(f"status {status}", _retry_after(response.headers.get("Retry-After")))
+        raise Setback(f"status {status}", retry_after_s(response.headers.get("Retry-After")))
     if status not in (200, 206):
         why = "the file there is shorter than it should be" if status == 416 else (response.reason or "refused")
         kind = Setback if status == 416 else Refusal
         raise kind(f"status {status} ({why})")
     if response.headers.get("Content-Encoding", "identity") != "identity":
-        raise Refusal(f"the answer is compressed ({response.headers['Content-Encoding']}), though it must not be")
+        raise Refusal(f"the answer is compressed ({response.headers['Content-Encoding']!r:.80}), though it must not be")
     if status == 200:
         return 0
     got = response.headers.get("Content-Range", "")
-    match = re.fullmatch(r"bytes (\d+)-(\d+)/(\d+|\*)", got)
+    match = re.fullmatch(r"bytes ([0-9]{1,19})-([0-9]{1,19})/([0-9]+|\*)", got)
     if end is None or match is None or int(match[1]) != start or not start <= int(match[2]) < end:
         raise Setback(
-            f"asked for bytes {start} to {-1 if end is None else end - 1}, answered with {got or 'no range'!r}"
+            f"asked for bytes {start} to {-1 if end is None else end - 1}, answered with {got[:80] or 'no range'!r}"
         )
     return start
 
 
-def _retry_after(value: str | None) -> float:
-    """Seconds of a Retry-After header, which is a number of seconds or a date; 0 where there is none."""
-    import urllib3
-
+def retry_after_s(value: str | None) -> float:
+    """Seconds of a Retry-After header, which is a number of seconds or a date; 0 where it is neither."""
+    text = (value or "").strip()
+    if text.isascii() and text.isdigit():
+        return float(text[:9])
     try:
-        return float(urllib3.Retry().parse_retry_after(value)) if value else 0.0
-    except (urllib3.exceptions.InvalidHeader, ValueError, OverflowError):
+        return max(0.0, email.utils.parsedate_to_datetime(text).timestamp() - time.time())
+    except (TypeError, ValueError, OverflowError, LookupError):
         return 0.0
-
-
-def _pool(parts: urllib.parse.SplitResult, connections: int, patience: Patience) -> PoolManager:
-    import urllib3
-
-    # Only redirects are followed here: what to try again, and when, is decided where it is known what is missing.
-    retries = urllib3.Retry(
-        total=None, connect=0, read=0, status=0, other=0, redirect=REDIRECTS, respect_retry_after_header=False
-    )
-    timeout = urllib3.Timeout(connect=patience.connect_s, read=patience.idle_s)
-    proxy = urllib.request.getproxies().get(parts.scheme)
-    if proxy and not urllib.request.proxy_bypass(parts.hostname or ""):
-        return urllib3.ProxyManager(proxy, maxsize=connections, retries=retries, timeout=timeout)
-    return urllib3.PoolManager(maxsize=connections, retries=retries, timeout=timeout)
 
 
 def _cause(error: BaseException) -> str:
     """The innermost reason, in words."""
-    reason = getattr(error, "reason", None)
-    return _cause(reason) if isinstance(reason, BaseException) else str(error) or type(error).__name__
+    reasons = (getattr(error, "reason", None), *error.args)
+    reason = next((one for one in reasons if isinstance(one, BaseException)), None)
+    return str(error) or type(error).__name__ if reason is None else _cause(reason)
 
 
 def open_source(place: str, connections: int = 4, patience: Patience = Patience()) -> Source:

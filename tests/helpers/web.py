@@ -141,6 +141,7 @@ class Misbehaving(Honest):
             f"bytes {other}-{other + end - start - 1}/{len(data)}",
             f"bytes {start}-{end + 4096}/{len(data)}",
             "bytes */7",
+            f"bytes {'9' * 5000}-{'9' * 5000}/*",
             "pages 1-2/3",
             "",
         )
@@ -166,13 +167,29 @@ class Misbehaving(Honest):
             threading.Event().wait(0.01)
         self.cut_off()
 
+    def trickled_headers(self, data: bytes, start: int, end: int) -> None:
+        for letter in b"HTTP/1.1 206 Partial Content\r\nX: " + b"x" * 40:
+            self.wfile.write(bytes([letter]))
+            threading.Event().wait(0.01)
+        self.cut_off()
+
+    def trickled_chunks(self, data: bytes, start: int, end: int) -> None:
+        self.send_response(206)
+        self.send_header("Content-Range", f"bytes {start}-{end - 1}/{len(data)}")
+        self.send_header("Transfer-Encoding", "chunked")
+        self.end_headers()
+        for letter in b"1;" + b"x" * 40:
+            self.wfile.write(bytes([letter]))
+            threading.Event().wait(0.01)
+        self.cut_off()
+
     def silence(self, data: bytes, start: int, end: int) -> None:
         self.head(data, start, end)
         threading.Event().wait(0.4)
         self.cut_off()
 
     def unavailable(self, data: bytes, start: int, end: int) -> None:
-        values = ("0", "1", "3600", "Fri, 31 Dec 2100 23:59:59 GMT", "Fri, 31 Dec 1999 23:59:59 GMT", "soon")
+        values = ("0", "1", "3600", "Fri, 31 Dec 2100 23:59:59 GMT", "Fri, 31 Dec 1999 23:59:59 GMT", "soon", "\xb2")
         self.send_response((503, 429, 500, 408)[self.roll(4)])
         self.send_header("Retry-After", values[self.roll(len(values))])
         self.send_header("Content-Length", "5")
@@ -232,6 +249,8 @@ KINDS = (
     "wrong_bytes",
     "wrong_file",
     "trickle",
+    "trickled_headers",
+    "trickled_chunks",
     "silence",
     "unavailable",
     "unsatisfiable",

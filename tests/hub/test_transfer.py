@@ -12,7 +12,7 @@ import pytest
 
 from oysterbench.core.errors import HubError, IntegrityError, NetworkError
 from oysterbench.hub.part import Part
-from oysterbench.hub.sources import _retry_after
+from oysterbench.hub.sources import retry_after_s
 from oysterbench.hub.transfer import pause_s
 from tests.helpers.blobs import CALM, IMPATIENT, beginnings, blob, fetch
 from tests.helpers.web import KINDS, Honest, misbehaving, serving
@@ -170,11 +170,24 @@ def test_waits_grow_with_jitter_and_are_never_shorter_than_asked():
 
 
 @pytest.mark.parametrize(
-    ("value", "seconds"), [(None, 0), ("", 0), ("12", 12), ("soon", 0), ("Fri, 31 Dec 1999 23:59:59 GMT", 0)]
+    ("value", "seconds"),
+    [
+        (None, 0),
+        ("", 0),
+        ("12", 12),
+        ("soon", 0),
+        ("-3", 0),
+        ("²", 0),
+        ("9" * 5000, 999_999_999),
+        ("Fri, 31 Dec 1999 23:59:59 GMT", 0),
+        ("Fri, 31 Dec 99999999999999999999 23:59:59 GMT", 0),
+        ("Fri, 99999999999999999999 Dec 2100 23:59:59 GMT", 0),
+        ("Fri, 31 Dec 2100 99:99:99 GMT", 0),
+    ],
 )
 def test_retry_after_is_a_number_or_a_date(value, seconds):
-    assert _retry_after(value) == seconds
-    assert _retry_after("Fri, 31 Dec 2100 23:59:59 GMT") > 3600
+    assert retry_after_s(value) == seconds
+    assert retry_after_s("Fri, 31 Dec 2100 23:59:59 GMT") > 3600
 
 
 def test_retry_after_is_honoured(tmp_path):
@@ -244,3 +257,17 @@ def test_a_full_disk_ends_the_download_and_what_is_there_stays(tmp_path, monkeyp
         fetch(ENTRY, tmp_path / "file", [site.url])
     assert site.sent == len(DATA) - 5 * ENTRY.piece_size - begun
     assert (tmp_path / "file").read_bytes() == DATA
+
+
+@pytest.mark.parametrize(
+    ("kind", "cause"),
+    [
+        ("trickled_headers", "the headers did not come within 0.15 s"),
+        ("trickled_chunks", "only [0-9]+ bytes in 0 s"),
+        ("trickle", "only [0-9]+ bytes in 0 s"),
+    ],
+)
+def test_a_server_that_trickles_is_given_up(kind, cause, tmp_path):
+    patience = replace(IMPATIENT, attempts=1)
+    with misbehaving(kind, {PATH: DATA}, 1, 1.0) as site, pytest.raises(NetworkError, match=cause):
+        fetch(ENTRY, tmp_path / "file", [site.url], patience, connections=1)
