@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from string import digits
 from typing import Any
 
 import msgspec
@@ -247,8 +248,8 @@ def _in_order(boards: Iterable[BoardInfo]) -> list[BoardInfo]:
 
 def evaluator_order(version: str) -> tuple[tuple[int, int, str], ...]:
     """A key by which "slam 10" is later than "slam 9"."""
-    parts = re.findall(r"\d+|\D+", version)
-    return tuple((1, int(part), "") if part.isdigit() else (0, 0, part) for part in parts)
+    parts = re.findall(r"[0-9]{1,18}|[^0-9]+", version)
+    return tuple((1, int(part), "") if part[0] in digits else (0, 0, part) for part in parts)
 
 
 def _for_each(connection: Connection, statement: Any, rows: Sequence[dict[str, Any]]) -> None:

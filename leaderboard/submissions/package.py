@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from oysterbench.core.documents import read_json
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.recipe.steering import SteeringRecipe
 from oysterbench_leaderboard.submissions.archive import Limits, pack
@@ -126,8 +126,8 @@ def split_in(place: Path) -> tuple[str, str]:
 def _first_result(path: Path) -> dict[str, Any]:
     """The first row of a results.json, as it says of itself; empty where the file is none."""
     try:
-        return dict(json.loads(path.read_bytes())["results"][0])
-    except (ValueError, LookupError, TypeError, RecursionError):
+        return dict(read_json(path.read_bytes())["results"][0])
+    except (ValueError, LookupError, TypeError):
         return {}
 
 

@@ -4,7 +4,6 @@ ends in these, or in a Refusal that names file and line; no truth is needed for 
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
+from oysterbench.core.documents import read_json
 from oysterbench.core.errors import OysterbenchError
 from oysterbench_leaderboard.submissions.archive import (
     Archive,
@@ -80,8 +80,8 @@ def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
     if first.lstrip()[:1] in (b"{", b"["):
         suffix = ".json"
         try:
-            content = json.loads(data)
-        except (ValueError, RecursionError) as error:
+            content = read_json(data)
+        except ValueError as error:
             raise Refusal("format", f"upload.json: not valid JSON: {' '.join(str(error).split())[:120]}") from None
         if isinstance(content, dict) and "results" in content:
             from oysterbench_leaderboard.submissions.reported import read_results

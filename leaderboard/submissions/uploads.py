@@ -69,7 +69,7 @@ async def paced(stream: AsyncIterator[bytes], settings: SubmissionSettings, most
 def check_headers(request: Request, settings: SubmissionSettings) -> None:
     """Refuse at once what says itself that it is too long; what says otherwise is counted all the same."""
     length = request.headers.get("content-length", "")
-    if length.isdigit() and int(length[:20]) > settings.upload_bytes + OVERHEAD:
+    if length.isascii() and length.isdigit() and int(length[:20]) > settings.upload_bytes + OVERHEAD:
         raise too_large(settings)
     if request.headers.get("content-encoding", "identity") != "identity":
         raise Refusal("type", "expected the bytes as they are, got a content encoding")

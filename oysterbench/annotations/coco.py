@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -21,6 +20,7 @@ from oysterbench.annotations.image import (
     planes_of,
     read_picture,
 )
+from oysterbench.core import documents
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
 from oysterbench.evaluate.detection import ImageInstances, Instance
@@ -181,10 +181,10 @@ def read_coco(path: Path, images: Mapping[Any, CocoImage] | None = None, categor
 def read_json(path: Path) -> Any:
     """The content of a file. Raises LabelError where it is not JSON."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return documents.read_json(path.read_bytes())
     except FileNotFoundError:
         raise LabelError(f"{path}: no such file") from None
-    except (OSError, ValueError, RecursionError) as error:  # ValueError also for a whole number of 5000 digits
+    except (OSError, ValueError) as error:
         raise LabelError(f"{path}: cannot be read as JSON: {error}") from None
 
 

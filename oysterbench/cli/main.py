@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from oysterbench.__main__ import INTERRUPTED
 from oysterbench.cli.compare import compare_command
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.eval import eval_command
@@ -22,7 +23,6 @@ from oysterbench.cli.splits import splits
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.version import VERSION
 
-INTERRUPTED = 130
 COMMANDS = Installed("oysterbench", "oysterbench.commands")
 
 

@@ -15,6 +15,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
+from oysterbench.core.documents import read_json
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.core.files import write_atomically
 from oysterbench.methods.finding import find_method
@@ -44,10 +47,10 @@ def predict(reference: str, given: Path, folder: Path, seed: int | None) -> dict
 
 def read_predicted(folder: Path) -> Predicted | str:
     """What a worker left in a folder, or why there is nothing. Raises OSError or ValueError where it did not end."""
-    held = json.loads((folder / PREDICTION).read_text(encoding="utf-8"))
-    if "failure" in held:
+    held = read_json((folder / PREDICTION).read_bytes())
+    if isinstance(held, dict) and "failure" in held:
         return str(held["failure"])
-    return Predicted(**held)
+    return msgspec.convert(held, Predicted)
 
 
 def _plain(value: Any) -> Any:

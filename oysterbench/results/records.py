@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypeVar, cast
 
 import msgspec
 
+from oysterbench.core.documents import read_json
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.metrics import FAILED, find_metric
@@ -192,9 +193,11 @@ def dump(value: Any) -> str:
 
 def _load(text: str, where: str) -> Any:
     try:
-        return json.loads(text)
+        return read_json(text)
     except json.JSONDecodeError as error:
         raise ResultError(f"{where}:{error.lineno}: not valid JSON: {error.msg}") from None
+    except ValueError as error:
+        raise ResultError(f"{where}: not valid JSON: {error}") from None
 
 
 def comparable_key(record: ResultRecord) -> tuple[str, ...]:

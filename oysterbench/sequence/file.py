@@ -29,7 +29,6 @@ DAMAGE = (
     ArithmeticError,
     MemoryError,
     OSError,
-    RecursionError,
     AttributeError,
 )
 """What the libraries underneath raise on bytes that are not what they should be."""

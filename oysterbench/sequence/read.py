@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from oysterbench.core.documents import read_json
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.measurements import Cloud, Image
 from oysterbench.core.ros import decode, stamp_of
@@ -87,7 +87,7 @@ class McapSequence(Sequence):
                 channel.topic: summary.schemas[channel.schema_id].name for channel in summary.channels.values()
             }
             self.name = self.metadata["sequence"]
-            document = json.loads(self.attachments[CALIBRATION])
+            document = read_json(self.attachments[CALIBRATION])
             self._calibrate(document)
             if UNCERTAINTY in document:
                 self.uncertainty = Uncertainty.from_entry(document[UNCERTAINTY])
@@ -101,7 +101,7 @@ class McapSequence(Sequence):
         if TRUE_CALIBRATION not in self.attachments:
             return self
         twin = McapSequence(self.path)
-        twin._calibrate(self._decoded(lambda: json.loads(self.attachments[TRUE_CALIBRATION])))
+        twin._calibrate(self._decoded(lambda: read_json(self.attachments[TRUE_CALIBRATION])))
         twin.uncertainty = None
         return twin
 

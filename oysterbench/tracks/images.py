@@ -158,8 +158,10 @@ class ImageTrack(Track):
     def _predictor(
         self, folder: Path, outcome: Outcome, labelled: LabelledSequence, settings: Any, method: str
     ) -> Predictor:
-        if not outcome.prediction["arrays"]:
-            return self.file_predictor(folder / outcome.prediction["place"], [labelled], settings)
+        if not outcome.prediction.get("arrays"):
+            # In the folder, whatever the process of a method wrote.
+            place = Path(str(outcome.prediction.get("place"))).name
+            return self.file_predictor(folder / place, [labelled], settings)
         coming = read_predictions(folder, labelled.names)
 
         def get(name: str, shape: tuple[int, int]) -> Any:

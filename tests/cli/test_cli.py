@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -16,7 +17,7 @@ from click.testing import CliRunner
 import oysterbench
 from oysterbench.cli.main import main
 from tests.helpers.command import assert_one_line, run, start
-from tests.helpers.paths import COMMAND, ROOT
+from tests.helpers.paths import ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.waiting import until
 
@@ -281,18 +282,55 @@ def test_splits_lists_what_is_here(home):
     assert "slam-mini" in run("splits", home=home).stdout
 
 
-def test_ctrl_c_is_one_line_and_the_work_goes_on_from_there(recipe, tmp_path):
-    out = tmp_path / "data"
-    process = subprocess.Popen(
-        [COMMAND, "render", str(recipe), "--out", str(out), "--workers", "2"], stderr=subprocess.PIPE, text=True
+def guarded(code, *arguments, **environment):
+    """The command, started beside some code of ours."""
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, **environment},
     )
+
+
+def test_ctrl_c_amid_the_imports_is_one_line(tmp_path):
+    (tmp_path / "click.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+    done = guarded("from oysterbench.__main__ import main; main()", "--help", PYTHONPATH=str(tmp_path))
+    assert_one_line(done, "interrupted before anything was done", 130)
+
+
+def test_a_command_that_is_terminated_puts_its_things_in_order():
+    done = guarded(
+        "import os, signal, oysterbench.cli.main\n"
+        "def command():\n"
+        "    try:\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        signal.pause()\n"
+        "    finally:\n"
+        "        print('in order')\n"
+        "oysterbench.cli.main.main = command\n"
+        "from oysterbench.__main__ import main\n"
+        "main()\n"
+    )
+    assert (done.returncode, done.stdout) == (128 + signal.SIGTERM, "in order\n")
+    assert done.stderr.strip() == (
+        "oysterbench: terminated; what was finished is kept, and the same command goes on from there"
+    )
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_an_interruption_is_one_line_and_the_work_goes_on_from_there(recipe, tmp_path, number):
+    out = tmp_path / "data"
+    words = [sys.executable, "-m", "oysterbench", "render", recipe, "--out", out, "--workers", "2"]
+    process = subprocess.Popen([str(word) for word in words], stderr=subprocess.PIPE, text=True)
     until(lambda: process.poll() is not None or list(out.glob(".parts/*/*.part")))
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, stderr = process.communicate(timeout=60)
     if process.returncode == 0:
         pytest.skip("the render was done before it could be interrupted")
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
     assert "Traceback" not in stderr
+    assert "leaked" not in stderr
     assert "the same command goes on from there" in stderr.splitlines()[-1]
     assert not (out / "tiny-01.mcap").exists()
     assert start("render", recipe, "--out", out).returncode == 0

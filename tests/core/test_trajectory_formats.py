@@ -13,6 +13,7 @@ from rosbags.rosbag2.enums import StoragePlugin
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import invert, transform
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz, write_tum
+from oysterbench.core.trajectory.columns import named_columns
 from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, poses_of_body
 from oysterbench.evaluate.slam.diagnose import diagnose
 from tests.helpers import trajectory_files as files
@@ -202,6 +203,12 @@ def test_a_header_may_spell_the_columns_in_many_ways(tmp_path, header):
     sign = next((sign for sign in (",", ";", "\t") if sign in header), " ")
     lines = [header, *(sign.join([row[0].replace(".", ""), *row[1:]]) for row in rows)]
     assert_same(read_trajectory(written(tmp_path, "\n".join(lines).encode())), dive())
+
+
+def test_a_number_that_no_cell_of_a_covariance_has_names_none():
+    columns = named_columns(["t", *"xyz", "qx", "qy", "qz", "qw", "cov_7", "cov_36", "cov_²", "cov_" + "9" * 5000])
+    assert columns is not None
+    assert columns.covariance == {(1, 1): 8}
 
 
 def test_velocities_and_biases_are_not_taken_for_positions(tmp_path):

@@ -14,6 +14,7 @@ from oysterbench.results.records import samples, weights_of
 from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.board import BoardInfo, Query
 from oysterbench_leaderboard.index import BoardIndex, open_index
+from oysterbench_leaderboard.index_writer import evaluator_order
 from oysterbench_leaderboard.store import StatusChange
 from oysterbench_leaderboard.tables import board_table
 from tests.helpers.boards_opened import ALL, opened, pages
@@ -331,3 +332,8 @@ def test_postgresql_gives_the_same_answers(store, postgres, request):
     assert pages(index, replace(ALL, sort="coverage", descending=True, text="%")) == pages(
         fresh, replace(ALL, sort="coverage", descending=True, text="%")
     )
+
+
+def test_any_text_has_a_place_in_the_order_of_evaluators():
+    versions = ["slam ²", "slam 1" + "0" * 5000, "slam 10", "slam 3", "slam"]
+    assert sorted(versions, key=evaluator_order) == versions[::-1]

@@ -9,7 +9,7 @@ import socket
 import stat
 import zipfile
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,12 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from starlette.requests import Request
 
 from oysterbench_leaderboard.submissions.database import Database, log
+from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import load_settings
+from oysterbench_leaderboard.submissions.uploads import check_headers
 from tests.helpers.served import NAMES, Server, answers, estimate, lay, path, running, tum, zipped
 
 
@@ -388,3 +391,10 @@ def test_tokens_cannot_be_guessed(site):
         "a right one is not told from a wrong"
     )
     assert site.server.ask("GET", "/api/submissions/splits")[0] == 200
+
+
+@pytest.mark.parametrize(("length", "refused"), [(b"\xb2", False), (b"", False), (b"9" * 5000, True)])
+def test_a_length_that_makes_no_sense_is_counted_instead(tmp_path, length, refused):
+    request = Request({"type": "http", "headers": [(b"content-length", length)]})
+    with pytest.raises(Refusal) if refused else nullcontext():
+        check_headers(request, load_settings(tmp_path))

@@ -130,6 +130,8 @@ def test_a_missing_key_is_refused_by_name():
         (b'{"results": [\n}', ":2: not valid JSON"),
         (b"[]", "expected an object with the list 'results'"),
         (b"\xff\xfe", "is not text"),
+        (b"[" * 100_000, "not valid JSON: it is nested too deep"),
+        (b'{"results": ["\\ud800"]}', "not valid JSON: .* surrogates not allowed"),
     ],
 )
 def test_a_file_that_is_no_result_is_refused(tmp_path, content, message):

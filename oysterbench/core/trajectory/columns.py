@@ -109,7 +109,7 @@ def named_columns(names: list[str]) -> Columns | None:
 def _words(name: str) -> tuple[list[str], str]:
     """Lower-case words of a column's name, and the unit that it gives, in brackets or as a last word."""
     bracket = re.search(r"[\[(]\s*([a-zA-Z]*)\s*[\])]\s*$", name)
-    words = re.findall(r"[a-z]+|\d+", (name[: bracket.start()] if bracket else name).lower())
+    words = re.findall(r"[a-z]+|[0-9]+", (name[: bracket.start()] if bracket else name).lower())
     if bracket:
         return words, bracket.group(1).lower()
     return (words[:-1], words[-1]) if len(words) > 1 and words[-1] in LENGTH_WORDS else (words, "")
@@ -143,7 +143,7 @@ def _covariance_cell(words: list[str]) -> tuple[int, int] | None:
     if place is None:
         return None
     rest = words[place + 1 :]
-    if len(rest) == 1 and rest[0].isdigit() and int(rest[0]) < 36:
+    if len(rest) == 1 and rest[0].isdigit() and int(rest[0][:9]) < 36:
         return divmod(int(rest[0]), 6)
     if len(rest) == 2 and all(word in COVARIANCE_AXES for word in rest):
         return COVARIANCE_AXES[rest[0]], COVARIANCE_AXES[rest[1]]
