@@ -81,11 +81,15 @@ class VisualOnly:
 
 
 def poses_of_base(poses: dict[int, Array], T_base_cam: Array) -> Trajectory:
-    """T_odom_base from T_map_cam by stamp, ns. odom: base_link at the first of them."""
+    """T_odom_base from T_map_cam by stamp, ns. odom: base_link at the first of them.
+
+    T_base_cam is kept with them: without a second camera the map has no scale, and the lever arm has one.
+    """
     T_map_base = np.array(list(poses.values())) @ invert(T_base_cam)
     T_odom_base = invert(T_map_base[0]) @ T_map_base
     quaternions = Rotation.from_matrix(T_odom_base[:, :3, :3]).as_quat()
-    return Trajectory(np.array(list(poses), dtype=np.int64), T_odom_base[:, :3, 3].copy(), quaternions)
+    stamps_ns = np.array(list(poses), dtype=np.int64)
+    return Trajectory(stamps_ns, T_odom_base[:, :3, 3].copy(), quaternions, T_body_estimate=T_base_cam)
 
 
 def overlapping(sequence: Sequence, left: str, settings: VisualOnlySettings) -> str | None:

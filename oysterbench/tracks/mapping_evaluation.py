@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import LabelError, OysterbenchError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.core.trajectory.frames import with_scale
 from oysterbench.evaluate.density.scoring import EVALUATOR, Cell, MapCount, TrueCount, score_density
-from oysterbench.evaluate.slam.alignment import fit_alignment
-from oysterbench.evaluate.slam.association import associate
+from oysterbench.evaluate.slam.alignment import meet
 from oysterbench.evaluate.slam.settings import Align, SlamSettings
 from oysterbench.mapping import MapSettings, OysterMap, Seen, build_map, true_seen
 from oysterbench.mapping.cover import Cover
@@ -123,9 +123,8 @@ def cells_of(grid: Grid) -> dict[tuple[int, int], Cell]:
 
 def aligned(truth: Trajectory, estimate: Trajectory, align: Align) -> Trajectory:
     """An estimate, brought to the world of the truth as the SLAM track does."""
-    settings = SlamSettings(align=align)
-    met = associate(truth, estimate, settings)
-    fit = fit_alignment(met.truth, met.estimate, align).similarity
+    fit = meet(truth, estimate, SlamSettings(align=align))[1].similarity
+    estimate = with_scale(estimate, fit.scale)
     return replace(estimate, positions=fit.apply(estimate.positions), quaternions=fit.rotate(estimate.quaternions))
 
 

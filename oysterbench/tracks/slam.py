@@ -14,8 +14,10 @@ import cv2
 from oysterbench.core.errors import MethodError, OysterbenchError, SequenceError, TrajectoryError
 from oysterbench.core.files import write_atomically
 from oysterbench.core.trajectory import ReadOptions, Trajectory, write_tum
+from oysterbench.core.trajectory.frames import with_scale
 from oysterbench.evaluate.slam.inputs import read_pair
 from oysterbench.evaluate.slam.scoring import EVALUATOR, SlamResult, SlamSettings, score
+from oysterbench.evaluate.slam.settings import SCALED
 from oysterbench.methods.adapters import MethodAdapter
 from oysterbench.methods.interfaces import RunSequence
 from oysterbench.methods.interfaces.slam import SequencePath, read_alternatives, read_estimate
@@ -137,12 +139,20 @@ class SlamTrack(Track):
         if sequence.truth is None:
             return None
         record, result = record_outcome(sequence, job, outcome, estimate, alternatives, failure, settings)
+        if result is not None and estimate is not None:
+            carried = with_scale(estimate, result.alignment.scale)
+            if carried is not estimate:  # whoever aligns the file by its scale finds what was scored
+                write_tum(out / f"{self._name(job)}.tum", carried)
         return SlamRun(record, result, sequence.frames)
+
+    @staticmethod
+    def _name(job: Job) -> str:
+        return f"{job.sequence.name}-{job.adapter.name}{f'-{job.number + 1}' if job.of > 1 else ''}"
 
     def _keep(
         self, job: Job, outcome: Outcome, out: Path, estimate: Trajectory, alternatives: Mapping[str, Trajectory]
     ) -> None:
-        name = f"{job.sequence.name}-{job.adapter.name}{f'-{job.number + 1}' if job.of > 1 else ''}"
+        name = self._name(job)
         write_tum(out / f"{name}.tum", estimate)
         for path_name, path in alternatives.items():
             write_tum(out / f"{name}.{path_name}.tum", path)
@@ -240,8 +250,7 @@ def score_files(
     estimate_options: ReadOptions | None = None,
 ) -> SlamRun:
     """Score one trajectory file against another; the options say what the files leave open."""
-    any_scale = settings.align in ("sim3", "scale")
-    pair = read_pair(truth, estimate, truth_options, estimate_options, settings.time_offset_s, any_scale)
+    pair = read_pair(truth, estimate, truth_options, estimate_options, settings.time_offset_s, settings.align in SCALED)
     result = score(*pair, settings)
     about = about_sequence("slam", None, truth.name, truth_digest(pair[0]), settings.as_dict(), EVALUATOR)
     record = ResultRecord(

@@ -178,6 +178,14 @@ def test_tracks_with_noise_and_outliers_give_the_path_of_the_camera(seed):
     assert metrics["ate_rotation_rmse_deg"] < 1.5
 
 
+def test_the_true_path_of_its_camera_is_exact_by_sim3_in_whatever_unit_the_map_is():
+    made = dive.make_dive(seed=0, duration_s=7.0)
+    poses = made.truth.matrices @ made.camera.T_base_cam
+    poses[:, :3, 3] *= 0.1
+    estimate = poses_of_base(dict(zip(made.truth.stamps_ns.tolist(), poses, strict=True)), made.camera.T_base_cam)
+    assert scored(estimate, made.truth, "sim3")["ate_rmse_m"] < 1e-9
+
+
 # Its parts
 
 

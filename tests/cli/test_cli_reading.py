@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.cli.main import main
 from oysterbench.core.geometry import transform
-from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL
+from oysterbench.core.trajectory.frames import ROTATION_BODY_OPTICAL, poses_of_body
 from tests.helpers.trajectory_files import dive, kitti, mcap, seconds, tum
 
 TRUTH = dive(100)
@@ -76,6 +76,15 @@ def test_a_camera_is_decided_by_its_place_as_numbers_or_as_a_file(run, tmp_path)
     np.savetxt(tmp_path / "place.txt", place)
     assert scored(run(data, "--T-body-estimate", str(tmp_path / "place.txt"), "--json"))[0] < 1e-9
     assert scored(run(data, "--frame", "optical", "--json"))[0] > 0.01
+
+
+@pytest.mark.parametrize("scale", [0.1, 0.5])
+def test_a_camera_without_scale_is_aligned_before_it_is_carried_over(run, scale):
+    camera = poses_of_body(TRUTH, np.linalg.inv(transform(np.eye(3), [0.4, 0.0, -0.1])))
+    data = tum(replace(camera, positions=scale * camera.positions))
+    place = ("--T-body-estimate", "0.4,0,-0.1,0,0,0,1")
+    assert scored(run(data, *place, "--align", "sim3", "--json"))[0] < 1e-8
+    assert scored(run(data, *place, "--align", "scale", "--json"))[0] < 1e-8
 
 
 def test_a_place_that_is_none_is_a_usage_error(run):

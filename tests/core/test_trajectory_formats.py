@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -45,6 +46,25 @@ def test_a_file_is_recognised_by_its_content_whatever_its_name(tmp_path, form):
 def test_covariances_are_read(tmp_path, form):
     expected = dive(covariances=True)
     assert_same(read_trajectory(written(tmp_path, getattr(files, form)(expected))), expected)
+
+
+def test_the_frame_that_was_estimated_goes_with_the_poses_through_a_file(tmp_path):
+    place = transform(ROTATION_BODY_OPTICAL, np.array([0.2, 0.0, -0.1]))
+    body = poses_of_body(dive(), place)
+    write_npz(tmp_path / "poses.npz", body)
+    read = read_trajectory(tmp_path / "poses.npz")
+    np.testing.assert_array_equal(read.T_body_estimate, place)
+    np.testing.assert_array_equal(read.select(slice(0, 3)).T_body_estimate, place)
+    np.testing.assert_array_equal(read.at(read.stamps_ns[2:4]).T_body_estimate, place)
+    # From another frame yet, the two follow one another.
+    again = read_trajectory(tmp_path / "poses.npz", T_body_estimate=place)
+    np.testing.assert_allclose(again.T_body_estimate, place @ place, atol=1e-12)
+
+
+def test_a_frame_in_a_file_that_is_no_rigid_transform_is_refused(tmp_path):
+    write_npz(tmp_path / "poses.npz", replace(dive(), T_body_estimate=2 * np.eye(4)))
+    with pytest.raises(TrajectoryError, match=r"poses\.npz: 'T_body_estimate': expected a rigid transform"):
+        read_trajectory(tmp_path / "poses.npz")
 
 
 def test_a_ros_1_bag_is_read(tmp_path):

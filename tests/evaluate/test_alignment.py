@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.geometry import transform
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.core.trajectory.frames import poses_of_body, poses_of_frame, scaled
 from oysterbench.evaluate.slam.alignment import fit_alignment
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
-from tests.helpers.dives import moved, noisy, survey, transect
+from tests.helpers.dives import dive, moved, noisy, survey, transect
 
 
 def refusal(truth: Trajectory, estimate: Trajectory, **options) -> str:
@@ -199,3 +201,73 @@ def test_singular_values_are_those_of_the_path():
     np.testing.assert_allclose(fit.singular_values, [16, 4, 1], rtol=0.1)
     assert fit.condition == pytest.approx(np.sqrt(20 / 5), rel=0.1)
     assert fit.sigma_rad == pytest.approx(0, abs=1e-9)
+
+
+# --- poses of another frame ----------------------------------------------------------------------------------------
+
+
+def of_camera(trajectory: Trajectory, T_body_camera: np.ndarray, turn: Rotation, scale: float) -> Trajectory:
+    """The exact path of a camera in another world, a metre of which is `scale` long, as the reader hands it on."""
+    seen = moved(poses_of_frame(trajectory, T_body_camera), turn, (3, -2, 1))
+    return poses_of_body(scaled(replace(seen, T_body_estimate=None), scale), T_body_camera)
+
+
+arms = st.tuples(*[st.floats(-2, 2)] * 3)
+turns = st.tuples(*[st.floats(-3, 3)] * 3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(arms, turns, turns, st.floats(0.01, 50), st.sampled_from(["interpolate", "nearest"]))
+def test_the_exact_path_of_a_camera_is_exact_whatever_its_scale_and_lever_arm(arm, mounted, world, scale, associate):
+    """A lever arm in metres on a path without scale made 0.36 m of it."""
+    place = transform(Rotation.from_rotvec(mounted).as_matrix(), np.array(arm))
+    sure = replace(survey(), covariances=np.tile(1e-4 * np.eye(6), (len(survey()), 1, 1)))
+    result = score(
+        survey(),
+        of_camera(sure, place, Rotation.from_rotvec(world), scale),
+        SlamSettings(align="sim3", associate=associate),
+    )
+    assert result.metrics["ate_rmse_m"] < 1e-8
+    assert result.metrics["ate_rotation_rmse_deg"] < 1e-5
+    assert result.metrics["rpe_1s_translation_rmse_m"] < 1e-8
+    assert result.metrics["score"] == pytest.approx(1)
+    assert result.metrics["scale"] == pytest.approx(1 / scale)
+    assert result.metrics["nees_pose"] == pytest.approx(0, abs=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(arms, st.sampled_from(["none", "origin", "posyaw", "se3", "sim3", "scale"]))
+def test_the_exact_path_of_a_camera_in_metres_is_exact_by_every_alignment(arm, align):
+    place = transform(Rotation.from_rotvec([0.3, -1.0, 2.0]).as_matrix(), np.array(arm))
+    estimate = poses_of_body(poses_of_frame(survey(), place), place)
+    metrics = score(survey(), estimate, SlamSettings(align=align)).metrics
+    assert metrics["ate_rmse_m"] < 1e-9
+    assert metrics["scale"] == pytest.approx(1)
+
+
+@pytest.mark.parametrize("scale", [0.1, 0.5, 20.0])
+def test_scale_alone_is_fitted_to_the_poses_that_were_estimated(scale):
+    place = transform(np.eye(3), np.array([0.4, 0.1, -0.2]))
+    camera = replace(poses_of_frame(survey(), place), T_body_estimate=None)
+    estimate = poses_of_body(scaled(camera, scale), place)
+    metrics = score(survey(), estimate, SlamSettings(align="scale")).metrics
+    assert metrics["scale"] == pytest.approx(1 / scale)
+    assert metrics["ate_rmse_m"] < 1e-9
+
+
+def test_the_clock_of_a_camera_without_scale_is_found():
+    place = transform(np.eye(3), np.array([0.8, 0.5, 0.0]))
+    truth = dive(3)
+    late = of_camera(truth, place, Rotation.identity(), 0.02)
+    late = replace(late, stamps_ns=late.stamps_ns - 400_000_000)
+    result = score(truth, late, SlamSettings(align="sim3", time_offset_s="estimate"))
+    assert result.metrics["time_offset_s"] == pytest.approx(0.4, abs=1e-3)
+    assert result.metrics["ate_rmse_m"] < 5e-3
+
+
+def test_whoever_aligns_a_camera_without_scale_rigidly_is_told_what_sim3_would_leave():
+    place = transform(np.eye(3), np.array([2.0, 0.0, 0.0]))
+    estimate = of_camera(survey(), place, Rotation.identity(), 0.1)
+    (note,) = (n for n in score(survey(), estimate).notes if "ATE would be" in n)
+    assert float(note.split("ATE would be ")[1].split()[0]) < 1e-9
+    assert "scale 10 " in note

@@ -10,9 +10,9 @@ import pytest
 
 import oysterbench
 from oysterbench.core.errors import MethodError, SequenceError
-from oysterbench.core.trajectory import Trajectory, write_tum
-from oysterbench.core.trajectory.frames import poses_of_body
-from oysterbench.evaluate.slam.scoring import SlamSettings
+from oysterbench.core.trajectory import Trajectory, read_trajectory, write_tum
+from oysterbench.core.trajectory.frames import poses_of_body, scaled
+from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench.methods import runner
 from oysterbench.methods.adapters import ExternalCommand
 from oysterbench.methods.interfaces.slam import FORMS, frame_pose, write_input
@@ -70,6 +70,23 @@ def test_poses_of_a_frame_that_was_not_said_are_named_in_the_record(run, truth, 
     assert any("are they of a camera or an IMU?" in note for note in wrong.scored.record.notes)
     (right,) = run(ExternalCommand(template, "right", poses_of="cam_left"))
     assert right.scored.record.metrics["ate_rmse_m"] < 1e-9
+
+
+@pytest.mark.parametrize("scale", [0.1, 0.5, 1.0, 30.0])
+def test_the_exact_path_of_a_camera_without_scale_is_exact_by_sim3_and_so_is_its_file(
+    scale, run, truth, dive_file, tmp_path
+):
+    camera = moved(truth, frame_pose(oysterbench.open(dive_file), "cam_left", "tum"))
+    write_tum(tmp_path / "given.tum", scaled(camera, scale))
+    program = ExternalCommand(command(tmp_path, "copies", tmp_path / "given.tum", "tum"), "copies")
+    (done,) = finished_of(
+        TRACK, [SlamSequence(NAME, dive_file)], [program], SlamSettings(align="sim3"), tmp_path / "out", limit_s=60.0
+    )
+    metrics = done.scored.record.metrics
+    assert metrics["ate_rmse_m"] < 1e-8
+    assert metrics["score"] == pytest.approx(1)
+    kept = score(truth, read_trajectory(tmp_path / "out" / f"{NAME}-copies.tum"), SlamSettings(align="sim3"))
+    assert kept.metrics["ate_rmse_m"] < 1e-8
 
 
 def test_a_frame_that_the_vehicle_lacks_is_a_failure_that_lists_its_cameras(run, answer, tmp_path):

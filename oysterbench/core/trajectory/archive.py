@@ -12,20 +12,24 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.trajectory.checks import checked_poses
-from oysterbench.core.trajectory.options import ReadOptions
+from oysterbench.core.trajectory.options import ReadOptions, check_rigid
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import SHIFTS
 
 STAMPS = ("stamps_ns", "t_ns", "timestamps_ns", "t", "t_s", "stamps", "stamps_s", "time", "timestamps")
 POSITIONS = ("positions", "position", "p", "xyz")
 QUATERNIONS = ("quaternions", "quaternion", "orientations", "q", "quat", "quats")
+FRAME = "T_body_estimate"
 COVARIANCES = ("covariances", "covariance", "cov")
 MAX_BYTES = 2**33
 """Of the arrays together: an archive that claims more is damaged."""
 
 
 def read_npz(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
-    """`stamps_ns` (N,) int or `t` (N,) s, `positions` (N, 3), `quaternions` (N, 4), `covariances` (N, 6, 6) or none."""
+    """`stamps_ns` (N,) int or `t` (N,) s, `positions` (N, 3), `quaternions` (N, 4), `covariances` (N, 6, 6) or none.
+
+    `T_body_estimate` (4, 4), or none: of which frame the poses of the body were carried over, as `Trajectory` has it.
+    """
     arrays = _arrays(path, data)
     key, stamps = _pick(arrays, STAMPS, path)
     notes: list[str] = []
@@ -39,12 +43,16 @@ def read_npz(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
         covariances = _floats(*_pick(arrays, COVARIANCES, path), (len(stamps_ns), 6, 6), path)
     if not len(stamps_ns):
         raise TrajectoryError(f"{path} holds no pose")
-    trajectory = Trajectory(stamps_ns, positions, quaternions, covariances, tuple(notes))
+    frame = None
+    if FRAME in arrays:
+        frame = _floats(FRAME, arrays[FRAME], (4, 4), path)
+        check_rigid(frame, f"{path}: {FRAME!r}")
+    trajectory = Trajectory(stamps_ns, positions, quaternions, covariances, tuple(notes), frame)
     return checked_poses(trajectory, path.name, lambda i: f"{path}: pose {i + 1}", options.sort)
 
 
 def _arrays(path: Path, data: bytes) -> dict[str, NDArray[np.generic]]:
-    known = {*STAMPS, *POSITIONS, *QUATERNIONS, *COVARIANCES}
+    known = {*STAMPS, *POSITIONS, *QUATERNIONS, *COVARIANCES, FRAME}
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(entry.file_size for entry in archive.infolist())

@@ -22,10 +22,12 @@ T_BODY_OPTICAL = transform(ROTATION_BODY_OPTICAL, np.zeros(3))
 def poses_of_body(trajectory: Trajectory, T_body_estimate: Array) -> Trajectory:
     """Poses of the body from poses of a frame that is fixed to it: T_map_body = T_map_estimate T_body_estimate^-1.
 
-    T_body_estimate (4, 4), m. The lever arm l = R_map_estimate t_estimate_body carries the attitude's error into the
-    position: with rotations d about the world's axes, dp_body = dp - [l]x d.
+    T_body_estimate (4, 4), m, is kept with the poses, as `with_scale` needs it. The lever arm l = R_map_estimate
+    t_estimate_body carries the attitude's error into the position: with rotations d about the world's axes, dp_body =
+    dp - [l]x d.
     """
     T_estimate_body = invert(T_body_estimate)
+    earlier = trajectory.T_body_estimate
     rotations = Rotation.from_quat(trajectory.quaternions)
     levers = rotations.apply(T_estimate_body[:3, 3])
     covariances = trajectory.covariances
@@ -40,7 +42,24 @@ def poses_of_body(trajectory: Trajectory, T_body_estimate: Array) -> Trajectory:
         positions=trajectory.positions + levers,
         quaternions=(rotations * Rotation.from_matrix(T_estimate_body[:3, :3])).as_quat(),
         covariances=covariances,
+        T_body_estimate=T_body_estimate if earlier is None else T_body_estimate @ earlier,
     )
+
+
+def poses_of_frame(trajectory: Trajectory, T_body_frame: Array | None) -> Trajectory:
+    """Poses of a frame that is fixed to the body, from those of the body; None: the body's own frame."""
+    return trajectory if T_body_frame is None else poses_of_body(trajectory, invert(T_body_frame))
+
+
+def with_scale(trajectory: Trajectory, scale: float) -> Trajectory:
+    """The body's poses where the estimated path is in a unit that is `scale` m long, and stays in it.
+
+    The lever arm from the frame that was estimated was taken in metres, which it is not in a world of another scale.
+    """
+    T = trajectory.T_body_estimate
+    if T is None or scale == 1.0:
+        return trajectory
+    return poses_of_body(poses_of_frame(trajectory, T), transform(T[:3, :3], T[:3, 3] / scale))
 
 
 def scaled(trajectory: Trajectory, factor: float) -> Trajectory:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ class Trajectory:
     quaternions: (N, 4) float64, x y z w, body to world
     covariances: (N, 6, 6) float64 or None; x y z (m) and rotations about x y z (rad), all about the fixed axes of the
                  world frame, as in geometry_msgs/PoseWithCovariance
+    T_body_estimate: (4, 4), takes points of the frame whose poses were estimated into the body: these were carried over
+                 from there, with its lever arm in metres (`poses_of_body`); None: the body's own were
     notes:       what was decided in reading the file, in sentences; a scorer passes them on
 
     Nothing is checked or sorted here: `read_trajectory` names what is wrong in a file, `evaluate.validate` what is
@@ -31,6 +33,7 @@ class Trajectory:
     quaternions: Array
     covariances: Array | None = None
     notes: tuple[str, ...] = ()
+    T_body_estimate: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.stamps_ns)
@@ -60,13 +63,16 @@ class Trajectory:
         stamps_ns = np.asarray(stamps_ns, dtype=np.int64)
         positions, quaternions = interpolate_poses(self.stamps_ns, self.positions, self.quaternions, stamps_ns)
         covariances = None if self.covariances is None else self.covariances[_nearest(self.stamps_ns, stamps_ns)]
-        return Trajectory(stamps_ns, positions, quaternions, covariances, self.notes)
+        return replace(self, stamps_ns=stamps_ns, positions=positions, quaternions=quaternions, covariances=covariances)
 
     def select(self, index: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trajectory:
         """The poses at `index`."""
-        covariances = None if self.covariances is None else self.covariances[index]
-        return Trajectory(
-            self.stamps_ns[index], self.positions[index], self.quaternions[index], covariances, self.notes
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns[index],
+            positions=self.positions[index],
+            quaternions=self.quaternions[index],
+            covariances=None if self.covariances is None else self.covariances[index],
         )
 
 

@@ -22,7 +22,7 @@ def write_tum(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
 
 
 def write_npz(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
-    """Write the arrays `stamps_ns`, `positions`, `quaternions` and, where there are any, `covariances`, to the bit."""
+    """Write the arrays `stamps_ns`, `positions`, `quaternions` to the bit; `covariances`, `T_body_estimate` if any."""
     arrays = {
         "stamps_ns": trajectory.stamps_ns,
         "positions": trajectory.positions,
@@ -30,6 +30,8 @@ def write_npz(path: str | os.PathLike[str], trajectory: Trajectory) -> None:
     }
     if trajectory.covariances is not None:
         arrays["covariances"] = trajectory.covariances
+    if trajectory.T_body_estimate is not None:
+        arrays["T_body_estimate"] = trajectory.T_body_estimate
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
     write_atomically(path, buffer.getvalue())

@@ -19,7 +19,9 @@ from oysterbench.core.geometry import (
     spread,
 )
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.evaluate.slam.settings import Align
+from oysterbench.core.trajectory.frames import poses_of_frame, with_scale
+from oysterbench.evaluate.slam.association import Association, associate
+from oysterbench.evaluate.slam.settings import SCALED, Align, SlamSettings
 
 NARROW = 0.1
 """Spread across the main direction over spread along it, below which a path is asked whether it determines a turn."""
@@ -51,6 +53,20 @@ class Alignment:
     condition: float = np.nan
     sigma_rad: float = np.nan
     notes: tuple[str, ...] = ()
+
+
+def meet(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -> tuple[Association, Alignment]:
+    """Truth and estimate associated, and what aligns them.
+
+    A scale is fitted to the poses of the frame that was estimated, and the lever arm to the body is applied to the path
+    that has it: in metres it belongs to no other. All other alignments are fitted to the poses of the body.
+    """
+    T = estimate.T_body_estimate if settings.align in SCALED else None
+    met = associate(poses_of_frame(truth, T), poses_of_frame(estimate, T), settings)
+    fit = fit_alignment(met.truth, met.estimate, settings.align, settings.align_first)
+    if T is not None:
+        met = associate(truth, with_scale(estimate, fit.similarity.scale), settings)
+    return met, fit
 
 
 def fit_alignment(truth: Trajectory, estimate: Trajectory, align: Align, first: int | None = None) -> Alignment:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,9 +57,7 @@ def associate(truth: Trajectory, estimate: Trajectory, settings: SlamSettings) -
     between_ns = np.clip(truth.stamps_ns[covered], estimate.stamps_ns[0], estimate.stamps_ns[-1])
     positions[covered] = _positions_at(estimate, between_ns)
     positions[associated] = matched.positions
-    stamped = Trajectory(
-        truth.stamps_ns[associated], matched.positions, matched.quaternions, covariances=matched.covariances
-    )
+    stamped = replace(matched, stamps_ns=truth.stamps_ns[associated])
     return Association(covered, associated, truth.select(associated), stamped, positions[covered])
 
 

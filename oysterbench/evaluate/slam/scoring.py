@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array, Similarity
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.core.trajectory.frames import poses_of_frame
 from oysterbench.evaluate.measures import Measures
-from oysterbench.evaluate.slam.alignment import Alignment, fit_alignment
-from oysterbench.evaluate.slam.association import associate, rate_notes
+from oysterbench.evaluate.slam.alignment import Alignment, meet
+from oysterbench.evaluate.slam.association import rate_notes
 from oysterbench.evaluate.slam.clock import estimate_offset, shift
 from oysterbench.evaluate.slam.measures import (
     Matched,
@@ -29,7 +30,7 @@ from oysterbench.evaluate.slam.metrics import SLAM as METRICS
 from oysterbench.evaluate.slam.pairs import distances
 from oysterbench.evaluate.slam.pose_errors import absolute_errors, measure_absolute
 from oysterbench.evaluate.slam.recall import Recall
-from oysterbench.evaluate.slam.settings import SlamSettings
+from oysterbench.evaluate.slam.settings import SCALED, SlamSettings
 from oysterbench.evaluate.slam.validate import alignment_notes, attitude_notes, check_trajectory
 
 __all__ = ["EVALUATOR", "METRICS", "SlamResult", "SlamSettings", "score"]
@@ -90,9 +91,11 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
     estimate = check_trajectory(estimate, "estimate")
     notes = [*truth.notes, *estimate.notes]
     measures = Measures()
+    T = estimate.T_body_estimate
 
     if settings.time_offset_s == "estimate":
-        offset = estimate_offset(truth, estimate)
+        fixed = T if settings.align in SCALED else None
+        offset = estimate_offset(poses_of_frame(truth, fixed), poses_of_frame(estimate, fixed))
         estimate = shift(estimate, offset.offset_s)
         measures["time_offset_s"] = offset.offset_s
         measures["time_offset_sigma_s"] = offset.sigma_s
@@ -105,8 +108,7 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
         estimate = shift(estimate, settings.time_offset_s)
         measures["time_offset_s"] = settings.time_offset_s
 
-    met = associate(truth, estimate, settings)
-    fit = fit_alignment(met.truth, met.estimate, settings.align, settings.align_first)
+    met, fit = meet(truth, estimate, settings)
     aligned = Trajectory(
         met.truth.stamps_ns,
         fit.similarity.apply(met.estimate.positions),
@@ -131,7 +133,8 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
     measure_consistency(matched, settings, measures)
 
     notes += attitude_notes(met.truth.quaternions, met.estimate.quaternions, fit.similarity)
-    notes += alignment_notes(met.truth.positions, met.estimate.positions, settings.align, measures["ate_rmse_m"])
+    seen = poses_of_frame(met.truth, T), poses_of_frame(met.estimate, met.estimate.T_body_estimate)
+    notes += alignment_notes(seen[0].positions, seen[1].positions, settings.align, measures["ate_rmse_m"])
     notes += rate_notes(truth, estimate)
     notes += fit.notes
     notes += measures.notes

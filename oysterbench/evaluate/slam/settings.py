@@ -11,6 +11,8 @@ from oysterbench.evaluate.settings import EvaluatorSettings, is_number, positive
 
 Align = Literal["none", "origin", "se3", "posyaw", "sim3", "scale"]
 Associate = Literal["interpolate", "nearest"]
+SCALED: tuple[Align, ...] = ("sim3", "scale")
+"""Alignments that fit a scale."""
 Pairs = Literal["all", "consecutive"]
 Angle = Literal["turned", "direct"]
 
