@@ -51,9 +51,12 @@ class Auth:
         self._receiving: Counter[str] = Counter()
 
     async def holder(self, request: Request, token: str) -> Holder:
-        """Who holds a token. Raises Refusal for a wrong one, and where too many wrong ones came."""
+        """Who holds a token. Raises Refusal for a wrong one or none, and where too many of these came."""
         address = address_of(request)
         self.guesses.check(address)
+        if not token:
+            self.guesses.failed(address)
+            raise Refusal("token", "expected a token, in the header 'Authorization: Bearer TOKEN' or in the form")
 
         def look() -> Holder | None:
             with self.service.database.reading() as connection:
@@ -120,9 +123,12 @@ class Auth:
             try:
                 response = await handler(request)
             except Refusal as refusal:
-                who = getattr(request.state, "team", "") or address_of(request)
+                team = getattr(request.state, "team", "")
+                who = team or address_of(request)
                 if refusal.kind != "absent" or request.method != "GET":
-                    await run_in_threadpool(self.service.refused, who, f"{request.method} {request.url.path}", refusal)
+                    await run_in_threadpool(
+                        self.service.refused, who, f"{request.method} {request.url.path}", refusal, not team
+                    )
                 response = await show(request, refusal)
                 if refusal.retry_s:
                     response.headers["Retry-After"] = str(refusal.retry_s)

@@ -18,6 +18,7 @@ from typing import Any
 from sqlalchemy import Connection, func, insert, select
 
 from oysterbench.core.errors import OysterbenchError, ResultError
+from oysterbench.hub.addresses import network
 from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.record import MOST_TEXT, Record, check_text
@@ -35,6 +36,7 @@ from oysterbench_leaderboard.submissions.database import (
     utc,
 )
 from oysterbench_leaderboard.submissions.refusals import SERVER_FAULTS, Refusal
+from oysterbench_leaderboard.submissions.sampling import Sampler
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 DAY_S = 86400.0
@@ -91,6 +93,7 @@ class Service:
         truths = {str(path.parent.resolve()) for one in catalogue.splits.values() for path in one.truth.values()}
         self.hidden = (str(settings.folder.resolve()), *sorted(truths))
         self.wake = threading.Event()
+        self._refusals = Sampler(settings.refusals_of_one, settings.refusals_of_strangers)
         self._checks = threading.Semaphore(settings.checks_at_once)
         self.log = _private_log(settings.folder / "private.log")
         self._settle()
@@ -228,10 +231,15 @@ class Service:
                     "private.log there says why"
                 ) from None
 
-    def refused(self, who: str, what: str, refusal: Refusal) -> None:
-        """Log a refusal, with its reason."""
+    def refused(self, who: str, what: str, refusal: Refusal, stranger: bool) -> None:
+        """Log a refusal, with its reason; of many in a minute some, and how many more there were. who: a team, or the
+        address of a stranger."""
+        before = self._refusals.ask(network(who) if stranger else f"team {who}", stranger)
+        if before is None:
+            return
+        more = f" ({before} more before it were not written down)" if before else ""
         with self.database.writing() as connection:
-            log_event(connection, self.now(), who, "refused", why=f"{what}: {refusal.kind}: {refusal.reason}")
+            log_event(connection, self.now(), who, "refused", why=f"{what}: {refusal.kind}: {refusal.reason}{more}")
 
     # Looking:
 

@@ -41,6 +41,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     memory_bytes:       address space of the sandbox
     attempts:           how often a process that ends without an answer is tried again, in all
     guesses_of_address, guesses: wrong tokens in `guess_window_s`, of one address and of all
+    refusals_of_one, refusals_of_strangers: that are logged in a minute, of a team or address, and of all addresses
     session_s:          how long a sign-in to the web form lasts
     """
 
@@ -71,6 +72,8 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     guesses_of_address: Count = 10
     guesses: Count = 200
     guess_window_s: Seconds = 60.0
+    refusals_of_one: Count = 10
+    refusals_of_strangers: Count = 30
     session_s: Seconds = 12 * 3600.0
 
     @property

@@ -48,7 +48,8 @@ class Site:
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("attacked")
-    tokens = lay(folder, file_bytes=3_000_000, upload_bytes=6_000_000, unpacked_bytes=20_000_000, guesses_of_address=6)
+    limits = {"file_bytes": 3_000_000, "upload_bytes": 6_000_000, "unpacked_bytes": 20_000_000, "guesses_of_address": 6}
+    tokens = lay(folder, **limits, refusals_of_one=1000, refusals_of_strangers=1000)
     with running(folder) as server:
         yield Site(folder, server, tokens)
 

@@ -1,0 +1,44 @@
+"""A log that nobody fills: so many lines of each in a while, and how many there were beside."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+
+WINDOW_S = 60.0
+STRANGERS = ""
+"""What all addresses are counted under."""
+
+
+class Sampler:
+    """Which lines are written: in a window so many of one team or address, and of all addresses together."""
+
+    def __init__(self, of_one: int, of_strangers: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._of_one, self._of_strangers, self._clock = of_one, of_strangers, clock
+        self._written: dict[str, deque[float]] = {}
+        self._left_out: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    def ask(self, who: str, stranger: bool) -> int | None:
+        """How many lines of the same were left out before this one; None where this one is left out as well. Those of
+        strangers are told of with the next line of any."""
+        shares = {who: self._of_one} | ({STRANGERS: self._of_strangers} if stranger else {})
+        counted = STRANGERS if stranger else who
+        with self._lock:
+            now = self._clock()
+            self._forget(now - WINDOW_S)
+            if any(len(self._written.get(key, ())) >= most for key, most in shares.items()):
+                self._left_out[counted] += 1
+                return None
+            for key in shares:
+                self._written.setdefault(key, deque()).append(now)
+            return self._left_out.pop(counted, 0)
+
+    def _forget(self, oldest: float) -> None:
+        for key in [key for key, times in self._written.items() if times[-1] < oldest]:
+            del self._written[key]
+        for times in self._written.values():
+            while times[0] < oldest:
+                times.popleft()

@@ -1,0 +1,36 @@
+"""The log of refusals: nobody fills it, and nothing is left out in silence."""
+
+from __future__ import annotations
+
+from oysterbench_leaderboard.submissions.sampling import WINDOW_S, Sampler
+
+OF_ONE, OF_STRANGERS = 10, 30
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_of_many_lines_some_are_written_and_the_others_counted():
+    clock = Clock()
+    sampler = Sampler(OF_ONE, OF_STRANGERS, clock)
+    asked = [sampler.ask("team reef", False) for _ in range(OF_ONE + 5)]
+    assert asked == [0] * OF_ONE + [None] * 5
+    assert sampler.ask("team kelp", False) == 0, "another one has its own"
+    clock.now += WINDOW_S + 1
+    assert sampler.ask("team reef", False) == 5
+    assert sampler.ask("team reef", False) == 0
+
+
+def test_ten_thousand_strangers_write_no_more_than_thirty_lines():
+    clock = Clock()
+    sampler = Sampler(OF_ONE, OF_STRANGERS, clock)
+    asked = [sampler.ask(f"10.0.{k // 256}.{k % 256}", True) for k in range(10_000)]
+    assert sum(found is not None for found in asked) == OF_STRANGERS
+    assert sampler.ask("team reef", False) == 0, "teams are heard all the same"
+    clock.now += WINDOW_S + 1
+    assert sampler.ask("10.9.9.9", True) == 10_000 - OF_STRANGERS
+    assert len(sampler._written) == 2
