@@ -41,6 +41,7 @@ class Limits:
     entries: int
     unpacked_bytes: int
     ratio: float
+    lines: int = 120_000
 
 
 class Budget:

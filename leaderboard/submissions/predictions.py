@@ -42,6 +42,10 @@ of a table of commands: a list of Steering, one for each picture; of an image: a
 (segmentation) or ImageInstances (detection)."""
 
 
+LONGEST_LINE = 4000
+"""Bytes of a line of text: a pose with its covariance has a thousand."""
+
+
 @dataclass(frozen=True)
 class Predictions:
     """What an upload holds. readers: by sequence, or by name of an image; results: as they are in a results.json."""
@@ -150,6 +154,15 @@ def refusing(label: str, path: Path | None = None, prefix: bool = False) -> Iter
 # Paths and commands:
 
 
+def _check_text(data: bytes, label: str, budget: Budget) -> None:
+    """Refuse text that would take long to be read, before it is."""
+    lines = data.splitlines()
+    if len(lines) > budget.limits.lines:
+        raise Refusal("size", f"{shown(label)}: expected at most {budget.limits.lines} lines, got {len(lines)}")
+    if (longest := max(map(len, lines), default=0)) > LONGEST_LINE:
+        raise Refusal("format", f"{shown(label)}: expected lines of at most {LONGEST_LINE} bytes, got {longest}")
+
+
 def _path(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget) -> dict[str, Reader]:
     data = read()
     arrays = label.endswith(".npz")
@@ -157,6 +170,8 @@ def _path(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, 
         if not is_zip(data):
             raise Refusal("format", f"{label}: not an .npz of numpy arrays")
         arrays_of(data, label, budget)
+    else:
+        _check_text(data, label, budget)
 
     def trajectory(**options: Any) -> Trajectory:
         from oysterbench.core.trajectory import ReadOptions
@@ -177,6 +192,7 @@ def _commands(
     read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted, budget: Budget
 ) -> dict[str, Reader]:
     data = read()
+    _check_text(data, label, budget)
 
     def commands() -> list[Steering]:
         from oysterbench.methods.interfaces.steering import parse_commands

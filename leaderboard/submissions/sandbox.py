@@ -86,7 +86,7 @@ class Stopped(Exception):
 
 def checking(settings: SubmissionSettings) -> Allowance:
     """For reading what was sent."""
-    return Allowance(settings.check_wall_s, settings.check_cpu_s, settings.memory_bytes, settings.file_bytes + 1)
+    return Allowance(settings.check_wall_s, settings.check_cpu_s, settings.check_memory_bytes, settings.file_bytes + 1)
 
 
 def scoring(settings: SubmissionSettings) -> Allowance:

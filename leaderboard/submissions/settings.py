@@ -32,13 +32,15 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     unpacked_bytes:     of all that an archive holds
     ratio:              of an entry's size to what it takes in the archive. Images compress hundreds of times as arrays,
                         so .npz files are held by `unpacked_bytes` alone
+    lines:              of a file of text: 120 000 are poses of 10 min at 200 Hz
+    reads_per_day:      uploads of a team that are read in 24 hours, those that are refused included
     per_day, per_split: submissions that are accepted of a team in 24 hours, and of a team on one split in all
     uploads_at_once, checks_at_once: of all clients; uploads_of_team, uploads_of_address: of one
     idle_s:             after which a client that sends nothing is sent away; upload_s: an upload takes at most
     workers:            submissions scored at once
     lease_s:            a worker that is not heard of for so long has died, and another one takes over
     check_wall_s, check_cpu_s, score_wall_s, score_cpu_s: of the sandbox
-    memory_bytes:       address space of the sandbox
+    check_memory_bytes, memory_bytes: address space of the sandbox, for reading what was sent and for scoring it
     attempts:           how often a process that ends without an answer is tried again, in all
     guesses_of_address, guesses: wrong tokens in `guess_window_s`, of one address and of all
     refusals_of_one, refusals_of_strangers: that are logged in a minute, of a team or address, and of all addresses
@@ -53,6 +55,8 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     entries: Count = 20_000
     unpacked_bytes: Count = 1000 * MB
     ratio: Annotated[float, msgspec.Meta(gt=0)] = 100.0
+    lines: Count = 120_000
+    reads_per_day: Count = 60
     per_day: Count = 10
     per_split: Count = 100
     uploads_at_once: Count = 8
@@ -67,6 +71,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     check_cpu_s: Count = 90
     score_wall_s: Seconds = 1800.0
     score_cpu_s: Count = 1500
+    check_memory_bytes: Count = 1500 * MB
     memory_bytes: Count = 4000 * MB
     attempts: Count = 3
     guesses_of_address: Count = 10
@@ -86,7 +91,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     @property
     def limits(self) -> Limits:
         """Of what is read."""
-        return Limits(self.file_bytes, self.results_bytes, self.entries, self.unpacked_bytes, self.ratio)
+        return Limits(self.file_bytes, self.results_bytes, self.entries, self.unpacked_bytes, self.ratio, self.lines)
 
 
 def load_settings(folder: Path, **changes: Any) -> SubmissionSettings:

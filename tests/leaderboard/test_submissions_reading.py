@@ -193,6 +193,22 @@ def test_what_is_wrong_with_masks_is_said_by_name(served, tmp_path, made, messag
     assert str(tmp_path) not in refused.value.reason
 
 
+@pytest.mark.parametrize(
+    ("line_end", "message"),
+    [
+        ("\n", "expected at most 120000 lines, got 125000"),
+        ("\r", "expected at most 120000 lines, got 125000"),
+        (" ", "expected lines of at most 4000 bytes, got 1124999"),
+    ],
+)
+def test_text_that_would_take_long_is_refused_unread(served, tmp_path, monkeypatch, line_end, message):
+    monkeypatch.setattr("oysterbench.core.trajectory.text.read_text", None)
+    digits = np.random.default_rng(1).bytes(500_000).hex()  # which no archive makes much smaller
+    text = line_end.join(digits[k : k + 8] for k in range(0, len(digits), 8))
+    with pytest.raises(Refusal, match=message):
+        opened(tmp_path, zipped({"pool-01.tum": text.encode()}), wanted_of(served, "pool-test"))
+
+
 # Results:
 
 

@@ -383,6 +383,20 @@ def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):
         host.close()
 
 
+def test_what_is_refused_is_read_so_often_a_day_and_no_more(service, tmp_path):
+    service.settings = msgspec.structs.replace(service.settings, reads_per_day=3)
+    bad = service.incoming / "bad"
+    reasons = []
+    for _ in range(4):
+        bad.write_bytes(b"1 2 3\n")
+        with pytest.raises(Refusal) as caught:
+            service.submit("reef lab", FORM, upload_of(bad))
+        reasons.append(caught.value.kind)
+    assert reasons == ["name", "name", "name", "quota"]
+    service.clock.now += 86_401
+    assert send(service, tmp_path)[1]
+
+
 def test_no_team_and_no_address_takes_all_uploads(service):
     auth = Auth(service)
     most = service.settings
@@ -426,7 +440,7 @@ def test_folders_may_be_given_as_seen_from_here(laid, tmp_path, monkeypatch):
 
 def test_a_server_that_cannot_read_uploads_does_not_start(laid, tmp_path):
     shutil.copytree(laid / "splits", tmp_path / "splits")
-    service = make_service(tmp_path, memory_bytes=10_000_000)
+    service = make_service(tmp_path, check_memory_bytes=10_000_000)
     try:
         with pytest.raises(ResultError, match=r"uploads cannot be read here.*private\.log there says why"):
             service.self_test()
