@@ -92,10 +92,7 @@ def labelled_sequence(path: Path, conditions: Mapping[str, float | str] | None =
 
 
 def _frames(sequence: Sequence, cameras: Mapping[str, list[str]]) -> Iterator[Seen]:
-    oysters = sequence.oysters()
-    heights = np.full(int(oysters["id"].max()) + 1 if len(oysters) else 1, np.nan)
-    if len(oysters):
-        heights[oysters["id"].to_numpy()] = 1000 * oysters["height_m"].to_numpy()
+    heights = _heights_mm(sequence)
     trajectory, true = sequence.truth(), sequence.truly_calibrated()
     for camera, layers in cameras.items():
         calibration = true.cameras[camera]
@@ -117,6 +114,16 @@ def _frames(sequence: Sequence, cameras: Mapping[str, list[str]]) -> Iterator[Se
                 ),
                 image.pixels,
             )
+
+
+def _heights_mm(sequence: Sequence) -> Array | None:
+    """(N,) shell heights by the numbers of the oysters, NaN where there is none; None where no height is known."""
+    oysters = sequence.oysters()
+    if "height_m" not in oysters:
+        return None
+    found = np.full(int(oysters["id"].max()) + 1 if len(oysters) else 1, np.nan)
+    found[oysters["id"].to_numpy()] = 1000 * oysters["height_m"].to_numpy()
+    return found
 
 
 def footprint_rays(camera: CameraCalibration) -> Array:

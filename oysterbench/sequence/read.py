@@ -64,6 +64,17 @@ MOVING = "truth/moving.csv"
 MOVING_POSES = "truth/moving_poses.csv"
 
 
+def _oysters(data: bytes) -> pd.DataFrame:
+    """The table of oysters, whose numbers are those that instance images can hold."""
+    import pandas as pd
+
+    measures = ("height_m", "length_m", "width_m", "volume_m3", *"xyz", "qx", "qy", "qz", "qw")
+    found = pd.read_csv(io.BytesIO(data), dtype={"id": "int64"} | dict.fromkeys(measures, "float64"))
+    if not found["id"].between(0, np.iinfo(np.uint16).max).all():
+        raise ValueError(f"{OYSTERS}: expected numbers of oysters from 0 to {np.iinfo(np.uint16).max}")
+    return found
+
+
 class McapSequence(Sequence):
     """A sequence in an MCAP file. The file is opened anew by each iterator, so that several may run at once."""
 
@@ -175,9 +186,7 @@ class McapSequence(Sequence):
         0), height_m, length_m, width_m, volume_m3, and the pose of its umbo in `map`: x, y, z (m), qx, qy, qz, qw."""
         if OYSTERS not in self.attachments:
             raise SequenceError(f"{self.path} has no truth about oysters: no attachment {OYSTERS}")
-        import pandas as pd
-
-        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[OYSTERS])))
+        return self._decoded(_oysters, self.attachments[OYSTERS])
 
     def faults(self) -> pd.DataFrame:
         """Where faults of the sensors struck, a row each: start_ns and end_ns (true times), sensor, fault, and value,

@@ -23,6 +23,7 @@ from oysterbench.core.ros import (
     vector,
 )
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.core.trajectory.checks import MAX_POSITION_M, NORM_TOLERANCE
 from oysterbench.recipe import RigRecipe
 from oysterbench.sensors.kind import Row, columns_of
 from oysterbench.sensors.registry import rig_sensors
@@ -97,17 +98,19 @@ def _transforms(stamp_ns: int, parent: str, frames: Mapping[str, tuple[Array, Ar
 
 
 def read_truth(messages: list[bytes]) -> Trajectory:
-    """Trajectory from odometry messages."""
+    """Trajectory from odometry messages. Raises ValueError where they hold no poses."""
     stamps, positions, quaternions = [], [], []
     for data in messages:
         message = decode(data, TRUTH_TYPES[TRUTH])
-        place, turn = message.pose.pose.position, message.pose.pose.orientation
+        at, by = message.pose.pose.position, message.pose.pose.orientation
         stamps.append(stamp_of(message.header))
-        positions.append([place.x, place.y, place.z])
-        quaternions.append([turn.x, turn.y, turn.z, turn.w])
-    return Trajectory(
-        np.array(stamps, dtype=np.int64), np.array(positions).reshape(-1, 3), np.array(quaternions).reshape(-1, 4)
-    )
+        positions.append([at.x, at.y, at.z])
+        quaternions.append([by.x, by.y, by.z, by.w])
+    place, turn = np.array(positions).reshape(-1, 3), np.array(quaternions).reshape(-1, 4)
+    near = (np.abs(place) <= MAX_POSITION_M).all() and (np.abs(turn) <= 2.0).all()  # NaN is not
+    if not near or (np.abs(np.linalg.norm(turn, axis=1) - 1.0) > NORM_TOLERANCE).any():
+        raise ValueError(f"{TRUTH}: expected positions within {MAX_POSITION_M:g} m and unit quaternions")
+    return Trajectory(np.array(stamps, dtype=np.int64), place, turn)
 
 
 def read_twist(data: bytes) -> tuple[int, Array, Array]:

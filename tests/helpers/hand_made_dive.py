@@ -301,11 +301,11 @@ def messages(seconds: float = 2.0, image_format: str = "png") -> list[Message]:
     return sent
 
 
-def write_dive(path: Path, seconds: float = 2.0, image_format: str = "png") -> Path:
+def write_dive(path: Path, seconds: float = 2.0, image_format: str = "png", compress: bool = True) -> Path:
     """The dive as a sequence file, each topic in chunks of its own."""
     sent, types = messages(seconds, image_format), all_types()
     with open(path, "wb") as file:
-        writer = SequenceWriter(file, types)
+        writer = SequenceWriter(file, types, compress)
         writer.metadata(METADATA, {"sequence": "hand-made", "split": "none", "split_version": "1.0"})
         writer.attachment(CALIBRATION, "application/json", json.dumps(calibration()).encode())
         writer.attachment(OYSTERS, "text/csv", b"id,state,x,y,z\n7,live,0.5,0.1,-3.0\n40000,box,0.8,-0.2,-3.0\n")

@@ -32,7 +32,7 @@ def test_canonical_json_has_one_spelling():
     assert canonical({"b": 1, "a": ["é", None]}) == '{"a":["é",null],"b":1}\n'.encode()
     with pytest.raises(ValueError, match="Out of range float"):
         canonical({"a": float("nan")})
-    for wrong in (b"{", b"[]", b"\xff", b"[" * 100_000):
+    for wrong in (b"{", b"[]", b"\xff", b"[" * 100_000, b'{"a": "\\ud800 alone"}', b'{"a": "\xed\xa0\x80"}'):
         with pytest.raises(IntegrityError, match="it was not used"):
             parse(wrong, "index")
 

@@ -17,7 +17,7 @@ from oysterbench.core.ros import EPOCH_NS, Message, decode
 from oysterbench.sensors.imu import KIND as IMU
 from oysterbench.sensors.imu import ImuRecipe
 from oysterbench.sequence.file import read_messages
-from oysterbench.sequence.read import CALIBRATION, METADATA
+from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
 from oysterbench.sequence.write import SequenceWriter
 from tests.helpers import hand_made_dive as dive
 from tests.helpers.forged_mcap import chunk_of, forged
@@ -394,3 +394,16 @@ def test_a_calibration_that_is_none_is_refused_in_a_line(tmp_path, content):
 def test_bytes_that_are_no_message_are_a_value_error(data):
     with pytest.raises((ValueError, LookupError, struct.error)):
         decode(data, "sensor_msgs/msg/Imu")
+
+
+@pytest.mark.parametrize("row", ["70000,live,1", "-1,live,1", "1.5,live,1", "x,live,1", "7,live,deep"])
+def test_oysters_that_no_picture_can_show_are_damage(tmp_path, row):
+    path = tmp_path / "forged.mcap"
+    with open(path, "wb") as file:
+        writer = SequenceWriter(file, {})
+        writer.metadata(METADATA, {"sequence": "forged"})
+        writer.attachment(CALIBRATION, "application/json", json.dumps(dive.calibration()).encode())
+        writer.attachment(OYSTERS, "text/csv", f"id,state,x\n{row}\n".encode())
+        writer.finish()
+    with pytest.raises(SequenceError, match=r"forged\.mcap: truncated or damaged"):
+        oysterbench.open(path).oysters()

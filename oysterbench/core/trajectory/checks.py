@@ -13,6 +13,8 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import ns_to_seconds
 
+MAX_POSITION_M = 1e9
+"""Farther from the origin an estimate has diverged; its square would soon leave what a float64 holds."""
 NORM_TOLERANCE = 2e-3
 """Of a quaternion's norm: three written decimals err by 1e-3 at most."""
 NORM_STATED = 1e-6

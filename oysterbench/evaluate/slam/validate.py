@@ -12,11 +12,9 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array, Similarity, align_umeyama, align_yaw, rotation_angle, spread
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds
-from oysterbench.core.trajectory.checks import NORM_TOLERANCE
+from oysterbench.core.trajectory.checks import MAX_POSITION_M, NORM_TOLERANCE
 
 MIN_POSES = 2
-MAX_POSITION_M = 1e9
-"""Farther from the origin an estimate has diverged; its square would soon leave what a float64 holds."""
 MAX_STAMP_NS = 2**62
 """146 years from the epoch: differences of such stamps fit an int64."""
 
