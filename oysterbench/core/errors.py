@@ -27,6 +27,14 @@ class TrajectoryError(OysterbenchError):
     """A trajectory file or the poses in it cannot be scored."""
 
 
+class NoStampsError(TrajectoryError):
+    """A file with so many poses says nothing of their times."""
+
+    def __init__(self, message: str, poses: int) -> None:
+        super().__init__(message)
+        self.poses = poses
+
+
 class MethodError(OysterbenchError):
     """A method is unknown, cannot be loaded, or its run gave no estimate."""
 

@@ -53,6 +53,10 @@ OF_BOTH: dict[str, tuple[Any, str]] = {
     "time-unit": (("s", "ms", "us", "ns"), "Unit of the stamps."),
     "quaternion": (("xyzw", "wxyz"), "Order of the quaternion."),
     "unit": (("m", "mm"), "Unit of the positions."),
+    "duplicates": (
+        ("first", "last", "mean", "refuse"),
+        "Which of several poses at a stamp.  [default: first of near ones]",
+    ),
 }
 """Options of the estimate, and with `truth-` before their names of the truth."""
 

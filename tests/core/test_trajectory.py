@@ -193,9 +193,47 @@ def test_a_pose_written_twice_is_taken_once_and_said(tmp_path):
 def test_two_poses_at_one_stamp_are_refused_with_their_lines(tmp_path):
     message = refusal(tmp_path, f"# t x\n1 {POSE}\n2 {POSE}\n2 9 2 3 0 0 0.6 0.8\n")
     assert message == (
-        "poses.txt:4: expected one pose for each stamp, got another one at 2.000000000 s than on poses.txt:3; keep one "
-        "of them"
+        "poses.txt:4: expected one pose for each stamp, got another one at 2.000000000 s than on poses.txt:3, 8 m and "
+        "0 deg away; keep one of them (--duplicates first, last or mean; of the truth, --truth-duplicates)"
     )
+
+
+WALK = "".join(f"{k} {k}.0 2 3 0 0 {np.sin(k / 20):.12f} {np.cos(k / 20):.12f}\n" for k in range(1, 9))
+NEAR = f"4 4.001 2 3 0 0 {np.sin(0.201):.12f} {np.cos(0.201):.12f}"
+
+
+def test_of_poses_at_one_stamp_that_differ_by_less_than_neighbours_the_first_is_taken_and_it_is_said(tmp_path):
+    """As TUM's fr2_desk has them in its motion capture, and ORB-SLAM in its key frames."""
+    trajectory = read(tmp_path, WALK.replace("\n5 ", f"\n{NEAR}\n5 "))
+    assert trajectory.stamps_ns.tolist() == [k * 10**9 for k in range(1, 9)]
+    assert trajectory.positions[3, 0] == 4.0
+    assert trajectory.notes == (
+        "poses.txt: at 1 of 8 stamps there are several poses, up to 0.001 m and 0.115 deg apart: the first is taken "
+        "(--duplicates)",
+    )
+
+
+@pytest.mark.parametrize(("choice", "x"), [("first", 4.0), ("last", 4.001), ("mean", 4.0005)])
+def test_an_option_decides_which_of_several_poses_counts(tmp_path, choice, x):
+    (tmp_path / "poses.txt").write_text(WALK.replace("\n5 ", f"\n{NEAR}\n5 "))
+    trajectory = read_trajectory(tmp_path / "poses.txt", duplicates=choice)
+    assert len(trajectory) == 8
+    assert trajectory.positions[3, 0] == pytest.approx(x, abs=1e-12)
+    turned = 2 * np.arctan2(trajectory.quaternions[3, 2], trajectory.quaternions[3, 3])
+    assert turned == pytest.approx({"first": 0.4, "last": 0.402, "mean": 0.401}[choice], abs=1e-9)
+
+
+def test_poses_at_one_stamp_are_refused_where_that_was_chosen_or_where_they_are_far_apart(tmp_path):
+    path = tmp_path / "poses.txt"
+    path.write_text(WALK.replace("\n5 ", f"\n{NEAR}\n5 "))
+    with pytest.raises(TrajectoryError, match=r"poses\.txt:5: expected one pose for each stamp"):
+        read_trajectory(path, duplicates="refuse")
+    turned = WALK.replace("\n5 ", "\n4 4 2 3 1 0 0 0\n5 ")
+    for text in (WALK.replace("\n5 ", "\n4 7 2 3 0 0 0 1\n5 "), turned):
+        path.write_text(text)
+        with pytest.raises(TrajectoryError, match=r"poses\.txt:5: .*--duplicates first, last or mean"):
+            read_trajectory(path)
+        assert len(read_trajectory(path, duplicates="last")) == 8
 
 
 def test_stamps_that_go_back_are_refused_with_line_and_option(tmp_path):

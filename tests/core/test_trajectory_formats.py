@@ -96,6 +96,13 @@ def test_a_compressed_ros_2_bag_is_refused_unread(tmp_path):
         read_trajectory(folder)
 
 
+@pytest.mark.parametrize("name", ["tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"])
+def test_transforms_of_a_ros_1_bag_are_read(tmp_path, name):
+    path = files.write_bag1_tf(tmp_path / "tf.bag", dive(), name)
+    assert_same(read_trajectory(path), dive())
+    assert_same(read_trajectory(path, topic="/tf:map.base_link"), dive())
+
+
 def test_an_mcap_file_of_ros_1_messages_is_read(tmp_path):
     assert_same(read_trajectory(written(tmp_path, files.mcap_of_ros1(dive()))), dive())
 

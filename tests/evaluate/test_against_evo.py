@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.core.streams import stream
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.inputs import read_pair
 from oysterbench.evaluate.slam.pairs import (
     distances,
     pairs_along,
@@ -23,11 +24,13 @@ from oysterbench.evaluate.slam.pairs import (
 )
 from oysterbench.evaluate.slam.pose_errors import absolute_errors, relative_errors
 from oysterbench.evaluate.slam.scoring import SlamResult, SlamSettings, score
+from tests.helpers import trajectory_files
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # evo's plotting dependencies warn when they are imported
     from evo.core import filters, metrics, sync
     from evo.core.trajectory import PoseTrajectory3D
+    from evo.tools import file_interface
 
 TOLERANCE: Any = {"rtol": 1e-9, "atol": 1e-9}
 ALIGNMENTS = ("none", "origin", "se3", "sim3", "scale")
@@ -121,6 +124,27 @@ def test_absolute_errors_of_all_relations_equal_evo(seed, align, associate):
     result = score(truth, estimate, SlamSettings(align=align, associate=associate))
     assert_absolute_errors_equal(result, evo_aligned(truth, estimate, align))
     np.testing.assert_allclose(result.metrics["path_length_m"], as_evo(truth).path_length, **TOLERANCE)
+
+
+@pytest.mark.parametrize("form", ["tum", "euroc", "kitti"])
+def test_files_of_public_formats_are_read_as_evo_reads_them(tmp_path, form):
+    truth, estimate = random_pair(7)
+    paths = []
+    for name, one in (("truth", truth), ("estimate", estimate)):
+        text = getattr(trajectory_files, form)(one).decode()
+        if form == "tum":  # as TUM's own recordings begin
+            text = f"# ground truth trajectory\n# file: 'freiburg2_desk.bag'\n# timestamp tx ty tz qx qy qz qw\n{text}"
+        paths.append(tmp_path / f"{name}.txt")
+        paths[-1].write_text(text)
+    read = {
+        "tum": file_interface.read_tum_trajectory_file,
+        "euroc": file_interface.read_euroc_csv_trajectory,
+        "kitti": file_interface.read_kitti_poses_file,
+    }[form]
+    pair = (read(str(paths[0])), read(str(paths[1])))
+    pair[1].align(pair[0], correct_scale=True)
+    ours = score(*read_pair(*paths, any_scale=True), SlamSettings(align="sim3", associate="nearest"))
+    assert_absolute_errors_equal(ours, pair)
 
 
 @given(seed=seeds, align=st.sampled_from(["se3", "sim3", "scale"]), first=st.integers(5, 12))

@@ -220,6 +220,23 @@ def test_kitti_poses_take_the_stamps_of_the_truth(tmp_path):
         read_pair(tmp_path / "truth.npz", tmp_path / "poses.txt")
 
 
+def test_two_kitti_files_without_times_meet_by_index_and_it_is_said(tmp_path):
+    (tmp_path / "truth.txt").write_bytes(files.kitti(TRUTH))
+    (tmp_path / "poses.txt").write_bytes(files.kitti(TRUTH))
+    truth, read = read_pair(tmp_path / "truth.txt", tmp_path / "poses.txt")
+    np.testing.assert_array_equal(truth.stamps_ns, np.arange(300) * 100_000_000)
+    np.testing.assert_array_equal(read.stamps_ns, truth.stamps_ns)
+    assert any("meet by index, taken as 0.1 s apart" in note for note in truth.notes)
+    (tmp_path / "poses.txt").write_bytes(files.kitti(TRUTH.select(slice(0, 9))))
+    with pytest.raises(
+        TrajectoryError, match=r"poses\.txt: expected as many poses as the truth has, 300, .* got 9; .*"
+    ):
+        read_pair(tmp_path / "truth.txt", tmp_path / "poses.txt")
+    write_npz(tmp_path / "poses.npz", TRUTH)
+    with pytest.raises(TrajectoryError, match=r"truth\.txt: KITTI poses carry no stamps; .*--times FILE"):
+        read_pair(tmp_path / "truth.txt", tmp_path / "poses.npz")
+
+
 def test_a_pose_that_cannot_be_is_refused_before_anything_is_compared():
     positions = TRUTH.positions.copy()
     positions[3, 1] = np.nan

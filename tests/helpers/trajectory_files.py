@@ -11,7 +11,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.rosbag2 import Writer as FolderWriter
 from rosbags.rosbag2.enums import StoragePlugin
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.streams import stream
@@ -176,6 +176,19 @@ def write_bag1(path: Path, t: Trajectory) -> Path:
         for i in range(len(t)):
             data = ROS1.serialize_ros1(messages.pose_with_covariance(i), kind)
             writer.write(connection, int(t.stamps_ns[i]), data)
+    return path
+
+
+def write_bag1_tf(path: Path, t: Trajectory, kind: str) -> Path:
+    """Transforms on /tf, as `kind`: tf2's message, or that of the first tf, which is the same."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    messages = Messages(t, ROS1)
+    with BagWriter(path) as writer:
+        connection = writer.add_connection("/tf", kind, typestore=store)
+        for i in range(len(t)):
+            message = store.types[kind](transforms=[messages.transform(i)])
+            writer.write(connection, int(t.stamps_ns[i]), store.serialize_ros1(message, kind))
     return path
 
 

@@ -48,7 +48,7 @@ def read_npz(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
         frame = _floats(FRAME, arrays[FRAME], (4, 4), path)
         check_rigid(frame, f"{path}: {FRAME!r}")
     trajectory = Trajectory(stamps_ns, positions, quaternions, covariances, tuple(notes), frame)
-    return checked_poses(trajectory, path.name, lambda i: f"{path}: pose {i + 1}", options.sort)
+    return checked_poses(trajectory, path.name, lambda i: f"{path}: pose {i + 1}", options)
 
 
 def _arrays(path: Path, data: bytes) -> dict[str, NDArray[np.generic]]:

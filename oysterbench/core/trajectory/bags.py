@@ -60,7 +60,7 @@ def read_bag(path: Path, options: ReadOptions) -> Trajectory:
     except Exception as error:
         reason = (" ".join(str(error).split()) or type(error).__name__)[:120]
         raise TrajectoryError(f"{path}: damaged, or not a recording that can be read: {reason}") from None
-    return checked_poses(trajectory, path.name, lambda i: f"{path}: message {i + 1}", options.sort)
+    return checked_poses(trajectory, path.name, lambda i: f"{path}: message {i + 1}", options)
 
 
 def _read(path: Path, options: ReadOptions) -> Trajectory:
@@ -181,11 +181,14 @@ def _open(path: Path) -> Bag:
 @cache
 def _decoder(encoding: str) -> Callable[[bytes, str], Any]:
     """Decoder of messages in `cdr` (ROS 2) or `ros1`."""
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     if encoding == "cdr":
         return get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
-    return get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
+    store = get_typestore(Stores.ROS1_NOETIC)
+    # Not among the messages that the distribution's common packages have.
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+    return store.deserialize_ros1
 
 
 def _full_name(name: str) -> str:

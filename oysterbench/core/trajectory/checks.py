@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory.duplicates import each_stamp_once
+from oysterbench.core.trajectory.options import ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
 from oysterbench.core.trajectory.stamps import ns_to_seconds
 
@@ -21,12 +23,16 @@ NORM_STATED = 1e-6
 """Deviation of a norm from which its correction is stated: less is the rounding of six decimals."""
 
 
-def checked_poses(trajectory: Trajectory, name: str, where: Callable[[int], str], sort: bool = False) -> Trajectory:
+def checked_poses(
+    trajectory: Trajectory, name: str, where: Callable[[int], str], options: ReadOptions | None = None
+) -> Trajectory:
     """The poses of a file in the order of their stamps, each stamp once, with quaternions of norm one.
 
-    where: pose, counted from 0 -> its place in the file. What is changed is said in the trajectory's notes: the same
-    pose written twice is taken once, norms within NORM_TOLERANCE are made one. Raises TrajectoryError for the rest.
+    where: pose, counted from 0 -> its place in the file; options: `sort` and `duplicates` of them, none for poses that
+    are no file's and are not chosen among. What is changed is said in the trajectory's notes: one of several poses at a
+    stamp is taken (`each_stamp_once`), norms within NORM_TOLERANCE are made one. Raises TrajectoryError for the rest.
     """
+    options = options or ReadOptions(duplicates="refuse")
     notes = list(trajectory.notes)
     values = np.column_stack([trajectory.positions, trajectory.quaternions])
     wrong = np.asarray(~np.isfinite(values).all(axis=1))
@@ -40,13 +46,16 @@ def checked_poses(trajectory: Trajectory, name: str, where: Callable[[int], str]
     quaternions = _unit(trajectory.quaternions, name, where, notes)
     trajectory = replace(trajectory, quaternions=quaternions)
     rows = np.arange(len(trajectory))
-    if sort and (np.diff(trajectory.stamps_ns) < 0).any():
+    if options.sort and (np.diff(trajectory.stamps_ns) < 0).any():
         rows = np.argsort(trajectory.stamps_ns, kind="stable")
         trajectory = trajectory.select(rows)
         notes.append(f"{name}: the poses were put in the order of their stamps")
-    keep = _once(trajectory, name, lambda i: where(int(rows[i])), notes)
-    if not keep.all():
-        trajectory = trajectory.select(keep)
+
+    def place(i: int) -> str:
+        return where(int(rows[i]))
+
+    _check_order(trajectory.stamps_ns, place)
+    trajectory = each_stamp_once(trajectory, name, place, options.duplicates, notes)
     return replace(trajectory, notes=tuple(notes))
 
 
@@ -73,9 +82,7 @@ def _unit(quaternions: Array, name: str, where: Callable[[int], str], notes: lis
     return quaternions / norms[:, None]
 
 
-def _once(trajectory: Trajectory, name: str, where: Callable[[int], str], notes: list[str]) -> NDArray[np.bool_]:
-    """Which poses to keep, so that every stamp is there once."""
-    stamps = trajectory.stamps_ns
+def _check_order(stamps: NDArray[np.int64], where: Callable[[int], str]) -> None:
     back = np.asarray(stamps[1:] < stamps[:-1])
     if back.any():
         i = int(np.argmax(back)) + 1
@@ -83,21 +90,6 @@ def _once(trajectory: Trajectory, name: str, where: Callable[[int], str], notes:
             f"{where(i)}: expected increasing stamps, got {ns_to_seconds(stamps[i])} s after "
             f"{ns_to_seconds(stamps[i - 1])} s{others(back)}; sort the poses by time (--sort)"
         )
-    again = np.asarray(stamps[1:] == stamps[:-1])
-    if not again.any():
-        return np.ones(len(stamps), dtype=bool)
-    place = (trajectory.positions[1:] == trajectory.positions[:-1]).all(axis=1)
-    p, q = trajectory.quaternions[1:], trajectory.quaternions[:-1]
-    same = place & ((p == q).all(axis=1) | (p == -q).all(axis=1))
-    differ = again & ~same
-    if differ.any():
-        i = int(np.argmax(differ)) + 1
-        raise TrajectoryError(
-            f"{where(i)}: expected one pose for each stamp, got another one at {ns_to_seconds(stamps[i])} s than on "
-            f"{where(i - 1).rsplit('/', 1)[-1]}{others(differ)}; keep one of them"
-        )
-    notes.append(f"{name}: {np.count_nonzero(again)} poses were written twice and are taken once")
-    return np.asarray(np.r_[True, ~again])
 
 
 def _check_covariances(covariances: Array, where: Callable[[int], str]) -> None:

@@ -16,6 +16,7 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 Order = Literal["xyzw", "wxyz"]
 LengthUnit = Literal["m", "mm"]
 Frame = Literal["body", "optical"]
+Duplicates = Literal["first", "last", "mean", "refuse"]
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class ReadOptions:
     unit:            of the positions
     frame:           whose poses they are: the body's, or those of a camera's optical frame at the body's place
     T_body_estimate: (4, 4), takes points of the frame whose poses they are into the body
+    duplicates:      which of several poses at one stamp counts; None: the first of those that differ by less than
+                     neighbours do, while others are refused
     sort:            put poses in the order of their stamps instead of refusing
     """
 
@@ -41,6 +44,7 @@ class ReadOptions:
     unit: LengthUnit | None = None
     frame: Frame | None = None
     T_body_estimate: Array | None = None
+    duplicates: Duplicates | None = None
     sort: bool = False
 
     def __post_init__(self) -> None:
@@ -50,6 +54,7 @@ class ReadOptions:
             "quaternion": Order,
             "unit": LengthUnit,
             "frame": Frame,
+            "duplicates": Duplicates,
         }
         for key, values in choices.items():
             value = getattr(self, key)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.errors import NoStampsError, TrajectoryError
 from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory.checks import checked_poses, others
 from oysterbench.core.trajectory.columns import EUROC, KITTI, KITTI_MATRIX, TUM, Columns, named_columns
@@ -49,7 +49,7 @@ def read_text(path: Path, data: bytes, options: ReadOptions) -> Trajectory:
         _covariances(table.values, columns, place, path, notes),
         tuple(notes),
     )
-    trajectory = checked_poses(trajectory, path.name, table.where, options.sort)
+    trajectory = checked_poses(trajectory, path.name, table.where, options)
     if columns.unit == "mm" and options.unit is None:
         return scaled(trajectory, METRES["mm"])
     return trajectory
@@ -234,9 +234,10 @@ def _covariances(values: Array, columns: Columns, place: dict[int, int], path: P
 def _kitti(table: NumberTable, path: Path, options: ReadOptions) -> Trajectory:
     """Poses from the top three rows of their matrices; stamps from `options.times`."""
     if options.times is None:
-        raise TrajectoryError(
+        raise NoStampsError(
             f"{path}: KITTI poses carry no stamps; give a file with one time a line (--times FILE), or a truth with "
-            f"as many poses ({len(table)})"
+            f"as many poses ({len(table)})",
+            len(table),
         )
     if len(options.times) != len(table):
         raise TrajectoryError(
@@ -258,4 +259,4 @@ def _kitti(table: NumberTable, path: Path, options: ReadOptions) -> Trajectory:
     notes = (f"{path.name}: its {len(table)} poses carry no stamps and take the given times one to one",)
     stamps_ns = np.asarray(options.times, dtype=np.int64)
     trajectory = Trajectory(stamps_ns, table.values[:, [3, 7, 11]].copy(), quaternions, notes=notes)
-    return checked_poses(trajectory, path.name, table.where, options.sort)
+    return checked_poses(trajectory, path.name, table.where, options)

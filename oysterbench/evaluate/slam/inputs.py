@@ -7,10 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from oysterbench.core.errors import TrajectoryError
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import NoStampsError, TrajectoryError
 from oysterbench.core.trajectory import ReadOptions, Trajectory, read_trajectory
 from oysterbench.evaluate.slam.clock import estimate_offset, shift
 from oysterbench.evaluate.slam.diagnose import Finding, diagnose
+
+KITTI_STEP_NS = 100_000_000
+"""Between poses of files without times: KITTI's cameras are triggered at 10 Hz (Geiger et al. 2012)."""
 
 DECIDED_BY = {
     "time-unit": ("time_unit",),
@@ -32,13 +38,19 @@ def read_pair(
 ) -> tuple[Trajectory, Trajectory]:
     """The two trajectories; what was decided is in their `notes`.
 
-    A KITTI file without times takes the truth's stamps, one to one. time_offset_s is what the scoring will add to the
+    A KITTI file without times takes the truth's stamps, one to one; two such files meet by index, KITTI_STEP_NS apart.
+    time_offset_s is what the scoring will add to the
     estimate's stamps; any_scale, whether it will fit a scale, so that none is wrong. Raises TrajectoryError naming
     the file, the cause and the option that decides.
     """
     options = estimate_options or ReadOptions()
     truth_options = truth_options or ReadOptions()
-    truth = read_trajectory(truth_path, truth_options)
+    try:
+        truth = read_trajectory(truth_path, truth_options)
+    except NoStampsError as missing:
+        truth = read_trajectory(truth_path, truth_options, times=_by_index(estimate_path, options, missing))
+        step = f"{KITTI_STEP_NS * 1e-9:g} s apart, as KITTI's are; what is per second stands on that"
+        truth = replace(truth, notes=(*truth.notes, f"neither file has times: poses meet by index, taken as {step}"))
     if options.times is None:
         options = replace(options, times=truth.stamps_ns)
     estimate = read_trajectory(estimate_path, options)
@@ -58,6 +70,22 @@ def read_pair(
             note = str(finding)
         estimate = replace(estimate, notes=(*estimate.notes, note))
     return truth, estimate
+
+
+def _by_index(estimate_path: str | os.PathLike[str], options: ReadOptions, missing: NoStampsError) -> NDArray[np.int64]:
+    """Stamps (N,), ns, to read a truth without stamps whose estimate has none either; raises `missing` where it has."""
+    if options.times is None:
+        try:
+            read_trajectory(estimate_path, options)
+        except NoStampsError as other:
+            if other.poses == missing.poses:
+                return np.arange(missing.poses, dtype=np.int64) * KITTI_STEP_NS
+            raise TrajectoryError(
+                f"{estimate_path}: expected as many poses as the truth has, {missing.poses}, as neither file says its "
+                f"times, got {other.poses}; give a file with one time a line, which both take (--times FILE), or "
+                "all poses"
+            ) from None
+    raise missing
 
 
 def _findings(truth: Trajectory, estimate: Trajectory, time_offset_s: float | Literal["estimate"]) -> list[Finding]:
