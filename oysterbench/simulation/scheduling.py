@@ -12,9 +12,10 @@ import signal
 import threading
 import uuid
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, TypeVar
 
@@ -30,8 +31,16 @@ LEAST_AHEAD = 8  # jobs that a cluster is given before it has any worker
 DEATHS = 3  # of workers at one job, beyond those that the scheduler forgives by itself, before the job is to blame
 CONNECT_S = 15
 
+TERMINATED = 128 + signal.SIGTERM
+
 Results = Generator[tuple[J, R], None, None]
 """Each job, with what it gave, in the order in which they are done."""
+
+
+class Terminated(OysterbenchError):
+    """SIGTERM came while processes were at work."""
+
+    exit_code = TERMINATED
 
 
 def run_here(task: Callable[[J], R], jobs: Sequence[J]) -> Results[J, R]:
@@ -45,8 +54,33 @@ def run_in_processes(
 ) -> Results[J, R]:
     """Run jobs in so many processes; one runs `warm_up` before the others begin.
 
-    Raises OysterbenchError when a process is killed.
+    Raises OysterbenchError when a process is killed, or this one is told to end.
     """
+    with _ended_in_order():
+        yield from _run_in_processes(task, jobs, workers, warm_up)
+
+
+@contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """SIGTERM raises Terminated: processes are ended, and their semaphores freed, on the way out."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, _terminated)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _terminated(number: int, frame: object) -> None:
+    signal.signal(number, signal.SIG_IGN)  # once is enough
+    raise Terminated("terminated; what was finished is kept, and the same command goes on from there")
+
+
+def _run_in_processes(
+    task: Callable[[J], R], jobs: Sequence[J], workers: int, warm_up: Callable[[], None]
+) -> Results[J, R]:
     pool = ProcessPoolExecutor(
         min(workers, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
     )

@@ -299,25 +299,6 @@ def test_ctrl_c_amid_the_imports_is_one_line(tmp_path):
     assert_one_line(done, "interrupted before anything was done", 130)
 
 
-def test_a_command_that_is_terminated_puts_its_things_in_order():
-    done = guarded(
-        "import os, signal, oysterbench.cli.main\n"
-        "def command():\n"
-        "    try:\n"
-        "        os.kill(os.getpid(), signal.SIGTERM)\n"
-        "        signal.pause()\n"
-        "    finally:\n"
-        "        print('in order')\n"
-        "oysterbench.cli.main.main = command\n"
-        "from oysterbench.__main__ import main\n"
-        "main()\n"
-    )
-    assert (done.returncode, done.stdout) == (128 + signal.SIGTERM, "in order\n")
-    assert done.stderr.strip() == (
-        "oysterbench: terminated; what was finished is kept, and the same command goes on from there"
-    )
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interruption_is_one_line_and_the_work_goes_on_from_there(recipe, tmp_path, number):
     out = tmp_path / "data"

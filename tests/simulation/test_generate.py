@@ -17,7 +17,7 @@ from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 from oysterbench.core.errors import MachineError, OysterbenchError, SequenceError
 from oysterbench.core.files import locked, write_atomically
 from oysterbench.recipe import count
-from oysterbench.simulation import generate
+from oysterbench.simulation import generate, scheduling
 from oysterbench.simulation.assembly import assemble
 from oysterbench.simulation.generate import digest, generate_split, split_folder
 from oysterbench.simulation.jobs import plan
@@ -203,3 +203,17 @@ def test_every_frame_is_in_one_job(tiny_split):
 def test_samples_lie_below_the_duration(duration, rate, expected):
     assert count(duration, rate) == expected
     assert (expected - 1) / rate < duration
+
+
+def test_sigterm_while_processes_work_is_an_error_like_any_other():
+    before = signal.getsignal(signal.SIGTERM)
+
+    def terminated():
+        with scheduling._ended_in_order():
+            assert signal.getsignal(signal.SIGTERM) not in (signal.SIG_DFL, signal.SIG_IGN)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(scheduling.Terminated, match="the same command goes on from there"):
+        terminated()
+    assert signal.getsignal(signal.SIGTERM) == before
+    assert scheduling.Terminated.exit_code == 143
