@@ -11,9 +11,10 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.outputs import Outputs, print_rich
-from oysterbench.core.errors import OysterbenchError
+from oysterbench.core.errors import OysterbenchError, ResultError
 
 if TYPE_CHECKING:
+    from oysterbench.results.records import ResultRecord
     from oysterbench.tracks import Evaluation, Option, Request, Track
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
@@ -65,33 +66,49 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
     from dataclasses import replace
 
     from oysterbench.cli.render import frames_bar, render_files
-    from oysterbench.results.records import write_results
+    from oysterbench.results.records import add_results
 
     results = request.out / "results.json"
+    _check_folder(request.out)
 
     def keep(runs: Sequence[Any]) -> None:
         # After each run, so that a kill leaves a table of what was finished.
-        write_results(results, [run.record for run in runs])
+        add_results(results, [run.record for run in runs])
 
     shown = replace(request, render=render_files, bar=frames_bar, announce=message, finished=keep)
     finish(track.evaluate(shown), request.out, outputs)
 
 
+def _check_folder(out: Path) -> None:
+    """Refuse a folder whose results cannot be added to, before anything is run or written."""
+    from oysterbench.results.records import read_results
+
+    if (out / "results.json").exists():
+        try:
+            read_results(out / "results.json")
+        except ResultError as error:
+            raise ResultError(f"{error}; it was left as it is: move it away, or choose another --out") from None
+
+
 def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     """Write all files, print, and say what failed; the command ends with an error where something did."""
     from oysterbench.core.files import write_atomically
-    from oysterbench.results.records import document, dump, write_results
+    from oysterbench.results.records import add_results, document, dump
+    from oysterbench.tracks.track import Kept
 
     records, data_set = found.records, [row.as_plain() for row in found.data_set]
     written: list[Path] = []
+    kept: list[ResultRecord] = []
     if out is not None:
-        write_results(out / "results.json", records, data_set)
+        _check_folder(out)
+        kept = add_results(out / "results.json", records, data_set)
         for name, text in found.files.items():
             write_atomically(out / name, text.encode())
         written = [out / "results.json", *(out / name for name in found.files), *(path for path, _ in found.figures)]
     if records:
         figures = [figure for _, figure in found.figures]
-        written += outputs.write(found.runs, out, found.data_set, found.first, figures)
+        beside = [Kept(one) for one in kept if one.track == records[0].track]
+        written += outputs.write(found.runs, out, found.data_set, found.first, figures, beside)
     if outputs.as_json:
         echo(dump(document(records, data_set)))
     elif not outputs.on_stdout:
@@ -104,6 +121,10 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
         elif out is not None:
             place = each.job.folder(out)
             message(f"{each.job.sequence.name} has no truth to score by; the predictions: {place}")
+    if kept:
+        methods = ", ".join(dict.fromkeys(one.method for one in kept))
+        runs = "1 earlier run" if len(kept) == 1 else f"{len(kept)} earlier runs"
+        message(f"{out}: results of {runs} stay beside these, without figures: {methods}")
     for path in written:
         message(f"written: {path}")
     failures = {f"{one.method} failed on {one.sequence}": one.failure for one in records if one.failure is not None}

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from oysterbench.report.cards import Card
     from oysterbench.report.html import Runs
     from oysterbench.report.table import Table
+    from oysterbench.tracks.track import Kept
 
 TEXTS = {"csv": "every run, every digit", "tex": "tables with booktabs and graphicx", "md": "tables in Markdown"}
 """Forms of text, by their suffix."""
@@ -44,32 +45,33 @@ class Outputs:
         data_set: Sequence[DatasetRow] = (),
         first: Sequence[Table] = (),
         figures: Sequence[Card] = (),
+        beside: Sequence[Kept] = (),
     ) -> list[Path]:
         """Write all files that were asked for, those of a folder in all forms; returns what was written.
 
         data_set: of tracks of images, each method over all clips together; first: tables that stand before all
-        others; figures: of the report.
+        others; figures: of the report; beside: earlier runs, which the files of the folder have as well.
         """
         from oysterbench.core.files import write_atomically
         from oysterbench.report import csv_text, dataset_tables, latex_text, markdown_text, write_html_report
 
         makers = {"csv": csv_text, "tex": latex_text, "md": markdown_text}
-        records = [run.record for run in runs]
-        places = [(form, path) for form, path in self.texts.items()]
-        reports = [self.report] if self.report is not None else []
+        every: Any = [*beside, *runs]
+        places = [(form, path, runs) for form, path in self.texts.items()]
+        reports = [(self.report, runs)] if self.report is not None else []
         if folder is not None:
-            places += [(form, folder / f"results.{form}") for form in TEXTS]
-            reports.append(folder / "report.html")
-        for form, path in places:
-            text = makers[form](records, [*first, *dataset_tables(data_set)])
+            places += [(form, folder / f"results.{form}", every) for form in TEXTS]
+            reports.append((folder / "report.html", every))
+        for form, path, shown in places:
+            text = makers[form]([run.record for run in shown], [*first, *dataset_tables(data_set)])
             if path == Path("-"):
                 echo(text, nl=False)
             else:
                 write_atomically(path, text.encode())
-        for path in reports:
+        for path, shown in reports:
             command = shlex.join(["oysterbench", *sys.argv[1:]])
-            write_html_report(path, runs, command, data_set=data_set, first=first, figures=figures)
-        return [*(path for _, path in places if path != Path("-")), *reports]
+            write_html_report(path, shown, command, data_set=data_set, first=first, figures=figures)
+        return [*(path for _, path, _ in places if path != Path("-")), *(path for path, _ in reports)]
 
 
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:

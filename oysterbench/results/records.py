@@ -295,9 +295,35 @@ def write_results(path: str | os.PathLike[str], records: Iterable[ResultRecord],
     write_atomically(path, (dump(document(records, data_set)) + "\n").encode())
 
 
+def add_results(
+    path: str | os.PathLike[str], records: Iterable[ResultRecord], data_set: Sequence[Any] | None = None
+) -> list[ResultRecord]:
+    """Write results into a file, in which they replace those of the same method on the same sequence.
+
+    Returns the others, which stay. Raises ResultError, with the file left as it is, where it holds no results.
+    """
+    records, path = list(records), Path(path)
+    before, rows = _read(path) if path.exists() else ([], ())
+    places, methods = {_place(record) for record in records}, {record.method for record in records}
+    kept = [record for record in before if _place(record) not in places]
+    kept_rows = [row for row in rows if row["method"] not in methods]
+    together = None if data_set is None and not kept_rows else [*kept_rows, *(data_set or ())]
+    write_results(path, [*kept, *records], together)
+    return kept
+
+
+def _place(record: ResultRecord) -> tuple[str, ...]:
+    """Equal for results of which the later one counts."""
+    return record.track, record.split, record.sequence, record.method
+
+
 def read_results(path: str | os.PathLike[str]) -> list[ResultRecord]:
     """The records of a file that `write_results` wrote. Raises ResultError naming file and key."""
-    path = Path(path)
+    return _read(Path(path))[0]
+
+
+def _read(path: Path) -> tuple[list[ResultRecord], Sequence[Mapping[str, Any]]]:
+    """Records, and rows of `data_set`."""
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -309,7 +335,11 @@ def read_results(path: str | os.PathLike[str]) -> list[ResultRecord]:
     content = _load(text, str(path))
     if not isinstance(content, Mapping) or not isinstance(content.get("results"), list):
         raise ResultError(f"{path}: expected an object with the list 'results', as `oysterbench eval` writes it")
-    return [ResultRecord.from_dict(values, f"{path}: results[{i}]") for i, values in enumerate(content["results"])]
+    records = [ResultRecord.from_dict(values, f"{path}: results[{i}]") for i, values in enumerate(content["results"])]
+    rows = content.get("data_set") or []
+    if not isinstance(rows, list) or not all(isinstance(row, Mapping) and "method" in row for row in rows):
+        raise ResultError(f"{path}: key 'data_set': expected a list of rows with a method each")
+    return records, rows
 
 
 Finder = Callable[[str], "list[ResultRecord] | None"]

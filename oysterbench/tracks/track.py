@@ -56,6 +56,14 @@ class Run(Protocol):
 
 
 @dataclass(frozen=True)
+class Kept:
+    """A run of an earlier evaluation: its record stays in the tables, and there is nothing left to draw."""
+
+    record: ResultRecord
+    result: None = None
+
+
+@dataclass(frozen=True)
 class Finished:
     """A job that has ended. scored: None where the sequence has no truth, or the machine failed."""
 

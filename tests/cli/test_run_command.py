@@ -140,6 +140,15 @@ def test_a_split_is_rendered_and_run_on(tmp_path):
     assert result["metrics"]["coverage"] == 1.0
 
 
+def test_what_another_program_reached_stays_in_the_folder(dive_file, answer, tmp_path):
+    out = tmp_path / "out"
+    for name in ("first", "second", "first"):
+        done = run(name, "--command", command(tmp_path, "copies", answer), "--on", dive_file, "--out", out)
+        assert done.returncode == 0, done.stderr
+    assert [record.method for record in read_results(out / "results.json")] == ["second", "first"]
+    assert f"{out}: results of 1 earlier run stay beside these, without figures: second" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

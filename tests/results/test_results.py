@@ -13,6 +13,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench.results.records import (
     FORMAT,
     ResultRecord,
+    add_results,
     aggregate,
     document,
     hardware,
@@ -141,6 +142,17 @@ def test_a_file_that_is_no_result_is_refused(tmp_path, content, message):
         read_results(path)
     with pytest.raises(ResultError, match="no such file"):
         read_results(tmp_path / "absent.json")
+
+
+def test_results_are_added_to_those_of_other_methods_sequences_and_splits(tmp_path):
+    path = tmp_path / "results.json"
+    before = [record(run=0), record(run=1), record(sequence="mini-02"), record(split="other"), record(method="b")]
+    assert add_results(path, before, [{"method": "dead_reckoning"}, {"method": "b"}]) == []
+    assert read_results(path) == before
+    kept = add_results(path, [record(metrics={"ate_rmse_m": 0.25})], [{"method": "dead_reckoning", "clips": 1}])
+    assert kept == before[2:]
+    assert [each.metrics["ate_rmse_m"] for each in read_results(path)] == [0.5, 0.5, 0.5, 0.25]
+    assert json.loads(path.read_text())["data_set"] == [{"method": "b"}, {"method": "dead_reckoning", "clips": 1}]
 
 
 def test_aggregate_is_the_mean_over_sequences():
