@@ -7,10 +7,14 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.version import Version
 
 from tests.helpers.paths import ROOT
 
-SETUPTOOLS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SETUPTOOLS = PYPROJECT["tool"]["setuptools"]
+ADVISORIES = tomllib.loads((ROOT / ".ci" / "advisories.toml").read_text())["advisory"]
 READ_IN_THE_CHECKOUT_ONLY = ("datasets/pictures/*",)
 
 
@@ -39,3 +43,16 @@ def test_every_file_of_a_package_is_installed(name):
             continue
         where = str(path.relative_to(known[name]))
         assert any(fnmatch(where, pattern) for pattern in patterns), f"{path} is not in the package-data of {name}"
+
+
+@pytest.mark.parametrize("advisory", ADVISORIES, ids=lambda advisory: advisory["id"])
+def test_no_version_with_a_known_hole_may_be_installed(advisory):
+    project = PYPROJECT["project"]
+    texts = [*PYPROJECT["build-system"]["requires"], *project["dependencies"]]
+    texts += [text for extra in project["optional-dependencies"].values() for text in extra]
+    asked = [found for found in map(Requirement, texts) if found.name == advisory["name"]]
+    assert asked, f"{advisory['name']} is not asked for any more: take {advisory['id']} out of .ci/advisories.toml"
+    for requirement in asked:
+        least = max((Version(part.version) for part in requirement.specifier if part.operator == ">="), default=None)
+        assert least is not None, f"{requirement} has no minimum"
+        assert least >= Version(advisory["fixed"]), f"{requirement}: {advisory['id']} is fixed in {advisory['fixed']}"
