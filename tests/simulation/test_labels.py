@@ -10,7 +10,7 @@ from oysterbench.core.errors import MethodError, RecipeError, SequenceError
 from oysterbench.recipe import load_split, parse_split
 from oysterbench.sequence.read import STEERING
 from oysterbench.simulation.generate import generate_split
-from oysterbench.simulation.simulated_sequence import build_sequence
+from oysterbench.simulation.simulated_sequence import build_sequence, forget_sequence
 from oysterbench.simulation.steering.labels import steering_csv
 
 MINI = load_split("steer-mini")
@@ -38,7 +38,7 @@ def test_each_picture_has_a_label(sequence):
 
 def test_labels_are_the_same_wherever_they_are_made(sequence):
     split, opened = sequence
-    build_sequence.cache_clear()
+    forget_sequence()
     assert steering_csv(build_sequence(split, "mini-01", b""), split.steering) == opened.attachments[STEERING]
 
 

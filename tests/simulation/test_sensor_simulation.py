@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import weakref
+
 import numpy as np
 import pytest
 
 import oysterbench
 from oysterbench.core.ros import EPOCH_NS
 from oysterbench.recipe import load_split, parse_split
+from oysterbench.simulation import simulated_sequence
 from oysterbench.simulation.generate import generate_split
-from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
+from oysterbench.simulation.simulated_sequence import build_sequence
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
 
 SENSORS = """
 [[sonar]]
@@ -134,3 +138,13 @@ def test_the_rigs_that_come_along_fit_a_split():
     for name in ("bluerov2", "bluerov2-views", "bluerov2-stereo", "bluerov2-full"):
         rig = load_split("slam-mini").source.replace('rig = "bluerov2"', f'rig = "{name}"')
         assert parse_split(rig, "slam-mini.toml").rig.name == name
+
+
+def test_a_sequence_goes_before_the_next_is_built(monkeypatch):
+    split = make_split()
+    first = weakref.ref(build_sequence(split, "tiny-01", b"one").world)
+    there = []
+    real = simulated_sequence.build_world
+    monkeypatch.setattr(simulated_sequence, "build_world", lambda *given: there.append(first()) or real(*given))
+    build_sequence(split, "tiny-01", b"another")
+    assert there == [None], "two at a time would take twice the memory"

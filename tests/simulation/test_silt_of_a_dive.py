@@ -10,7 +10,7 @@ import pytest
 from oysterbench.scene.plumes import Plumes
 from oysterbench.scene.rig import camera_pose
 from oysterbench.sensors.camera import KIND
-from oysterbench.simulation.simulated_sequence import SimulatedSequence, build_sequence
+from oysterbench.simulation.simulated_sequence import SimulatedSequence, build_sequence, forget_sequence
 from tests.helpers.tiny import TINY_SPLIT, make_split
 
 PLUMES = "plumes = { attenuation = 15.0, bursts_per_100m2_min = 30.0 }"
@@ -20,7 +20,7 @@ MUDDY = MUDDY.replace('jerlov = "1C"', f'jerlov = "1C"\n{PLUMES}\n\n{SITE}')
 
 
 def muddy(salt: bytes = b"") -> tuple[SimulatedSequence, Plumes]:
-    build_sequence.cache_clear()
+    forget_sequence()
     simulated = build_sequence(make_split(MUDDY), "tiny-01", salt)
     assert simulated.plumes is not None
     return simulated, simulated.plumes
@@ -48,7 +48,7 @@ def test_the_truth_says_when_silt_is_before_a_camera() -> None:
     assert 0.3 * middle < found[0].value < middle
     simulated.__dict__["plumes"] = dataclasses.replace(one, amount=np.array([0.01]))
     assert KIND.faults(simulated, camera) == []
-    build_sequence.cache_clear()
+    forget_sequence()
 
 
 def test_silt_is_the_same_in_every_process_and_another_by_another_salt() -> None:
@@ -72,4 +72,4 @@ def test_even_water_has_no_silt_in_its_truth() -> None:
 @pytest.fixture(autouse=True)
 def _forget():
     yield
-    build_sequence.cache_clear()
+    forget_sequence()
