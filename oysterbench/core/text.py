@@ -54,6 +54,21 @@ def mixed_word(text: str) -> str | None:
     return None
 
 
+def disguised(text: str) -> str | None:
+    """The first sign that is a common letter or digit in another cut: wide, bold, in a circle, a ligature. None where
+    there is none; what stands higher or lower, as in m\N{SUPERSCRIPT TWO}, is no disguise.
+
+    >>> disguised("\uff23arp") == "\uff23", disguised("5 \u00b5m, m\u00b2")
+    (True, None)
+    """
+    for c in text:
+        cut = unicodedata.decomposition(c).partition(" ")[0]
+        plain = compatible(c)
+        if cut in ("<wide>", "<narrow>", "<font>", "<circle>", "<compat>") and plain.isascii() and plain.isalnum():
+            return c
+    return None
+
+
 def compatible(text: str) -> str:
     """In the signs that stand for those that look like them: wide letters, ligatures, circled digits (NFKC)."""
     return unicodedata.normalize("NFKC", text)
