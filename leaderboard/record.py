@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.text import compatible, mixed_word, unseen
+from oysterbench.core.text import compatible, disguised, mixed_word, unseen
 from oysterbench.hub.canonical import SHA256, canonical, sha256
 from oysterbench.results.records import ResultRecord, checked, comparable_key, now, plain
 
@@ -141,7 +141,7 @@ def check_text(key: str, value: Any, most: int) -> None:
     if (odd := unseen(value)) is not None:
         raise ResultError(f"record: key {key!r}: expected plain text in one line, got the character {odd!a}")
     if key in ("method", "team"):
-        if compatible(value) != value:
-            raise ResultError(f"record: key {key!r}: expected common letters, {compatible(value)!r}, got {value!a}")
+        if (odd := disguised(value)) is not None:
+            raise ResultError(f"record: key {key!r}: expected common letters, {compatible(odd)!r}, got {odd!a}")
         if (word := mixed_word(value)) is not None:
             raise ResultError(f"record: key {key!r}: expected words of one script, got {word!a}")

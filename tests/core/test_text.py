@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oysterbench.core.text import compatible, mixed_word, printable, unseen
+from oysterbench.core.text import disguised, mixed_word, printable, unseen
 from oysterbench.report.renderers.csv import field
 
 HOSTILE = "a\x1b]0;title\x07\x9b2Jb\r\u202ec\u3164\U000e0041"
@@ -31,11 +31,14 @@ def test_what_nobody_sees_is_found(odd):
     assert unseen(f"reef{odd} lab") == odd
 
 
-@pytest.mark.parametrize("name", ["reef lab", "Łódź team", "小組", "naïve café", "команда", "α-SLAM v2.1 (mono)"])
+NAMES = ["reef lab", "Łódź team", "小組", "naïve café", "команда", "α-SLAM v2.1 (mono)", "100 ± 5 µm – m²"]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_names_of_all_scripts_are_names(name):
     assert unseen(name) is None
     assert mixed_word(name) is None
-    assert compatible(name) == name
+    assert disguised(name) is None
 
 
 @pytest.mark.parametrize("name", ["ORB-SL\u0410M", "c\u043ed", "\u039dET", "\u13a0RB"])
@@ -46,3 +49,8 @@ def test_words_of_letters_that_look_like_latin_ones_are_found(name):
 @pytest.mark.parametrize("text", ["=1", "\uff1d1", "\ufe0f=1", " \u3164=1", "+1", "\uff0b1", "@x", "\ufe62x"])
 def test_no_cell_begins_a_formula(text):
     assert field(text) == f"'{text}"
+
+
+@pytest.mark.parametrize("name", ["\uff23arp", "\U0001d402arp", "pro\ufb01le", "\u24b8arp", "carp \uff11"])
+def test_common_letters_in_another_cut_are_found(name):
+    assert disguised(name) is not None
