@@ -7,8 +7,8 @@ import pytest
 from tests.helpers.kills import check, run
 
 
-def test_three_kills_lose_nothing_and_score_nothing_twice(tmp_path):
-    check(run(tmp_path, 3), 3)
+def test_two_kills_lose_nothing_and_score_nothing_twice(tmp_path):
+    check(run(tmp_path, 2), 2)
 
 
 @pytest.mark.slow

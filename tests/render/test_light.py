@@ -187,6 +187,7 @@ def test_shadows_are_sharp_in_clear_water_and_soft_where_sunlight_is_scattered()
     assert 0.2 < moved[1] < moved[2]
 
 
+@pytest.mark.slow
 def test_caustics_do_not_repeat_over_the_reef():
     recipe = small_reef({**FLAT, "size_m": 20.0}, {"jerlov": "I"}, {"wind_m_s": 4.0})
     still = dataclasses.replace(recipe, light=dataclasses.replace(recipe.light, wind_m_s=0.0))

@@ -63,6 +63,7 @@ def test_dense_reef_has_the_published_relief(size_mm: float, density_per_m2: flo
     assert 1.28 <= rugosity <= 1.56
 
 
+@pytest.mark.slow
 def test_more_oysters_cover_and_roughen_more() -> None:
     sparse, dense = (
         measure_relief(world(dataclasses.replace(DENSE, size_m=2.0, density_per_m2=density)), side_m=1.5)

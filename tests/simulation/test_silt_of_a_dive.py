@@ -57,6 +57,7 @@ def test_silt_is_the_same_in_every_process_and_another_by_another_salt() -> None
     assert not np.array_equal(one.place[:10], other.place[:10])
 
 
+@pytest.mark.slow
 def test_no_plume_is_thicker_than_asked_when_it_rises() -> None:
     _, plumes = muddy()
     puffs = plumes.at(1.0)
