@@ -10,7 +10,6 @@ import secrets
 import tempfile
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -36,11 +35,10 @@ from oysterbench_leaderboard.submissions.database import (
     teams,
     utc,
 )
+from oysterbench_leaderboard.submissions.rates import DAY_S, DailyReads, Sampler
 from oysterbench_leaderboard.submissions.refusals import SERVER_FAULTS, Refusal
-from oysterbench_leaderboard.submissions.sampling import Sampler
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
-DAY_S = 86400.0
 AGAIN_S = 3600.0
 LATER = "a later submission of the same method by the same team"
 
@@ -94,8 +92,7 @@ class Service:
         truths = {str(path.parent.resolve()) for one in catalogue.splits.values() for path in one.truth.values()}
         self.hidden = (str(settings.folder.resolve()), *sorted(truths))
         self.wake = threading.Event()
-        self._reads: dict[str, deque[float]] = {}
-        self._counting = threading.Lock()
+        self._reads = DailyReads(settings.reads_per_day, self.clock)
         self._refusals = Sampler(settings.refusals_of_one, settings.refusals_of_strangers)
         self._checks = threading.Semaphore(settings.checks_at_once)
         self.log = _private_log(settings.folder / "private.log")
@@ -126,7 +123,7 @@ class Service:
                 return known, False
             if known is None:
                 self._check_quota(connection, team, form.split)
-        self._count_read(team)
+        self._reads.count(team)
         with self._checks:
             facts = sandbox.check(self.settings, upload.path, wanted, self.hidden, self.log.info)
         if facts["kind"] != "results" and not self.catalogue.splits[form.split].truth:
@@ -168,21 +165,6 @@ class Service:
         of_split, _ = connection.execute(of_team.where(c.split == split)).one()
         if of_split >= self.settings.per_split:
             raise Refusal("quota", f"{of_split} submissions to {split} are all that a team has")
-
-    def _count_read(self, team: str) -> None:
-        """Reading costs the server as much where it ends in a refusal, which no other quota counts."""
-        now = self.clock()
-        with self._counting:
-            times = self._reads.setdefault(team, deque(maxlen=self.settings.reads_per_day))
-            if len(times) == times.maxlen and times[0] > now - DAY_S:
-                wait_s = int(times[0] + DAY_S - now) + 1
-                raise Refusal(
-                    "quota",
-                    f"{len(times)} uploads in 24 hours, refused ones included, are all that are read of a team; another"
-                    f" is taken in {wait_s // 3600} h {wait_s % 3600 // 60 + 1} min",
-                    wait_s,
-                )
-            times.append(now)
 
     def _keep(self, upload: Upload) -> None:
         """The file gets its name; it is on the disk before anything is said of it."""

@@ -12,14 +12,11 @@ IGNORABLE = re.compile(
 """What is drawn as nothing, although its category says nothing of it (Default_Ignorable_Code_Point of Unicode, and the
 blank of Braille)."""
 
-LIKE_LATIN = re.compile("[\u0370-\u03ff\u0400-\u052f\u0530-\u058f\u13a0-\u13fd]")
-"""Greek, Cyrillic, Armenian, Cherokee: scripts with letters that look like Latin ones."""
+LIKE_LATIN = re.compile("[ΑΒΕΖΗΙΚΜΝΟΡΤΥΧινορυ\u03f2\u03f3\u03f9\u0400-\u052f\u0530-\u058f\u13a0-\u13fd]")
+"""Greek letters that look like Latin ones, and all of Cyrillic, Armenian and Cherokee. The other Greek ones stand
+beside Latin letters in formulas."""
 
 LATIN = re.compile("[A-Za-z]")
-GREEK_ALONE = re.compile("[\u0391-\u03a9\u03b1-\u03c9]")
-"""Letters that stand beside Latin ones in formulas; most of them look like no other."""
-
-GREEK_LIKE_LATIN = re.compile("[ΑΒΕΖΗΙΚΜΝΟΡΤΥΧινορυ]")
 
 
 def printable(text: str) -> str:
@@ -48,8 +45,7 @@ def mixed_word(text: str) -> str | None:
     (True, None)
     """
     for word in re.findall(r"[^\W\d_]+", text):
-        foreign = [c for c in LIKE_LATIN.findall(word) if not GREEK_ALONE.match(c) or GREEK_LIKE_LATIN.match(c)]
-        if foreign and LATIN.search(word):
+        if LIKE_LATIN.search(word) and LATIN.search(word):
             return str(word)
     return None
 

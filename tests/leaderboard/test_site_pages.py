@@ -5,15 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import re
-from dataclasses import replace
 
 import pytest
 
 from oysterbench.evaluate.metrics import find_metric
-from oysterbench.recipe import load_split
 from oysterbench.results.comparison import boards
 from oysterbench.results.records import ResultRecord
-from oysterbench.simulation.generate import digest
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import open_index
 from oysterbench_leaderboard.site import render, standing
@@ -31,7 +28,7 @@ from oysterbench_leaderboard.site.paths import slug
 from oysterbench_leaderboard.site.representations import represent
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.store import RecordStore
-from tests.helpers.records_made import NASTY, record_made, records_made
+from tests.helpers.records_made import NASTY, records_made
 from tests.helpers.site_made import LITERATURE, Reading, make_site
 
 
@@ -355,16 +352,6 @@ def test_a_hidden_split_shows_neither_recipe_nor_seed(site):
     assert "seed" not in hidden.data
     assert "[[sequence]]" not in html(hidden)
     assert "truth kept back" in html(hidden)
-
-
-def test_only_records_of_another_recipe_are_said_to_be_of_one(tmp_path):
-    here = digest(load_split("slam-val"))
-    for name, board_digest, other in (("here", here, False), ("there", "0" * 64, True)):
-        store = RecordStore(tmp_path / name)
-        made = record_made("carp", skill=0.5)
-        store.add(replace(made, results=tuple(replace(one, split_digest=board_digest) for one in made.results)))
-        page = split_page(Site(open_index(store, str(tmp_path / f"{name}.sqlite")), ()), "slam-val")
-        assert ("other recipe" in html(page)) == other
 
 
 def test_csv_runs_nothing_in_a_spreadsheet_and_has_every_digit(site, pages):

@@ -8,21 +8,17 @@ import shutil
 import threading
 from contextlib import AsyncExitStack
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import pytest
 
-from oysterbench.core.errors import ResultError
-from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.auth import Auth
 from oysterbench_leaderboard.submissions.database import Database, find, log, submissions
+from oysterbench_leaderboard.submissions.rates import DailyReads
 from oysterbench_leaderboard.submissions.refusals import FAILED, Refusal
 from oysterbench_leaderboard.submissions.service import Form, upload_of
-from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
-from oysterbench_leaderboard.submissions.web import open_service
 from tests.helpers.served import FAST, answers, lay_split, make_service
 
 FORM = Form("carp", "pool-test")
@@ -333,21 +329,7 @@ def test_a_file_without_a_submission_is_no_harm(service, tmp_path):
     assert service.get("reef lab", made.id).state == "done"
 
 
-# SubmissionSettings:
-
-
-def test_settings_come_from_the_private_folder(tmp_path):
-    (tmp_path / "settings.toml").write_text("per_day = 3\nlease_s = 5\n")
-    assert load_settings(tmp_path).per_day == 3
-    wrong = {
-        "per_dya = 3": "unknown field `per_dya`; known keys: database",
-        "per_day = 'x'": "Expected `int`, got `str`",
-        "per_day = 0": ">= 1",
-    }
-    for text, message in wrong.items():
-        (tmp_path / "settings.toml").write_text(text)
-        with pytest.raises(ResultError, match=message):
-            load_settings(tmp_path)
+# State:
 
 
 def test_the_database_keeps_what_it_has_said(service, tmp_path):
@@ -384,7 +366,7 @@ def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):
 
 
 def test_what_is_refused_is_read_so_often_a_day_and_no_more(service, tmp_path):
-    service.settings = msgspec.structs.replace(service.settings, reads_per_day=3)
+    service._reads = DailyReads(3, service.clock)
     bad = service.incoming / "bad"
     reasons = []
     for _ in range(4):
@@ -419,30 +401,3 @@ def test_no_team_and_no_address_takes_all_uploads(service):
     assert refused(*of_all).startswith("too many uploads at once")
     asyncio.run(at_once(*of_team[:-1], *of_address[:-1]))
     assert not auth._receiving, "all slots were given back"
-
-
-# In the sandbox itself:
-
-
-def test_folders_may_be_given_as_seen_from_here(laid, tmp_path, monkeypatch):
-    shutil.copytree(laid / "splits", tmp_path / "splits")
-    monkeypatch.chdir(tmp_path)
-    truths = [f"splits/{name}.toml=splits/{name}-truth" for name in ("pool-test", "pool-val")]
-    service = open_service(Path("private"), truths, RecordStore(Path("board")))
-    try:
-        issue(service.database, "reef lab")
-        made, _ = send(service, tmp_path)
-        queue.drain(service)
-        assert service.get("reef lab", made.id).state == "done"
-    finally:
-        service.close()
-
-
-def test_a_server_that_cannot_read_uploads_does_not_start(laid, tmp_path):
-    shutil.copytree(laid / "splits", tmp_path / "splits")
-    service = make_service(tmp_path, check_memory_bytes=10_000_000)
-    try:
-        with pytest.raises(ResultError, match=r"uploads cannot be read here.*private\.log there says why"):
-            service.self_test()
-    finally:
-        service.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import resource
 import signal
 import struct
@@ -14,11 +15,15 @@ from mcap.data_stream import ReadDataStream
 from mcap.reader import make_reader
 from mcap.records import Chunk, Metadata
 
-from oysterbench.core.errors import OysterbenchError
+import oysterbench
+from oysterbench.core.errors import OysterbenchError, SequenceError
 from oysterbench.core.mcap import FOOTER, MAGIC, RECORD
+from oysterbench.core.ros import decode
 from oysterbench.sequence import describe
 from oysterbench.sequence.file import CHECKSUM, checksum
+from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
 from oysterbench.sequence.truth import read_truth, truth_message
+from oysterbench.sequence.write import SequenceWriter
 from tests.helpers import hand_made_dive as dive
 from tests.helpers.forged_mcap import packed, with_summary
 from tests.sequence.test_reader import read_everything
@@ -174,3 +179,36 @@ def test_forged_files_are_read_or_refused_in_little_time_and_memory(tmp_path, se
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - used < LIMIT_KIB
+
+
+@pytest.mark.parametrize(
+    "content", [b"[" * 100_000, b'{"cameras": 1}', b'{"cameras": {}, "imu": []}', b"9" * 5000, b"\xff"]
+)
+def test_a_calibration_that_is_none_is_refused_in_a_line(tmp_path, content):
+    path = tmp_path / "forged.mcap"
+    with open(path, "wb") as file:
+        writer = SequenceWriter(file, {})
+        writer.metadata(METADATA, {"sequence": "forged"})
+        writer.attachment(CALIBRATION, "application/json", content)
+        writer.finish()
+    with pytest.raises(SequenceError, match=r"forged\.mcap: truncated or damaged"):
+        oysterbench.open(path)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00\x01", b"\x00\x01\x00\x00" + b"\xff" * 40, b"\x00\x09" + b"\0" * 400])
+def test_bytes_that_are_no_message_are_a_value_error(data):
+    with pytest.raises((ValueError, LookupError, struct.error)):
+        decode(data, "sensor_msgs/msg/Imu")
+
+
+@pytest.mark.parametrize("row", ["70000,live,1", "-1,live,1", "1.5,live,1", "x,live,1", "7,live,deep"])
+def test_oysters_that_no_picture_can_show_are_damage(tmp_path, row):
+    path = tmp_path / "forged.mcap"
+    with open(path, "wb") as file:
+        writer = SequenceWriter(file, {})
+        writer.metadata(METADATA, {"sequence": "forged"})
+        writer.attachment(CALIBRATION, "application/json", json.dumps(dive.calibration()).encode())
+        writer.attachment(OYSTERS, "text/csv", f"id,state,x\n{row}\n".encode())
+        writer.finish()
+    with pytest.raises(SequenceError, match=r"forged\.mcap: truncated or damaged"):
+        oysterbench.open(path).oysters()

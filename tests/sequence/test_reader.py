@@ -13,11 +13,10 @@ from mcap.reader import make_reader
 import oysterbench
 from oysterbench.core.errors import MethodError, SequenceError
 from oysterbench.core.measurements import ImuMeasurement, SonarImage
-from oysterbench.core.ros import EPOCH_NS, Message, decode
+from oysterbench.core.ros import EPOCH_NS, Message
 from oysterbench.sensors.imu import KIND as IMU
 from oysterbench.sensors.imu import ImuRecipe
 from oysterbench.sequence.file import read_messages
-from oysterbench.sequence.read import CALIBRATION, METADATA, OYSTERS
 from oysterbench.sequence.write import SequenceWriter
 from tests.helpers import hand_made_dive as dive
 from tests.helpers.forged_mcap import chunk_of, forged
@@ -374,36 +373,3 @@ def test_nine_kilobytes_that_unpack_to_much_more_are_refused(dive_file, tmp_path
     path.write_bytes(forged(chunk_of(b"", records, "zstd", 25_000)))
     with pytest.raises(SequenceError, match=r"bomb\.mcap: .*a chunk of 25000 bytes, as it declares, got more"):
         list(read_messages(path))
-
-
-@pytest.mark.parametrize(
-    "content", [b"[" * 100_000, b'{"cameras": 1}', b'{"cameras": {}, "imu": []}', b"9" * 5000, b"\xff"]
-)
-def test_a_calibration_that_is_none_is_refused_in_a_line(tmp_path, content):
-    path = tmp_path / "forged.mcap"
-    with open(path, "wb") as file:
-        writer = SequenceWriter(file, {})
-        writer.metadata(METADATA, {"sequence": "forged"})
-        writer.attachment(CALIBRATION, "application/json", content)
-        writer.finish()
-    with pytest.raises(SequenceError, match=r"forged\.mcap: truncated or damaged"):
-        oysterbench.open(path)
-
-
-@pytest.mark.parametrize("data", [b"", b"\x00\x01", b"\x00\x01\x00\x00" + b"\xff" * 40, b"\x00\x09" + b"\0" * 400])
-def test_bytes_that_are_no_message_are_a_value_error(data):
-    with pytest.raises((ValueError, LookupError, struct.error)):
-        decode(data, "sensor_msgs/msg/Imu")
-
-
-@pytest.mark.parametrize("row", ["70000,live,1", "-1,live,1", "1.5,live,1", "x,live,1", "7,live,deep"])
-def test_oysters_that_no_picture_can_show_are_damage(tmp_path, row):
-    path = tmp_path / "forged.mcap"
-    with open(path, "wb") as file:
-        writer = SequenceWriter(file, {})
-        writer.metadata(METADATA, {"sequence": "forged"})
-        writer.attachment(CALIBRATION, "application/json", json.dumps(dive.calibration()).encode())
-        writer.attachment(OYSTERS, "text/csv", f"id,state,x\n{row}\n".encode())
-        writer.finish()
-    with pytest.raises(SequenceError, match=r"forged\.mcap: truncated or damaged"):
-        oysterbench.open(path).oysters()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from oysterbench_leaderboard.submissions.sampling import WINDOW_S, Sampler
+import pytest
+
+from oysterbench_leaderboard.submissions.rates import DAY_S, WINDOW_S, DailyReads, Sampler
+from oysterbench_leaderboard.submissions.refusals import Refusal
 
 OF_ONE, OF_STRANGERS = 10, 30
 
@@ -34,3 +37,16 @@ def test_ten_thousand_strangers_write_no_more_than_thirty_lines():
     clock.now += WINDOW_S + 1
     assert sampler.ask("10.9.9.9", True) == 10_000 - OF_STRANGERS
     assert len(sampler._written) == 2
+
+
+def test_uploads_of_a_team_are_read_so_often_a_day_and_no_more():
+    clock = Clock()
+    reads = DailyReads(3, clock)
+    for _ in range(3):
+        reads.count("reef")
+    with pytest.raises(Refusal, match=r"3 uploads in 24 hours.*another is taken in 24 h 1 min") as caught:
+        reads.count("reef")
+    assert (caught.value.kind, caught.value.retry_s) == ("quota", DAY_S + 1)
+    reads.count("kelp")
+    clock.now += DAY_S + 1
+    reads.count("reef")

@@ -1,4 +1,4 @@
-"""A log that nobody fills: so many lines of each in a while, and how many there were beside."""
+"""How often something may be: lines in the log, of which the others are counted, and uploads that are read."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 
+from oysterbench_leaderboard.submissions.refusals import Refusal
+
+DAY_S = 86400.0
 WINDOW_S = 60.0
 STRANGERS = ""
 """What all addresses are counted under."""
@@ -42,3 +45,28 @@ class Sampler:
         for times in self._written.values():
             while times[0] < oldest:
                 times.popleft()
+
+
+class DailyReads:
+    """Uploads of each team that are read in 24 hours. Reading costs the server as much where it ends in a refusal,
+    which no other quota counts."""
+
+    def __init__(self, most: int, clock: Callable[[], float] = time.time) -> None:
+        self._most, self._clock = most, clock
+        self._read: dict[str, deque[float]] = {}
+        self._lock = threading.Lock()
+
+    def count(self, team: str) -> None:
+        """One more. Raises Refusal where that is too many."""
+        with self._lock:
+            now = self._clock()
+            times = self._read.setdefault(team, deque(maxlen=self._most))
+            if len(times) == self._most and times[0] > now - DAY_S:
+                wait_s = int(times[0] + DAY_S - now) + 1
+                raise Refusal(
+                    "quota",
+                    f"{self._most} uploads in 24 hours, refused ones included, are all that are read of a team; another"
+                    f" is taken in {wait_s // 3600} h {wait_s % 3600 // 60 + 1} min",
+                    wait_s,
+                )
+            times.append(now)

@@ -1,0 +1,24 @@
+"""The page of a data set: which boards are of its recipe."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from oysterbench.recipe import load_split
+from oysterbench.simulation.generate import digest
+from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.site import render
+from oysterbench_leaderboard.site.pages.data import split_page
+from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.store import RecordStore
+from tests.helpers.records_made import record_made
+
+
+def test_only_records_of_another_recipe_are_said_to_be_of_one(tmp_path):
+    here = digest(load_split("slam-val"))
+    for name, board_digest, other in (("here", here, False), ("there", "0" * 64, True)):
+        store = RecordStore(tmp_path / name)
+        made = record_made("carp", skill=0.5)
+        store.add(replace(made, results=tuple(replace(one, split_digest=board_digest) for one in made.results)))
+        page = split_page(Site(open_index(store, str(tmp_path / f"{name}.sqlite")), ()), "slam-val")
+        assert ("other recipe" in render.page_html(page, render.server_links())) == other

@@ -1,0 +1,57 @@
+"""What a server of submissions is told at its start: its settings, its folders, and whether it can read at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from oysterbench.core.errors import ResultError
+from oysterbench_leaderboard.store import RecordStore
+from oysterbench_leaderboard.submissions import queue
+from oysterbench_leaderboard.submissions.service import Form, upload_of
+from oysterbench_leaderboard.submissions.settings import load_settings
+from oysterbench_leaderboard.submissions.tokens import issue
+from oysterbench_leaderboard.submissions.web import open_service
+from tests.helpers.served import answers, lay_split, make_service
+
+
+def test_settings_come_from_the_private_folder(tmp_path):
+    (tmp_path / "settings.toml").write_text("per_day = 3\nlease_s = 5\n")
+    assert load_settings(tmp_path).per_day == 3
+    wrong = {
+        "per_dya = 3": "unknown field `per_dya`; known keys: database",
+        "per_day = 'x'": "Expected `int`, got `str`",
+        "per_day = 0": ">= 1",
+    }
+    for text, message in wrong.items():
+        (tmp_path / "settings.toml").write_text(text)
+        with pytest.raises(ResultError, match=message):
+            load_settings(tmp_path)
+
+
+def test_folders_may_be_given_as_seen_from_here(tmp_path, monkeypatch):
+    for name, hidden in (("pool-test", True), ("pool-val", False)):
+        lay_split(tmp_path / "splits", name, hidden=hidden)
+    monkeypatch.chdir(tmp_path)
+    truths = [f"splits/{name}.toml=splits/{name}-truth" for name in ("pool-test", "pool-val")]
+    service = open_service(Path("private"), truths, RecordStore(Path("board")))
+    try:
+        issue(service.database, "reef lab")
+        file = service.incoming / "sent"
+        file.write_bytes(answers(tmp_path, 0))
+        made, _ = service.submit("reef lab", Form("carp", "pool-test"), upload_of(file))
+        queue.drain(service)
+        assert service.get("reef lab", made.id).state == "done"
+    finally:
+        service.close()
+
+
+def test_a_server_that_cannot_read_uploads_does_not_start(tmp_path):
+    lay_split(tmp_path / "splits", "pool-test")
+    service = make_service(tmp_path, check_memory_bytes=10_000_000)
+    try:
+        with pytest.raises(ResultError, match=r"uploads cannot be read here.*private\.log there says why"):
+            service.self_test()
+    finally:
+        service.close()
