@@ -4,7 +4,8 @@
 
 PYTHON ?= python3
 VENV ?= .venv
-PIP = $(VENV)/bin/pip install --quiet --disable-pip-version-check --constraint .ci/constraints.txt
+# What nobody imports need not be compiled: that is most of torch, and a third of the time of installing.
+PIP = $(VENV)/bin/pip install --no-compile --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
 .PHONY: demo test unit test-slow coverage lint clean
 

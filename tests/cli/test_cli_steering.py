@@ -79,6 +79,7 @@ def test_json_is_all_that_is_printed(recipe, tmp_path):
     assert document == json.loads((out / "results.json").read_text())
 
 
+@pytest.mark.slow
 def test_dives_are_made_once_printed_and_drawn(recipe, tmp_path):
     out = tmp_path / "out"
     options = (

@@ -111,6 +111,7 @@ def test_a_render_killed_again_and_again_ends_in_the_same_bytes(tiny_file, tmp_p
     assert not (out / ".parts").exists()
 
 
+@pytest.mark.slow
 def test_workers_leave_with_a_parent_that_is_killed(tmp_path):
     script, recipe, rig, out = (tmp_path / name for name in ("render.py", "tiny.toml", "rig.toml", "out"))
     script.write_text(RENDER)
