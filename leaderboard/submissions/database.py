@@ -1,7 +1,8 @@
 """The durable state of a server: teams, tokens, submissions and the log of events, in SQLite or PostgreSQL.
 
 Whatever is answered to a client has been committed before. Every change of a submission and the event that tells of it
-are one transaction; no event is ever changed.
+are one transaction; no event is ever changed. `migrations` makes the tables, and takes earlier ones to what they are
+here.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, get_type_hints
 
+from alembic.util.exc import CommandError
 from sqlalchemy import (
     Column,
     Connection,
@@ -31,7 +33,9 @@ from sqlalchemy import (
 from sqlalchemy.exc import SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
+from oysterbench.version import VERSION
 from oysterbench_leaderboard.database import open_engine
+from oysterbench_leaderboard.submissions.migrations import upgrade
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 State = Literal["queued", "running", "done", "failed", "withdrawn"]
@@ -125,19 +129,23 @@ def utc(seconds: float) -> str:
 
 
 class Database:
-    """The database. `writing` and `reading` give a connection in a transaction."""
+    """The database, upgraded when it is opened. `writing` and `reading` give a connection in a transaction."""
 
     def __init__(self, settings: SubmissionSettings) -> None:
         settings.folder.mkdir(parents=True, exist_ok=True)
         os.chmod(settings.folder, 0o700)
+        pragmas = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON")
         try:
-            pragmas = ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON")
             self.engine = open_engine(settings.url, pragmas, pool_pre_ping=True)
-            self._writing = self.engine.execution_options(writes=True)
-            metadata.create_all(self._writing)
         except (SQLAlchemyError, ImportError) as error:
-            line = " ".join(str(error).split())[:300]
-            raise ResultError(f"the database of submissions cannot be opened: {line}") from None
+            raise _not_opened(error) from None
+        self._writing = self.engine.execution_options(writes=True)
+        try:
+            with self.writing() as connection:
+                upgrade(connection)
+        except (SQLAlchemyError, CommandError) as error:
+            self.close()
+            raise _not_opened(error) from None
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
@@ -154,6 +162,15 @@ class Database:
     def close(self) -> None:
         """No more connections."""
         self.engine.dispose()
+
+
+def _not_opened(error: Exception) -> ResultError:
+    why = " ".join(str(error).split())[:300]
+    if isinstance(error, CommandError):
+        why = f"it was made by a later version of oysterbench than {VERSION} ({why})"
+    if isinstance(error, ImportError):
+        why += "; pip install 'oysterbench[postgres]'"
+    return ResultError(f"the database of submissions cannot be opened: {why}")
 
 
 def log_event(connection: Connection, at: str, who: str, what: str, submission: str = "", why: str = "") -> None:
