@@ -66,6 +66,10 @@ def serve_command(
     if root and (not root.startswith("/") or root.endswith("/")):
         raise click.UsageError(f"--root: expected a path like /board, got {root!r}")
     app = whole(_place(context, folder, url).index(), submissions, truths, workers, root)
+    if submissions is not None:
+        from oysterbench_leaderboard.submissions.sandbox import in_force
+
+        message(f"what is sent is read and scored in a sandbox: {in_force()}")
     message(f"serving http://{host}:{port}{root}/ (stop with Ctrl-C)")
     uvicorn.run(**server_settings(app, host, port, "on", proxies))
 

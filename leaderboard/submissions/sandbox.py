@@ -4,6 +4,8 @@ The process has a session, an empty folder and an environment of its own, no net
 reach of what the server keeps but the files that its job names, and limits to its processor time, address space, file
 sizes, open files and processes; it is killed when its time is over or the server dies. It gets a Job on its standard
 input, and answers with JSON on its standard output. Whatever it says on its standard error goes to the private log.
+
+Where bubblewrap is installed and may do its work, all of that happens in namespaces of its own (`namespaces`).
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from typing import IO, Any
 
 import msgspec
 
-from oysterbench.methods.sandbox import Sandbox
+from oysterbench.methods.sandbox import Sandbox, can_hide
+from oysterbench_leaderboard.submissions import namespaces
 from oysterbench_leaderboard.submissions.archive import Limits
 from oysterbench_leaderboard.submissions.catalogue import Wanted
 from oysterbench_leaderboard.submissions.refusals import Refusal
@@ -34,6 +37,9 @@ WORKER = Path(__file__).with_name("sandbox_worker.py")
 OPEN_FILES = 64
 MOST_STDERR = 64_000
 """Bytes of what it says to the log."""
+
+OUT_OF_TIME = (-signal.SIGXCPU, 128 + signal.SIGXCPU)
+"""Exit codes of a process that has used its time, and of what waits for it in namespaces."""
 
 POLL_S = 0.05
 ENVIRONMENT = {
@@ -112,6 +118,10 @@ def run(
         open_files=OPEN_FILES,
         cpu_s=allowance.cpu_s,
     )
+    command = sandbox.command([sys.executable, "-I", str(WORKER)])
+    namespaced = not namespaces.missing()
+    if namespaced:
+        command = namespaces.inside(command, (str(WORKER), *sandbox.visible), 2 * allowance.file_bytes)
     with (
         tempfile.TemporaryDirectory(prefix="oysterbench-") as folder,
         tempfile.TemporaryFile() as asked,
@@ -120,13 +130,14 @@ def run(
     ):
         asked.write(msgspec.json.encode(job))
         asked.seek(0)
+        home = namespaces.FOLDER if namespaced else folder
         process = subprocess.Popen(
-            sandbox.command([sys.executable, "-I", str(WORKER)]),
+            command,
             stdin=asked,
             stdout=answer,
             stderr=stderr,
             cwd=folder,
-            env={**ENVIRONMENT, "HOME": folder, "TMPDIR": folder},
+            env={**ENVIRONMENT, "HOME": home, "TMPDIR": home},
             start_new_session=True,
         )
         try:
@@ -137,6 +148,15 @@ def run(
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
         return _ended(process.returncode, in_time, answer, stderr)
+
+
+def in_force() -> str:
+    """Which sandbox this is here, in a line."""
+    why = namespaces.missing()
+    if not why:
+        return "namespaces of their own (bubblewrap), Landlock and limits"
+    hides = "Landlock and limits" if can_hide() else "limits alone: the kernel has no Landlock"
+    return f"{hides}; no namespaces: {why}"
 
 
 def _wait(
@@ -164,7 +184,7 @@ def _wait(
 def _ended(code: int, in_time: bool, answer: IO[bytes], stderr: IO[bytes]) -> Ended:
     stderr.seek(0)
     words = stderr.read(MOST_STDERR).decode(errors="replace")
-    if not in_time or code == -signal.SIGXCPU:
+    if not in_time or code in OUT_OF_TIME:
         return Ended(None, "time", f"ended after its time (exit {code})\n{words}")
     if code == 0:
         answer.seek(0)

@@ -23,7 +23,7 @@ from oysterbench.hub.canonical import parse
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.record import MOST_TEXT, Record, check_text
 from oysterbench_leaderboard.store import RecordStore, StatusChange
-from oysterbench_leaderboard.submissions import sandbox
+from oysterbench_leaderboard.submissions import namespaces, sandbox
 from oysterbench_leaderboard.submissions.catalogue import Catalogue, Wanted
 from oysterbench_leaderboard.submissions.database import (
     Database,
@@ -37,7 +37,7 @@ from oysterbench_leaderboard.submissions.database import (
 )
 from oysterbench_leaderboard.submissions.rates import DAY_S, DailyReads, Sampler
 from oysterbench_leaderboard.submissions.refusals import SERVER_FAULTS, Refusal
-from oysterbench_leaderboard.submissions.settings import SubmissionSettings
+from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings
 
 AGAIN_S = 3600.0
 LATER = "a later submission of the same method by the same team"
@@ -220,6 +220,9 @@ class Service:
 
     def self_test(self) -> None:
         """Read an upload as those of teams are read. Raises ResultError where this server cannot."""
+        if self.settings.needs_namespaces and (why := namespaces.missing()):
+            raise ResultError(f"needs_namespaces of {FILE} asks for a sandbox that is not to be had here: {why}")
+        self.log.info("sandbox: %s", sandbox.in_force())
         wanted = Wanted("slam", "self-test", "", False, ("one",))
         with tempfile.NamedTemporaryFile(dir=self.incoming, suffix=".tum") as file:
             file.write(b"0.0 0 0 0 0 0 0 1\n1.0 1 0 0 0 0 0 1\n")

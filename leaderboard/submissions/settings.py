@@ -41,6 +41,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     lease_s:            a worker that is not heard of for so long has died, and another one takes over
     check_wall_s, check_cpu_s, score_wall_s, score_cpu_s: of the sandbox
     check_memory_bytes, memory_bytes: address space of the sandbox, for reading what was sent and for scoring it
+    needs_namespaces:   whether to refuse to start where the sandbox can have none of its own, instead of doing without
     attempts:           how often a process that ends without an answer is tried again, in all
     guesses_of_address, guesses: wrong tokens in `guess_window_s`, of one address and of all
     refusals_of_one, refusals_of_strangers: that are logged in a minute, of a team or address, and of all addresses
@@ -73,6 +74,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     score_cpu_s: Count = 1500
     check_memory_bytes: Count = 1500 * MB
     memory_bytes: Count = 4000 * MB
+    needs_namespaces: bool = False
     attempts: Count = 3
     guesses_of_address: Count = 10
     guesses: Count = 200

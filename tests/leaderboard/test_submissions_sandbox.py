@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from oysterbench.methods.sandbox import can_hide
-from oysterbench_leaderboard.submissions import sandbox
+from oysterbench_leaderboard.submissions import namespaces, sandbox
 from oysterbench_leaderboard.submissions.archive import Limits
 from oysterbench_leaderboard.submissions.catalogue import Wanted
 from oysterbench_leaderboard.submissions.sandbox import Allowance, Job, Stopped
@@ -35,10 +35,14 @@ worker.main()
 FOREVER = "while True: time.sleep(1)"
 
 
-@pytest.fixture
-def doing(tmp_path, monkeypatch):
+@pytest.fixture(params=["namespaces", "Landlock"])
+def doing(request, tmp_path, monkeypatch):
     """A sandbox that does what it is told to."""
     real = str(sandbox.WORKER)
+    if request.param == "Landlock":
+        monkeypatch.setattr(namespaces, "missing", lambda: "not asked for")
+    elif why := namespaces.missing():
+        pytest.skip(f"no namespaces: {why}")
 
     def make(body: str) -> None:
         script = tmp_path / "evil.py"
@@ -89,7 +93,7 @@ def test_it_knows_nothing_of_the_servers_environment_and_folder(doing, monkeypat
     answer = sandbox.run(job(), ALLOWED).answer
     assert "a secret" not in str(answer)
     assert answer["here"] == []
-    assert answer["session"] == answer["pid"]
+    assert answer["session"] in (answer["pid"], 1), "its own, or of the namespace that it is in"
     assert not os.path.exists(answer["env"]["HOME"]), "its folder went with it"
 
 
@@ -129,7 +133,7 @@ def test_it_cannot_open_what_the_server_hides_but_the_files_of_its_job(doing, tm
     for name, given in (("truth", None), ("submissions.sqlite", truth)):
         ended = sandbox.run(job(private / "upload", hidden=hidden, truth=given, method=name), ALLOWED)
         assert ended.answer is None
-        assert "Permission denied" in ended.stderr
+        assert "Permission denied" in ended.stderr or "No such file" in ended.stderr
 
 
 RUNS = """
@@ -154,3 +158,57 @@ def test_it_dies_with_the_server(doing, tmp_path):
         server.kill()
         server.wait()
         assert reader.read() == b""
+
+
+@pytest.mark.parametrize("doing", ["namespaces"], indirect=True)
+def test_in_namespaces_it_sees_code_and_its_own_files_and_writes_nowhere_but_in_its_folder(doing, tmp_path):
+    (tmp_path / "upload").write_text("carp")
+    (tmp_path / "other").write_text("tench")
+    doing("""
+        def refused(do, *what):
+            try:
+                do(*what)
+            except OSError as error:
+                return error.strerror
+        open('notes', 'w').write('x')
+        beside = os.path.join(os.path.dirname(job.path), 'other')
+        libc = __import__('ctypes').CDLL(None)
+        return {
+            'upload': open(job.path).read(), 'beside': refused(open, beside), 'etc': os.listdir('/etc'),
+            'written': [refused(open, path, 'w') for path in (job.path, '/x', worker.__file__)],
+            'much': refused(open('much', 'w').write, 'x' * 900_000) or refused(open('more', 'w').write, 'x' * 900_000)
+                or refused(open('most', 'w').write, 'x' * 900_000),
+            'who': [os.getuid(), os.getgid()], 'alone': sorted(__import__('socket').if_nameindex()),
+            'further': [libc.unshare(0x10000000), libc.unshare(0x40000000)],
+        }""")
+    answer = sandbox.run(job(tmp_path / "upload"), ALLOWED).answer
+    assert answer == {
+        "upload": "carp",
+        "beside": "No such file or directory",
+        "etc": ["ld.so.cache"],
+        "written": ["Read-only file system"] * 3,
+        "much": "No space left on device",
+        "who": [65534, 65534],
+        "alone": [[1, "lo"]],
+        "further": [-1, -1],
+    }
+
+
+REFUSES = "#!/bin/sh\necho no right to do so >&2\nexit 1"
+
+
+@pytest.mark.parametrize("doing", ["namespaces"], indirect=True)
+@pytest.mark.parametrize(("program", "why"), [(None, "is not installed"), (REFUSES, "no right to do so")])
+def test_where_there_are_none_the_other_sandbox_is_used_and_said(doing, tmp_path, monkeypatch, program, why):
+    if program is not None:
+        (tmp_path / "bwrap").write_text(program)
+        (tmp_path / "bwrap").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep if program else None)
+    namespaces.missing.cache_clear()
+    try:
+        assert why in namespaces.missing()
+        assert sandbox.in_force().endswith(f"no namespaces: {namespaces.missing()}")
+        doing("return {'home': os.environ['HOME']}")
+        assert "oysterbench-" in sandbox.run(job(), ALLOWED).answer["home"]
+    finally:
+        namespaces.missing.cache_clear()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.submissions import queue
+from oysterbench_leaderboard.submissions import namespaces, queue
 from oysterbench_leaderboard.submissions.service import Form, upload_of
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
@@ -55,3 +56,16 @@ def test_a_server_that_cannot_read_uploads_does_not_start(tmp_path):
             service.self_test()
     finally:
         service.close()
+
+
+def test_a_server_that_needs_namespaces_does_not_start_without(tmp_path, monkeypatch):
+    lay_split(tmp_path / "splits")
+    monkeypatch.setattr(namespaces, "missing", lambda: "no bubblewrap swims here")
+    with closing(make_service(tmp_path)) as service:
+        service.self_test()
+        assert "no bubblewrap swims here" in (tmp_path / "private" / "private.log").read_text()
+    with (
+        closing(make_service(tmp_path, needs_namespaces=True)) as service,
+        pytest.raises(ResultError, match=r"needs_namespaces of settings\.toml .* no bubblewrap swims here"),
+    ):
+        service.self_test()

@@ -1,0 +1,52 @@
+"""The sandbox inside of namespaces of its own, by bubblewrap, where the system lets it have them.
+
+What runs there sees a root that it cannot write to and that holds Python, our packages and the files of its job, and an
+empty folder in memory; no other process, no network, no device but /dev/null, zero and urandom; it is nobody, and can
+make no further namespaces. All that the sandbox itself forbids is forbidden there as well.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Sequence
+
+import oysterbench
+import oysterbench_datasets
+import oysterbench_leaderboard
+
+SYSTEM = ("/usr", "/bin", "/lib", "/lib64", "/etc/ld.so.cache")
+PACKAGES = (oysterbench, oysterbench_leaderboard, oysterbench_datasets)
+DEVICES = ("/dev/null", "/dev/zero", "/dev/urandom")
+PROGRAM = "bwrap"
+NOBODY = "65534"
+FOLDER = "/job"
+PROBE_S = 30.0
+
+OPTIONS = ("--unshare-user", "--unshare-all", "--disable-userns", "--die-with-parent", "--new-session")
+
+
+def inside(command: Sequence[str], files: Iterable[str], folder_bytes: int) -> list[str]:
+    """The command that runs `command` so, beginning in FOLDER, which holds so many bytes; files: what it can read."""
+    code = (*sys.path, *(place for package in PACKAGES for place in package.__path__))
+    paths = (path for path in (*SYSTEM, sys.prefix, sys.base_prefix, *code, *files) if os.path.isabs(path))
+    seen = [option for path in paths for option in ("--ro-bind-try", path, path)]
+    devices = [option for path in DEVICES for option in ("--dev-bind", path, path)]
+    empty = ["--size", str(folder_bytes), "--tmpfs", FOLDER, "--remount-ro", "/", "--chdir", FOLDER]
+    return [PROGRAM, *OPTIONS, "--uid", NOBODY, "--gid", NOBODY, *seen, *devices, *empty, "--", *command]
+
+
+@functools.cache
+def missing() -> str:
+    """Why there is no such thing here, in a line; empty where there is. Tried once."""
+    if shutil.which(PROGRAM) is None:
+        return f"{PROGRAM} is not installed"
+    command = inside([sys.executable, "-I", "-c", "import oysterbench_leaderboard, numpy"], (), 1 << 20)
+    try:
+        tried = subprocess.run(command, capture_output=True, text=True, timeout=PROBE_S)
+    except subprocess.TimeoutExpired:
+        return f"{PROGRAM} did not end within {PROBE_S:g} s"
+    return "" if tried.returncode == 0 else (tried.stderr.strip().splitlines() or [f"{PROGRAM} failed"])[-1][:200]
