@@ -45,6 +45,7 @@ def track_options() -> dict[str, Option]:
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 @click.option("--runs", type=click.IntRange(min=1), default=1, show_default=True, help="Runs on each sequence.")
 @click.option("--jobs", type=click.IntRange(min=1), help="At a time, at most.  [default: one per core]")
+@click.option("--scheduler", metavar="ADDRESS", help="Run them on the workers of a Dask scheduler instead.")
 @click.option(
     "--timeout",
     "limit_s",
@@ -68,6 +69,7 @@ def run_command(
     sequences: tuple[str, ...],
     runs: int,
     jobs: int | None,
+    scheduler: str | None,
     limit_s: float | None,
     again: bool,
     retry: bool,
@@ -84,6 +86,7 @@ def run_command(
       oysterbench run my_slam:MySlam --split slam-mini --runs 5 --out results/mine
       oysterbench run my_slam --command "./my_slam {euroc} {out}" --split slam-val
       oysterbench run orb3 --command "./orb3.sh {euroc} {out}" --split slam-val --timeout 900 --jobs 1
+      oysterbench run gtsam_vi --split slam-val --runs 5 --scheduler tcp://10.0.0.1:8786
       oysterbench run gtsam_vi --on V1_01_easy --align se3 --out results/euroc
       oysterbench run gtsam_vi --ablate frontend.max_tracks=70 --ablate loops.enabled=false --split slam-val
       oysterbench run unet --split seg-val
@@ -122,6 +125,8 @@ def run_command(
         raise click.UsageError("--set and --ablate are for methods of Python: a program takes options in its --command")
     if places and sequences:
         raise click.UsageError("--sequence chooses from a split; with --on every sequence that is named is taken")
+    if scheduler is not None and keep_exports:
+        raise click.UsageError("--keep-exports is for runs on this machine: the workers of --scheduler keep nothing")
     if places and out is None:
         raise click.UsageError("--on needs --out: there is no folder that the results would belong to")
 
@@ -156,6 +161,7 @@ def run_command(
         options=options,
         runs=runs,
         jobs=jobs,
+        scheduler=scheduler,
         limit_s=limit_s,
         again=again,
         retry=retry,

@@ -40,17 +40,19 @@ def default_workers() -> int:
 def run_jobs(
     jobs: Sequence[Job],
     root: Path,
-    workers: int = 1,
+    workers: int | None = 1,
     again: bool = False,
     retry: bool = False,
     keep_inputs: bool = False,
-    hardware: Mapping[str, Any] | None = None,
+    hardware: Callable[[], Mapping[str, Any]] = dict,
     announce: Announce = lambda text: None,
+    scheduler: str | None = None,
 ) -> Iterator[tuple[Job, Outcome]]:
     """Each job with its outcome, as they are finished; those that are finished already come first and are not run.
 
     root: folder of the results, which one runner at a time may work in. again: run the finished ones too; retry: those
-    of them that failed. A job that ends badly has a `failure`; nothing that a method does raises here.
+    of them that failed. workers: at a time; None for one per core. hardware: says what a machine is; scheduler: address
+    of a Dask cluster that runs them. A job that ends badly has a `failure`; nothing that a method does raises here.
     Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names, and
     OSError where a disk is full.
     """
@@ -62,8 +64,12 @@ def run_jobs(
                 todo.append(job)
             else:
                 yield job, known
-        if todo:
-            yield from _run(todo, root, workers, keep_inputs, hardware or {}, announce)
+        if todo and scheduler is not None:
+            from oysterbench.methods.remote import run_remotely
+
+            yield from run_remotely(todo, root, scheduler, workers, hardware)
+        elif todo:
+            yield from _run(todo, root, workers or default_workers(), keep_inputs, hardware(), announce)
 
 
 def _finished(job: Job, root: Path) -> Outcome | None:

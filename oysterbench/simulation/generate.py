@@ -19,6 +19,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
+from oysterbench.core.cluster import Results, run_on_cluster
 from oysterbench.core.errors import MachineError, OysterbenchError, RecipeError, SequenceError
 from oysterbench.core.files import free_bytes, home, locked, write_atomically
 from oysterbench.recipe import SequenceRecipe, SplitRecipe
@@ -37,7 +38,7 @@ from oysterbench.simulation import cost
 from oysterbench.simulation.assembly import assemble
 from oysterbench.simulation.jobs import Job, bulky_sensors, plan, sources
 from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
-from oysterbench.simulation.scheduling import Results, run_here, run_in_processes, run_on_cluster
+from oysterbench.simulation.scheduling import run_alone, run_here, run_in_processes
 from oysterbench.version import VERSION
 
 WORKER_S = 10.0
@@ -124,7 +125,7 @@ def generate_split(
 
             def run(jobs: list[Job]) -> Results[Job, Timed]:
                 if scheduler is not None:
-                    return run_on_cluster(task, jobs, scheduler)
+                    return run_on_cluster(partial(run_alone, task), jobs, scheduler)
                 if elsewhere and jobs:
                     return run_in_processes(task, jobs, workers, partial(_warm_up, device))
                 return run_here(task, jobs)

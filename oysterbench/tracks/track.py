@@ -114,7 +114,8 @@ class Request:
     split: None for the user's own sequences, `places`; sequences: names of those that are taken, none for all;
     options: of the track, by key; methods: references, none for the track's own; template, name: of a program instead;
     runs: of each method on each sequence; jobs: at a time, one for each core where it is None; limit_s: of a run;
-    again, retry: run what is finished, or failed, once more; workers: processes that render
+    again, retry: run what is finished, or failed, once more; workers: processes that render; scheduler: address of a
+    Dask cluster that runs the methods
     """
 
     out: Path
@@ -133,6 +134,7 @@ class Request:
     again: bool = False
     retry: bool = False
     keep_inputs: bool = False
+    scheduler: str | None = None
     render: Render = lambda split, **options: {}
     announce: Announce = lambda text: None
     bar: Bar = lambda title, unit: nullcontext(lambda done, total: None)
@@ -225,7 +227,7 @@ class Track(ABC):
     def rendered(self, request: Request) -> dict[str, Path]:
         """Files by the names of their sequences; the user's own by theirs."""
         if request.split is None:
-            return {str(place): place for place in request.places}
+            return {str(place): place.absolute() for place in request.places}
         files = request.render(request.split, names=tuple(request.sequences), workers=request.workers)
         return {name: path for name, path in files.items() if not request.sequences or name in request.sequences}
 
@@ -234,7 +236,7 @@ class Track(ABC):
     ) -> Iterator[Finished]:
         """Run each method so many times on each sequence, in processes of their own, and score what they leave."""
         from oysterbench.methods.outcomes import Job
-        from oysterbench.methods.runner import default_workers, run_jobs
+        from oysterbench.methods.runner import run_jobs
         from oysterbench.results.records import hardware
 
         jobs = [
@@ -246,12 +248,13 @@ class Track(ABC):
         finished = run_jobs(
             jobs,
             request.out,
-            request.jobs or default_workers(),
+            request.jobs,
             request.again,
             request.retry,
             request.keep_inputs,
-            hardware(),
+            hardware,
             request.announce,
+            request.scheduler,
         )
         for job, outcome in finished:
             yield Finished(job, outcome, self.score(job, outcome, request.out, settings) if outcome.finished else None)

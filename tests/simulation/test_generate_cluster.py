@@ -8,11 +8,11 @@ import sys
 
 import pytest
 
+from oysterbench.core.cluster import run_on_cluster
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.simulation.generate import PROGRAM, generate_split, make_part
 from oysterbench.simulation.jobs import Job
 from oysterbench.simulation.salt import Salt
-from oysterbench.simulation.scheduling import run_on_cluster
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 distributed = pytest.importorskip("distributed")
@@ -53,7 +53,7 @@ def test_two_dask_workers_give_the_bytes_of_one_process(tiny_file, tmp_path, vic
 
 
 def test_a_scheduler_that_does_not_answer_is_named(tiny_split, tmp_path, monkeypatch):
-    monkeypatch.setattr("oysterbench.simulation.scheduling.CONNECT_S", 0.2)
+    monkeypatch.setattr("oysterbench.core.cluster.CONNECT_S", 0.2)
     with pytest.raises(OysterbenchError, match=r"--scheduler tcp://127.0.0.1:9: no Dask scheduler answers"):
         list(run_on_cluster(bytes, [b"job"], "tcp://127.0.0.1:9"))
 

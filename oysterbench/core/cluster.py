@@ -1,0 +1,106 @@
+"""A Dask cluster, on hosts, Slurm or Kubernetes: what is done there, and what that gives, which travels back.
+
+Only the caller writes files. So a worker that dies takes nothing along but the jobs that it was at, and results do not
+depend on where and in which order they were made.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import CancelledError
+from importlib import import_module
+from typing import Any, TypeVar
+
+from oysterbench.core.errors import OysterbenchError
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+AHEAD = 2
+"""Jobs handed out per worker: the next is there when one is done, and few results wait for the disk at a time."""
+
+LEAST_AHEAD = 8  # jobs that a cluster is given before it has any worker
+DEATHS = 3  # of workers at one job, beyond those that the scheduler forgives by itself, before the job is to blame
+CONNECT_S = 15
+
+Results = Generator[tuple[J, R], None, None]
+"""Each job, with what it gave, in the order in which they are done."""
+
+
+def connect(address: str) -> Any:
+    """A client of the scheduler at an address (`distributed.Client`), to be closed. Raises OysterbenchError where none
+    answers."""
+    try:
+        dask: Any = import_module("distributed")  # which is not typed
+    except ImportError:
+        raise OysterbenchError("--scheduler needs Dask: pip install 'oysterbench[cluster]'") from None
+    try:
+        return dask.Client(address, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise OysterbenchError(
+            f"--scheduler {address}: no Dask scheduler answers ({error}); expected an address as `dask scheduler` "
+            "prints it, such as tcp://10.0.0.1:8786"
+        ) from None
+
+
+def new_key() -> str:
+    """A name for a task: Dask's would be made from the arguments, which hold what no log should tell."""
+    return f"oysterbench-{uuid.uuid4().hex}"
+
+
+def run_on_cluster(task: Callable[[J], R], jobs: Sequence[J], address: str, most: int | None = None) -> Results[J, R]:
+    """Run jobs on the workers of a Dask scheduler, those that come and go meanwhile included. most: at a time.
+
+    A job whose worker is lost is run by another. Raises OysterbenchError when the scheduler cannot be reached or is
+    lost, and when a job kills its workers again and again.
+    """
+    client = connect(address)
+    dask: Any = import_module("distributed")
+    deaths: Counter[str] = Counter()
+    with client:
+        pending: dict[str, J] = {}
+        done = dask.as_completed(loop=client.loop)
+        queue = iter(jobs)
+
+        def submit(job: J) -> None:
+            name = new_key()
+            pending[name] = job
+            done.add(client.submit(task, job, key=name, pure=False))
+
+        try:
+            while True:
+                ahead = most or max(LEAST_AHEAD, AHEAD * sum(client.nthreads().values()))
+                while len(pending) < ahead and (job := next(queue, None)) is not None:
+                    submit(job)
+                if not pending:
+                    return
+                future = next(done)
+                job = pending.pop(str(future.key))
+                try:
+                    data = future.result()
+                except dask.KilledWorker:
+                    deaths[repr(job)] += 1
+                    if deaths[repr(job)] >= DEATHS:
+                        raise OysterbenchError(
+                            f"workers of {address} die again and again at {job} (out of memory?); what was finished is "
+                            "kept: run the same command again, on workers with more memory"
+                        ) from None
+                    submit(job)
+                    continue
+                future.release()
+                yield job, data
+        except (dask.comm.CommClosedError, CancelledError, OSError, TimeoutError) as error:
+            raise OysterbenchError(
+                f"the scheduler {address} was lost ({error}); what was finished is kept: run the same command again "
+                "when it is back"
+            ) from None
+
+
+def find_withdrawn() -> Callable[[], bool]:
+    """On a worker, in the thread of a task: what says, in any thread, whether nobody waits for the task any more, as
+    its caller has cancelled it or is gone."""
+    worker: Any = import_module("distributed.worker")
+    state, key = worker.get_worker().state, worker.thread_state.key
+    return lambda: getattr(state.tasks.get(key), "state", "") != "executing"

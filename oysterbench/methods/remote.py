@@ -1,0 +1,102 @@
+"""Runs of methods on the workers of a cluster: each as it is run here, with what it leaves brought back.
+
+Nothing but the job travels to a worker: it reads the sequence under the path that it has here, on a disk that is shared
+or where it was copied to, and has the method, or the program, installed.
+"""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import tempfile
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from oysterbench.core.cluster import Results, find_withdrawn, run_on_cluster
+from oysterbench.core.errors import MethodError, OysterbenchError
+from oysterbench.core.files import write_atomically
+from oysterbench.methods.outcomes import OUTCOME, Job, Outcome
+from oysterbench.methods.processes import Processes
+from oysterbench.methods.runner import Inputs, run_job
+
+LOOK_S = 1.0
+"""How often a worker looks whether its job is still wanted."""
+
+NEEDED = "workers need the sequence under the same path, and the same version of the method or program"
+Hardware = Callable[[], Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A job as it travels. identity: as it is here, which the worker's has to be too."""
+
+    job: Job
+    identity: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        return f"{self.job.adapter.name} on {self.job.sequence.name}, run {self.job.number + 1}"
+
+
+def run_remotely(
+    jobs: Sequence[Job], root: Path, scheduler: str, most: int | None, hardware: Hardware
+) -> Iterator[tuple[Job, Outcome]]:
+    """Run jobs on the cluster of a scheduler, `most` at a time, and keep what they leave in `root`.
+
+    Raises OysterbenchError where a worker lacks what a job needs, or has it otherwise than it is here.
+    """
+    asked = [Asked(job, job.identity) for job in jobs]
+    found: Results[Asked, tuple[Outcome, dict[str, bytes]]]
+    found = run_on_cluster(partial(run_asked, hardware=hardware), asked, scheduler, most)
+    for each, (outcome, files) in found:
+        kept = each.job.folder(root)
+        shutil.rmtree(kept, ignore_errors=True)
+        for name, data in files.items():
+            write_atomically(kept / name, data)
+        if outcome.finished:
+            outcome.write(kept)
+        yield each.job, outcome
+
+
+def run_asked(asked: Asked, hardware: Hardware) -> tuple[Outcome, dict[str, bytes]]:
+    """On a worker: run a job; what became of it, and the files that it left, by their names in its folder."""
+    job = asked.job
+    try:
+        for place in job.sequence.hidden:
+            place.stat()
+        here = job.identity
+    except (OSError, MethodError) as error:
+        raise OysterbenchError(f"worker {socket.gethostname()}: {error}; {NEEDED}") from None
+    if here != asked.identity:
+        raise OysterbenchError(f"worker {socket.gethostname()}: expected {asked.identity}, got {here}; {NEEDED}")
+    with tempfile.TemporaryDirectory(prefix="oysterbench-") as folder:
+        root, scratch, processes = Path(folder) / "results", Path(folder) / "scratch", Processes()
+        scratch.mkdir()
+        with _stopped_when_withdrawn(processes):
+            outcome = run_job(job, root, Inputs(scratch, [job], None, processes), processes, hardware())
+        kept = job.folder(root)
+        files = [path for path in kept.rglob("*") if path.is_file() and path != kept / OUTCOME]
+        return outcome, {str(path.relative_to(kept)): path.read_bytes() for path in files}
+
+
+@contextmanager
+def _stopped_when_withdrawn(processes: Processes) -> Iterator[None]:
+    withdrawn, ended = find_withdrawn(), threading.Event()
+
+    def watch() -> None:
+        while not ended.wait(LOOK_S):
+            if withdrawn():
+                processes.stop()
+                return
+
+    watching = threading.Thread(target=watch, daemon=True)
+    watching.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        watching.join()
