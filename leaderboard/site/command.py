@@ -30,6 +30,7 @@ def _place(context: click.Context, folder: Path | None, url: str | None) -> Plac
 @click.option(
     "--workers", type=click.IntRange(min=1), help="Submissions scored at once.  [default: as the folder says]"
 )
+@click.option("--scheduler", default="", metavar="ADDRESS", help="Score on the workers of a Dask scheduler instead.")
 @click.option("--root", default="", help="Path that a proxy puts before our addresses, such as /board.")
 @PROXY
 @click.pass_context
@@ -42,6 +43,7 @@ def serve_command(
     submissions: Path | None,
     truths: tuple[str, ...],
     workers: int | None,
+    scheduler: str,
     root: str,
     proxies: tuple[str, ...],
 ) -> None:
@@ -52,6 +54,7 @@ def serve_command(
       oysterbench leaderboard serve
       oysterbench leaderboard serve --board board --index postgresql://board@db/board --host 0.0.0.0
       oysterbench leaderboard serve --board board --submissions private --truth slam-test=truth/slam-test
+      oysterbench leaderboard serve --submissions private --truth ... --scheduler tcp://10.0.0.1:8786
 
     Records that come into the folder while it runs are shown within seconds. For the world, put a proxy with TLS before
     it, and name it with --proxy; teams and their tokens are made by `oysterbench leaderboard team`.
@@ -63,9 +66,11 @@ def serve_command(
 
     if truths and submissions is None:
         raise click.UsageError("--truth says what submissions are scored against: give --submissions, too")
+    if scheduler and workers is not None:
+        raise click.UsageError("--workers and --scheduler exclude each other: a cluster's workers are its own")
     if root and (not root.startswith("/") or root.endswith("/")):
         raise click.UsageError(f"--root: expected a path like /board, got {root!r}")
-    app = whole(_place(context, folder, url).index(), submissions, truths, workers, root)
+    app = whole(_place(context, folder, url).index(), submissions, truths, workers, root, scheduler)
     if submissions is not None:
         from oysterbench_leaderboard.submissions.sandbox import in_force
 

@@ -72,15 +72,17 @@ def whole(
     truths: Iterable[str] = (),
     workers: int | None = None,
     root: str = "",
+    scheduler: str = "",
 ) -> Starlette:
     """The application. submissions: private folder of a service that takes them, None for none; truths: SPLIT=FOLDER
-    of what it scores against; root: what a proxy puts before our addresses."""
+    of what it scores against, with so many workers or on the cluster of a scheduler; root: what a proxy puts before our
+    addresses."""
     taken: Any = None
     if submissions is not None:
         from oysterbench_leaderboard.submissions.web import Submissions, open_service
 
         service = open_service(submissions, truths, index.store, index.refresh)
-        taken = Submissions(service, render.server_links(root), workers)
+        taken = Submissions(service, render.server_links(root), workers, scheduler)
     app = application(site_of(index, taken.form if taken else ""), taken.routes() if taken else (), root)
 
     @asynccontextmanager

@@ -7,6 +7,7 @@ here.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,17 +27,26 @@ from sqlalchemy import (
     Table,
     Text,
     UniqueConstraint,
+    func,
     insert,
     select,
+    text,
     update,
 )
 from sqlalchemy.exc import SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.files import locked
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.database import open_engine
 from oysterbench_leaderboard.submissions.migrations import upgrade
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
+
+LOCK = 0x6469_7370_6174
+"""The advisory lock of PostgreSQL that the one dispatcher holds."""
+
+KEEPALIVES = {"idle": 10, "interval": 5, "count": 4}
+"""Seconds, and how often: after half a minute of silence a host counts as gone, and its lock is free."""
 
 State = Literal["queued", "running", "done", "failed", "withdrawn"]
 
@@ -80,8 +90,7 @@ class Submission:
 
     kind:      poses, predictions, commands or results
     digest:    SHA-256 of what was sent: the name of its file
-    attempt:   how often it was begun to be scored; lease: until when the one that does may be thought alive, in Unix
-               seconds
+    attempt:   how often it was begun to be scored
     reason:    why it failed, or was withdrawn
     record:    digest of what was scored, kept privately; published: of what the board shows; empty for none
     notice:    when it was withdrawn from the board; empty where it was not
@@ -103,7 +112,6 @@ class Submission:
     updated: Annotated[str, String(32)]
     state: Annotated[State, String(16)] = "queued"
     attempt: Annotated[int, Integer] = 0
-    lease: Annotated[float, Float] = 0.0
     reason: Annotated[str, Text] = ""
     record: Annotated[str, String(64)] = ""
     published: Annotated[str, String(64)] = ""
@@ -158,6 +166,24 @@ class Database:
         """One moment of the database."""
         with self.engine.begin() as connection:
             yield connection
+
+    @contextmanager
+    def alone(self) -> Iterator[Connection | None]:
+        """A connection that no other process has like this one as long as it lives, to begin transactions on; None
+        where one has it. The lock goes with the connection, or with the process of SQLite's."""
+        with contextlib.ExitStack() as stack:
+            if self.engine.dialect.name == "sqlite":
+                held = stack.enter_context(locked(f"{self.engine.url.database}.dispatcher", wait=False))
+                connection = stack.enter_context(self._writing.connect())
+            else:
+                connection = stack.enter_context(self._writing.connect())
+                # Of a host that is gone without a word, the server hears nothing else.
+                for key, seconds in KEEPALIVES.items():
+                    connection.execute(text(f"SET tcp_keepalives_{key} = {seconds}"))
+                held = connection.execute(select(func.pg_try_advisory_lock(LOCK))).scalar_one()
+                connection.commit()
+                stack.callback(connection.invalidate)  # back in the pool, it would keep the lock
+            yield connection if held else None
 
     def close(self) -> None:
         """No more connections."""

@@ -1,145 +1,231 @@
-"""Workers that score what is queued. One is claimed in one transaction, with a lease, and finished in another, guarded
-by the number of the attempt: whoever was thought dead and comes back late changes nothing."""
+"""The dispatcher: hands out what is queued, to threads of this process or a Dask cluster, and notes how it ended.
+
+The database has the state. Of all servers over it one dispatches, by a lock that goes when it does; what one that is
+gone had begun is begun again. Whatever scores knows no database: it is given a Task, and answers. An end counts for the
+attempt that it is of alone: what comes late, or twice, changes nothing.
+"""
 
 from __future__ import annotations
 
 import threading
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 
-from sqlalchemy import and_, or_, select
+from sqlalchemy import Connection, select
 
+from oysterbench.core.cluster import AHEAD, connect, find_withdrawn
 from oysterbench.core.errors import OysterbenchError
+from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions import sandbox
-from oysterbench_leaderboard.submissions.database import Submission, change, log_event, submissions
+from oysterbench_leaderboard.submissions.database import Submission, change, find, log_event, submissions
+from oysterbench_leaderboard.submissions.estimates import Estimates
 from oysterbench_leaderboard.submissions.refusals import FAILED
-from oysterbench_leaderboard.submissions.sandbox import Job
+from oysterbench_leaderboard.submissions.sandbox import Allowance, Ended, Job, Stopped
 from oysterbench_leaderboard.submissions.service import Service
 
 POLL_S = 1.0
-"""How often a worker looks for what another host has queued."""
+"""How often it is looked for what another host has queued, and whether the other one still dispatches."""
 
 
-def claim(service: Service) -> Submission | None:
-    """The next submission, which is this worker's until its lease ends; what was begun most often comes last."""
-    c = submissions.c
-    now = service.clock()
-    waiting = or_(c.state == "queued", and_(c.state == "running", c.lease < now))
-    with service.database.writing() as connection:
-        oldest = select(submissions).where(waiting).order_by(c.attempt, c.created_s, c.id).limit(1)
-        row = connection.execute(oldest.with_for_update(skip_locked=True)).mappings().first()
+@dataclass(frozen=True)
+class Task:
+    """One scoring. job: without the path of the upload, which `estimates` has under its digest."""
+
+    estimates: Estimates
+    digest: str
+    job: Job
+    allowance: Allowance
+
+
+def perform(task: Task, stopped: Callable[[], bool] = lambda: False) -> Ended:
+    """Score, in a sandbox of this machine. Raises Stopped where that was to end."""
+    with task.estimates.opened(task.digest) as path:
+        return sandbox.run(replace(task.job, path=str(path)), task.allowance, stopped)
+
+
+def perform_remotely(task: Task, version: str) -> Ended:
+    """The same on a cluster's worker."""
+    if version != VERSION:
+        raise OysterbenchError(f"a worker has oysterbench {VERSION}, and was asked by {version}: install one version")
+    return perform(task, find_withdrawn())
+
+
+@dataclass(frozen=True)
+class Engine:
+    """What tasks are handed to. room: how many it takes at a time"""
+
+    executor: Executor
+    room: Callable[[], int]
+    work: Callable[[Task], Ended]
+
+
+@contextmanager
+def in_threads(count: int) -> Iterator[Engine]:
+    """So many sandboxes at a time on this machine, ended with the block."""
+    ended = threading.Event()
+    with ThreadPoolExecutor(count, "worker") as pool:
+        try:
+            yield Engine(pool, lambda: count, partial(perform, stopped=ended.is_set))
+        finally:
+            ended.set()
+
+
+@contextmanager
+def on_cluster(address: str) -> Iterator[Engine]:
+    """The workers of a Dask scheduler, as many as there are at the time."""
+    with connect(address) as client:
+        executor = client.get_executor(pure=False, retries=0)
+        try:
+            yield Engine(
+                executor,
+                lambda: AHEAD * sum(client.nthreads().values()),
+                partial(perform_remotely, version=VERSION),
+            )
+        finally:
+            executor.shutdown(wait=False)
+
+
+def recover(service: Service, connection: Connection) -> None:
+    """Queue again what a dispatcher that is gone had begun."""
+    with connection.begin():
+        for lost in find(connection, submissions.c.state == "running"):
+            change(connection, lost.id, service.now(), state="queued")
+            log_event(connection, service.now(), "dispatcher", "queued", lost.id, "its server was gone")
+
+
+def claim(service: Service, connection: Connection) -> Submission | None:
+    """The next submission, now running; what was begun most often comes last."""
+    c, at = submissions.c, service.now()
+    with connection.begin():
+        waiting = select(submissions).where(c.state == "queued").order_by(c.attempt, c.created_s, c.id).limit(1)
+        row = connection.execute(waiting).mappings().first()
         if row is None:
             return None
-        mine, at = Submission(**row), service.now()
-        attempt, lease = mine.attempt + 1, now + service.settings.lease_s
-        guard = c.attempt == mine.attempt
-        if not change(connection, mine.id, at, guard, state="running", attempt=attempt, lease=lease):
+        mine = Submission(**row)
+        mine = replace(mine, state="running", attempt=mine.attempt + 1, updated=at)
+        if not change(connection, mine.id, at, c.state == "queued", state="running", attempt=mine.attempt):
             return None
-        log_event(connection, at, "worker", "running", mine.id, f"attempt {attempt}")
-        return replace(mine, state="running", attempt=attempt, lease=lease, updated=at)
+        log_event(connection, at, "dispatcher", "running", mine.id, f"attempt {mine.attempt}")
+        return mine
 
 
-def renew(service: Service, mine: Submission) -> bool:
-    """Go on with a lease; whether it is still this worker's."""
-    c = submissions.c
-    guard = (c.state == "running", c.attempt == mine.attempt)
-    with service.database.writing() as connection:
-        lease = service.clock() + service.settings.lease_s
-        return change(connection, mine.id, service.now(), *guard, lease=lease)
-
-
-def finish(service: Service, mine: Submission, state: str, record: str = "", reason: str = "") -> bool:
-    """End an attempt; whether it was still this worker's to end."""
-    c = submissions.c
-    guard = (c.state == "running", c.attempt == mine.attempt)
+def finish(
+    service: Service, connection: Connection, mine: Submission, state: str, record: str = "", reason: str = ""
+) -> bool:
+    """End an attempt; whether it was still the one that counts."""
+    guard = (submissions.c.state == "running", submissions.c.attempt == mine.attempt)
     at = service.now()
-    with service.database.writing() as connection:
-        ended = change(connection, mine.id, at, *guard, state=state, record=record, reason=reason, lease=0.0)
+    with connection.begin():
+        ended = change(connection, mine.id, at, *guard, state=state, record=record, reason=reason)
         if ended:
-            log_event(connection, at, "worker", state, mine.id, reason or record)
+            log_event(connection, at, "dispatcher", state, mine.id, reason or record)
         return ended
 
 
-def score(service: Service, mine: Submission, stop: threading.Event) -> None:
-    """Score what was claimed and say so; where it is stopped, or another worker has it meanwhile, say nothing."""
+def task_of(service: Service, mine: Submission) -> Task | None:
+    """What scores a submission; None where its split is no longer served."""
     served = service.catalogue.splits.get(mine.split)
     wanted = None if served is None else served.wanted.get(mine.track)
     if served is None or wanted is None:
-        finish(service, mine, "failed", reason=FAILED["absent"])
-        return
+        return None
     settings = service.settings
-    path, truth = service.estimates / mine.digest, {name: str(path) for name, path in served.truth.items()}
-    job = Job(str(path), wanted, settings.limits, service.hidden, truth, mine.method, mine.created)
-    try:
-        allowance, beat_s = sandbox.scoring(settings), settings.lease_s / 3
-        ended = sandbox.run(job, allowance, stop, lambda: renew(service, mine), beat_s)
-    except sandbox.Stopped:
-        if stop.is_set():
-            finish(service, mine, "queued")
-        return
+    truth = {name: str(path) for name, path in served.truth.items()}
+    job = Job("", wanted, settings.limits, service.hidden, truth, mine.method, mine.created)
+    return Task(service.estimates, mine.digest, job, sandbox.scoring(settings))
+
+
+def outcome_of(service: Service, mine: Submission, ended: Ended) -> dict[str, str]:
+    """What a scoring comes to: the state, with the record or the reason."""
     if ended.stderr:
         service.log.info("scoring %s, attempt %d: %s", mine.id, mine.attempt, ended.stderr)
     if ended.answer is None:
-        if ended.cause == "crash" and mine.attempt < settings.attempts:
-            finish(service, mine, "queued", reason="")
-        else:
-            finish(service, mine, "failed", reason=FAILED[ended.cause])
-        return
-    if "refused" in ended.answer:
-        reported = mine.kind == "results"  # of a public split: no reason tells of a truth that is kept back
-        finish(service, mine, "failed", reason=ended.answer["refused"]["reason"] if reported else FAILED["refused"])
-        return
+        if ended.cause == "crash" and mine.attempt < service.settings.attempts:
+            return {"state": "queued"}
+        return {"state": "failed", "reason": FAILED[ended.cause]}
+    reported = mine.kind == "results"
+    if "refused" in ended.answer:  # of a public split, where reported: no reason tells of a truth that is kept back
+        return {"state": "failed", "reason": ended.answer["refused"]["reason"] if reported else FAILED["refused"]}
     try:
         record = service.build(mine, ended.answer)
     except OysterbenchError as error:
         service.log.info("scoring %s: %s", mine.id, error)
-        finish(service, mine, "failed", reason=FAILED["crash"])
-        return
+        return {"state": "failed", "reason": FAILED["crash"]}
     failures = {result.sequence: result.failure for result in record.results if result.failure is not None}
-    if len(failures) == len(record.results) and mine.kind != "results":
-        stderr = "; ".join(f"{sequence}: {failure}" for sequence, failure in list(failures.items())[:3])
-        finish(service, mine, "failed", reason=FAILED["none"] + stderr)
-        return
-    finish(service, mine, "done", record=service.scored.add(record))
+    if len(failures) == len(record.results) and not reported:
+        why = "; ".join(f"{sequence}: {failure}" for sequence, failure in list(failures.items())[:3])
+        return {"state": "failed", "reason": FAILED["none"] + why}
+    return {"state": "done", "record": service.scored.add(record)}
 
 
-class Workers:
-    """Threads that score until they are stopped."""
+class Dispatcher:
+    """A thread that dispatches as long as no other server does, until it is stopped.
 
-    def __init__(self, service: Service, count: int | None = None) -> None:
+    workers: at a time, in threads; scheduler: address of a Dask cluster instead
+    """
+
+    def __init__(self, service: Service, workers: int | None = None, scheduler: str = "") -> None:
         self.service = service
+        address = scheduler or service.settings.scheduler
+        count = workers or service.settings.workers
+        self._engine = partial(on_cluster, address) if address else partial(in_threads, count)
         self._stop = threading.Event()
-        n = service.settings.workers if count is None else count
-        self._threads = [threading.Thread(target=self._work, name=f"worker-{k}", daemon=True) for k in range(n)]
+        self._thread = threading.Thread(target=self._work, name="dispatcher", daemon=True)
 
     def start(self) -> None:
         """Begin."""
-        for thread in self._threads:
-            thread.start()
+        self._thread.start()
 
     def stop(self) -> None:
         """End; what is being scored goes back into the queue."""
         self._stop.set()
         self.service.wake.set()
-        for thread in self._threads:
-            thread.join()
+        self._thread.join()
 
     def _work(self) -> None:
         while not self._stop.is_set():
             try:
-                mine = claim(self.service)
-                if mine is not None:
-                    score(self.service, mine, self._stop)
+                with self.service.database.alone() as connection:
+                    if connection is not None:
+                        dispatch(self.service, connection, self._engine(), self._stop.is_set)
+            except Exception:  # of the database or the cluster, which may come back
+                self.service.log.exception("the dispatcher failed")
+            self._stop.wait(POLL_S)
+
+
+def dispatch(
+    service: Service, connection: Connection, with_engine: AbstractContextManager[Engine], enough: Callable[[], bool]
+) -> None:
+    """Hand out what is queued and note how it ended, until that is enough. connection: of `Database.alone`"""
+    recover(service, connection)
+    running: dict[Future[Ended], Submission] = {}
+    with with_engine as engine:
+        while not enough():
+            service.wake.clear()
+            while len(running) < engine.room() and (mine := claim(service, connection)) is not None:
+                task = task_of(service, mine)
+                if task is None:
+                    finish(service, connection, mine, "failed", reason=FAILED["absent"])
                     continue
-            except Exception:  # a worker that is gone is missed by nobody: it says why, and goes on
-                self.service.log.exception("a worker failed")
-            self.service.wake.wait(POLL_S)
-            self.service.wake.clear()
+                future = engine.executor.submit(engine.work, task)
+                running[future] = mine
+                future.add_done_callback(lambda _: service.wake.set())
+            done = [future for future in running if future.done()]
+            for future in done:
+                _settle(service, connection, running.pop(future), future)
+            if not done:
+                service.wake.wait(POLL_S)
+    for future, mine in running.items():
+        _settle(service, connection, mine, future)
 
 
-def drain(service: Service) -> int:
-    """Score all that waits, and return how many that was."""
-    stop, count = threading.Event(), 0
-    while (mine := claim(service)) is not None:
-        score(service, mine, stop)
-        count += 1
-    return count
+def _settle(service: Service, connection: Connection, mine: Submission, future: Future[Ended]) -> None:
+    try:
+        outcome = outcome_of(service, mine, future.result(timeout=0))
+    except (Stopped, CancelledError, TimeoutError):
+        outcome = {"state": "queued"}
+    except Exception as error:  # of a worker: that it died again and again, cannot read the upload, is another version
+        outcome = outcome_of(service, mine, Ended(None, "crash", f"{type(error).__name__}: {error}"))
+    finish(service, connection, mine, **outcome)

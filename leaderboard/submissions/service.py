@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import logging.handlers
 import os
@@ -35,6 +34,7 @@ from oysterbench_leaderboard.submissions.database import (
     teams,
     utc,
 )
+from oysterbench_leaderboard.submissions.estimates import Estimates, Upload
 from oysterbench_leaderboard.submissions.rates import DAY_S, DailyReads, Sampler
 from oysterbench_leaderboard.submissions.refusals import SERVER_FAULTS, Refusal
 from oysterbench_leaderboard.submissions.settings import FILE, SubmissionSettings
@@ -54,21 +54,6 @@ class Form:
     summary: str = ""
 
 
-@dataclass(frozen=True)
-class Upload:
-    """What was received: a file in the private folder, with its SHA-256 and size."""
-
-    path: Path
-    digest: str
-    size: int
-
-
-def upload_of(path: Path) -> Upload:
-    """A file that is there."""
-    with open(path, "rb") as file:
-        return Upload(path, hashlib.file_digest(file, "sha256").hexdigest(), path.stat().st_size)
-
-
 class Service:
     """Everything a server of submissions does but talking HTTP.
 
@@ -85,8 +70,8 @@ class Service:
     ) -> None:
         self.settings, self.catalogue, self.store, self.changed, self.clock = settings, catalogue, store, changed, clock
         self.database = Database(settings)
-        self.incoming, self.estimates = settings.folder / "incoming", settings.folder / "estimates"
-        for folder in (self.incoming, self.estimates):
+        self.incoming, self.estimates = settings.folder / "incoming", Estimates(settings.place)
+        for folder in (self.incoming, settings.folder / "estimates"):
             folder.mkdir(exist_ok=True)
         self.scored = RecordStore(settings.folder / "scored")
         truths = {str(path.parent.resolve()) for one in catalogue.splits.values() for path in one.truth.values()}
@@ -130,7 +115,7 @@ class Service:
             raise Refusal(
                 "split", f"{form.split} has no truth on this server, which takes results alone: send the results.json"
             )
-        self._keep(upload)
+        self.estimates.keep(upload)
         return self._accept(team, form, upload, facts)
 
     def check_form(self, form: Form) -> tuple[Form, Wanted]:
@@ -165,17 +150,6 @@ class Service:
         of_split, _ = connection.execute(of_team.where(c.split == split)).one()
         if of_split >= self.settings.per_split:
             raise Refusal("quota", f"{of_split} submissions to {split} are all that a team has")
-
-    def _keep(self, upload: Upload) -> None:
-        """The file gets its name; it is on the disk before anything is said of it."""
-        with open(upload.path, "rb") as file:
-            os.fsync(file.fileno())
-        os.replace(upload.path, self.estimates / upload.digest)
-        folder = os.open(self.estimates, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
 
     def _accept(self, team: str, form: Form, upload: Upload, facts: dict[str, Any]) -> tuple[Submission, bool]:
         at_s = self.clock()
@@ -312,7 +286,7 @@ class Service:
                 return found
             reason = reason.strip() or "withdrawn by the team"
             notice = at if found.published else ""
-            change(connection, id, at, state="withdrawn", reason=reason, notice=notice, lease=0.0)
+            change(connection, id, at, state="withdrawn", reason=reason, notice=notice)
             log_event(connection, at, team, "withdrawn", id, reason)
         found = replace(found, state="withdrawn", reason=reason, notice=notice, updated=at)
         if notice:
@@ -349,7 +323,7 @@ class Service:
             except FileNotFoundError:
                 pass
 
-    # Scoring, for the workers:
+    # Scoring, for the dispatcher:
 
     def build(self, submission: Submission, answer: dict[str, Any]) -> Record:
         """The record of what the sandbox has answered, as the board would read it. Raises ResultError."""

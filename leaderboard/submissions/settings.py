@@ -26,6 +26,8 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     folder:             private: the database, estimates, records that are not published, the log. Never served
     database:           SQLAlchemy URL; empty for SQLite in `folder`
+    estimates:          what was sent: a folder, or a URL of a store that fsspec knows (s3://bucket/estimates); empty
+                        for `estimates` in `folder`
     file_bytes, upload_bytes: of one file (also inside an archive), and of a whole submission
     results_bytes:      of a results.json
     entries:            files in an archive, those of its .npz files included
@@ -37,8 +39,8 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     per_day, per_split: submissions that are accepted of a team in 24 hours, and of a team on one split in all
     uploads_at_once, checks_at_once: of all clients; uploads_of_team, uploads_of_address: of one
     idle_s:             after which a client that sends nothing is sent away; upload_s: an upload takes at most
-    workers:            submissions scored at once
-    lease_s:            a worker that is not heard of for so long has died, and another one takes over
+    workers:            submissions scored at once, where no cluster does it
+    scheduler:          address of the Dask scheduler whose workers score; empty for this machine
     check_wall_s, check_cpu_s, score_wall_s, score_cpu_s: of the sandbox
     check_memory_bytes, memory_bytes: address space of the sandbox, for reading what was sent and for scoring it
     needs_namespaces:   whether to refuse to start where the sandbox can have none of its own, instead of doing without
@@ -50,6 +52,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     folder: Path
     database: str = ""
+    estimates: str = ""
     file_bytes: Count = 64 * MB
     upload_bytes: Count = 256 * MB
     results_bytes: Count = 4 * MB
@@ -67,7 +70,7 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     idle_s: Seconds = 30.0
     upload_s: Seconds = 3600.0
     workers: Count = 1
-    lease_s: Seconds = 30.0
+    scheduler: str = ""
     check_wall_s: Seconds = 120.0
     check_cpu_s: Count = 90
     score_wall_s: Seconds = 1800.0
@@ -89,6 +92,11 @@ class SubmissionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         if not self.database:
             return f"sqlite:///{self.folder / 'submissions.sqlite'}"
         return re.sub(r"^postgres(ql)?://", "postgresql+psycopg://", self.database)
+
+    @property
+    def place(self) -> str:
+        """Of what was sent: as absolute as `folder`, or a URL."""
+        return self.estimates if "://" in self.estimates else str(self.folder / (self.estimates or "estimates"))
 
     @property
     def limits(self) -> Limits:

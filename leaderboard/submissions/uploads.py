@@ -19,8 +19,8 @@ from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
 from oysterbench_leaderboard.submissions.archive import is_zip, pack
+from oysterbench_leaderboard.submissions.estimates import Upload, upload_of
 from oysterbench_leaderboard.submissions.refusals import Refusal
-from oysterbench_leaderboard.submissions.service import Upload, upload_of
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
 KINDS = {

@@ -1,4 +1,4 @@
-"""What a site that takes submissions has beside its pages: routes to be mounted, and workers to be started."""
+"""What a site that takes submissions has beside its pages: routes to be mounted, and a dispatcher to be started."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from oysterbench_leaderboard.submissions.api import routes as api_routes
 from oysterbench_leaderboard.submissions.auth import Auth
 from oysterbench_leaderboard.submissions.catalogue import served_splits
 from oysterbench_leaderboard.submissions.form import NEW, TEMPLATES, WebForm
-from oysterbench_leaderboard.submissions.queue import Workers
+from oysterbench_leaderboard.submissions.queue import Dispatcher
 from oysterbench_leaderboard.submissions.service import Service
 from oysterbench_leaderboard.submissions.settings import load_settings
 
@@ -29,10 +29,10 @@ class Submissions:
     Requests reach it with all their bytes still to come: no middleware may read bodies before it.
     """
 
-    def __init__(self, service: Service, links: Links, workers: int | None = None) -> None:
+    def __init__(self, service: Service, links: Links, workers: int | None = None, scheduler: str = "") -> None:
         self.service = service
         self._links = links
-        self._workers = workers
+        self._dispatcher = Dispatcher(service, workers, scheduler)
 
     @property
     def form(self) -> str:
@@ -57,12 +57,11 @@ class Submissions:
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
         """Score what is queued. When it ends, what is being scored goes back into the queue."""
-        workers = Workers(self.service, self._workers)
-        workers.start()
+        self._dispatcher.start()
         try:
             yield
         finally:
-            await run_in_threadpool(workers.stop)
+            await run_in_threadpool(self._dispatcher.stop)
             self.service.close()
 
 

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from oysterbench.core.cluster import Results
 from oysterbench.core.errors import MethodError, RecipeError
 from oysterbench.core.files import write_atomically
 from oysterbench.evaluate.steering import EVALUATOR, RolloutLog, score_rollout
@@ -37,7 +38,7 @@ from oysterbench.results.comparison import boards
 from oysterbench.results.records import ResultRecord
 from oysterbench.simulation.generate import PROGRAM, digest
 from oysterbench.simulation.salt import Salt
-from oysterbench.simulation.scheduling import Results, run_here, run_in_processes
+from oysterbench.simulation.scheduling import run_here, run_in_processes
 from oysterbench.tracks.track import Evaluation, about_sequence
 
 TRACK = "exploration"

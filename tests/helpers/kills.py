@@ -57,7 +57,7 @@ def run(folder: Path, kills: int, seed: int = 1) -> Outcome:
 
     The moments are random over the time that a start and the life of a submission take here, as a first server shows.
     """
-    token = lay(folder, lease_s=1.5)["reef lab"]
+    token = lay(folder)["reef lab"]
     rng = stream(seed, b"", "kills")
     server, outcome, enough = Server(folder), Outcome(), threading.Event()
     longest_s = _life(server, folder, token, outcome)
@@ -162,20 +162,20 @@ def _look(folder: Path, outcome: Outcome) -> None:
         outcome.scored[one.id] = done[one.id]
         outcome.records[one.id] = one.record
         outcome.attempts += one.attempt
-        outcome.again[one.id] = _scored_again(service, one)
+        outcome.again[one.id] = scored_again(service, one)
     outcome.board = service.store.digests()
     outcome.published = sorted(one.published for one in found if one.published)
     service.close()
 
 
-def _scored_again(service: Any, one: Submission) -> str:
+def scored_again(service: Any, one: Submission) -> str:
     """Digest of the record that scoring a submission once more gives, in this process."""
     served = service.catalogue.splits[one.split]
     wanted = served.wanted[one.track]
     truth = {name: str(path) for name, path in served.truth.items()}
-    path = str(service.estimates / one.digest)
-    job = sandbox.Job(path, wanted, service.settings.limits, (), truth, one.method, one.created)
-    return service.build(one, sandbox_worker.do(job)).digest
+    with service.estimates.opened(one.digest) as path:
+        job = sandbox.Job(str(path), wanted, service.settings.limits, (), truth, one.method, one.created)
+        return service.build(one, sandbox_worker.do(job)).digest
 
 
 def check(outcome: Outcome, kills: int) -> None:

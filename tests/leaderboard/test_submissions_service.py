@@ -5,21 +5,22 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
-import threading
 from contextlib import AsyncExitStack
 from dataclasses import replace
 
 import msgspec
 import pytest
+from sqlalchemy.exc import OperationalError
 
 from oysterbench_leaderboard.submissions import queue, sandbox, sandbox_worker
 from oysterbench_leaderboard.submissions.auth import Auth
 from oysterbench_leaderboard.submissions.database import Database, find, log, submissions
+from oysterbench_leaderboard.submissions.estimates import upload_of
 from oysterbench_leaderboard.submissions.rates import DailyReads
 from oysterbench_leaderboard.submissions.refusals import FAILED, Refusal
-from oysterbench_leaderboard.submissions.service import Form, upload_of
+from oysterbench_leaderboard.submissions.service import Form
 from oysterbench_leaderboard.submissions.tokens import issue
-from tests.helpers.served import FAST, answers, lay_split, make_service
+from tests.helpers.served import FAST, answers, drain, lay_split, make_service
 
 FORM = Form("carp", "pool-test")
 
@@ -89,7 +90,7 @@ def test_the_same_bytes_for_the_same_place_are_one_submission(service, tmp_path)
     _, new = send(service, tmp_path, team="others")
     assert new
     assert len(events(service, "queued")) == 3
-    assert len(list(service.estimates.iterdir())) == 1, "kept once"
+    assert len(list((service.settings.folder / "estimates").iterdir())) == 1, "kept once"
 
 
 def test_quotas_count_what_was_accepted_in_a_day_and_on_a_split(service, tmp_path):
@@ -117,8 +118,8 @@ def test_quotas_count_what_was_accepted_in_a_day_and_on_a_split(service, tmp_pat
 
 def test_what_is_queued_is_scored_once_and_stays_private(service, tmp_path):
     made, _ = send(service, tmp_path)
-    assert queue.drain(service) == 1
-    assert queue.drain(service) == 0
+    assert drain(service) == 1
+    assert drain(service) == 0
     found = service.get("reef lab", made.id)
     assert (found.state, found.attempt, found.reason) == ("done", 1, "")
     record = service.record(found)
@@ -133,44 +134,43 @@ def test_what_is_queued_is_scored_once_and_stays_private(service, tmp_path):
 
 
 def test_a_second_scoring_gives_the_same_bytes(service, tmp_path):
-    send(service, tmp_path)
-    mine = queue.claim(service)
-    queue.score(service, mine, threading.Event())
-    first = service.get("reef lab", mine.id).record
-    with service.database.writing() as connection:
-        queue.change(connection, mine.id, service.now(), state="queued")
-    service.clock.now += 1000
-    queue.drain(service)
-    assert service.get("reef lab", mine.id).record == first
-
-
-def test_a_worker_that_is_not_heard_of_is_replaced_and_comes_back_too_late(service, tmp_path):
     made, _ = send(service, tmp_path)
-    lost = queue.claim(service)
-    assert queue.claim(service) is None, "it is somebody's"
-    service.clock.now += FAST["lease_s"] / 2
-    assert queue.renew(service, lost)
-    service.clock.now += FAST["lease_s"] - 0.1
-    assert queue.claim(service) is None, "the lease was renewed"
-    service.clock.now += 0.2
-    other = queue.claim(service)
-    assert (other.id, other.attempt) == (made.id, 2)
-    assert not queue.renew(service, lost)
-    assert not queue.finish(service, lost, "done", record="0" * 64)
+    drain(service)
+    first = service.get("reef lab", made.id).record
+    with service.database.writing() as connection:
+        queue.change(connection, made.id, service.now(), state="queued")
+    service.clock.now += 1000
+    drain(service)
+    assert service.get("reef lab", made.id).record == first
+
+
+def test_one_server_dispatches_and_another_one_takes_over_what_it_had_begun(service, tmp_path):
+    made, _ = send(service, tmp_path)
+    with service.database.alone() as first:
+        lost = queue.claim(service, first)
+        other = make_service(tmp_path, **FAST)
+        with other.database.alone() as second:
+            assert second is None, "while the first one lives"
     assert service.get("reef lab", made.id).state == "running"
-    assert queue.finish(service, other, "failed", reason="x")
-    assert not queue.finish(service, other, "done", record="0" * 64)
-    assert len(events(service, "done")) == 0
-    assert len(events(service, "failed")) == 1
+    with other.database.alone() as second:
+        queue.recover(other, second)
+        mine = queue.claim(other, second)
+        assert (mine.id, mine.attempt) == (made.id, 2)
+        assert not queue.finish(service, second, lost, "done", record="0" * 64), "too late"
+        assert queue.finish(other, second, mine, "failed", reason="x")
+        assert not queue.finish(other, second, mine, "done", record="0" * 64), "twice"
+    assert [len(events(service, what)) for what in ("done", "failed")] == [0, 1]
+    other.close()
 
 
 def test_what_was_begun_most_often_comes_last(service, tmp_path):
     first, _ = send(service, tmp_path, 1)
-    queue.claim(service)
-    service.clock.now += 100
-    second, _ = send(service, tmp_path, 2)
-    assert queue.claim(service).id == second.id
-    assert queue.claim(service).id == first.id
+    with service.database.alone() as connection:
+        queue.claim(service, connection)
+        queue.recover(service, connection)
+        service.clock.now += 100
+        second, _ = send(service, tmp_path, 2)
+        assert [queue.claim(service, connection).id for _ in range(2)] == [second.id, first.id]
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_a_scoring_without_an_answer_fails_with_a_sentence_of_the_list(service, 
     message = "Traceback: truth at /secret/place is 1.234"
     made, _ = send(service, tmp_path)
     monkeypatch.setattr(sandbox, "run", lambda *args: sandbox.Ended(None, cause, message))
-    tries = queue.drain(service)
+    tries = drain(service)
     found = service.get("reef lab", made.id)
     assert found.state == "failed"
     assert reason in found.reason
@@ -195,12 +195,12 @@ def test_what_failed_by_the_servers_fault_may_be_sent_again_after_an_hour(servic
     made, _ = send(service, tmp_path)
     with monkeypatch.context() as broken:
         broken.setattr(sandbox, "run", lambda *args: sandbox.Ended(None, "crash", ""))
-        queue.drain(service)
+        drain(service)
     assert send(service, tmp_path) == (service.get("reef lab", made.id), False)
     service.clock.now += 3601
     again, taken = send(service, tmp_path)
     assert (again.id, again.state, taken) == (made.id, "queued", True)
-    assert queue.drain(service) == 1
+    assert drain(service) == 1
     assert service.get("reef lab", made.id).state == "done"
 
 
@@ -208,7 +208,7 @@ def test_what_failed_by_its_own_fault_stays_so(service, tmp_path, monkeypatch):
     made, _ = send(service, tmp_path)
     with monkeypatch.context() as slow:
         slow.setattr(sandbox, "run", lambda *args: sandbox.Ended(None, "time", ""))
-        queue.drain(service)
+        drain(service)
     service.clock.now += 7200
     assert send(service, tmp_path) == (service.get("reef lab", made.id), False)
 
@@ -223,7 +223,7 @@ def test_nothing_that_can_be_scored_is_a_failure(service, tmp_path):
     file = service.incoming / "late"
     file.write_bytes(zipped(late))
     made, _ = service.submit("reef lab", FORM, upload_of(file))
-    queue.drain(service)
+    drain(service)
     found = service.get("reef lab", made.id)
     assert found.state == "failed"
     assert found.reason.startswith("no sequence could be scored; pool-01: the path is refused: it has no pose at")
@@ -234,7 +234,7 @@ def test_nothing_that_can_be_scored_is_a_failure(service, tmp_path):
 
 def done(service, tmp_path, case=0, **form):
     made, _ = send(service, tmp_path, case, replace(FORM, **form))
-    queue.drain(service)
+    drain(service)
     return made.id
 
 
@@ -294,11 +294,15 @@ def test_a_withdrawal_is_announced_and_logged(service, tmp_path):
         service.publish("reef lab", found.id)
 
 
-def test_what_is_withdrawn_while_it_is_scored_stays_withdrawn(service, tmp_path):
+def test_what_is_withdrawn_while_it_is_scored_stays_withdrawn(service, tmp_path, monkeypatch):
     made, _ = send(service, tmp_path)
-    mine = queue.claim(service)
-    service.withdraw("reef lab", made.id)
-    queue.score(service, mine, threading.Event())
+
+    def withdrawn_meanwhile(job, *args):
+        service.withdraw("reef lab", made.id)
+        return sandbox.Ended(sandbox_worker.do(job), "", "")
+
+    monkeypatch.setattr(sandbox, "run", withdrawn_meanwhile)
+    drain(service)
     assert service.get("reef lab", made.id).state == "withdrawn"
     assert service.store.status_changes() == []
 
@@ -322,10 +326,10 @@ def test_a_file_without_a_submission_is_no_harm(service, tmp_path):
     """A crash after the file was kept, before it was counted: the sender has no answer, and sends it again."""
     file = service.incoming / "x"
     file.write_bytes(answers(tmp_path))
-    service._keep(upload_of(file))
+    service.estimates.keep(upload_of(file))
     made, new = send(service, tmp_path)
     assert new
-    assert queue.drain(service) == 1
+    assert drain(service) == 1
     assert service.get("reef lab", made.id).state == "done"
 
 
@@ -344,20 +348,23 @@ def test_the_database_keeps_what_it_has_said(service, tmp_path):
 
 
 def test_two_hosts_share_a_queue_in_postgresql(laid, tmp_path, here, postgres):
-    """Each of two servers, with two workers, takes what the other one has not: nothing is scored twice."""
+    """What either of them takes in, the one that dispatches scores, once; where its connection breaks, the other."""
     shutil.copytree(laid / "splits", tmp_path / "splits")
     hosts = [make_service(tmp_path, database=postgres.replace("+psycopg", ""), **FAST) for _ in range(2)]
     issue(hosts[0].database, "reef lab")
     made = [send(hosts[k % 2], tmp_path, k)[0].id for k in range(6)]
     assert send(hosts[1], tmp_path, 0) == (hosts[1].get("reef lab", made[0]), False)
-    workers = [threading.Thread(target=queue.drain, args=(host,)) for host in hosts for _ in range(2)]
-    for worker in workers:
-        worker.start()
-    for worker in workers:
-        worker.join()
+    with hosts[0].database.alone() as first:
+        begun = queue.claim(hosts[0], first)
+        with hosts[1].database.alone() as second:
+            assert second is None
+        first.connection.dbapi_connection.close()
+        assert drain(hosts[1]) == 6
+        with pytest.raises(OperationalError):
+            queue.finish(hosts[0], first, begun, "failed", reason="x")
     found = hosts[0].of_team("reef lab")
     assert sorted(one.id for one in found) == sorted(made)
-    assert {(one.state, one.attempt) for one in found} == {("done", 1)}
+    assert {(one.state, one.attempt) for one in found} == {("done", 1 + (one.id == begun.id)) for one in found}
     assert sorted(event["submission"] for event in events(hosts[1], "done")) == sorted(made)
     published = hosts[1].publish("reef lab", made[0]).published
     assert hosts[0].store.digests() == [published]

@@ -9,16 +9,17 @@ import pytest
 
 from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.store import RecordStore
-from oysterbench_leaderboard.submissions import namespaces, queue
-from oysterbench_leaderboard.submissions.service import Form, upload_of
+from oysterbench_leaderboard.submissions import namespaces
+from oysterbench_leaderboard.submissions.estimates import upload_of
+from oysterbench_leaderboard.submissions.service import Form
 from oysterbench_leaderboard.submissions.settings import load_settings
 from oysterbench_leaderboard.submissions.tokens import issue
 from oysterbench_leaderboard.submissions.web import open_service
-from tests.helpers.served import answers, lay_split, make_service
+from tests.helpers.served import answers, drain, lay_split, make_service
 
 
 def test_settings_come_from_the_private_folder(tmp_path):
-    (tmp_path / "settings.toml").write_text("per_day = 3\nlease_s = 5\n")
+    (tmp_path / "settings.toml").write_text("per_day = 3\nworkers = 5\n")
     assert load_settings(tmp_path).per_day == 3
     wrong = {
         "per_dya = 3": "unknown field `per_dya`; known keys: database",
@@ -42,7 +43,7 @@ def test_folders_may_be_given_as_seen_from_here(tmp_path, monkeypatch):
         file = service.incoming / "sent"
         file.write_bytes(answers(tmp_path, 0))
         made, _ = service.submit("reef lab", Form("carp", "pool-test"), upload_of(file))
-        queue.drain(service)
+        drain(service)
         assert service.get("reef lab", made.id).state == "done"
     finally:
         service.close()
