@@ -11,6 +11,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import ResultError
+from oysterbench_leaderboard.options import find_place
 
 FOLDER = click.option(
     "--submissions",
@@ -83,6 +84,7 @@ def submissions() -> None:
       oysterbench leaderboard submissions list --submissions /srv/oysters --state failed
       oysterbench leaderboard submissions log --submissions /srv/oysters
       oysterbench leaderboard submissions retry 1a2b3c4d5e6f7081 --submissions /srv/oysters
+      oysterbench leaderboard --board /srv/board submissions backup oysters.tar --submissions /srv/oysters
     """
 
 
@@ -146,6 +148,51 @@ def retry(id: str, folder: Path, as_json: bool) -> None:
             )
         database.log_event(connection, at, "operator", "queued", id, "tried again")
     echo(json.dumps({"id": id, "state": "queued"}) if as_json else f"{id}: queued")
+
+
+@submissions.command("backup", short_help="All of a server in one file, while it runs.")
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@FOLDER
+@AS_JSON
+@click.pass_context
+def backup_command(context: click.Context, file: Path, folder: Path, as_json: bool) -> None:
+    """Write database, estimates and records into a file that only its owner can read; the server may run meanwhile.
+    With `leaderboard --board DIR` or OYSTERBENCH_BOARD the records of the board come along.
+
+    \b
+    Examples:
+      oysterbench leaderboard --board /srv/board submissions backup /backup/monday.tar --submissions /srv/oysters
+    """
+    from oysterbench_leaderboard.submissions.backup import backup
+    from oysterbench_leaderboard.submissions.settings import load_settings
+
+    if not folder.is_dir():
+        raise ResultError(f"--submissions {folder}: no such folder")
+    _show_backup(file, backup(load_settings(folder), file, find_place(context).folder), as_json)
+
+
+@submissions.command("restore", short_help="A server from such a file, into an empty folder.")
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@FOLDER
+@AS_JSON
+@click.pass_context
+def restore_command(context: click.Context, file: Path, folder: Path, as_json: bool) -> None:
+    """Make the private folder and its database of a backup, and with `leaderboard --board DIR` or OYSTERBENCH_BOARD the
+    board's folder, too. They must be empty; a settings.toml that is there already counts, so that another database may
+    be named. What was being scored at that time is scored again.
+
+    \b
+    Examples:
+      oysterbench leaderboard --board /srv/board submissions restore /backup/monday.tar --submissions /srv/oysters
+    """
+    from oysterbench_leaderboard.submissions.backup import restore
+
+    _show_backup(file, restore(file, folder, find_place(context).folder), as_json)
+
+
+def _show_backup(file: Path, made: Any, as_json: bool) -> None:
+    rows = ", ".join(f"{count} {name}" for name, count in made.rows.items())
+    echo(json.dumps(asdict(made)) if as_json else f"{file}: {rows}; {made.files} files")
 
 
 def _database(folder: Path, must_exist: bool = False) -> Any:

@@ -29,9 +29,9 @@ def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
 
 
 @contextlib.contextmanager
-def appearing(path: str | os.PathLike[str], prefix: str | None = None) -> Iterator[IO[bytes]]:
+def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int = 0o644) -> Iterator[IO[bytes]]:
     """A file to write, which appears under its name, synced, when the block ends well, and leaves nothing when it does
-    not. prefix: of the name that it has until then."""
+    not. prefix: of the name that it has until then; mode: who may read it then."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=prefix or f".{path.name}.")
@@ -40,7 +40,7 @@ def appearing(path: str | os.PathLike[str], prefix: str | None = None) -> Iterat
             yield file
             file.flush()
             os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
+        os.chmod(temporary, mode)
         os.replace(temporary, path)
     except BaseException:
         os.unlink(temporary)
