@@ -19,6 +19,7 @@ from oysterbench.results.plausible import check_plausible
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key, read_results
 from oysterbench.results.standings import PRIMARY
 from oysterbench_leaderboard.curves import curves_document, sequence_curve
+from oysterbench_leaderboard.hidden import discreet, is_hidden
 from oysterbench_leaderboard.record import Record, Tier
 from oysterbench_leaderboard.store import RecordStore
 
@@ -50,8 +51,8 @@ def records_of(path: Path, by: Attribution, notify: Notify = lambda text: None) 
     """The records of a results.json, or of a folder that holds one, each with the curves to be drawn, if any.
 
     One for each method and split, in the order of their first appearance. Paths are those that `oysterbench run` left
-    beside the results; of hidden splits there are none. Raises ResultError, in one line, where results are of no split,
-    or a method has some that may not be averaged.
+    beside the results; of hidden splits there are none, and few metrics (`hidden.discreet`). Raises ResultError, in one
+    line, where results are of no split, or a method has some that may not be averaged.
     """
     path = path / "results.json" if path.is_dir() else path
     results = read_results(path)
@@ -67,7 +68,10 @@ def records_of(path: Path, by: Attribution, notify: Notify = lambda text: None) 
         known = _recipe(split, group[0], notify)
         if known is not None:
             _check_sequences(path, method, group, known, notify)
-        curves = _curves(path.parent, method, group, notify) if known is not None and not known.hidden else None
+        hidden, data_set = is_hidden(split), data_sets.get(method)
+        curves = _curves(path.parent, method, group, notify) if known is not None and not hidden else None
+        if hidden:
+            group, data_set = discreet(group, data_set)
         record = Record(
             method=method,
             team=by.team,
@@ -75,7 +79,7 @@ def records_of(path: Path, by: Attribution, notify: Notify = lambda text: None) 
             results=tuple(without_places(result) for result in group),
             url=by.url,
             summary=by.summary,
-            data_set=data_sets.get(method),
+            data_set=data_set,
             manifest=_manifest(known),
             reason=by.reason,
             created=max(result.created for result in group),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import msgspec
@@ -78,8 +79,17 @@ def summarise_record(record: Record) -> RecordSummary:
 
 
 def column_means(record: Record) -> dict[str, float | None]:
-    """Means of `COLUMNS` over the record's own sequences, weighed where the metric is; None where there is none."""
-    means = {key: mean_over_sequences(*_weighed_sample(record.results, key)) for key in COLUMNS[record.track]}
+    """Means of `COLUMNS` over the record's own sequences; None where there is none. Records on hidden splits know the
+    means alone."""
+    known: Any = (record.data_set or {}).get("means")
+    if isinstance(known, dict):
+        return {key: known.get(key) for key in COLUMNS[record.track]}
+    return means_over_sequences(record.results, COLUMNS[record.track])
+
+
+def means_over_sequences(results: Sequence[ResultRecord], keys: Iterable[str]) -> dict[str, float | None]:
+    """Means of metrics over the sequences that have them, weighed where the metric is; None where there is none."""
+    means = {key: mean_over_sequences(*_weighed_sample(results, key)) for key in keys}
     return {key: None if math.isnan(mean) else mean for key, mean in means.items()}
 
 
@@ -90,7 +100,7 @@ def data_set_value(record: Record) -> float | None:
     return float(value) if isinstance(value, int | float) else None
 
 
-def _weighed_sample(results: tuple[ResultRecord, ...], key: str) -> tuple[Sample, Sample | None]:
+def _weighed_sample(results: Sequence[ResultRecord], key: str) -> tuple[Sample, Sample | None]:
     """Values of a metric by sequence, and their weights where it has some. A sequence with a failed run that knows no
     weight is left out: what it weighs where nothing is predicted is the board's to know."""
     values, weight = samples(results, key), _weight(key)

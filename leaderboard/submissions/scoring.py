@@ -1,13 +1,11 @@
 """Scoring predictions against the truth: what the sandbox does that sees the truth.
 
 What leaves it are metrics, and sentences out of a closed list: no message that was made with the truth in sight. Of a
-hidden split the metrics that describe the truth itself are left out, and the others are rounded, as a hundred exact
-errors of chosen estimates would tell where the truth lies.
+hidden split few metrics leave, and coarsely (`hidden.discreet`).
 """
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +15,7 @@ from typing import Any
 from oysterbench.core.errors import LabelError, MethodError, TrajectoryError
 from oysterbench.results.records import ResultRecord, plain
 from oysterbench.tracks import TRACKS
+from oysterbench_leaderboard.hidden import discreet
 from oysterbench_leaderboard.submissions.catalogue import SCORED, Kind, Wanted, why
 from oysterbench_leaderboard.submissions.predictions import Predictions, Reader, image_track
 from oysterbench_leaderboard.submissions.refusals import Refusal
@@ -28,7 +27,6 @@ NOT_SCORED: dict[Kind, str] = {
     "predictions": "the predictions cannot be held against the truth; `oysterbench eval` on a public split says why",
     "commands": "the commands cannot be held against the truth",
 }
-NO_VALUE = "has no value for this estimate on this sequence"
 
 CAUSES = {
     "time-unit": "its stamps are in another unit than seconds or nanoseconds, as the layout of the file has them",
@@ -43,12 +41,6 @@ CAUSES = {
 
 READ_AS = "it was read so that {} no longer holds"
 """Of a path that can be meant in one sense only."""
-
-OF_TRUTH = ("path_length_m", "cover", "count_truth", "density_truth_per_m2")
-"""Metrics that say nothing of the estimate, and are left out of results on hidden splits."""
-
-DIGITS = 4
-"""Significant digits of metrics on hidden splits."""
 
 
 def evaluator(track: str) -> tuple[str, dict[str, Any]]:
@@ -138,7 +130,8 @@ def score_predictions(
     scored = scorer.whole(tuple(results))
     if not wanted.hidden:
         return scored
-    return Scored(tuple(_discreet(record) for record in scored.results), _rounded(scored.data_set))
+    told, over_split = discreet(scored.results, scored.data_set)
+    return Scored(tuple(told), over_split)
 
 
 def _reported(results: Sequence[ResultRecord], wanted: Wanted, truth: Mapping[str, Path], method: str) -> Scored:
@@ -277,35 +270,3 @@ SCORERS: dict[Kind, type[Scorer]] = {
     "commands": CommandScorer,
 }
 """Kind of predictions -> what scores them."""
-
-
-# What leaves of a hidden split:
-
-
-def _discreet(record: ResultRecord) -> ResultRecord:
-    """With the metrics that speak of the estimate, rounded, and no sentence that was made in sight of the truth."""
-    metrics = {key: significant(value) for key, value in record.metrics.items() if key not in OF_TRUTH}
-    reasons = {key: NO_VALUE for key, value in metrics.items() if math.isnan(value)}
-    return replace(record, metrics=metrics, reasons=reasons)
-
-
-def significant(value: float) -> float:
-    """A number to DIGITS significant digits; whole numbers, such as counts, as they are."""
-    if not math.isfinite(value) or value == 0 or float(value).is_integer():
-        return float(value)
-    return float(f"{value:.{DIGITS}g}")
-
-
-def _rounded(value: Any) -> Any:
-    """The same of what is known over all sequences together."""
-    if not isinstance(value, dict):
-        return value
-    metrics = {k: None if v is None else significant(v) for k, v in value["metrics"].items() if k not in OF_TRUTH}
-    intervals = {
-        key: {k: significant(v) if isinstance(v, float) else None for k, v in found.items() if k != "reason"}
-        | {"reason": NO_VALUE if found["reason"] else ""}
-        for key, found in value["intervals"].items()
-        if key not in OF_TRUTH
-    }
-    reasons = {key: NO_VALUE for key, number in metrics.items() if number is None}
-    return {**value, "metrics": metrics, "reasons": reasons, "intervals": intervals}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
@@ -27,6 +27,8 @@ from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
 from oysterbench_leaderboard.tables import DATA_SET, has_data_set
+
+HIDDEN = "The split is hidden: of most metrics the mean alone is told, and by sequence in steps, if at all."
 
 LEADERS = 3
 """First records of the board that every record may be compared with; its neighbours are offered, too."""
@@ -162,6 +164,8 @@ def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping
     once."""
     track = results[0].track
     keys = dict.fromkeys(column.key for column in (*OF_TRACK[track], *STANDING_OF_TRACK[track]))
+    known = data_set or {}
+    whole = known.get("metrics")
     columns = (
         Column("metric", "Metric"),
         Column("unit", "Unit"),
@@ -169,21 +173,24 @@ def metrics_table(results: Sequence[ResultRecord], title: str, data_set: Mapping
         Column("interval", "Interval", numbers.LEVEL, "interval"),
         Column("spread", "Sequences", "from, to", "interval"),
         Column("sequences", "Sequences", "with a value", "number"),
-        Column("data_set", "Data set", "all at once", "number", hidden=not data_set),
-        Column("data_set_interval", "Interval", numbers.LEVEL, "interval", hidden=not data_set),
+        Column("data_set", "Data set", "all at once", "number", hidden=not whole),
+        Column("data_set_interval", "Interval", numbers.LEVEL, "interval", hidden=not whole),
         Column("key", hidden=True),
     )
-    known = data_set or {}
     of = MethodRuns(results[0].method, tuple(results))
     lines = []
     for key in keys:
-        if not any(key in result.metrics for result in results):
+        by_sequence, mean = any(key in result.metrics for result in results), _number(known.get("means"), key)
+        if not by_sequence and mean is None:
             continue
         summary = of.summary(key, [result.sequence for result in results])
-        at_once = _number(known.get("metrics"), key), _interval(known.get("intervals"), key)
+        if mean is not None and not by_sequence:
+            summary = replace(summary, mean=mean)
+        at_once = _number(whole, key), _interval(known.get("intervals"), key)
         lines.append(TableRow(_summary_cells(key, summary, *at_once)))
-    notes = (DATA_SET.format("A record"),) if data_set and not _weighed(results) else ()
-    return Table(title, columns, tuple(lines), notes, "metrics")
+    notes = [DATA_SET.format("A record")] if whole and not _weighed(results) else []
+    notes += [HIDDEN] if "means" in known else []
+    return Table(title, columns, tuple(lines), tuple(notes), "metrics")
 
 
 def _weighed(results: Sequence[ResultRecord]) -> bool:

@@ -1,0 +1,153 @@
+"""What is told of a hidden split: few numbers, in steps, and enough to rank by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from oysterbench.evaluate.metrics import TRACKS
+from oysterbench.results.plausible import check_plausible
+from oysterbench.results.records import ResultRecord, write_results
+from oysterbench_leaderboard.hidden import COSTS, STEP, discreet
+from oysterbench_leaderboard.publishing import Attribution, records_of
+from oysterbench_leaderboard.record import Record
+from oysterbench_leaderboard.record_summary import COLUMNS, column_means, data_set_value, summarise_record
+from oysterbench_leaderboard.site.pages.record import metrics_table
+from oysterbench_leaderboard.submissions.catalogue import SCORED
+from oysterbench_leaderboard.submissions.scoring import score_predictions
+from tests.helpers.records_made import record_made
+from tests.helpers.served import NAMES, answers, classes, image_names, zipped
+from tests.helpers.submissions_read import npz, opened, wanted_of
+
+BY_SEQUENCE = {
+    "slam": {"score", "coverage"},
+    "segmentation": {"iou", "union_px", "truth_px"},
+    "detection": {"ap_mask"},
+    "steering": {"skill"},
+}
+"""Track -> all that may be told of a sequence."""
+
+
+def predicted(track: str, folder) -> bytes:
+    """Answers of a middling method to all sequences of a split of the track."""
+    if track == "slam":
+        return answers(folder, sigma_m=0.05)
+    if track == "steering":
+        head = "stamp_ns,yaw,pitch"
+        rows = {name: [f"{image.rpartition('/')[2]},1,2" for image in image_names(k)] for k, name in enumerate(NAMES)}
+        return zipped({f"{name}.csv": "\n".join([head, *lines]).encode() for name, lines in rows.items()})
+    instances = {name: classes(s, k)[1] for s in range(2) for k, name in enumerate(image_names(s))}
+    moved = {name: np.roll(found, 2, axis=1) for name, found in instances.items()}
+    return npz(**(moved if track == "detection" else {name: found > 0 for name, found in moved.items()}))
+
+
+@pytest.fixture
+def told(served, tmp_path):
+    """What is told of answers on the hidden split of a track."""
+
+    def told(track: str):
+        split = {"slam": "pool-test", "steering": "pool-steer"}.get(track, "pool-masks")
+        wanted = wanted_of(served, split, track)
+        predictions, _ = opened(tmp_path, predicted(track, tmp_path), wanted)
+        return score_predictions(predictions, wanted, served[split].truth, "carp", "2026-11-01T00:00:00Z")
+
+    return told
+
+
+def digits(value: float) -> int:
+    """Significant digits of a number."""
+    return len(np.format_float_positional(abs(value), trim="-").replace(".", "").strip("0"))
+
+
+@pytest.mark.parametrize("track", SCORED)
+def test_of_a_hidden_split_few_numbers_are_told_and_in_steps(told, track):
+    scored = told(track)
+    assert set(BY_SEQUENCE) == set(SCORED)
+    for result in scored.results:
+        assert result.failure is None
+        assert set(result.metrics) == BY_SEQUENCE[track]
+        for key, value in result.metrics.items():
+            if key.endswith("_px"):
+                assert digits(value) <= 3
+            else:
+                assert value == pytest.approx(STEP * round(value / STEP), abs=1e-9)
+        check_plausible(result)
+    assert scored.curves is None
+    assert set(scored.data_set) == {"method", "metrics", "means"}
+    assert set(scored.data_set["metrics"]) <= {TRACKS[track].ranking}
+    assert set(scored.data_set["means"]) == set(TRACKS[track].standing)
+    values = [*scored.data_set["metrics"].values(), *scored.data_set["means"].values()]
+    assert all(value is None or digits(value) <= 3 for value in values)
+    assert sum(value is not None for value in values) > 1
+
+
+@pytest.mark.parametrize("track", SCORED)
+def test_what_is_told_ranks_and_fills_the_columns_of_a_board(told, track):
+    scored = told(track)
+    record = Record(method="carp", team="t", tier="scored", results=scored.results, data_set=scored.data_set)
+    again = Record.from_dict(record.to_dict())
+    assert set(summarise_record(again).scores.values) == set(NAMES)
+    means = column_means(again)
+    assert set(means) == set(COLUMNS[track])
+    assert {key: means[key] for key in scored.data_set["means"]} == scored.data_set["means"]
+    shown = {row.cells[-1].value: row.cells[2].value for row in metrics_table(again.results, "x", again.data_set).rows}
+    assert {key: shown[key] for key, mean in means.items() if mean is not None and key != "coverage"} == {
+        key: mean for key, mean in means.items() if mean is not None and key != "coverage"
+    }
+    assert data_set_value(again) == scored.data_set["metrics"].get(TRACKS[track].ranking)
+
+
+def test_the_union_that_is_told_is_that_of_the_score_that_is_told():
+    """So that the estimate's author, who knows all else, learns nothing from it; and the mean stays that of all
+    pixels."""
+    rng = np.random.default_rng(3)
+    made = []
+    for k in range(40):
+        truth, estimate = rng.integers(1000, 90_000, 2).tolist()
+        both = min(truth, estimate) * rng.uniform(0.2, 0.95)
+        union = truth + estimate - both
+        metrics = {"iou": both / union, "union_px": union, "truth_px": truth, "estimate_px": estimate}
+        made.append(ResultRecord(track="segmentation", split="s", sequence=str(k), method="m", metrics=metrics))
+    seen, _ = discreet(made)
+    for result, exact in zip(seen, made, strict=True):
+        iou, truth = result.metrics["iou"], result.metrics["truth_px"]
+        follows = (truth + exact.metrics["estimate_px"]) / (1.0 + iou)
+        assert result.metrics["union_px"] == pytest.approx(follows, rel=0.006)
+        assert result.metrics["union_px"] == pytest.approx(exact.metrics["union_px"], rel=0.07)
+        assert digits(truth) <= 2
+
+    def whole(results: list[ResultRecord]) -> float:
+        weights = [result.metrics["union_px"] for result in results]
+        return float(np.average([result.metrics["iou"] for result in results], weights=weights))
+
+    assert whole(seen) == pytest.approx(whole(made), abs=0.005)
+
+
+def test_a_skill_far_below_chance_is_told_as_the_least():
+    result = ResultRecord(track="steering", split="s", sequence="a", method="m", metrics={"skill": -7.3, "yaw_cost": 1})
+    ((seen,), _) = discreet([result])
+    assert seen.metrics == {"skill": -1.0}
+
+
+def test_a_missing_value_keeps_no_reason_that_was_made_in_sight_of_the_truth():
+    metrics = {"ap_mask": math.nan, "wall_s": 2.34567}
+    result = ResultRecord(
+        track="detection", split="s", sequence="a", method="m", metrics=metrics, reasons={"ap_mask": "3 oysters"}
+    )
+    ((seen,), _) = discreet([result])
+    assert "oysters" not in seen.reasons["ap_mask"]
+    assert seen.metrics["wall_s"] == 2.34567, "what a run costs says nothing of the truth"
+    assert set(seen.metrics) == {"ap_mask", "wall_s"} <= {"ap_mask", *COSTS}
+
+
+def test_our_own_results_on_a_hidden_split_are_published_as_coarsely(tmp_path):
+    results = [replace(result, split="slam-test") for result in record_made().results]
+    write_results(tmp_path / "results.json", results)
+    ((record, curves),) = records_of(tmp_path, Attribution("x", "baseline"))
+    assert curves is None
+    for result in record.results:
+        assert set(result.metrics) <= BY_SEQUENCE["slam"] | set(COSTS)
+    assert set(record.data_set) == {"method", "metrics", "means"}
