@@ -77,7 +77,7 @@ def in_threads(count: int) -> Iterator[Engine]:
 def on_cluster(address: str) -> Iterator[Engine]:
     """The workers of a Dask scheduler, as many as there are at the time."""
     with connect(address) as client:
-        executor = client.get_executor(pure=False, retries=0)
+        executor = client.get_executor(pure=False)
         try:
             yield Engine(
                 executor,
