@@ -31,6 +31,7 @@ def _place(context: click.Context, folder: Path | None, url: str | None) -> Plac
     "--workers", type=click.IntRange(min=1), help="Submissions scored at once.  [default: as the folder says]"
 )
 @click.option("--scheduler", default="", metavar="ADDRESS", help="Score on the workers of a Dask scheduler instead.")
+@click.option("--metrics", default="", metavar="HOST:PORT", help="Where Prometheus may ask, with --submissions.")
 @click.option("--root", default="", help="Path that a proxy puts before our addresses, such as /board.")
 @PROXY
 @click.pass_context
@@ -44,6 +45,7 @@ def serve_command(
     truths: tuple[str, ...],
     workers: int | None,
     scheduler: str,
+    metrics: str,
     root: str,
     proxies: tuple[str, ...],
 ) -> None:
@@ -66,11 +68,13 @@ def serve_command(
 
     if truths and submissions is None:
         raise click.UsageError("--truth says what submissions are scored against: give --submissions, too")
+    if metrics and submissions is None:
+        raise click.UsageError("--metrics are of submissions: give --submissions, too")
     if scheduler and workers is not None:
         raise click.UsageError("--workers and --scheduler exclude each other: a cluster's workers are its own")
     if root and (not root.startswith("/") or root.endswith("/")):
         raise click.UsageError(f"--root: expected a path like /board, got {root!r}")
-    app = whole(_place(context, folder, url).index(), submissions, truths, workers, root, scheduler)
+    app = whole(_place(context, folder, url).index(), submissions, truths, workers, root, scheduler, metrics)
     if submissions is not None:
         from oysterbench_leaderboard.submissions.sandbox import in_force
 

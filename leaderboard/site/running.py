@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -73,16 +73,22 @@ def whole(
     workers: int | None = None,
     root: str = "",
     scheduler: str = "",
+    metrics: str = "",
 ) -> Starlette:
     """The application. submissions: private folder of a service that takes them, None for none; truths: SPLIT=FOLDER
     of what it scores against, with so many workers or on the cluster of a scheduler; root: what a proxy puts before our
-    addresses."""
+    addresses; metrics: HOST:PORT of what Prometheus may know, empty for none."""
     taken: Any = None
+    closing: list[Callable[[], None]] = []
     if submissions is not None:
         from oysterbench_leaderboard.submissions.web import Submissions, open_service
 
         service = open_service(submissions, truths, index.store, index.refresh)
         taken = Submissions(service, render.server_links(root), workers, scheduler)
+        if metrics:
+            from oysterbench_leaderboard.submissions.metrics import serve_metrics
+
+            closing.append(serve_metrics(service, metrics))
     app = application(site_of(index, taken.form if taken else ""), taken.routes() if taken else (), root)
 
     @asynccontextmanager
@@ -90,6 +96,8 @@ def whole(
         async with AsyncExitStack() as stack:
             if taken is not None:
                 await stack.enter_async_context(taken.running())
+            for close in closing:
+                stack.callback(close)
             await anyio.to_thread.run_sync(datasets.known)  # seconds, which no visitor should wait for
             task = asyncio.create_task(_keep_up(index))
             try:
