@@ -190,6 +190,8 @@ class Dispatcher:
                 with self.service.database.alone() as connection:
                     if connection is not None:
                         dispatch(self.service, connection, self._engine(), self._stop.is_set)
+            except OysterbenchError as error:
+                self.service.log.error("the dispatcher: %s", error)
             except Exception:  # of the database or the cluster, which may come back
                 self.service.log.exception("the dispatcher failed")
             self._stop.wait(POLL_S)

@@ -10,11 +10,12 @@ from typing import Any
 
 
 @contextmanager
-def two_workers() -> Iterator[Any]:
-    """Each with one thread, in a process of its own, and replaced where it dies."""
+def two_workers(port: int = 0) -> Iterator[Any]:
+    """Each with one thread, in a process of its own, and replaced where it dies. port: of the scheduler"""
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    options = {"scheduler_port": port, "dashboard_address": None}
+    with LocalCluster(n_workers=2, threads_per_worker=1, **options) as cluster:
         yield cluster
 
 

@@ -18,7 +18,7 @@ from oysterbench_leaderboard.submissions.service import Form
 from oysterbench_leaderboard.submissions.tokens import issue
 from tests.helpers.clusters import two_workers, workers_of
 from tests.helpers.kills import scored_again
-from tests.helpers.served import FAST, answers, lay_split, make_service
+from tests.helpers.served import FAST, answers, free_port, lay_split, make_service
 from tests.helpers.waiting import until
 
 
@@ -49,6 +49,22 @@ def scoring(cluster) -> int | None:
     return None
 
 
+def sent(service, folder, count: int) -> list[str]:
+    """So many submissions of a team."""
+    issue(service.database, "reef lab")
+    made = []
+    for case in range(count):
+        file = service.incoming / f"x{case}"
+        file.write_bytes(answers(folder, case))
+        made.append(service.submit("reef lab", Form("carp", "pool-test"), upload_of(file))[0].id)
+    return made
+
+
+def ended(service) -> bool:
+    """Whether nothing waits, nor is scored."""
+    return all(one.state not in ("queued", "running") for one in service.of_team("reef lab"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("where", ["folder", "s3"])
 def test_what_a_killed_worker_was_at_is_scored_once_by_another(where, request, tmp_path):
@@ -56,17 +72,12 @@ def test_what_a_killed_worker_was_at_is_scored_once_by_another(where, request, t
     place = request.getfixturevalue("s3") if where == "s3" else ""
     lay_split(tmp_path / "splits")
     with closing(make_service(tmp_path, estimates=place, **FAST)) as service, two_workers() as cluster:
-        issue(service.database, "reef lab")
-        made = []
-        for case in range(4):
-            file = service.incoming / f"x{case}"
-            file.write_bytes(answers(tmp_path, case))
-            made.append(service.submit("reef lab", Form("carp", "pool-test"), upload_of(file))[0].id)
+        made = sent(service, tmp_path, 4)
         dispatcher = queue.Dispatcher(service, scheduler=cluster.scheduler_address)
         dispatcher.start()
         until(lambda: scoring(cluster))
         os.kill(scoring(cluster), signal.SIGKILL)
-        until(lambda: all(one.state not in ("queued", "running") for one in service.of_team("reef lab")))
+        until(lambda: ended(service))
         dispatcher.stop()
         found = service.of_team("reef lab")
         assert {one.id: one.state for one in found} == dict.fromkeys(made, "done")
@@ -75,6 +86,26 @@ def test_what_a_killed_worker_was_at_is_scored_once_by_another(where, request, t
             assert sorted(e["submission"] for e in log(connection) if e["what"] == "done") == sorted(made)
         assert [one.record for one in found] == [scored_again(service, one) for one in found]
         assert bool(list((tmp_path / "private" / "estimates").iterdir())) == (where == "folder")
+
+
+@pytest.mark.slow
+def test_what_a_lost_scheduler_was_at_is_scored_when_it_is_back(tmp_path):
+    pytest.importorskip("distributed")
+    lay_split(tmp_path / "splits")
+    port = free_port()
+    with closing(make_service(tmp_path, **FAST)) as service:
+        made = sent(service, tmp_path, 2)
+        dispatcher = queue.Dispatcher(service, scheduler=f"tcp://127.0.0.1:{port}")
+        dispatcher.start()
+        with two_workers(port) as cluster:
+            until(lambda: scoring(cluster))
+        assert not ended(service)
+        with two_workers(port):
+            until(lambda: ended(service))
+        dispatcher.stop()
+        assert {one.id: one.state for one in service.of_team("reef lab")} == dict.fromkeys(made, "done")
+        with service.database.reading() as connection:
+            assert sorted(e["submission"] for e in log(connection) if e["what"] == "done") == sorted(made)
 
 
 def test_uploads_in_a_store_are_checked_when_they_are_read(tmp_path):
