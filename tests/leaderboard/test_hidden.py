@@ -18,6 +18,8 @@ from oysterbench_leaderboard.record_summary import COLUMNS, column_means, data_s
 from oysterbench_leaderboard.site.pages.record import metrics_table
 from oysterbench_leaderboard.submissions.catalogue import SCORED
 from oysterbench_leaderboard.submissions.scoring import score_predictions
+from tests.benchmarks import reconstruction
+from tests.benchmarks.reconstruction import Steering, full
 from tests.helpers.records_made import record_made
 from tests.helpers.served import NAMES, answers, classes, image_names, zipped
 from tests.helpers.submissions_read import npz, opened, wanted_of
@@ -151,3 +153,20 @@ def test_our_own_results_on_a_hidden_split_are_published_as_coarsely(tmp_path):
     for result in record.results:
         assert set(result.metrics) <= BY_SEQUENCE["slam"] | set(COSTS)
     assert set(record.data_set) == {"method", "metrics", "means"}
+
+
+def test_a_hundred_submissions_learn_all_labels_from_full_numbers_and_few_from_what_is_told():
+    steering = Steering()
+    assert steering.attack(full, True, 2) > 0.95
+    assert steering.attack(reconstruction.told, False, 2) < 0.35
+
+
+@pytest.mark.slow
+def test_masks_and_paths_do_not_come_back_from_what_is_told():
+    found = reconstruction.figures()
+    start, known, told = found["masks: IoU"]
+    assert known > 0.95
+    assert told < start + 0.1
+    start, known, told = found["paths: RMSE, m"]
+    assert known < 0.25 * start
+    assert told > 0.75 * start
