@@ -1,9 +1,10 @@
 """How long pages of a large board take with many clients: `python -m tests.benchmarks.site [--records 100000]`.
 
 The board is that of `leaderboard.py`; give both the same --folder, and it is made once. A server in a process of its
-own; clients that ask again as soon as they are answered (closed loop), over connections that stay open. Three kinds of
-load: everybody at the first page; a mix as visitors make it (the first pages mostly, now and then a search or another
-order that nobody asked for before); and only pages that were never asked for. On a busy machine the server's CPU time
+own; clients over connections that stay open. Four kinds of load: a mix as visitors make it (the first pages mostly, now
+and then a search that nobody asked for before) who read for a second before they ask again; and, of clients that ask
+again as soon as they are answered (closed loop), everybody at the first page, the same mix, and only pages that were
+never asked for. On a busy machine the server's CPU time
 for a request says more than the clock: times the number of clients it is what they wait for where nothing else runs.
 """
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import itertools
 import multiprocessing
 import os
 import statistics
@@ -84,10 +86,11 @@ def never(board: str, client: int) -> Iterator[str]:
         yield f"{board}?page={number % 900 + 1}&sort={SORTS[number // 900 % len(SORTS)]}"
 
 
-async def ask(port: int, pages: Iterator[str], requests: int, took: list[float]) -> None:
-    """One client; times in ms."""
+async def ask(port: int, pages: Iterator[str], requests: int, took: list[float], pauses: Iterator[float]) -> None:
+    """One client, who pauses, s, before each request; times in ms."""
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    for _ in range(requests):
+    for _, pause in zip(range(requests), pauses, strict=False):
+        await asyncio.sleep(pause)
         start = time.perf_counter()
         writer.write(ASKED % next(pages).encode())
         head = await reader.readuntil(b"\r\n\r\n")
@@ -98,12 +101,26 @@ async def ask(port: int, pages: Iterator[str], requests: int, took: list[float])
     writer.close()
 
 
-def measure(name: str, pid: int, port: int, requests: int, pages: Callable[[int], Iterator[str]]) -> None:
+def reading(client: int) -> Iterator[float]:
+    """Pauses, s, of somebody who reads what he asked for."""
+    draw = stream(4, b"", "benchmarks", "site", client)
+    while True:
+        yield float(draw.uniform(0.5, 1.5))
+
+
+def measure(
+    name: str,
+    pid: int,
+    port: int,
+    requests: int,
+    pages: Callable[[int], Iterator[str]],
+    pauses: Callable[[int], Iterator[float]] = lambda client: itertools.repeat(0.0),
+) -> None:
     """Print what clients wait, and what the server works."""
     took: list[float] = []
 
     async def everybody() -> None:
-        await asyncio.gather(*(ask(port, pages(client), requests, took) for client in range(CLIENTS)))
+        await asyncio.gather(*(ask(port, pages(client), requests, took, pauses(client)) for client in range(CLIENTS)))
 
     cpu, start = cpu_s(pid), time.perf_counter()
     asyncio.run(everybody())
@@ -154,8 +171,9 @@ def main() -> None:
             if not ready.wait(300):
                 sys.exit("the server did not start")
             pid = server.pid or 0
+            measure("readers", pid, port.value, given.requests, lambda client: mixed(path, client), reading)
             measure("the first page", pid, port.value, given.requests, lambda client: first(path))
-            measure("a mix", pid, port.value, given.requests, lambda client: mixed(path, client))
+            measure("a mix", pid, port.value, given.requests, lambda client: mixed(path, client + CLIENTS))
             measure("never asked before", pid, port.value, given.requests, lambda client: never(path, client))
             print(f"the server holds {memory_mb(pid):.0f} MB")
         finally:
