@@ -1,8 +1,8 @@
 """The sandbox inside of namespaces of its own, by bubblewrap, where the system lets it have them.
 
 What runs there sees a root that it cannot write to and that holds Python, our packages and the files of its job, and an
-empty folder in memory; no other process, no network, no device but /dev/null, zero and urandom; it is nobody, and can
-make no further namespaces. All that the sandbox itself forbids is forbidden there as well.
+empty folder in memory; no other process, /proc included, no network, no device but /dev/null, zero and urandom; it is
+nobody, and can make no further namespaces. All that the sandbox itself forbids is forbidden there as well.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ def inside(command: Sequence[str], files: Iterable[str], folder_bytes: int) -> l
     paths = (path for path in (*SYSTEM, sys.prefix, sys.base_prefix, *code, *files) if os.path.isabs(path))
     seen = [option for path in paths for option in ("--ro-bind-try", path, path)]
     devices = [option for path in DEVICES for option in ("--dev-bind", path, path)]
+    proc = ["--proc", "/proc"]  # of its own processes: images are decoded from memory by names in /proc/self/fd
     empty = ["--size", str(folder_bytes), "--tmpfs", FOLDER, "--remount-ro", "/", "--chdir", FOLDER]
-    return [PROGRAM, *OPTIONS, "--uid", NOBODY, "--gid", NOBODY, *seen, *devices, *empty, "--", *command]
+    return [PROGRAM, *OPTIONS, "--uid", NOBODY, "--gid", NOBODY, *seen, *devices, *proc, *empty, "--", *command]
 
 
 @functools.cache
