@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import IO
 
 from oysterbench_leaderboard.submissions.refusals import Refusal
@@ -95,6 +95,7 @@ class Archive:
         kind = stat.S_IFMT(entry.external_attr >> 16)
         size, most, ratio = entry.file_size, self.limits.file_bytes, self.limits.ratio
         wrong = (
+            (not PurePosixPath(name).name, f"is no name of a file; {NAMED}"),
             (name in self.entries, "is there twice; expected each name once"),
             (stat.S_ISLNK(kind), "is a symbolic link; expected files alone"),
             (kind and not stat.S_ISREG(kind) and not stat.S_ISDIR(kind), "is no regular file; expected files alone"),

@@ -245,9 +245,10 @@ def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted
     archive = arrays_of(read(), label, budget)
 
     def pixels(name: str) -> Any:
+        data = archive.read(f"{name}.npy")
         try:
-            return np.lib.format.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False)
-        except (ValueError, EOFError, SyntaxError, TypeError, MemoryError, OverflowError) as error:
+            return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+        except Exception as error:  # whatever comes of a header that is evaluated
             message = " ".join(str(error).split())[:120]
             raise Refusal("format", f"{label}: array {shown(name)} cannot be read: {message}") from None
 

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import platform
+import sys
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
@@ -98,8 +99,9 @@ class ResultRecord:
         if self.failure is not None:
             object.__setattr__(self, "metrics", {**self.metrics, **FAILED.get(self.track, {"coverage": 0.0})})
         for key, value in self.metrics.items():
-            if math.isinf(value):
-                raise ResultError(f"metric {key!r} of {self.method} on {self.sequence}: expected a number, got {value}")
+            if abs(value) > sys.float_info.max:  # JSON has integers that no float holds
+                got = f"{value!s:.60}"
+                raise ResultError(f"metric {key!r} of {self.method} on {self.sequence}: expected a number, got {got}")
             if math.isnan(value) and not self.reasons.get(key):
                 raise ResultError(
                     f"metric {key!r} of {self.method} on {self.sequence} is NaN: expected the reason in `reasons`"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -64,12 +64,22 @@ MOVING = "truth/moving.csv"
 MOVING_POSES = "truth/moving_poses.csv"
 
 
-def _oysters(data: bytes) -> pd.DataFrame:
-    """The table of oysters, whose numbers are those that instance images can hold."""
+def _table(data: bytes, name: str, columns: Collection[str], **options: Any) -> pd.DataFrame:
+    """An attached table. Raises ValueError where it lacks one of the columns; options: of `pandas.read_csv`."""
     import pandas as pd
 
+    found: pd.DataFrame = pd.read_csv(io.BytesIO(data), **options)
+    lacking = [column for column in columns if column not in found]
+    if lacking:
+        raise ValueError(f"{name}: expected the columns {', '.join(columns)}, got none named {', '.join(lacking)}")
+    return found
+
+
+def _oysters(data: bytes) -> pd.DataFrame:
+    """The table of oysters, whose numbers are those that instance images can hold."""
     measures = ("height_m", "length_m", "width_m", "volume_m3", *"xyz", "qx", "qy", "qz", "qw")
-    found = pd.read_csv(io.BytesIO(data), dtype={"id": "int64"} | dict.fromkeys(measures, "float64"))
+    types = {"id": "int64"} | dict.fromkeys(measures, "float64")
+    found = _table(data, OYSTERS, ("id", *"xyz"), dtype=types)
     if not found["id"].between(0, np.iinfo(np.uint16).max).all():
         raise ValueError(f"{OYSTERS}: expected numbers of oysters from 0 to {np.iinfo(np.uint16).max}")
     return found
@@ -191,21 +201,13 @@ class McapSequence(Sequence):
     def faults(self) -> pd.DataFrame:
         """Where faults of the sensors struck, a row each: start_ns and end_ns (true times), sensor, fault, and value,
         its largest size in the unit that the fault's name has. No row where they have none."""
-        import pandas as pd
-
-        if FAULTS not in self.attachments:
-            return pd.DataFrame(columns=list(COLUMNS))
-        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[FAULTS])))
+        return self._table_of(FAULTS, COLUMNS)
 
     def taken(self) -> pd.DataFrame:
         """How each frame of the cameras that adapt or repeat was truly taken, a row each: camera, stamp_ns; shown_ns,
         the stamp of the frame whose picture it shows; exposure_ms, gain, and the white balance red, green, blue. No row
         where no camera does."""
-        import pandas as pd
-
-        if FRAMES not in self.attachments:
-            return pd.DataFrame(columns=["camera", "stamp_ns", "shown_ns"])
-        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[FRAMES])))
+        return self._table_of(FRAMES, ("camera", "stamp_ns", "shown_ns"))
 
     def steering(self) -> pd.DataFrame:
         """What an expert would command at each picture of the front camera, a row each: stamp_ns; yaw and pitch, the
@@ -213,9 +215,7 @@ class McapSequence(Sequence):
         value_Y_P, the oysters that the expert's best plan would gain if it began with classes Y and P."""
         if STEERING not in self.attachments:
             raise SequenceError(f"{self.path} has no truth about steering: no attachment {STEERING}")
-        import pandas as pd
-
-        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[STEERING])))
+        return self._decoded(_table, self.attachments[STEERING], STEERING, ("stamp_ns", "yaw", "pitch"))
 
     def moving(self) -> pd.DataFrame:
         """Who moves by itself, a row each: id (as in instance images), class, kind (species or material), group (number
@@ -227,13 +227,13 @@ class McapSequence(Sequence):
         (x to the nose, z to the back): x, y, z (m), qx, qy, qz, qw. Of the tether, that of its end at the stern."""
         return self._table_of(MOVING_POSES, ["stamp_ns", "id", *"xyz", "qx", "qy", "qz", "qw"])
 
-    def _table_of(self, attachment: str, columns: list[str]) -> pd.DataFrame:
+    def _table_of(self, attachment: str, columns: Collection[str]) -> pd.DataFrame:
         """A table of truth that is there where it has rows."""
         import pandas as pd
 
         if attachment not in self.attachments:
-            return pd.DataFrame(columns=columns)
-        return self._decoded(lambda: pd.read_csv(io.BytesIO(self.attachments[attachment])))
+            return pd.DataFrame(columns=list(columns))
+        return self._decoded(_table, self.attachments[attachment], attachment, columns)
 
     def _check(self, name: str, known: Mapping[str, Any], kind: str) -> None:
         if name not in known:

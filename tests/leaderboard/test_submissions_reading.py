@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -22,7 +20,6 @@ from tests.helpers.served import (
     IMAGES,
     NAMES,
     answers,
-    classes,
     estimate,
     image_names,
     lay_split,
@@ -30,33 +27,7 @@ from tests.helpers.served import (
     tum,
     zipped,
 )
-from tests.helpers.submissions_read import npz, opened, wanted_of
-
-
-def masks(sequence: int, shift: int = 1) -> dict[str, np.ndarray]:
-    """Answers to the images of a sequence: the truth, moved by some pixels."""
-    names = image_names(sequence)
-    return {name: np.roll(classes(sequence, k)[1] > 0, shift, axis=1) for k, name in enumerate(names)}
-
-
-def as_png(mask: np.ndarray) -> bytes:
-    return cv2.imencode(".png", mask.astype(np.uint8) * 255)[1].tobytes()
-
-
-def as_coco(found: dict[str, np.ndarray]) -> bytes:
-    """COCO annotations: each connected piece of each mask, as uncompressed run lengths."""
-    document_: dict[str, list[Any]] = {"images": [], "annotations": [], "categories": [{"id": 1, "name": "oyster"}]}
-    for k, (name, mask) in enumerate(found.items()):
-        document_["images"].append({"id": k, "file_name": f"{name}.png", "width": 64, "height": 48})
-        count, numbers = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
-        for number in range(1, count):
-            flat = (numbers == number).ravel(order="F").astype(np.int8)
-            changes = np.flatnonzero(np.diff(flat, prepend=0))
-            counts = np.diff([0, *changes.tolist(), flat.size]).tolist()
-            row = {"id": len(document_["annotations"]) + 1, "image_id": k, "category_id": 1, "score": 1.0}
-            document_["annotations"].append(row | {"segmentation": {"size": [48, 64], "counts": counts}})
-    return json.dumps(document_).encode()
-
+from tests.helpers.submissions_read import as_coco, as_png, masks, npz, opened, wanted_of
 
 # Paths:
 

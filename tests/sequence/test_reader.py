@@ -17,6 +17,7 @@ from oysterbench.core.ros import EPOCH_NS, Message
 from oysterbench.sensors.imu import KIND as IMU
 from oysterbench.sensors.imu import ImuRecipe
 from oysterbench.sequence.file import read_messages
+from oysterbench.sequence.read import FAULTS, MOVING, OYSTERS
 from oysterbench.sequence.write import SequenceWriter
 from tests.helpers import hand_made_dive as dive
 from tests.helpers.forged_mcap import chunk_of, forged
@@ -373,3 +374,11 @@ def test_nine_kilobytes_that_unpack_to_much_more_are_refused(dive_file, tmp_path
     path.write_bytes(forged(chunk_of(b"", records, "zstd", 25_000)))
     with pytest.raises(SequenceError, match=r"bomb\.mcap: .*a chunk of 25000 bytes, as it declares, got more"):
         list(read_messages(path))
+
+
+@pytest.mark.parametrize(("name", "read"), [(OYSTERS, "oysters"), (FAULTS, "faults"), (MOVING, "moving")])
+def test_a_table_that_lacks_a_column_is_damage(dive_file, monkeypatch, name, read):
+    sequence = oysterbench.open(dive_file)
+    monkeypatch.setattr(sequence, "attachments", {**sequence.attachments, name: b"size\n1\n"})
+    with pytest.raises(SequenceError, match=f"damaged.*{name}: expected the columns"):
+        getattr(sequence, read)()

@@ -75,6 +75,9 @@ def _inertial_table(sequence: Sequence) -> pd.DataFrame:
 
 
 def _plot(strip: Strip, table: pd.DataFrame, start_ns: int, end_ns: int) -> StripPlot:
+    lacking = [column for column in strip.columns if column not in table]
+    if lacking:
+        raise SequenceError(f"{strip.topic}: its messages have no {', '.join(lacking)}; are they of another type?")
     table = table[(table.index >= start_ns) & (table.index <= end_ns)]
     seconds = (table.index.to_numpy() - start_ns) * 1e-9
     span = (end_ns - start_ns) * 1e-9
