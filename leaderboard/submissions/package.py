@@ -83,6 +83,8 @@ def find_package(place: Path, sequences: Sequence[str], method: str = "", run: i
             files |= {path.relative_to(place).as_posix(): path for path in images}
     if not files and (place / RESULTS).is_file():
         files = _of_run(place, sequences, method, run)
+        if not files:
+            raise ResultError(f"{place}: no estimates there, only a {RESULTS}; add --results to send that, as reported")
     if not files:
         first = sequences[0] if sequences else "SEQUENCE"
         raise ResultError(

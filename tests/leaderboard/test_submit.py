@@ -129,6 +129,17 @@ def test_what_a_run_leaves_is_sent_by_the_name_of_its_method(site, tmp_path, est
     assert (found["state"], found["method"], found["split"]) == ("queued", "Perch 2", "pool-test")
 
 
+def test_a_run_that_left_no_estimates_is_sent_by_its_results(site, tmp_path):
+    """As one of the track steering is, whose commands are not kept."""
+    from oysterbench.results.records import ResultRecord, write_results
+
+    rows = [ResultRecord(track="steering", split="pool-steer", sequence=name, method="net") for name in NAMES]
+    write_results(tmp_path / "results.json", rows)
+    refused = submit(site, tmp_path, "--method", "net")
+    assert (refused.exit_code, refused.stderr.count("\n")) == (1, 1)
+    assert "no estimates there, only a results.json; add --results to send that, as reported" in refused.stderr
+
+
 def test_masks_in_a_folder_are_sent_as_they_lie(site, tmp_path):
     import cv2
 
