@@ -94,8 +94,9 @@ def restoration_class(per_m2: Array) -> NDArray[np.int64]:
 class Total:
     """Over all that was seen: counted oysters, and live ones per m^2, each with a 95 % interval.
 
-    Of the count it is what edges, association and scores leave open; of the mean density also that the area seen is a
-    sample of the reef, on which oysters are clumped (k of the negative binomial, NaN where cells are too few).
+    Of the count it is what edges, association and scores leave open; of the mean density also
+    that the area seen is a sample of the reef, on which oysters are clumped (k of the negative binomial, NaN where
+    cells are too few).
     """
 
     count: float
@@ -111,8 +112,10 @@ class Total:
     clumping_k: float
 
 
-def make_grid(oysters: list[Oyster], cover: Cover, settings: MapSettings, depth_sigma: float) -> Grid:
-    """The grid; cells' edges are at multiples of `cell_m` in the world frame."""
+def make_grid(
+    oysters: list[Oyster], cover: Cover, settings: MapSettings, depth_sigma: float, unassociated: float | None = None
+) -> Grid:
+    """The grid; cells' edges are at multiples of `cell_m` in the world frame. unassociated: as of `total`."""
     raster = cover.raster
     area = covered_m2(cover, settings)
     known = area >= settings.least_cover * settings.cell_m**2
@@ -127,11 +130,12 @@ def make_grid(oysters: list[Oyster], cover: Cover, settings: MapSettings, depth_
     share = live_share(oysters)
     live = counts["live"] + share * counts["unknown"]
     low, high = (np.full(area.shape, math.nan) for _ in range(2))
-    sigma = area_sigma(depth_sigma, 1)
+    sigma, (least, most) = area_sigma(depth_sigma, 1), association_range(oysters, unassociated)
     for at in zip(*np.nonzero(known), strict=True):
         n = float(live[at])
         variance = n + float(spread[at]) + (n * sigma) ** 2
-        low[at], high[at] = (end / area[at] for end in count_interval(n, variance))
+        ends = count_interval(n, variance)
+        low[at], high[at] = least * ends[0] / area[at], most * ends[1] / area[at]
     return Grid(raster.west_m, raster.north_m, settings.cell_m, area, counts, live, low, high, known, share)
 
 
@@ -148,10 +152,14 @@ def area_sigma(depth_sigma: float, pictures: int) -> float:
     return 2.0 * depth_sigma / math.sqrt(max(1, pictures))
 
 
-def total(oysters: list[Oyster], grid: Grid, depth_sigma: float, pictures: int) -> Total:
-    """What was counted on all that was seen, by so many pictures."""
+def total(
+    oysters: list[Oyster], grid: Grid, depth_sigma: float, pictures: int, unassociated: float | None = None
+) -> Total:
+    """What was counted on all that was seen, by so many pictures. unassociated: what they show without association
+    (`mapping.unassociated`), which the intervals hold, too, where it is given."""
     by_state = {state: sum(one.weight for one in oysters if one.state == state) for state in STATES}
-    count, doubt, area = sum(by_state.values()), _doubt(oysters), float(grid.area_m2.sum())
+    count, area = sum(by_state.values()), float(grid.area_m2.sum())
+    doubt, (least, most) = _doubt(oysters), association_range(oysters, unassociated)
     half = 1.96 * math.sqrt(doubt)
     live = by_state["live"] + grid.live_share * by_state["unknown"]
     excess = clumping(grid.live[grid.known], grid.area_m2[grid.known])
@@ -160,17 +168,24 @@ def total(oysters: list[Oyster], grid: Grid, depth_sigma: float, pictures: int) 
     low, high = count_interval(live, scatter + doubt + (live * area_sigma(depth_sigma, pictures)) ** 2)
     return Total(
         count,
-        max(0.0, count - half),
-        count + half,
+        max(0.0, least * count - half),
+        most * count + half,
         by_state["live"],
         by_state["dead"],
         by_state["unknown"],
         area,
         live / area if area > 0 else math.nan,
-        low / area if area > 0 else math.nan,
-        high / area if area > 0 else math.nan,
+        least * low / area if area > 0 else math.nan,
+        most * high / area if area > 0 else math.nan,
         math.nan if math.isnan(excess) else (1.0 / excess if excess > 0 else math.inf),
     )
+
+
+def association_range(oysters: list[Oyster], unassociated: float | None) -> tuple[float, float]:
+    """The least and the most that there are, as shares of what was counted."""
+    count = sum(one.weight for one in oysters)
+    share = 1.0 if unassociated is None or count == 0 else unassociated / count
+    return min(1.0, share), max(1.0, share)
 
 
 def _places(oysters: list[Oyster]) -> Array:

@@ -15,9 +15,11 @@ from oysterbench.mapping.association import OysterTracks
 from oysterbench.mapping.cover import Cover, raster_around
 from oysterbench.mapping.depth import SIGMA, depth_source
 from oysterbench.mapping.grid import Grid, Oyster, Total, make_grid, total
+from oysterbench.mapping.north import magnetic_north
 from oysterbench.mapping.projection import Lens, Seen, patches, usable
 from oysterbench.mapping.settings import MapSettings
 from oysterbench.mapping.track import OysterTrack
+from oysterbench.mapping.unassociated import UnassociatedCount
 from oysterbench.mapping.views import PoseInterpolator, check_time
 from oysterbench.sequence.types import Sequence
 
@@ -31,6 +33,8 @@ class OysterMap:
     tracks:  behind each oyster, what pictures show of it
     path:    (N, 2) m, where the pictures were taken
     pictures, without_pose, without_depth: how many were given, and how many of them had none
+    unassociated: what the pictures show without association (`mapping.unassociated`); None where depths are exact
+    magnetic_north_rad: clockwise from +y of the path's world; None where nothing shows it
     """
 
     name: str
@@ -45,6 +49,8 @@ class OysterMap:
     without_pose: int = 0
     without_depth: int = 0
     notes: tuple[str, ...] = field(default=())
+    unassociated: float | None = None
+    magnetic_north_rad: float | None = None
 
     @property
     def depth_sigma(self) -> float:
@@ -54,12 +60,12 @@ class OysterMap:
     @cached_property
     def grid(self) -> Grid:
         """Oysters per square metre."""
-        return make_grid(self.oysters, self.cover, self.settings, self.depth_sigma)
+        return make_grid(self.oysters, self.cover, self.settings, self.depth_sigma, self.unassociated)
 
     @cached_property
     def total(self) -> Total:
         """Over all that was seen."""
-        return total(self.oysters, self.grid, self.depth_sigma, len(self.path))
+        return total(self.oysters, self.grid, self.depth_sigma, len(self.path), self.unassociated)
 
 
 def build_map(
@@ -88,6 +94,7 @@ def build_map(
     T_base_cam = sequence.cameras[camera].T_base_cam
     cover = empty_cover(trajectory, settings)
     tracks = OysterTracks(settings)
+    unassociated = UnassociatedCount(cover.raster)
     places, counts = [], {"pictures": 0, "without_pose": 0, "without_depth": 0}
     any_oyster = False
     for k, picture in enumerate(seen()):
@@ -117,7 +124,9 @@ def build_map(
         cover.add(points[near], depth_m[near], image.pixels[near])
         eye = (T @ T_base_cam)[:3, 3]
         sigma = _pose_sigma(trajectory, picture.stamp_ns, settings), sigma_of(depth, settings)
-        tracks.add(patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings))
+        shown = patches(k, picture, points, depth_m, eye, lens.pixel_sr, *sigma, settings)
+        tracks.add(shown)
+        unassociated.add(points[near], shown)
         places.append(T[:2, 3])
     _check(sequence, camera, depth, counts, len(places), any_oyster or allow_none)
     notes = []
@@ -127,10 +136,13 @@ def build_map(
         if counts[key]:
             notes.append(f"{counts[key]} of {counts['pictures']} pictures have no {what} and are left out")
     found = tracks.joined()
+    exact = sigma_of(depth, settings) * settings.far_m < settings.shell_m
     return OysterMap(
         sequence.name, camera, depth, [_oyster(track) for track in found], found, cover, np.array(places), settings,
         **counts,
         notes=tuple(notes),
+        unassociated=None if exact else unassociated.count,
+        magnetic_north_rad=magnetic_north(source, poses),
     )  # fmt: skip
 
 

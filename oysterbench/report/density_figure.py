@@ -42,15 +42,15 @@ PANEL = 7.0  # inches of the longer side of a panel
 LINE_SIZE = 12.5  # points, of the numbers below the headline
 LINE = 1.6 * LINE_SIZE / POINTS_PER_INCH  # inches
 LETTERS = 10.5  # of that size in an inch, at least
+ARROW = 20.0  # points, half of the north arrow
 TEXT_CELL = 26.0  # points of a cell's edge, from which on its number is written into it
 
 
 @figure_style()
 def figure(found: OysterMap) -> Figure:
-    """The counts as headline; two panels of the same ground, north up, with scale bar, grid and legend."""
+    """The counts as headline; two panels of the same ground, +y of the path up, with scale bar, grid and legend."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import from_levels_and_colors
-    from matplotlib.patheffects import withStroke
 
     raster, seen = found.cover.raster, found.cover.closed()
     first, last, left, right = _frame(seen, raster.edge_m, found.settings.cell_m)
@@ -73,19 +73,7 @@ def figure(found: OysterMap) -> Figure:
     _oysters(panels[0], found, POINTS_PER_INCH / inch_m)
     _cells(panels[1], found, seen, found.settings.cell_m * POINTS_PER_INCH / inch_m)
     add_scale_bar(panels[0], width * inch_m)
-    light = [withStroke(linewidth=5, foreground="white")]
-    arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 2, "path_effects": light}
-    box = {"facecolor": "white", "edgecolor": "none", "pad": 2}
-    panels[0].annotate(
-        "N",
-        (0.95, 0.98),
-        (0.95, 0.86),
-        xycoords="axes fraction",
-        ha="center",
-        weight="bold",
-        arrowprops=arrow,
-        bbox=box,
-    )
+    _north_arrow(panels[0], found.magnetic_north_rad)
     cmap, norm = from_levels_and_colors((0.0, *EDGES), COLOURS, extend="max")
     classes = "below the threshold: under 15; at the target: from 50"
     made.colorbar(ScalarMappable(norm, cmap), ax=panels[1], location="bottom", label=classes, aspect=30)
@@ -94,9 +82,37 @@ def figure(found: OysterMap) -> Figure:
         f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}",
         "What no picture shows, as others lie on it, is not counted.",
         "An oyster that the edge always cuts counts a half.",
-        "? the 95 % interval reaches into another class. Grey: too little seen. N is +y of the path.",
+        "? the 95 % interval reaches into another class. Grey: too little seen.",
+        "Up is +y of the path; "
+        + ("where north is, is not known." if found.magnetic_north_rad is None else "N is magnetic north."),
     )
     return made
+
+
+def _north_arrow(axes: Axes, clockwise_rad: float | None) -> None:
+    """In the upper right corner, as the magnetometer shows it; none where nothing does."""
+    from matplotlib.patheffects import withStroke
+
+    if clockwise_rad is None:
+        return
+    way = ARROW * np.array([math.sin(clockwise_rad), math.cos(clockwise_rad)])
+    middle = np.full(2, -2.0 * ARROW)  # from the right and from the top
+    axes.annotate(
+        "N",
+        tuple(middle + way),
+        tuple(middle - way),
+        xycoords="axes points",
+        ha="center",
+        va="center",
+        weight="bold",
+        arrowprops={
+            "arrowstyle": "-|>",
+            "color": INK,
+            "linewidth": 2,
+            "path_effects": [withStroke(linewidth=5, foreground="white")],
+        },
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 2},
+    )
 
 
 def _frame(seen: NDArray[np.bool_], edge_m: float, cell_m: float) -> tuple[int, int, int, int]:

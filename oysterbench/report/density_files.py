@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ FORMAT = "oysterbench-map/1"
 
 
 def write_map(found: OysterMap, folder: Path, command: str = "") -> list[Path]:
-    """Write all files of a map; returns them. Rasters lie in the world frame of the trajectory, m, north up."""
+    """Write all files of a map; returns them. Rasters lie in the world frame of the trajectory, m, +y up."""
     seen = found.cover.closed()
     drawn = figure(found)
     svg = svg_of(drawn)
@@ -92,7 +93,7 @@ def oyster_rows(found: OysterMap) -> Iterable[dict[str, Any]]:
 
 def summary(found: OysterMap) -> dict[str, Any]:
     """What is known of the whole, for JSON; null where there is no number."""
-    total, grid = found.total, found.grid
+    total, grid, north = found.total, found.grid, found.magnetic_north_rad
     made: dict[str, Any] = plain(
         {
             "format": FORMAT,
@@ -103,6 +104,7 @@ def summary(found: OysterMap) -> dict[str, Any]:
             "pictures_without_pose": found.without_pose,
             "pictures_without_depth": found.without_depth,
             "seen_m2": total.area_m2,
+            "magnetic_north_deg": None if north is None else math.degrees(north) % 360.0,  # clockwise from +y
             "oysters": {
                 "count": total.count,
                 "low": total.count_low,

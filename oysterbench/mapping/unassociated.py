@@ -1,0 +1,49 @@
+"""A count that associates nothing: what depths and poses err by, association takes for other oysters; this does not.
+
+Every oyster of every picture counts 1 / n, where n pictures saw its place (Horvitz & Thompson 1952, eq. 6): shells that
+depths lay at two places are two in a map, and two halves here. It is low where shells hide one another, for a picture
+that looks at a place does not always show what lies there, and so no better than the map's where places are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench.mapping.cover import CLOSED_M, Raster
+from oysterbench.mapping.projection import Patch
+
+
+class UnassociatedCount:
+    """The count, as pictures come in. raster: of the map; squares of CLOSED_M of it are seen or not."""
+
+    def __init__(self, raster: Raster) -> None:
+        self._raster = raster
+        self._per_square = max(1, round(CLOSED_M / raster.edge_m))
+        self._views = np.zeros((raster.rows // self._per_square + 1, raster.columns // self._per_square + 1), np.uint16)
+        self._centres: list[Array] = []
+
+    def add(self, points: Array, found: Sequence[Patch]) -> None:
+        """A picture: the points (N, 3) m of its pixels, and its oysters. Of those that its edge cuts, half have their
+        middle inside."""
+        rows, columns, _ = self._squares(points)
+        seen = np.zeros(self._views.shape, dtype=bool)
+        seen[rows, columns] = True
+        self._views += seen
+        self._centres += [np.append(one.centre[:2], 0.5 if one.cut else 1.0) for one in found]
+
+    @property
+    def count(self) -> float:
+        """So many oysters."""
+        if not self._centres:
+            return 0.0
+        rows, columns, inside = self._squares(np.array(self._centres))
+        weights = np.array(self._centres)[inside, 2]
+        return float((weights / np.maximum(self._views[rows, columns], 1)).sum())
+
+    def _squares(self, places: Array) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+        rows, columns, inside = self._raster.index(places[:, :2])
+        return rows[inside] // self._per_square, columns[inside] // self._per_square, inside
