@@ -47,7 +47,9 @@ def same(one, other):
     )
 
 
-@pytest.mark.parametrize("method", SETTINGS)
+@pytest.mark.parametrize(
+    "method", [pytest.param(one, marks=pytest.mark.slow) if one == "cut" else one for one in SETTINGS]
+)
 def test_trained_twice_the_weights_are_the_same(tmp_path, method):
     one, other = (learn(tmp_path / name, SETTINGS[method]) for name in ("a.pt", "b.pt"))
     assert same(one, other)
@@ -83,6 +85,7 @@ def killed(path):
     learn(path, SETTINGS["fastcut"], keep=kill, keep_s=0.0)
 
 
+@pytest.mark.slow
 def test_a_killed_training_goes_on_to_the_same_weights(tmp_path):
     whole = learn(tmp_path / "whole.pt", SETTINGS["fastcut"])
     path = tmp_path / "killed.pt"

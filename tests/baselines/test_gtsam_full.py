@@ -112,6 +112,7 @@ def test_a_minute_without_pictures_is_bridged_and_pictures_are_taken_up_again():
     assert heading[740] > 2 * heading[140]
 
 
+@pytest.mark.slow
 def test_in_the_dark_from_the_first_frame_to_the_last_it_still_answers_every_frame():
     sequence = dive.SensorDive(2, dive.rig(*ALL), dive.survey_path(40.0, resting=False))
     estimator = estimate(sequence, tracks(sequence, 2, (-1.0, 99.0)))

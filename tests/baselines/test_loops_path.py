@@ -200,6 +200,7 @@ def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain)
     assert position_error(truth, estimator.smoothed()) < 0.7 * position_error(truth, plain.smoothed())
 
 
+@pytest.mark.slow
 def test_no_landmark_is_shared_by_more_than_one_pass_beyond_the_limit(lap_and_a_half, closed):
     def most_seen(estimator: Estimator) -> int:
         assert estimator.loops is not None

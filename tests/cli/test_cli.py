@@ -92,14 +92,14 @@ def test_eval_renders_runs_and_prints_json_and_nothing_else(recipe, kept_home, t
 
 
 def test_eval_prints_a_table(recipe, kept_home):
-    result = start("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", home=kept_home)
+    result = run("eval", "--track", "slam", "--split", recipe, "--method", "dead_reckoning", home=kept_home)
     assert result.returncode == 0
     assert re.search(r"tiny-01 +dead_reckoning +\d", result.stdout)
 
 
 def test_eval_scores_two_files(trajectories):
     truth, estimate = trajectories
-    result = start("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--align", "none", "--json")
+    result = run("eval", "--track", "slam", "--truth", truth, "--estimate", estimate, "--align", "none", "--json")
     assert result.returncode == 0, result.stderr
     metrics = json.loads(result.stdout)["results"][0]["metrics"]
     assert metrics["ate_rmse_m"] == pytest.approx(0.1, abs=1e-9)
@@ -202,12 +202,12 @@ def test_a_bad_estimate_is_one_line_and_writes_nothing(trajectories, tmp_path):
 
 
 def test_a_damaged_sequence_is_one_line(recipe, kept_home, tmp_path):
-    whole = Path(start("render", recipe, home=kept_home).stdout.strip())
+    whole = Path(run("render", recipe, home=kept_home).stdout.strip())
     out = tmp_path / "data"
     out.mkdir()
     path = out / whole.name
     path.write_bytes(whole.read_bytes()[:-1000])
-    assert_one_line(start("info", path), "truncated or damaged")
+    assert_one_line(run("info", path), "truncated or damaged")
     assert_one_line(start("render", recipe, "--out", out), "truncated or damaged.*delete it and render")
 
 
@@ -217,10 +217,10 @@ def test_render_says_where_the_files_are_and_info_what_is_in_them(recipe, kept_h
     path = Path(result.stdout.strip())
     assert path.is_file()
     assert kept_home in path.parents
-    facts = json.loads(start("info", path, "--json").stdout)
+    facts = json.loads(run("info", path, "--json").stdout)
     assert facts["sequence"] == "tiny-01"
     assert {row["topic"]: row["messages"] for row in facts["topics"]}["/imu"] == 250
-    assert "/cam_front/image" in start("info", path).stdout
+    assert "/cam_front/image" in run("info", path).stdout
 
 
 @pytest.mark.parametrize("form", ["euroc", "tum", "kitti", "coco", "kalibr", "ply"])

@@ -92,7 +92,8 @@ def test_what_was_finished_survives_and_the_same_command_goes_on(number, dive_fi
     assert [record.run for record in read_results(tmp_path / "out/results.json")] == [0, 1]
 
 
-@pytest.mark.parametrize("number", [pytest.param(signal.SIGKILL, marks=pytest.mark.slow), signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.slow
 def test_jobs_that_run_side_by_side_all_end_and_all_go_on(number, dive_file, answer, tmp_path):
     arguments = ("mine", "--command", command(tmp_path, "holds", answer, "mcap", "{seed}"), "--on", dive_file)
     arguments = (*arguments, "--runs", "3", "--jobs", "2", "--out", tmp_path / "out")
@@ -170,6 +171,7 @@ def test_a_request_that_contradicts_itself_is_a_usage_error(arguments, message):
     assert message in done.stderr
 
 
+@pytest.mark.slow
 def test_variants_of_a_method_stand_in_one_table(dive_file, tmp_path):
     arguments = ("dead_reckoning", "--set", "imu_inflation=2", "--ablate", "start.level_s=0.5", "--on", dive_file)
     done = run(*arguments, "--out", tmp_path / "out")

@@ -95,6 +95,7 @@ def test_silt_dims_surfaces_by_beers_law() -> None:
     assert through[-1, 0] == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_plume_out_of_sight_or_of_no_strength_changes_no_byte() -> None:
     recipe = small_reef({"bottom": "mud"}, water={"snow_per_m3": 500.0})
     even = renderer_of(recipe, rig=LAMPS).render(DOWN, noise(), 1.0).colour
@@ -125,6 +126,7 @@ def test_a_plume_hides_glows_and_shades() -> None:
     assert dark.mean() < 0.7 * bright.mean(), "it takes the daylight from what is below it"
 
 
+@pytest.mark.slow
 def test_caustics_fade_under_silt() -> None:
     """Under plumes high over the bottom, which take little light, and most of the pattern in it."""
     above = [(x, y, -0.6) for x in (-0.8, 0.0, 0.8) for y in (-0.8, 0.0, 0.8)]

@@ -49,6 +49,7 @@ def test_a_lost_frame_is_dark(tiny_split):
         assert camera_picture(lossy, camera.name, index / camera.rate_hz).any() == kept[index]
 
 
+@pytest.mark.slow
 def test_a_video_link_is_in_the_picture(tiny_split):
     name = tiny_split.rig.camera[0].name
     plain = camera_picture(tiny_split, name, 0.5).astype(int)

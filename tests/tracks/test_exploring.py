@@ -98,12 +98,12 @@ def test_straight_and_chance_are_the_floor(sequences, tmp_path):
     ("policy", "message"),
     [
         ("Ahead", "took a view before a command at one/cam_front"),
-        ("Wrong", "expected a Steering of the view one/cam_front"),
-        ("Short", "expected 9 commands, one for each view, got 1"),
+        pytest.param("Wrong", "expected a Steering of the view one/cam_front", marks=pytest.mark.slow),
+        pytest.param("Short", "expected 9 commands, one for each view, got 1", marks=pytest.mark.slow),
         ("Broken", "ValueError: no such weight"),
-        ("Few", "yaw_probability: expected 7 numbers"),
-        ("NotNumbers", "pitch_probability: expected 7 numbers"),
-        ("Negative", "pitch_probability: expected 7 numbers, none below 0"),
+        pytest.param("Few", "yaw_probability: expected 7 numbers", marks=pytest.mark.slow),
+        pytest.param("NotNumbers", "pitch_probability: expected 7 numbers", marks=pytest.mark.slow),
+        pytest.param("Negative", "pitch_probability: expected 7 numbers, none below 0", marks=pytest.mark.slow),
         ("Outside", "yaw: expected a class from 0 to 6, got 7"),
     ],
 )
@@ -171,6 +171,7 @@ def test_what_reading_takes_is_not_the_methods():
     assert clock.wall_s == pytest.approx(3.0)
 
 
+@pytest.mark.slow
 def test_all_pictures_together_are_only_scored_of_methods_that_failed_nowhere(sequences, tmp_path):
     runs = evaluate(sequences, ["Reader", "Broken"], tmp_path)
     wholes = whole_of(runs)
@@ -259,6 +260,7 @@ def test_an_interrupted_evaluation_goes_on_from_there(tmp_path):
     assert all(run.log is not None for run in runs)
 
 
+@pytest.mark.slow
 def test_processes_make_the_rollouts_that_one_makes(tmp_path):
     plan = plan_rollouts(SPLIT, explore=made_explore)
     policies = [POLICIES + ":Reader", *REFERENCES]
@@ -271,7 +273,10 @@ def test_processes_make_the_rollouts_that_one_makes(tmp_path):
         assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
-@pytest.mark.parametrize(("policy", "message"), [("Broken", "no such weight"), ("Short", "12 commands, got 1")])
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [pytest.param("Broken", "no such weight", marks=pytest.mark.slow), ("Short", "12 commands, got 1")],
+)
 def test_a_policy_that_fails_leaves_a_failure_and_is_tried_again(tmp_path, policy, message):
     plan = plan_rollouts(SPLIT, explore=made_explore)
     failed, fine = run_rollouts(plan, ["one"], [f"{POLICIES}:{policy}", "random"], tmp_path)

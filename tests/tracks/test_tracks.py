@@ -89,6 +89,7 @@ def test_a_perfect_estimate_has_no_error_and_a_failing_method_a_record_that_says
     assert (tmp_path / "out" / "tiny-01-truth.tum").exists()
 
 
+@pytest.mark.slow
 def test_several_runs_are_recorded_each_with_its_seed(evaluate, tmp_path):
     runs = evaluate("Noisy", "Perfect", runs=2)
     records = [run.record for run in runs]
