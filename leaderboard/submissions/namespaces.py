@@ -26,18 +26,25 @@ NOBODY = "65534"
 FOLDER = "/job"
 PROBE_S = 30.0
 
-OPTIONS = ("--unshare-user", "--unshare-all", "--disable-userns", "--die-with-parent", "--new-session")
+OPTIONS = (
+    *("--unshare-user", "--unshare-all", "--disable-userns", "--die-with-parent", "--new-session"),
+    *("--cap-drop", "ALL", "--uid", NOBODY, "--gid", NOBODY),
+)
 
 
-def inside(command: Sequence[str], files: Iterable[str], folder_bytes: int) -> list[str]:
-    """The command that runs `command` so, beginning in FOLDER, which holds so many bytes; files: what it can read."""
+def inside(command: Sequence[str], files: Iterable[str], folder_bytes: int, may_mount: bool = False) -> list[str]:
+    """The command that runs `command` so, beginning in FOLDER, which holds so many bytes.
+
+    files: what it can read; may_mount: whether it has the right to make mounts and namespaces within its own
+    """
     code = (*sys.path, *(place for package in PACKAGES for place in package.__path__))
     paths = (path for path in (*SYSTEM, sys.prefix, sys.base_prefix, *code, *files) if os.path.isabs(path))
     seen = [option for path in paths for option in ("--ro-bind-try", path, path)]
     devices = [option for path in DEVICES for option in ("--dev-bind", path, path)]
     proc = ["--proc", "/proc"]  # of its own processes: images are decoded from memory by names in /proc/self/fd
     empty = ["--size", str(folder_bytes), "--tmpfs", FOLDER, "--remount-ro", "/", "--chdir", FOLDER]
-    return [PROGRAM, *OPTIONS, "--uid", NOBODY, "--gid", NOBODY, *seen, *devices, *proc, *empty, "--", *command]
+    rights = ["--cap-add", "CAP_SYS_ADMIN"] if may_mount else []
+    return [PROGRAM, *OPTIONS, *rights, *seen, *devices, *proc, *empty, "--", *command]
 
 
 @functools.cache

@@ -5,7 +5,8 @@ reach of what the server keeps but the files that its job names, and limits to i
 sizes, open files and processes; it is killed when its time is over or the server dies. It gets a Job on its standard
 input, and answers with JSON on its standard output. Whatever it says on its standard error goes to the private log.
 
-Where bubblewrap is installed and may do its work, all of that happens in namespaces of its own (`namespaces`).
+Where bubblewrap is installed and may do its work, all of that happens in namespaces of its own (`namespaces`), and what
+reads an upload is forked there, not started (`fork_server`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -29,6 +30,7 @@ from oysterbench.methods.sandbox import Sandbox, can_hide
 from oysterbench_leaderboard.submissions import namespaces
 from oysterbench_leaderboard.submissions.archive import Limits
 from oysterbench_leaderboard.submissions.catalogue import Wanted
+from oysterbench_leaderboard.submissions.fork_server import UPLOAD, ForkServer
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.settings import SubmissionSettings
 
@@ -99,12 +101,22 @@ def scoring(settings: SubmissionSettings) -> Allowance:
     return Allowance(settings.score_wall_s, settings.score_cpu_s, settings.memory_bytes, settings.file_bytes + 1)
 
 
+def never() -> bool:
+    """That a job is not to be ended."""
+    return False
+
+
 def run(
     job: Job,
     allowance: Allowance,
-    stopped: Callable[[], bool] = lambda: False,
+    stopped: Callable[[], bool] = never,
+    forks: ForkServer | None = None,
 ) -> Ended:
-    """Do a job in a sandbox. stopped: asked many times a second whether to end it, which raises Stopped."""
+    """Do a job in a sandbox. stopped: asked many times a second whether to end it, which raises Stopped.
+
+    forks: of what the process is forked where there are namespaces, and then never stopped; it raises OSError where it
+    cannot
+    """
     sandbox = Sandbox(
         hidden=job.hidden,
         visible=(job.path, *(job.truth or {}).values()),
@@ -124,8 +136,12 @@ def run(
         tempfile.TemporaryFile() as answer,
         tempfile.TemporaryFile() as stderr,
     ):
-        asked.write(msgspec.json.encode(job))
+        forked = forks if namespaced else None
+        asked.write(msgspec.json.encode(replace(job, path=UPLOAD) if forked else job))
         asked.seek(0)
+        if forked:
+            code = forked.run(replace(sandbox, visible=()), job.path, (asked, answer, stderr), allowance.wall_s)
+            return _ended(code, answer, stderr)
         home = namespaces.FOLDER if namespaced else folder
         process = subprocess.Popen(
             command,
@@ -143,7 +159,12 @@ def run(
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
-        return _ended(process.returncode, in_time, answer, stderr)
+        return _ended(process.returncode if in_time else None, answer, stderr)
+
+
+def fork_server() -> ForkServer:
+    """Of processes that read."""
+    return ForkServer(WORKER, {**ENVIRONMENT, "HOME": namespaces.FOLDER, "TMPDIR": namespaces.FOLDER})
 
 
 def in_force() -> str:
@@ -167,10 +188,11 @@ def _wait(process: subprocess.Popen[bytes], wall_s: float, stopped: Callable[[],
     return False
 
 
-def _ended(code: int, in_time: bool, answer: IO[bytes], stderr: IO[bytes]) -> Ended:
+def _ended(code: int | None, answer: IO[bytes], stderr: IO[bytes]) -> Ended:
+    """code: None where the time was over."""
     stderr.seek(0)
     words = stderr.read(MOST_STDERR).decode(errors="replace")
-    if not in_time or code in OUT_OF_TIME:
+    if code is None or code in OUT_OF_TIME:
         return Ended(None, "time", f"ended after its time (exit {code})\n{words}")
     if code == 0:
         answer.seek(0)
@@ -191,10 +213,20 @@ CHECK_ENDED = {
 
 
 def check(
-    settings: SubmissionSettings, path: Path, wanted: Wanted, hidden: Iterable[str], log: Callable[[str], None]
+    settings: SubmissionSettings,
+    path: Path,
+    wanted: Wanted,
+    hidden: Iterable[str],
+    log: Callable[[str], None],
+    forks: ForkServer | None = None,
 ) -> dict[str, Any]:
     """Read what was sent, all of it, with no truth near: what it holds. Raises Refusal with the reason."""
-    ended = run(Job(str(path), wanted, settings.limits, tuple(hidden)), checking(settings))
+    job = Job(str(path), wanted, settings.limits, tuple(hidden))
+    try:
+        ended = run(job, checking(settings), never, forks)
+    except OSError as error:
+        log(f"check: in a process of its own: {error}")
+        ended = run(job, checking(settings))
     if ended.stderr:
         log(f"check: {ended.stderr}")
     if ended.answer is None:

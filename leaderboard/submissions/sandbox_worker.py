@@ -2,6 +2,7 @@
 says numbers and sentences of a closed list.
 
     python -I sandbox_worker.py < JOB > ANSWER
+    python -I sandbox_worker.py serve               the same for many, as `fork_server` asks for it
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from oysterbench_leaderboard.submissions.fork_server import serve
 from oysterbench_leaderboard.submissions.predictions import check_predictions, open_predictions
 from oysterbench_leaderboard.submissions.refusals import Refusal
 from oysterbench_leaderboard.submissions.sandbox import Job
@@ -62,4 +64,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    serve(main) if sys.argv[1:] else main()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -29,35 +30,43 @@ spec.loader.exec_module(worker)
 def do(job):
 {body}
 worker.do = do
-worker.main()
+worker.serve(worker.main) if sys.argv[1:] else worker.main()
 """
 FOREVER = "while True: time.sleep(1)"
 
 
-@pytest.fixture(params=["namespaces", "Landlock"])
+@pytest.fixture(params=["namespaces", "Landlock", "forked"])
 def doing(request, tmp_path, monkeypatch):
-    """A sandbox that does what it is told to."""
-    real = str(sandbox.WORKER)
+    """A sandbox that does what it is told to: `sandbox.run`."""
+    real, run = str(sandbox.WORKER), sandbox.run
     if request.param == "Landlock":
         monkeypatch.setattr(namespaces, "missing", lambda: "not asked for")
     elif why := namespaces.missing():
         pytest.skip(f"no namespaces: {why}")
+    with contextlib.ExitStack() as stack:
 
-    def make(body: str) -> None:
-        script = tmp_path / "evil.py"
-        script.write_text(PRELUDE.format(worker=real, body=textwrap.indent(body, "    ")))
-        monkeypatch.setattr(sandbox, "WORKER", script)
+        def make(body: str) -> None:
+            script = tmp_path / "evil.py"
+            script.write_text(PRELUDE.format(worker=real, body=textwrap.indent(body, "    ")))
+            monkeypatch.setattr(sandbox, "WORKER", script)
+            if request.param == "forked":
+                forks = stack.enter_context(contextlib.closing(sandbox.fork_server()))
+                monkeypatch.setattr(sandbox, "run", lambda job, allowed: run(job, allowed, sandbox.never, forks))
 
-    return make
+        yield make
 
 
-def job(path: object = "", **more: Any) -> Job:
+STARTED = pytest.mark.parametrize("doing", ["namespaces", "Landlock"], indirect=True)
+"""Of what is asked of those alone that have a process of their own from the start, as scoring has."""
+
+
+def job(path: object = __file__, **more: Any) -> Job:
     return Job(str(path), WANTED, LIMITS, **more)
 
 
 def test_it_answers_on_a_pipe_that_nothing_else_writes_to(doing):
-    doing("print('noise'); os.write(1, b'more noise'); return {'twice': 2 * int(job.path)}")
-    ended = sandbox.run(job(21), ALLOWED)
+    doing("print('noise'); os.write(1, b'more noise'); return {'twice': 2 * int(job.method)}")
+    ended = sandbox.run(job(method="21"), ALLOWED)
     assert ended.answer == {"twice": 42}
     assert "noise" in ended.stderr
 
@@ -68,7 +77,7 @@ def test_it_answers_on_a_pipe_that_nothing_else_writes_to(doing):
         ("x = bytearray(2_000_000_000)", "MemoryError"),
         ("open('big', 'wb').write(bytes(3_000_000))", ""),
         ("files = [open('/dev/null') for _ in range(200)]", "Too many open files"),
-        ("import socket; socket.create_connection(('127.0.0.1', int(job.path)), 5)", "Error"),
+        ("import socket; socket.create_connection(('127.0.0.1', int(job.method)), 5)", "Error"),
         ("os.abort()", ""),
         ("raise ValueError('the truth is 1.2345')", "the truth is 1.2345"),
         ("return 'x' * 80_000_000", ""),
@@ -80,7 +89,7 @@ def test_what_it_may_not_do_ends_it_without_an_answer(doing, body, stderr):
 
     doing(body)
     with socket.create_server(("127.0.0.1", 0)) as listening:
-        ended = sandbox.run(job(listening.getsockname()[1]), ALLOWED)
+        ended = sandbox.run(job(method=str(listening.getsockname()[1])), ALLOWED)
     assert ended.answer is None
     assert ended.cause == ("memory" if "Memory" in stderr else "crash")
     assert stderr in ended.stderr
@@ -110,6 +119,7 @@ def test_its_time_ends(doing, body, allowance):
     assert (ended.answer, ended.cause) == (None, "time")
 
 
+@STARTED
 def test_it_is_stopped_when_nobody_wants_it_any_more(doing):
     doing(FOREVER)
     asked = iter([False, False, True])
@@ -117,6 +127,7 @@ def test_it_is_stopped_when_nobody_wants_it_any_more(doing):
         sandbox.run(job(), ALLOWED, lambda: next(asked))
 
 
+@STARTED
 @pytest.mark.skipif(not can_hide(), reason="needs Landlock: Linux 5.13 or later")
 def test_it_cannot_open_what_the_server_hides_but_the_files_of_its_job(doing, tmp_path):
     private = tmp_path / "private"
@@ -143,6 +154,7 @@ sandbox.run(job(sys.argv[2]), sandbox.Allowance(60.0, 60, 1_000_000_000, 1_000_0
 """
 
 
+@STARTED
 def test_it_dies_with_the_server(doing, tmp_path):
     """Which is seen by a pipe whose other end nobody holds any more."""
     pipe = tmp_path / "pipe"

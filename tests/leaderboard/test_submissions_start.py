@@ -51,7 +51,7 @@ def test_folders_may_be_given_as_seen_from_here(tmp_path, monkeypatch):
 
 def test_a_server_that_cannot_read_uploads_does_not_start(tmp_path):
     lay_split(tmp_path / "splits", "pool-test")
-    service = make_service(tmp_path, check_memory_bytes=10_000_000)
+    service = make_service(tmp_path, check_wall_s=1e-3)
     try:
         with pytest.raises(ResultError, match=r"uploads cannot be read here.*private\.log there says why"):
             service.self_test()
