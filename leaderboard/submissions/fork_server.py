@@ -131,7 +131,8 @@ class ForkServer:
 
     def _end(self) -> None:
         if self._process is not None and self._control is not None:
-            self._process.kill()
+            if self.pid is not None:  # with what it may have begun to start
+                os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()
             self._control.close()
 

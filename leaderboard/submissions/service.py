@@ -80,7 +80,7 @@ class Service:
         self._reads = DailyReads(settings.reads_per_day, self.clock)
         self._refusals = Sampler(settings.refusals_of_one, settings.refusals_of_strangers)
         self._checks = threading.Semaphore(settings.checks_at_once)
-        self._forks = sandbox.fork_server()
+        self.forks = sandbox.fork_server()
         self.log = _private_log(settings.folder / "private.log")
         self._settle()
 
@@ -90,7 +90,7 @@ class Service:
 
     def close(self) -> None:
         """No more work."""
-        self._forks.close()
+        self.forks.close()
         self.database.close()
         for handler in list(self.log.handlers):
             handler.close()
@@ -112,7 +112,7 @@ class Service:
                 self._check_quota(connection, team, form.split)
         self._reads.count(team)
         with self._checks:
-            facts = sandbox.check(self.settings, upload.path, wanted, self.hidden, self.log.info, self._forks)
+            facts = sandbox.check(self.settings, upload.path, wanted, self.hidden, self.log.info, self.forks)
         if facts["kind"] != "results" and not self.catalogue.splits[form.split].truth:
             raise Refusal(
                 "split", f"{form.split} has no truth on this server, which takes results alone: send the results.json"
@@ -204,7 +204,7 @@ class Service:
             file.write(b"0.0 0 0 0 0 0 0 1\n1.0 1 0 0 0 0 0 1\n")
             file.flush()
             try:
-                sandbox.check(self.settings, Path(file.name), wanted, self.hidden, self.log.info, self._forks)
+                sandbox.check(self.settings, Path(file.name), wanted, self.hidden, self.log.info, self.forks)
             except Refusal as refusal:
                 raise ResultError(
                     f"{self.settings.folder}: uploads cannot be read here, a valid one was refused: {refusal.reason}; "

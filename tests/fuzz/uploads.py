@@ -4,7 +4,7 @@
 
 A case is a valid upload with changes that know its form. It is refused in a line, or scored with numbers that can be,
 which become a record; and an upload that is valid scores after it, in the same process, what it scored before. Every
-hundredth case is read in a sandbox of its own besides, which has to say the same.
+tenth case is read in a sandbox of its own besides, which has to say the same.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from tests.helpers.served import (
 from tests.helpers.submissions_read import as_coco, as_png, masks, npz, opened
 
 CREATED = "2026-11-01T00:00:00Z"
-SANDBOXED = 100
+SANDBOXED = 10
 """Every so many cases one is read in a sandbox of its own."""
 
 
@@ -252,10 +252,10 @@ class Uploads:
         return ("failed", str(record.results[0].failure)) if failed == len(record.results) else ("scored", "")
 
     def _in_sandbox(self, kind: str, path: Path) -> dict[str, Any]:
-        """The same, from a process of its own with the server's limits."""
+        """The same, from a process of its own with the server's limits, as the server has it read."""
         settings, job = self.service.settings, self.job(kind, path, scored=False)
         try:
-            return sandbox.check(settings, path, job.wanted, self.service.hidden, print)
+            return sandbox.check(settings, path, job.wanted, self.service.hidden, print, self.service.forks)
         except Refusal as refusal:
             return {"refused": {"kind": refusal.kind, "reason": refusal.reason}}
 

@@ -159,3 +159,19 @@ def test_where_no_reader_can_be_forked_an_upload_is_read_by_a_process_of_its_own
     log = (tmp_path / "private" / "private.log").read_text()
     assert "in a process of its own" in log
     assert why in log
+
+
+def test_what_it_had_begun_to_start_ends_with_it(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    (tmp_path / "bwrap").write_text(f"#!/bin/sh\nsleep 1000 &\necho $! > {pipe}\nwait")
+    (tmp_path / "bwrap").chmod(0o755)
+    server = ForkServer(tmp_path / "absent.py", {"PATH": f"{tmp_path}:/usr/bin:/bin"})
+    with ThreadPoolExecutor(1) as pool:
+        asked = pool.submit(sandbox.run, job(), ALLOWED, never, server)
+        begun = f"/proc/{int(pipe.read_text())}/exe"
+        assert os.path.exists(begun)
+        server.close()
+        until(lambda: not os.path.exists(begun))
+        with pytest.raises(OSError, match="the fork server ended"):
+            asked.result()
