@@ -189,11 +189,17 @@ def echo_image(stamp_ns: int, frame: str, amplitudes: NDArray[np.uint16]) -> byt
     return image_bytes(stamp_ns, frame, "mono16", np.asarray(amplitudes, dtype="<u2"))
 
 
-def read_echo_image(data: bytes) -> tuple[int, NDArray[np.uint16]]:
-    """Stamp and amplitudes (H, W) of a sonar's picture. Raises ValueError where it is no such picture."""
+def read_echo_image(data: bytes, sensor: str, shape: tuple[int, int]) -> tuple[int, NDArray[np.uint16]]:
+    """Stamp and amplitudes (H, W) of a sonar's picture. Raises ValueError where it is none, or has not the shape (H, W)
+    that follows from the sonar's calibration."""
     message = decode(data, IMAGE)
     if message.encoding != "mono16":
         raise ValueError(f"expected a sonar's picture as mono16, got {message.encoding!r}")
+    if (message.height, message.width) != shape:
+        raise ValueError(
+            f"{sensor}: expected {shape[1]} x {shape[0]} amplitudes, as its calibration says, got {message.width} x "
+            f"{message.height}"
+        )
     pixels = np.asarray(message.data).view("<u2").reshape(message.height, message.width)
     return stamp_of(message.header), pixels.astype(np.uint16)
 

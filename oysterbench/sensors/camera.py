@@ -42,6 +42,10 @@ LEAST_SILT = 0.5  # optical depth from which on silt counts: 0.6 of the sharp li
 FRAME_LAYERS = ("depth", "class", "instance")
 
 
+LARGEST_PX = 65535
+"""Of a picture's edge, which JPEG can hold."""
+
+
 @dataclass(frozen=True)
 class CameraCalibration:
     """A camera: matrix (3, 3) in px, distortion, pose of its optical frame.
@@ -217,7 +221,10 @@ class Camera(SensorKind[CameraRecipe, CameraCalibration, Any]):
     def read_calibration(self, entry: Mapping[str, Any]) -> CameraCalibration:
         port = entry.get("port")
         values = entry if port is None else {**entry, "port_m": port["distance_m"], "port_index": port["index"]}
-        return from_entry(CameraCalibration, values)
+        found = from_entry(CameraCalibration, values)
+        if not (0 < found.width <= LARGEST_PX and 0 < found.height <= LARGEST_PX):
+            raise ValueError(f"expected a width and height of 1 to {LARGEST_PX} px, got {found.width} x {found.height}")
+        return found
 
     def error_model(self, recipe: CameraRecipe, entry: Mapping[str, Any], quality: Quality) -> ErrorModel:
         return camera_errors(entry, quality)

@@ -34,12 +34,16 @@ FULL_FLOW = 0.08  # of the picture's width: flow from which on colours are brigh
 UNMOVED = 70  # grey level of what stands still
 MOVED = (255, 150, 0)
 
+MOST_TALL = 8
+"""Times its width: what a forged calibration calls taller is not drawn so."""
+
 
 def camera_panels(sequence: Any, name: str) -> list[Panel]:
     """A camera's frames, then its layers in the order of the file."""
     calibration = sequence.cameras[name]
     width = min(WIDTH, calibration.width)
-    size = (width, round(calibration.height * width / calibration.width))
+    tall = round(calibration.height * width / calibration.width)
+    size = (width, min(max(1, tall), MOST_TALL * width))
     panels = [Panel(name, *size, partial(_frames, sequence, name, size), size[0] * size[1] // 4)]
     for topic, _, count in sequence.contents():
         layer = topic.removeprefix(f"/{name}/")

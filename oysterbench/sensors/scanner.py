@@ -173,7 +173,7 @@ class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
         ]
 
     def decode(self, name: str, calibration: ScannerCalibration, *data: bytes) -> ScanPing:
-        stamp, pixels = read_echo_image(data[0])
+        stamp, pixels = read_echo_image(data[0], name, (1, len(calibration.ranges_m)))
         joint = decode(data[1], HEAD)
         if stamp_of(joint.header) != stamp:
             raise ValueError(f"{name}'s ping and head at {stamp} are not of one stamp")

@@ -258,10 +258,7 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
         return [Message(f"/{name}/ping", stamp, echo_image(stamp, link(name), measurement.line[None]))]
 
     def decode(self, name: str, calibration: SidescanCalibration, *data: bytes) -> SidescanPing:
-        stamp, pixels = read_echo_image(data[0])
-        if pixels.shape[0] != 1 or pixels.shape[1] % 2:
-            height, width = pixels.shape
-            raise ValueError(f"expected {name}'s ping as one row of two sides, got {width} x {height}")
+        stamp, pixels = read_echo_image(data[0], name, (1, 2 * len(calibration.ranges_m)))
         port, starboard = np.split(pixels[0], 2)
         return SidescanPing(stamp, name, np.ascontiguousarray(port[::-1]), starboard)
 

@@ -336,7 +336,7 @@ class Sonar(SensorKind[SonarRecipe, SonarCalibration, Any]):
         return [shown, *([] if cloud is None else [cloud_message(cloud)])]
 
     def decode(self, name: str, calibration: SonarCalibration, *data: bytes) -> SonarImage:
-        stamp, pixels = read_echo_image(data[0])
+        stamp, pixels = read_echo_image(data[0], name, (len(calibration.ranges_m), len(calibration.azimuths_rad)))
         return SonarImage(stamp, name, pixels)
 
     def panels(self, sequence: Any, name: str) -> list[Panel]:

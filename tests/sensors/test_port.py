@@ -55,3 +55,9 @@ def test_the_fitted_focal_length_is_that_in_air_times_the_index():
 def test_without_a_port_a_perfect_calibration_is_the_truth():
     camera = dataclasses.replace(PORT, port_mm=None)
     assert KIND.calibrate(camera, SITE) == KIND.true_calibration(camera, SITE)
+
+
+@pytest.mark.parametrize("edge", [0, -5, 10**300])
+def test_a_calibration_whose_pictures_cannot_be_is_refused(edge):
+    with pytest.raises(ValueError, match="expected a width and height of 1 to 65535 px"):
+        KIND.read_calibration({**KIND.calibrate(PORT, SITE), "height": edge})

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from oysterbench.core.ros import echo_image
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import SiteRecipe
 from oysterbench.sensors import acoustics
-from oysterbench.sensors.scanner import ScannerRecipe, ScanningSonar, head_angle
+from oysterbench.sensors.scanner import KIND, ScannerRecipe, ScanningSonar, head_angle
 from tests.helpers.acoustic_scenes import at, ball, caster_over, wall
 
 SITE = SiteRecipe()
@@ -80,3 +81,9 @@ def test_a_ping_is_the_same_each_time_and_another_is_not():
     assert first.dtype == np.uint16
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
+
+
+def test_a_ping_of_other_ranges_than_the_calibration_has_is_refused():
+    calibration = KIND.read_calibration(KIND.calibrate(scanner(), SITE))
+    with pytest.raises(ValueError, match="scan: expected 600 x 1 amplitudes, as its calibration says, got 601 x 1"):
+        KIND.decode("scan", calibration, echo_image(1, "scan_link", np.zeros((1, 601), dtype=np.uint16)), b"")

@@ -158,8 +158,10 @@ def test_a_ping_is_the_same_each_time_and_its_sides_and_the_next_ping_are_not():
 def test_a_line_that_is_no_ping_is_refused():
     from oysterbench.core.ros import echo_image
 
-    with pytest.raises(ValueError, match="expected side's ping as one row of two sides"):
-        KIND.decode("side", None, echo_image(1, "side_link", np.zeros((1, 5), dtype=np.uint16)))
+    calibration = KIND.read_calibration(KIND.calibrate(towed(), SITE))
+    for shape in ((1, 5), (2, 2 * len(calibration.ranges_m))):
+        with pytest.raises(ValueError, match=r"side: expected .* x 1 amplitudes, as its calibration says, got"):
+            KIND.decode("side", calibration, echo_image(1, "side_link", np.zeros(shape, dtype=np.uint16)))
 
 
 def test_what_no_single_key_can_say_is_checked():
