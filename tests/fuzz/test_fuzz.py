@@ -1,0 +1,27 @@
+"""Some of the hostile files in every run of the tests; thousands by the tools' own commands."""
+
+from __future__ import annotations
+
+import cv2
+import pytest
+
+from tests.fuzz import sequences, uploads
+from tests.fuzz.watch import FAULTS, run
+
+MANY = [pytest.param(2, range(20)), pytest.param(3, range(600), marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize(("seed", "numbers"), MANY)
+@pytest.mark.parametrize("kind", [uploads.Uploads, sequences.Sequences])
+def test_hostile_files_are_read_or_refused_in_a_line(tmp_path, kind, seed, numbers):
+    cv2.setNumThreads(0)
+    draw = kind(tmp_path, seed).draw
+    found = [run(number, *draw(number)) for number in numbers]
+    assert [outcome for outcome in found if outcome.what in FAULTS] == []
+    assert {outcome.what for outcome in found} > {"refused"}, "some are read, for all that was changed"
+
+
+@pytest.mark.parametrize("number", [1688, 3732])
+def test_what_once_ended_in_a_traceback_is_refused(tmp_path, number):
+    """A ping of other ranges than its calibration's, and a picture of 1e300 rows, which only the viewer had noticed."""
+    assert run(number, *sequences.Sequences(tmp_path, 1).draw(number)).what == "refused in part"
