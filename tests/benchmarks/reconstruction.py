@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.detection import DetectionScorer
+from oysterbench.evaluate.detection.instances import ImageInstances, from_planes
 from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, TruthImage
 from oysterbench.evaluate.slam.scoring import score
 from oysterbench.evaluate.steering import Commands, Labels, score_pictures
@@ -124,6 +126,49 @@ class Masks:
             for s in some:
                 lost = base[s] - self.hits(seen, s, called, not at_once)
                 guess[s, blobs] = likeliest(lost, self.areas[s, blobs].astype(float), np.array([0.0, 1.0]))
+        return self.iou(guess)
+
+
+class Detections(Masks):
+    """The same blobs as single oysters."""
+
+    def instances(self, image: int, sizes: np.ndarray, scores: np.ndarray | None = None) -> ImageInstances:
+        """Of the first pixels of some blobs, sizes (BLOBS,) with 0 for none; scores (BLOBS,), the truth has none."""
+        rows = np.split(np.arange(BLOBS), IMAGES)[image]
+        numbers = np.arange(1, len(rows) + 1)[:, None] * (np.arange(2 * MOST_PX) < sizes[rows, None])
+        sure = None if scores is None else dict(enumerate(scores[rows].tolist(), start=1))
+        return from_planes(str(image), numbers, scores=sure)
+
+    def detected(self, sizes: np.ndarray, scores: np.ndarray, sequences: Sequence[int]) -> list[ResultRecord]:
+        """Of the first pixels of blobs with scores, as above for each sequence; both (SEQUENCES, BLOBS)."""
+        made = []
+        for s in sequences:
+            scorer = DetectionScorer()
+            for k in range(IMAGES):
+                truth = self.instances(k, self.areas[s] * self.true[s])
+                scorer.add(truth, self.instances(k, sizes[s], scores[s]))
+            made.append(result("detection", s, scorer.result()))
+        return made
+
+    def attack(self, publish: Told, at_once: bool, each: int) -> float:
+        """IoU of what comes back; each: blobs of a sequence that are answered with, each cut to an overlap of its own,
+        so that the panoptic quality is their weighed sum."""
+        guess = np.ones((SEQUENCES, BLOBS), bool)
+        sure = np.ones(guess.shape)
+        overlaps = 1 - 0.48 * 0.5 ** np.arange(each)
+        truths: dict[int, float] = {}
+        for some, blobs in rounds(at_once, BLOBS, each):
+            if some[0] not in truths:
+                seen = publish(self.detected(self.areas, sure, some))
+                quality = {s: seen[s if at_once else -1, "pq"] for s in some}
+                truths |= {s: round(BLOBS * q / (2 - q)) for s, q in quality.items()}
+            sizes = np.zeros_like(self.areas)
+            sizes[:, blobs] = np.ceil(self.areas[:, blobs] * overlaps[: len(blobs)])
+            seen = publish(self.detected(sizes, sure, some))
+            for s in some:
+                total = seen[s if at_once else -1, "pq"] * (len(blobs) + truths[s]) / 2
+                weights = sizes[s, blobs] / self.areas[s, blobs]
+                guess[s, blobs] = likeliest(total, weights, np.array([0.0, 1.0]))
         return self.iou(guess)
 
 
@@ -268,12 +313,17 @@ class Paths:
 
 def figures() -> dict[str, tuple[float, float, float]]:
     """What is measured -> what the attacker begins with, and has in the end by `full` and by `told`."""
-    masks, steering, paths = Masks(), Steering(), Paths()
+    masks, oysters, steering, paths = Masks(), Detections(), Steering(), Paths()
     return {
         "masks: IoU": (
             masks.iou(np.ones_like(masks.true)),
             masks.attack(full, True, 4),
             max(masks.attack(told, True, 1), masks.attack(told, False, 4)),
+        ),
+        "single oysters: IoU": (
+            oysters.iou(np.ones_like(oysters.true)),
+            oysters.attack(full, True, 5),
+            max(oysters.attack(told, False, each) for each in (4, 6, 8)),
         ),
         "commands: share of labels": (
             steering.right(np.full_like(steering.labels, CLASSES // 2)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cv2
+import numpy as np
 import pytest
 
 from tests.fuzz import sequences, uploads
@@ -25,3 +26,14 @@ def test_hostile_files_are_read_or_refused_in_a_line(tmp_path, kind, seed, numbe
 def test_what_once_ended_in_a_traceback_is_refused(tmp_path, number):
     """A ping of other ranges than its calibration's, and a picture of 1e300 rows, which only the viewer had noticed."""
     assert run(number, *sequences.Sequences(tmp_path, 1).draw(number)).what == "refused in part"
+
+
+def test_the_memory_of_a_case_is_its_own_whatever_was_loaded_before():
+    """Not that of the process it is forked from, which other tests have filled."""
+    loaded, taken = 300_000_000, 100_000_000
+    held = np.ones(loaded, np.uint8)
+    empty = run(0, "", lambda: ("read", ""))
+    filled = run(1, "", lambda: ("read", str(np.ones(taken, np.uint8).sum())))
+    assert held.nbytes == loaded
+    assert empty.memory_bytes < 0.5 * taken
+    assert 0.8 * taken < filled.memory_bytes < 1.5 * taken

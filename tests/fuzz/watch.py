@@ -15,8 +15,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
-LIMIT_S, LIMIT_BYTES = 10.0, 1_000_000_000
-"""What a case may take: of processor time, so that a busy machine is no fault of the reader's, and of memory."""
+LIMIT_S, LIMIT_BYTES = 10.0, 800_000_000
+"""What a case may take: of processor time, so that a busy machine is no fault of the reader's, and of memory beyond the
+some 200 MB that a reader has loaded when it begins."""
 
 WALL_S = 60.0
 """After which it hangs, whatever processor time it took."""
@@ -38,6 +39,7 @@ class Outcome:
     wall_s: float
     cpu_s: float
     memory_bytes: int
+    """At most, beyond what was loaded before."""
 
 
 class Wrong(Exception):
@@ -47,6 +49,7 @@ class Wrong(Exception):
 def run(number: int, kind: str, case: Callable[[], tuple[str, str]]) -> Outcome:
     """Run a case, which returns what came of it, and what was said. Whatever it raises is a fault."""
     read, write = os.pipe()
+    loaded = _anonymous_bytes()
     begun = time.monotonic()
     child = os.fork()
     if child == 0:
@@ -64,13 +67,20 @@ def run(number: int, kind: str, case: Callable[[], tuple[str, str]]) -> Outcome:
         else:
             os.kill(child, signal.SIGKILL)
     _, status, used = os.wait4(child, 0)
-    wall, cpu, memory = time.monotonic() - begun, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
+    wall, cpu = time.monotonic() - begun, used.ru_utime + used.ru_stime
+    memory = max(0, used.ru_maxrss * 1024 - loaded)
     what, says = json.loads(answer) if status == 0 else ("crash", f"ended with status {status}")
     if cpu > LIMIT_S or wall > WALL_S:
         what = "slow"
     elif memory > LIMIT_BYTES:
         what = "memory"
     return Outcome(number, kind, what, says, round(wall, 3), round(cpu, 3), memory)
+
+
+def _anonymous_bytes() -> int:
+    """Resident memory of this process that is no file's: a forked one begins with it, and counts it as its own."""
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return int(status.partition("RssAnon:")[2].split()[0]) * 1024
 
 
 def _answer(case: Callable[[], tuple[str, str]], write: int) -> None:

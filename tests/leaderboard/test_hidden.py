@@ -162,9 +162,12 @@ def test_a_hundred_submissions_learn_all_labels_from_full_numbers_and_few_from_w
 
 
 @pytest.mark.slow
-def test_masks_and_paths_do_not_come_back_from_what_is_told():
+def test_masks_oysters_and_paths_do_not_come_back_from_what_is_told():
     found = reconstruction.figures()
     start, known, told = found["masks: IoU"]
+    assert known > 0.95
+    assert told < start + 0.1
+    start, known, told = found["single oysters: IoU"]
     assert known > 0.95
     assert told < start + 0.1
     start, known, told = found["paths: RMSE, m"]
