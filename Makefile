@@ -7,18 +7,21 @@ VENV ?= .venv
 # What nobody imports need not be compiled: that is most of torch, and a third of the time of installing.
 PIP = $(VENV)/bin/pip install --no-compile --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
-.PHONY: demo test unit test-slow coverage lint clean
+.PHONY: demo test unit kernels test-slow coverage lint clean
 
 demo: $(VENV)/.demo
 	$(VENV)/bin/oysterbench eval --track slam
 
-test: $(VENV)/.dev # the type checker has one core's work for a minute or two, beside which the tests begin
+test: $(VENV)/.dev # the type checker has one core's work for a minute or two, beside which kernels compile and tests begin
 	$(MAKE) --no-print-directory --jobs 2 lint unit
 
-unit: $(VENV)/.dev
+unit: kernels
 	$(VENV)/bin/pytest -n auto --dist loadfile
 
-test-slow: $(VENV)/.dev
+kernels: $(VENV)/.dev # once, before several processes of the tests do so side by side
+	$(VENV)/bin/python -m tests.helpers.compile_kernels
+
+test-slow: kernels
 	$(VENV)/bin/pytest -m "slow or not slow"
 
 coverage: $(VENV)/.dev

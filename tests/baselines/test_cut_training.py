@@ -114,6 +114,7 @@ def test_another_training_is_not_gone_on_with(tmp_path):
         train(SOURCE, labelled(21, "real"), SETTINGS["fastcut"], tmp_path / "a.pt", seed=3)
 
 
+@pytest.mark.slow
 def test_patches_find_themselves_again_and_colours_come_nearer(tmp_path):
     """On the mean of two trainings: the last bits of sums are the processor's, and adversaries make them grow, so that
     one of them alone ends 6 to 116 bluer."""

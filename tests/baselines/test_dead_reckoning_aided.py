@@ -66,7 +66,7 @@ def test_errors_are_as_large_as_the_covariances_say():
         assert low < np.mean(values) < high, k
 
 
-@pytest.mark.parametrize("sensors", [("dvl",), ALL])
+@pytest.mark.parametrize("sensors", [ALL, pytest.param(("dvl",), marks=pytest.mark.slow)])
 def test_a_start_in_motion_is_no_surer_than_it_errs_from_the_first_second_on(sensors):
     """Of 16 dives. The floor is lower than chi-square's: sigmas of 5 mm of depth and 0.5 deg of misalignment stand for
     a sea and a mount that are worse than these."""
@@ -182,6 +182,7 @@ def test_two_beams_of_four_still_hold_the_path_down():
     assert drift(sequence, reckon(sequence)) < 0.02
 
 
+@pytest.mark.slow
 def test_each_beam_that_is_left_helps():
     """Eight seconds without a velocity, none, one, two or three beams: each makes the path surer, and none too sure."""
     sigmas, values = [], []

@@ -90,10 +90,10 @@ def off_m(truth: Trajectory, trajectory: Trajectory) -> Array:
 @pytest.mark.parametrize(
     ("change", "online", "smoothed"),
     [
-        pytest.param(gap, 0.015, 0.004, id="no pictures for 3 s"),
+        pytest.param(gap, 0.015, 0.004, id="no pictures for 3 s", marks=pytest.mark.slow),
         pytest.param(black, 0.015, 0.004, id="black pictures for 3 s"),
         pytest.param(half_covered, 0.01, 0.006, id="half of the lens is covered from 6 s on", marks=pytest.mark.slow),
-        pytest.param(freezing(8.0), 0.015, 0.004, id="one picture again and again for 2 s"),
+        pytest.param(freezing(8.0), 0.015, 0.004, id="one picture again and again for 2 s", marks=pytest.mark.slow),
         pytest.param(exposed, 0.005, 0.003, id="a quarter of the light, then twice of it", marks=pytest.mark.slow),
     ],
 )

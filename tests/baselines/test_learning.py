@@ -208,6 +208,7 @@ train(open_labelled(sys.argv[1]), Path(sys.argv[2]), SMALL, 3, torch.device("cpu
 """
 
 
+@pytest.mark.slow
 def test_a_training_that_is_killed_goes_on_to_the_same_weights(labelled, tmp_path):
     wanted = train(labelled, tmp_path / "whole.pt", SMALL, 3, CPU)
     path = tmp_path / "killed.pt"

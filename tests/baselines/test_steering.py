@@ -89,6 +89,7 @@ def checkpoint(tmp_path_factory):
 # What it learns
 
 
+@pytest.mark.slow
 def test_it_turns_to_what_it_was_shown_and_keeps_its_altitude(checkpoint):
     found = score(SteeringModel.read(checkpoint), toy(60, first=1000))
     assert found.yaw > 0.9

@@ -163,7 +163,7 @@ def test_an_unknown_camera_is_named():
 # The odometry, on tracks
 
 
-@pytest.mark.parametrize("seed", [0, 1, 3, 4])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 3, 4))])
 def test_tracks_with_noise_and_outliers_give_the_path_of_the_camera(seed):
     made = dive.make_dive(seed=seed, duration_s=7.0, outliers=0.02)
     lens = Lens(made.camera)

@@ -16,6 +16,8 @@ from click.testing import CliRunner
 
 import oysterbench
 from oysterbench.cli.main import main
+from oysterbench.recipe import load_split
+from oysterbench.simulation.generate import generate_split
 from tests.helpers.command import assert_one_line, run, start
 from tests.helpers.paths import ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
@@ -301,7 +303,7 @@ def test_ctrl_c_amid_the_imports_is_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_an_interruption_is_one_line_and_the_work_goes_on_from_there(recipe, tmp_path, number):
+def test_an_interruption_is_one_line_and_the_work_goes_on_from_there_to_the_same_bytes(recipe, tmp_path, number):
     out = tmp_path / "data"
     words = [sys.executable, "-m", "oysterbench", "render", recipe, "--out", out, "--workers", "2"]
     process = subprocess.Popen([str(word) for word in words], stderr=subprocess.PIPE, text=True)
@@ -315,7 +317,9 @@ def test_an_interruption_is_one_line_and_the_work_goes_on_from_there(recipe, tmp
     assert "leaked" not in stderr
     assert "the same command goes on from there" in stderr.splitlines()[-1]
     assert not (out / "tiny-01.mcap").exists()
-    assert start("render", recipe, "--out", out).returncode == 0
+    assert start("render", recipe, "--out", out, "--workers", "2").returncode == 0
+    (once,) = generate_split(load_split(str(recipe)), tmp_path / "once", workers=1).values()
+    assert (out / "tiny-01.mcap").read_bytes() == once.read_bytes()
 
 
 @pytest.mark.parametrize("words", [["slm"], ["--track", "slm"], ["--track=slm"]])

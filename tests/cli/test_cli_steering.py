@@ -70,6 +70,7 @@ def test_pictures_are_scored_printed_and_drawn(recipe, tmp_path):
     assert "Over all pictures" in (out / "results.md").read_text()
 
 
+@pytest.mark.slow
 def test_json_is_all_that_is_printed(recipe, tmp_path):
     out = tmp_path / "out"
     result = run("--split", recipe, "--sequence", "two", "--json", "--out", out)

@@ -61,7 +61,7 @@ def test_a_program_is_run_scored_and_compared(dive_file, answer, tmp_path):
 
 def test_a_failed_run_is_one_line_and_exit_code_1(dive_file, answer, tmp_path):
     template = command(tmp_path, "refuses", answer)
-    done = run("--command", template, "--on", dive_file, "--out", tmp_path / "out", "--json")
+    done = run_here("run", "--command", template, "--on", dive_file, "--out", tmp_path / "out", "--json")
     assert done.returncode == 1
     assert "exit status 3; it last said: no vocabulary | giving up" in done.stderr
     assert "Traceback" not in done.stderr
@@ -121,13 +121,14 @@ def test_a_sequence_without_truth_gives_poses_and_no_score(dive_file, answer, tm
 
     write_input(dive_file, "mcap", tmp_path / "hidden.mcap")
     template = command(tmp_path, "copies", answer)
-    done = run("mine", "--command", template, "--on", tmp_path / "hidden.mcap", "--out", tmp_path / "out")
+    done = run_here("run", "mine", "--command", template, "--on", tmp_path / "hidden.mcap", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     assert "hand-made has no truth to score by; the predictions: " in done.stderr
     assert (tmp_path / "out/hand-made-mine.tum").is_file()
     assert read_results(tmp_path / "out/results.json") == []
 
 
+@pytest.mark.slow
 def test_a_split_is_rendered_and_run_on(tmp_path):
     (tmp_path / "rig.toml").write_text(TINY_RIG)
     recipe = tmp_path / "tiny.toml"
@@ -144,7 +145,7 @@ def test_a_split_is_rendered_and_run_on(tmp_path):
 def test_what_another_program_reached_stays_in_the_folder(dive_file, answer, tmp_path):
     out = tmp_path / "out"
     for name in ("first", "second", "first"):
-        done = run(name, "--command", command(tmp_path, "copies", answer), "--on", dive_file, "--out", out)
+        done = run_here("run", name, "--command", command(tmp_path, "copies", answer), "--on", dive_file, "--out", out)
         assert done.returncode == 0, done.stderr
     assert [record.method for record in read_results(out / "results.json")] == ["second", "first"]
     assert f"{out}: results of 1 earlier run stay beside these, without figures: second" in done.stderr

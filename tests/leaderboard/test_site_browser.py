@@ -175,8 +175,14 @@ PAGES = {
 }
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [360, 1280])
+@pytest.mark.parametrize(
+    ("width", "dark"),
+    [
+        (360, True),
+        (1280, False),
+        *(pytest.param(*look, marks=pytest.mark.slow) for look in ((360, False), (1280, True))),
+    ],
+)
 def test_pages_fit_the_screen_and_can_be_read(browser, address, made, width, dark):
     browser.look(width, dark)
     pictures = os.environ.get("OYSTERBENCH_PICTURES")

@@ -77,6 +77,7 @@ def test_what_is_wrong_is_found_before_anything_is_sent(site, estimates):
     assert site.server.ask("GET", "/api/submissions", token=site.token)[2] == before
 
 
+@pytest.mark.slow
 def test_commands_are_sent_as_tables_and_scored_in_the_sandbox(site, tmp_path):
     folder = tmp_path / "commands"
     folder.mkdir()
@@ -140,6 +141,7 @@ def test_a_run_that_left_no_estimates_is_sent_by_its_results(site, tmp_path):
     assert "no estimates there, only a results.json; add --results to send that, as reported" in refused.stderr
 
 
+@pytest.mark.slow
 def test_masks_in_a_folder_are_sent_as_they_lie(site, tmp_path):
     import cv2
 

@@ -55,6 +55,7 @@ def triangles_around(world, x, y):
     ("oyster", "yaw", "pitch"),
     [(5, 15, 60), *(pytest.param(*where, marks=pytest.mark.slow) for where in ((40, 220, 70), (80, 100, 90)))],
 )
+@pytest.mark.slow
 def test_random_pixels_agree_with_trimesh(reef, world, oyster, yaw, pitch):
     x, y, z = world.instances.positions[oyster]
     turn = Rotation.from_euler("ZY", [yaw, pitch], degrees=True).as_matrix() @ R_FORWARD_OPTICAL

@@ -172,6 +172,7 @@ def test_the_suns_fan_is_as_wide_as_the_discrete_ordinates_find(jerlov, depth_m)
         assert np.mean(turned < angle) == pytest.approx(expected, abs=0.04 + 1 / 16)
 
 
+@pytest.mark.slow
 def test_shadows_are_sharp_in_clear_water_and_soft_where_sunlight_is_scattered():
     moved = []
     for jerlov in ("I", "3C", "9C"):

@@ -43,7 +43,12 @@ def grey_levels(renderer: CameraRenderer, radiance: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "daylight", "pitch"), [("1C", 1.0, 40), ("3C", 1.0, 40), ("3C", 1.0, 90), ("3C", 0.0, 40), ("7C", 1.0, 40)]
+    ("kind", "daylight", "pitch"),
+    [
+        ("3C", 0.0, 40),
+        ("7C", 1.0, 40),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("1C", 1.0, 40), ("3C", 1.0, 40), ("3C", 1.0, 90))),
+    ],
 )
 def test_an_endless_layer_is_the_even_water_of_that_turbidity(kind: str, daylight: float, pitch: float) -> None:
     rig = LAMPS if daylight == 0.0 else None
@@ -105,6 +110,7 @@ def test_a_plume_out_of_sight_or_of_no_strength_changes_no_byte() -> None:
         assert np.array_equal(even, other.render(DOWN, noise(), 1.0).colour)
 
 
+@pytest.mark.slow
 def test_nothing_is_brighter_than_its_source() -> None:
     """In full daylight, looking anywhere through thick silt: less than a white surface in the sun."""
     renderer = silty(*[(x, y, -2.7) for x in (0.4, 0.9, 1.4) for y in (-0.4, 0.0, 0.4)], amount=3.0)

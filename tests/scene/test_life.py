@@ -85,6 +85,7 @@ def test_fish_swim_forwards_at_the_speed_of_the_recipe(life):
     assert np.all(np.einsum("ni,ni->n", state.rotations[:, :, 0], way) > 0.85 * np.linalg.norm(way, axis=1))
 
 
+@pytest.mark.slow
 def test_each_school_and_fish_is_met_by_the_vehicle(life):
     path = living_world(RECIPE)[1]
     for group in life.groups:

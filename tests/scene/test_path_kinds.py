@@ -111,7 +111,9 @@ def simulated():
     return build_sequence(make_split(TINY_SPLIT.replace("size_m = 5.0", "size_m = 11.0")), "tiny-01", b"")
 
 
-@pytest.mark.parametrize("kind", KEYS)
+@pytest.mark.parametrize(
+    "kind", [kind if kind in ("loop", "inspection") else pytest.param(kind, marks=pytest.mark.slow) for kind in KEYS]
+)
 def test_a_frame_of_every_kind_in_a_recipe_can_be_rendered(kind, simulated):
     head = TINY_SPLIT[: TINY_SPLIT.index("[sequence.path]")].replace("size_m = 5.0", "size_m = 11.0")
     (recipe,) = make_split(head + as_toml({"kind": kind, "speed_m_s": 0.4, "altitude_m": 1.2, **KEYS[kind]})).sequence

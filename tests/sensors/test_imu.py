@@ -128,7 +128,14 @@ def hours_of(recipe, which, hours):
 
 @pytest.mark.parametrize("which", ["gyro", "accel"])
 @pytest.mark.parametrize(
-    ("grade", "rate_hz", "hours"), [("low", 20, 60), ("mid", 20, 60), ("high", 20, 60), ("mems", 200, 12)]
+    ("grade", "rate_hz", "hours"),
+    [
+        ("low", 20, 60),
+        *(
+            pytest.param(*grade, marks=pytest.mark.slow)
+            for grade in (("mid", 20, 60), ("high", 20, 60), ("mems", 200, 12))
+        ),
+    ],
 )
 def test_allan_deviation_gives_the_grade_back_within_a_tenth(grade, rate_hz, hours, which):
     """Fitted to the mean over records of one hour, because an hour holds 18 correlation times of the bias.

@@ -51,6 +51,7 @@ def coded(pictures, mbit_s):
     return [np.array(column) for column in zip(*found, strict=True)]
 
 
+@pytest.mark.slow
 def test_quality_grows_with_the_rate_and_the_rate_is_kept(pictures):
     quality = []
     for mbit_s in (0.05, 0.1, 0.2, 0.5):

@@ -29,6 +29,7 @@ def sha256(path):
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_two_workers_give_the_bytes_of_one(tiny_split, tiny_file, tmp_path):
     seen = []
     files = generate_split(tiny_split, tmp_path, workers=2, progress=lambda done, total: seen.append((done, total)))
@@ -85,7 +86,8 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize("kills", [(2,), pytest.param((1, 3, 5), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [(2,), (1, 3, 5)])
+@pytest.mark.slow
 def test_a_render_killed_again_and_again_ends_in_the_same_bytes(tiny_file, tmp_path, kills):
     script, recipe, rig, out = (tmp_path / name for name in ("render.py", "tiny.toml", "rig.toml", "out"))
     script.write_text(RENDER)

@@ -59,6 +59,7 @@ def test_views_come_in_time_order_with_the_state_of_their_label(sequences):
     assert (labelled.labels.classes == table[["yaw", "pitch"]].to_numpy()).all()
 
 
+@pytest.mark.slow
 def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(sequences, tmp_path):
     runs = evaluate(sequences, ["Reader", "Unsure"], tmp_path)
     for run in runs:
@@ -82,6 +83,7 @@ def test_a_method_that_reads_the_expert_off_the_pictures_is_right_in_all(sequenc
     assert costs["unsure", "one"] == pytest.approx(spread)  # half of it on the right one, half on all alike
 
 
+@pytest.mark.slow
 def test_straight_and_chance_are_the_floor(sequences, tmp_path):
     runs = evaluate(sequences, ["straight", "chance"], tmp_path)
     assert {run.record.method: run.record.seed for run in runs} == {"straight": None, "chance": 0}
@@ -381,6 +383,7 @@ def test_the_bow_is_drawn_where_the_camera_would_see_it(tmp_path):
     assert ends[3, 2] == pytest.approx([cx, cy - f * np.tan(np.radians(8))])
 
 
+@pytest.mark.slow
 def test_samples_are_even_over_sequences_and_time(sequences, tmp_path):
     runs = evaluate(sequences, ["Reader", "Broken"], tmp_path)
     samples = samples_of(sequences, runs, 5)

@@ -57,6 +57,7 @@ def evaluate(track, clips, methods, out):
     return found.runs, found.data_set
 
 
+@pytest.mark.slow
 def test_trivial_rows_are_worth_what_the_cover_says(clips, tmp_path):
     runs, rows = evaluate("segmentation", clips, ["all", "none", "Light"], tmp_path)
     by_name = {row.method: row.metrics for row in rows}

@@ -45,7 +45,9 @@ def moved(truth: Trajectory, T_base_frame: np.ndarray) -> Trajectory:
 # What a program is given, and how its answer is read
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    "form", [form if form in ("mcap", "euroc") else pytest.param(form, marks=pytest.mark.slow) for form in FORMS]
+)
 def test_a_program_that_answers_in_the_frame_of_its_input_is_right_to_the_digit(form, run, truth, dive_file, tmp_path):
     sequence = oysterbench.open(dive_file)
     frame = {"euroc": "imu", "tum": "cam_left", "kitti": "cam_left", "mcap": "base"}[form]
@@ -72,7 +74,7 @@ def test_poses_of_a_frame_that_was_not_said_are_named_in_the_record(run, truth, 
     assert right.scored.record.metrics["ate_rmse_m"] < 1e-9
 
 
-@pytest.mark.parametrize("scale", [0.1, 0.5, 1.0, 30.0])
+@pytest.mark.parametrize("scale", [0.1, *(pytest.param(scale, marks=pytest.mark.slow) for scale in (0.5, 1.0, 30.0))])
 def test_the_exact_path_of_a_camera_without_scale_is_exact_by_sim3_and_so_is_its_file(
     scale, run, truth, dive_file, tmp_path
 ):
@@ -187,10 +189,10 @@ def test_time_and_memory_of_children_count(run, answer, tmp_path):
     [
         ("sleeps", "time limit of 1 s reached: killed; it last said: still here"),
         ("crashes", "killed by SIGSEGV"),
-        ("refuses", "exit status 3; it last said: no vocabulary | giving up"),
+        pytest.param("refuses", "exit status 3; it last said: no vocabulary | giving up", marks=pytest.mark.slow),
         ("silent", "ended well, but left no trajectory at {out}"),
         ("garbage", "left what cannot be read as a trajectory: "),
-        ("empty", "left what cannot be read as a trajectory: "),
+        pytest.param("empty", "left what cannot be read as a trajectory: ", marks=pytest.mark.slow),
     ],
 )
 def test_a_program_that_fails_leaves_a_record_that_says_how(program, failure, run, answer, tmp_path):
