@@ -50,6 +50,7 @@ def same(one, other):
 @pytest.mark.parametrize(
     "method", [pytest.param(one, marks=pytest.mark.slow) if one == "cut" else one for one in SETTINGS]
 )
+@pytest.mark.slow
 def test_trained_twice_the_weights_are_the_same(tmp_path, method):
     one, other = (learn(tmp_path / name, SETTINGS[method]) for name in ("a.pt", "b.pt"))
     assert same(one, other)

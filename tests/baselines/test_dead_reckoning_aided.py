@@ -107,6 +107,7 @@ def test_the_evaluator_finds_the_covariances_and_that_they_agree():
     assert result.metrics["within_3sigma_pose"] > 0.9
 
 
+@pytest.mark.slow
 def test_a_compass_holds_the_heading_that_a_moving_start_leaves_open():
     """Without it, the gyroscope's bias about the vertical is hardly seen; iron is unknown to it."""
     turned = []

@@ -191,6 +191,7 @@ def test_it_finds_back_to_the_true_motion_after_the_inertial_unit_has_lied():
     assert np.linalg.norm(error[160:] - error[160], axis=1).max() < 0.2
 
 
+@pytest.mark.slow
 def test_a_dvl_that_never_locks_leaves_the_start_to_the_pictures():
     sequence = dive.SensorDive(3, dive.rig("dvl", "pressure", max_range_m=1.0), dive.survey_path(15.0, resting=False))
     estimator = estimate(sequence, tracks(sequence, 3, (np.inf, np.inf)))

@@ -98,6 +98,7 @@ def lie(measured: dive.Dive) -> None:
             measured.samples[k] = ImuMeasurement(sample.stamp_ns, sample.gyro, false)
 
 
+@pytest.mark.slow
 def test_it_starts_anew_after_the_inertial_unit_has_lied():
     measured = dive.make_dive(4)
     lie(measured)
@@ -178,6 +179,7 @@ class FlatBottom(Sequence):
         return Trajectory(stamps, poses[:, :3, 3].copy(), quaternions)
 
 
+@pytest.mark.slow
 def test_it_follows_the_vehicle_from_pictures_of_a_flat_bottom():
     sequence = FlatBottom(9.0)
     result = GtsamVi().run(sequence.for_method())

@@ -86,6 +86,7 @@ def test_errors_are_as_large_as_the_covariances_say():
         assert 0.2 < found["nees_pose"] < 12.0  # 6 are expected, of errors that hang together over the whole dive
 
 
+@pytest.mark.slow
 def test_a_second_camera_that_sees_nothing_leaves_the_first_to_do_it():
     measured = dive.make_dive(0)
     assert position_error(measured.truth, estimate(measured, blind_right=True).smoothed()) < 0.003 * 10.0

@@ -108,6 +108,7 @@ def closed(lap_and_a_half) -> Estimator:
     return estimate(lap_and_a_half, loops=True)
 
 
+@pytest.mark.slow
 def test_loops_can_be_left_out(plain):
     assert plain.loops is None
     assert "loops" not in plain.info

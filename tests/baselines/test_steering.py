@@ -76,22 +76,26 @@ def same(one, other) -> bool:
     )
 
 
-@pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory):
-    """A network that has learnt the toy."""
-    path = tmp_path_factory.mktemp("steering") / "toy.pt"
+def taught(path, steps):
+    """The weights of a network that has been shown the toy for so many steps."""
     augmentation = dataclasses.replace(SteeringAugmentation(), move=1.0)
-    fit = FitSettings(steps=300, learning_rate=5e-3, warm_up=10, threads=1)
+    fit = FitSettings(steps=steps, learning_rate=5e-3, warm_up=10, threads=1)
     train(toy(200), path, dataclasses.replace(SMALL, batch=16, fit=fit, augmentation=augmentation), 0)
     return path
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory):
+    """A network that has begun to learn."""
+    return taught(tmp_path_factory.mktemp("steering") / "toy.pt", 100)
 
 
 # What it learns
 
 
 @pytest.mark.slow
-def test_it_turns_to_what_it_was_shown_and_keeps_its_altitude(checkpoint):
-    found = score(SteeringModel.read(checkpoint), toy(60, first=1000))
+def test_it_turns_to_what_it_was_shown_and_keeps_its_altitude(tmp_path):
+    found = score(SteeringModel.read(taught(tmp_path / "toy.pt", 300)), toy(60, first=1000))
     assert found.yaw > 0.9
     assert found.pitch > 0.9
     assert found.skill > 0.8

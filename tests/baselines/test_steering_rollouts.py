@@ -117,6 +117,7 @@ def test_dives_in_two_processes_are_those_in_one(policy, dives, tmp_path):
     assert all(equal(one, other) for one, other in zip(dives, again, strict=True))
 
 
+@pytest.mark.slow
 def test_finished_dives_are_read_and_those_of_another_policy_are_done_again(policy, dives, examples, monkeypatch):
     done = []
     original = dagger.rollout

@@ -54,7 +54,7 @@ def test_workers_and_a_scheduler_exclude_each_other(recipe):
     assert "a cluster's workers are its own" in result.stderr
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", ["1", pytest.param("2", marks=pytest.mark.slow)])
 def test_a_missing_gpu_is_one_clear_line(recipe, workers):
     import warp
 

@@ -112,6 +112,7 @@ def test_a_method_sees_pictures_and_what_its_sensors_tell(ahead):
     assert not np.array_equal(policy.views[0].pixels, policy.views[1].pixels)
 
 
+@pytest.mark.slow
 def test_a_teacher_tells_the_action_values_and_takes_the_helm_as_often_as_asked():
     log, examples = explore(SPLIT, REEF, Ahead(), seconds=6.0, teacher=True)
     assert [view.name for view, _ in examples] == [f"{k:06d}" for k in range(6)]

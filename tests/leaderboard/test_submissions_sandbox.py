@@ -35,7 +35,7 @@ worker.serve(worker.main) if sys.argv[1:] else worker.main()
 FOREVER = "while True: time.sleep(1)"
 
 
-@pytest.fixture(params=["namespaces", "Landlock", "forked"])
+@pytest.fixture(params=[pytest.param("namespaces", marks=pytest.mark.slow), "Landlock", "forked"])
 def doing(request, tmp_path, monkeypatch):
     """A sandbox that does what it is told to: `sandbox.run`."""
     real, run = str(sandbox.WORKER), sandbox.run

@@ -154,6 +154,7 @@ def test_exposure_is_in_stops():
     assert np.array(two.exposure.scale) == pytest.approx(2 * np.array(one.exposure.scale))
 
 
+@pytest.mark.slow
 def test_snow_grows_with_its_density_and_stays_where_it_is():
     def flakes(density, T_map_cam=PLACE, time_s=0.0):
         snow = renderer_of(small_reef(FLAT, water={"snow_per_m3": density}))._snow

@@ -89,6 +89,7 @@ def test_the_picture_of_a_moment_does_not_depend_on_those_before(renderer):
         assert np.array_equal(getattr(first, layer), getattr(again, layer))
 
 
+@pytest.mark.slow
 def test_no_life_leaves_the_picture_as_it_was():
     still = living_reef(LifeRecipe())
     body = bodies(TIME)[0]

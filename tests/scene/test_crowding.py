@@ -55,6 +55,7 @@ def test_a_crowd_is_felt_where_it_stands_and_nowhere_else() -> None:
         pytest.param(85, 600, 0.38, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_few_oysters_stand_deep_in_those_of_other_clumps(size_mm: int, density_per_m2: int, most: float) -> None:
     crowding = measure_crowding(world(oyster_size_mm=float(size_mm), density_per_m2=float(density_per_m2)))
     print(f"{size_mm} mm, {density_per_m2}/m2: deep {crowding.deep_share:.4f}, in kin {crowding.kin.mean():.3f}")

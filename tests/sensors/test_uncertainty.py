@@ -153,6 +153,7 @@ def test_camera_info_frames_and_calibration_agree(files):
     assert not np.array_equal(camera.matrix, exact.matrix)
 
 
+@pytest.mark.slow
 def test_the_same_dive_is_calibrated_with_the_same_errors_all_through_its_file(tmp_path):
     text = TINY_SPLIT.replace("duration_s = 2.5", 'duration_s = 1.0\ncalibration = "poor"\nsame_dive_as = "other"')
     text += text[text.index("[[sequence]]") :].replace("tiny-01", "other").replace('same_dive_as = "other"', "")

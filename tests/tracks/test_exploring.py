@@ -308,6 +308,7 @@ def test_records_of_rollouts_say_all_that_decides_them(tmp_path):
     assert ResultRecord.from_dict(json.loads(record.to_json())) == record
 
 
+@pytest.mark.slow
 def test_rollouts_over_a_rendered_reef_fit_what_they_are_scored_by(tmp_path):
     """The real loop, small: what a log says of itself agrees, and a second evaluation finds the same rollouts."""
     plan = plan_rollouts(SPLIT, 4)

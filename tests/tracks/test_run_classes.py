@@ -106,7 +106,7 @@ def test_a_class_runs_in_a_process_of_its_own_with_the_seed_of_its_run(own_metho
     ("name", "failure"),
     [
         ("Raises", "method 'raises' failed on hand-made: RuntimeError: out of ideas"),
-        ("Exits", "method 'exits' on hand-made: exit status 9"),
+        pytest.param("Exits", "method 'exits' on hand-made: exit status 9", marks=pytest.mark.slow),
         ("Peeks", "a method does not see the truth: Sequence.truth() is for evaluators"),
     ],
 )
