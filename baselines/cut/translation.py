@@ -13,6 +13,7 @@ from torch.nn import functional
 
 from oysterbench.annotations import LabelledImage
 from oysterbench.core.errors import MethodError
+from oysterbench.core.text import in_one_line
 from oysterbench_baselines.cut.networks import Generator
 from oysterbench_baselines.cut.pictures import Picture, as_picture, as_tensor, shrunk
 from oysterbench_baselines.cut.settings import CutSettings
@@ -33,8 +34,9 @@ def generator_of(checkpoint: Checkpoint, where: str) -> tuple[Generator, CutSett
         generator = Generator(settings)
         generator.load_state_dict(checkpoint.weights["generator"])
     except (KeyError, TypeError, RuntimeError) as error:
-        line = " ".join(str(error).split())[:100]
-        raise MethodError(f"{where}: holds no translation ({line}); `oysterbench train cut` makes one") from None
+        raise MethodError(
+            f"{where}: holds no translation ({in_one_line(error, 100)}); `oysterbench train cut` makes one"
+        ) from None
     return generator.eval(), settings
 
 

@@ -13,6 +13,7 @@ import torch
 
 from oysterbench.core.errors import MethodError
 from oysterbench.core.files import write_atomically
+from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-checkpoint/1"
@@ -58,7 +59,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
         raise MethodError(f"{path}: no such checkpoint; `oysterbench train` makes one") from None
     except Exception as error:
         # torch raises whatever its unpickler meets in a file that is damaged or of another program
-        line = " ".join(str(error).split())[:120]
+        line = in_one_line(error)
         raise MethodError(f"{path}: not a checkpoint of this version ({line}); train again") from None
 
 

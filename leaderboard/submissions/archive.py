@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO
 
+from oysterbench.core.text import in_one_line
 from oysterbench_leaderboard.submissions.refusals import Refusal
 
 ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
@@ -81,8 +82,7 @@ class Archive:
             self._zip = zipfile.ZipFile(file)
             entries = self._zip.infolist()
         except BROKEN as error:
-            message = " ".join(str(error).split())[:100]
-            raise Refusal("archive", f"{label}: not a whole zip archive: {message}") from None
+            raise Refusal("archive", f"{label}: not a whole zip archive: {in_one_line(error, 100)}") from None
         budget.take(len(entries), sum(max(entry.file_size, 0) for entry in entries))
         self.entries: dict[str, zipfile.ZipInfo] = {}
         for entry in entries:
@@ -124,8 +124,9 @@ class Archive:
             with self._zip.open(entry) as file:
                 return file.read(self.limits.file_bytes + 1)[: self.limits.file_bytes + 1]
         except BROKEN as error:
-            message = " ".join(str(error).split())[:100]
-            raise Refusal("archive", f"{self.label}: {shown(name)} cannot be unpacked: {message}") from None
+            raise Refusal(
+                "archive", f"{self.label}: {shown(name)} cannot be unpacked: {in_one_line(error, 100)}"
+            ) from None
 
 
 def pack(files: Mapping[str, Path | IO[bytes]], target: IO[bytes]) -> None:

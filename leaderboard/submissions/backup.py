@@ -24,6 +24,7 @@ from sqlalchemy import Connection, MetaData, insert, inspect, select, text
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import appearing
+from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.database import open_engine
 from oysterbench_leaderboard.submissions.database import Database, metadata, sessions
@@ -104,8 +105,9 @@ def restore(file: Path, folder: Path, board: Path | None = None) -> Backup:
         with tarfile.open(file) as archive:
             return _restore(archive, folder, board)
     except (OSError, tarfile.TarError, KeyError, ValueError, CommandError) as error:
-        why = " ".join(str(error).split())[:300]
-        raise ResultError(f"{file}: cannot be restored: {why}; empty {folder} before you try again") from None
+        raise ResultError(
+            f"{file}: cannot be restored: {in_one_line(error)}; empty {folder} before you try again"
+        ) from None
 
 
 def _restore(archive: tarfile.TarFile, folder: Path, board: Path | None) -> Backup:

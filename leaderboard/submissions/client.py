@@ -14,6 +14,7 @@ import urllib3
 
 from oysterbench.core.documents import read_json
 from oysterbench.core.errors import HubError, NetworkError
+from oysterbench.core.text import in_one_line
 from oysterbench.hub.pool import open_pool
 from oysterbench.hub.sources import RETRIED, Patience, retry_after_s
 from oysterbench.hub.transfer import pause_s
@@ -113,7 +114,7 @@ class Client:
                 if asked_s > self._patience.longest_wait_s:
                     break
             except (urllib3.exceptions.HTTPError, OSError) as error:
-                failure = " ".join(str(error).split())[:200]
+                failure = in_one_line(error)
             if attempt < self._patience.attempts:
                 time.sleep(pause_s(attempt, asked_s, self._patience))
         raise NetworkError(

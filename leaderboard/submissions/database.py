@@ -37,6 +37,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import locked
+from oysterbench.core.text import in_one_line
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.database import open_engine
 from oysterbench_leaderboard.submissions.migrations import upgrade
@@ -191,7 +192,7 @@ class Database:
 
 
 def _not_opened(error: Exception) -> ResultError:
-    why = " ".join(str(error).split())[:300]
+    why = in_one_line(error, 300)
     if isinstance(error, CommandError):
         why = f"it was made by a later version of oysterbench than {VERSION} ({why})"
     if isinstance(error, ImportError):

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from oysterbench.core.documents import read_json
 from oysterbench.core.errors import OysterbenchError
+from oysterbench.core.text import in_one_line
 from oysterbench_leaderboard.submissions.archive import (
     Archive,
     Budget,
@@ -86,7 +87,7 @@ def open_predictions(path: Path, wanted: Wanted, limits: Limits) -> Predictions:
         try:
             content = read_json(data)
         except ValueError as error:
-            raise Refusal("format", f"upload.json: not valid JSON: {' '.join(str(error).split())[:120]}") from None
+            raise Refusal("format", f"upload.json: not valid JSON: {in_one_line(error, 120)}") from None
         if isinstance(content, dict) and "results" in content:
             from oysterbench_leaderboard.submissions.reported import read_results
 
@@ -249,8 +250,7 @@ def _arrays(read: Callable[[], bytes], label: str, sequence: str, wanted: Wanted
         try:
             return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
         except Exception as error:  # whatever comes of a header that is evaluated
-            message = " ".join(str(error).split())[:120]
-            raise Refusal("format", f"{label}: array {shown(name)} cannot be read: {message}") from None
+            raise Refusal("format", f"{label}: array {shown(name)} cannot be read: {in_one_line(error, 120)}") from None
 
     names = [key.removesuffix(".npy") for key in archive.entries]
     for name in names:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from oysterbench.annotations.image import read_plane
 from oysterbench.core.errors import LabelError
 from oysterbench.core.pictures import LARGEST_IMAGE_PX
+from oysterbench.core.text import in_one_line
 from oysterbench.evaluate.segmentation import EstimateImage
 
 Form = Literal["auto", "mask", "probability", "classes"]
@@ -173,8 +174,7 @@ def _reading(what: str) -> Iterator[None]:
     except LabelError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise LabelError(f"{what} cannot be read as numpy arrays: {reason[:200]}") from None
+        raise LabelError(f"{what} cannot be read as numpy arrays: {in_one_line(error)}") from None
 
 
 def _load(path: Path, kind: type[T]) -> T:

@@ -32,6 +32,17 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n\t" else json.dumps(c)[1:-1] for c in text)
 
 
+def in_one_line(error: Exception, most: int = 200) -> str:
+    """What an error says, most likely another library's: its type where it says nothing, and no addresses of objects,
+    which are other ones each time and tell where memory lies.
+
+    >>> in_one_line(ValueError("malformed:\\n  <ast.Name object at 0x7f3922>"))
+    'malformed: <ast.Name object>'
+    """
+    text = re.sub(r" at 0x[0-9a-fA-F]+", "", " ".join(str(error).split()))
+    return text[:most] or type(error).__name__
+
+
 def unseen(text: str) -> str | None:
     """The first character that is no sign on the paper: of control, of format, of no meaning, a space other than the
     common one. None where there is none."""

@@ -28,6 +28,14 @@ def test_what_once_ended_in_a_traceback_is_refused(tmp_path, number):
     assert run(number, *sequences.Sequences(tmp_path, 1).draw(number)).what == "refused in part"
 
 
+def test_a_refusal_tells_no_address_of_the_readers_memory(tmp_path):
+    """As numpy does of a header that it cannot evaluate."""
+    outcome = run(3810, *uploads.Uploads(tmp_path, 1).draw(3810))
+    assert outcome.what == "refused"
+    assert "malformed node" in outcome.says
+    assert "0x" not in outcome.says
+
+
 def test_the_memory_of_a_case_is_its_own_whatever_was_loaded_before():
     """Not that of the process it is forked from, which other tests have filled."""
     loaded, taken = 300_000_000, 100_000_000

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import TrajectoryError
+from oysterbench.core.text import in_one_line
 from oysterbench.core.trajectory.checks import checked_poses
 from oysterbench.core.trajectory.options import ReadOptions, check_rigid
 from oysterbench.core.trajectory.poses import Trajectory
@@ -62,11 +63,7 @@ def _arrays(path: Path, data: bytes) -> dict[str, NDArray[np.generic]]:
     except TrajectoryError:
         raise
     except Exception as error:  # numpy and zipfile each have their own, for bytes that a stranger may have made
-        raise TrajectoryError(f"{path} is damaged, or not an .npz of plain arrays: {_line(error)}") from None
-
-
-def _line(error: BaseException) -> str:
-    return (" ".join(str(error).split()) or type(error).__name__)[:120]
+        raise TrajectoryError(f"{path} is damaged, or not an .npz of plain arrays: {in_one_line(error)}") from None
 
 
 def _pick(

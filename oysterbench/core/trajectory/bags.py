@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from oysterbench.core.errors import OysterbenchError, TrajectoryError
+from oysterbench.core.text import in_one_line
 from oysterbench.core.trajectory.checks import checked_poses
 from oysterbench.core.trajectory.options import ReadOptions
 from oysterbench.core.trajectory.poses import Trajectory
@@ -58,8 +59,7 @@ def read_bag(path: Path, options: ReadOptions) -> Trajectory:
         raise
     # The libraries underneath raise whatever damaged bytes lead them to: struct, zlib, sqlite, assertions, lookups.
     except Exception as error:
-        reason = (" ".join(str(error).split()) or type(error).__name__)[:120]
-        raise TrajectoryError(f"{path}: damaged, or not a recording that can be read: {reason}") from None
+        raise TrajectoryError(f"{path}: damaged, or not a recording that can be read: {in_one_line(error)}") from None
     return checked_poses(trajectory, path.name, lambda i: f"{path}: message {i + 1}", options)
 
 
