@@ -48,6 +48,8 @@ class VisualOnly:
                 f"{', '.join(sequence.cameras) or 'none'}"
             )
         right = overlapping(sequence, left, self.settings) if self.stereo else None
+        if right is not None and next(iter(sequence.images(right)), None) is None:
+            right = None  # calibrated, and never recorded
         T_base_left = sequence.cameras[left].T_base_cam
         lens, tracker = Lens(sequence.cameras[left]), Tracker(self.settings)
         pair = T_left_right = None

@@ -155,6 +155,16 @@ def test_cameras_that_look_elsewhere_are_no_pair():
     assert estimate.info["cameras"] == ["cam_left"]
 
 
+def test_a_second_camera_that_never_recorded_leaves_the_first_to_do_it(monkeypatch):
+    images = Bottom.images
+    monkeypatch.setattr(
+        Bottom, "images", lambda self, name, *at: images(self, name, *at) if name == "cam_left" else iter(())
+    )
+    estimate = VisualOnly().run(Bottom(TWO, 2.0))
+    assert estimate.info["cameras"] == ["cam_left"]
+    assert len(estimate.trajectory.stamps_ns) > 20
+
+
 def test_an_unknown_camera_is_named():
     with pytest.raises(MethodError, match="no camera 'cam_top'; cameras: cam_left"):
         VisualOnly(camera="cam_top").run(Bottom(ONE, 1.0))
