@@ -145,7 +145,8 @@ def open_engine(url: str | URL, pragmas: Iterable[str] = (), **options: Any) -> 
     pragmas: of SQLite, set on every connection; options: of `create_engine`
     """
     if not str(url).startswith("sqlite"):
-        return create_engine(url, **options)
+        # Told, as a database that was made without an encoding answers in bytes else.
+        return create_engine(url, connect_args={"client_encoding": "utf8"}, **options)
     engine = create_engine(url, connect_args={"timeout": 60.0, "check_same_thread": False}, **options)
 
     @event.listens_for(engine, "connect")

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import pytest
+from sqlalchemy import text
 
 from oysterbench.core.errors import ResultError
 from oysterbench.evaluate.statistics import summarise
@@ -13,6 +14,7 @@ from oysterbench.hub.canonical import canonical, sha256
 from oysterbench.results.records import samples, weights_of
 from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.board import BoardInfo, Query
+from oysterbench_leaderboard.database import open_engine
 from oysterbench_leaderboard.index import BoardIndex, open_index
 from oysterbench_leaderboard.index_writer import evaluator_order
 from oysterbench_leaderboard.store import StatusChange
@@ -309,6 +311,17 @@ def test_an_index_in_a_wrong_place_is_refused_in_one_line_without_its_password(s
         index.boards()
     assert "\n" not in str(caught.value)
     assert "secret" not in str(caught.value)
+
+
+def test_a_database_without_an_encoding_is_one_like_others(store, postgres):
+    engine = open_engine(postgres, isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        plain = "CREATE DATABASE plain ENCODING 'SQL_ASCII' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0"
+        connection.execute(text(plain))
+    engine.dispose()
+    index = open_index(store, postgres.replace("/postgres?", "/plain?"))
+    assert pages(index) == pages(opened(store))
+    index.close()
 
 
 def test_postgresql_gives_the_same_answers(store, postgres, request):
