@@ -20,6 +20,7 @@ from oysterbench.cli.outputs import print_rich
 from oysterbench.cli.render import frames_bar, render
 from oysterbench.cli.run import run_command
 from oysterbench.cli.splits import splits
+from oysterbench.cli.systems import systems_command
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.version import VERSION
 
@@ -72,6 +73,7 @@ def main() -> None:
       oysterbench eval slam --truth truth.tum --estimate mine.tum --align se3
       oysterbench eval steering                     policies that explore, against an expert
       oysterbench run my_slam --command "..."       run any program on a split, and score it
+      oysterbench systems                           published systems: build one, then run it by name
       oysterbench compare ours theirs               ranks, ties, and who is better where
       oysterbench train unet --data seg-train       a method that learns
       oysterbench splits                            what can be rendered, and what is here
@@ -97,6 +99,7 @@ for _command in (
     experiment,
     render,
     splits,
+    systems_command,
     *HUB_COMMANDS,
 ):
     main.add_command(_command)

@@ -84,6 +84,7 @@ def run_command(
     Examples:
       oysterbench run gtsam_vi dead_reckoning --split slam-val
       oysterbench run my_slam:MySlam --split slam-mini --runs 5 --out results/mine
+      oysterbench run openvins --split slam-val      (a published system: see oysterbench systems)
       oysterbench run my_slam --command "./my_slam {euroc} {out}" --split slam-val
       oysterbench run orb3 --command "./orb3.sh {euroc} {out}" --split slam-val --timeout 900 --jobs 1
       oysterbench run gtsam_vi --split slam-val --runs 5 --scheduler tcp://10.0.0.1:8786
@@ -130,14 +131,14 @@ def run_command(
     if places and out is None:
         raise click.UsageError("--on needs --out: there is no folder that the results would belong to")
 
-    from oysterbench.methods import find_method
     from oysterbench.methods.interfaces import track_of_command
+    from oysterbench.methods.systems import track_of
     from oysterbench.recipe import load_split
     from oysterbench.simulation.generate import split_folder
     from oysterbench.tracks import TRACKS, Request
 
     methods = _variants(names, settings, ablate) if template is None else []
-    name = track_name or (find_method(methods[0]).track if template is None else track_of_command(template))
+    name = track_name or (track_of(methods[0]) if template is None else track_of_command(template))
     if name not in TRACKS:
         raise click.UsageError(f"--track: expected one of {', '.join(TRACKS)}, got {name!r}")
     track = TRACKS[name]

@@ -8,7 +8,7 @@ import shlex
 import shutil
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -42,6 +42,11 @@ class MethodAdapter(ABC):
     @property
     def settings(self) -> dict[str, Any]:
         """Goes into the record as the settings of the method."""
+        return {}
+
+    @property
+    def evaluation(self) -> Mapping[str, Any]:
+        """Options of its track, by key, that it is scored by where the user gives no others."""
         return {}
 
     @abstractmethod

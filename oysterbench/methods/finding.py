@@ -65,7 +65,8 @@ def _load_point(name: str) -> Any:
     if name not in points:
         raise MethodError(
             f"unknown method {name!r}; installed methods: {', '.join(sorted(points)) or 'none'}; a class is given "
-            "as module:Class, another program with `oysterbench run --command`"
+            "as module:Class, another program with `oysterbench run --command`; `oysterbench systems` lists published "
+            "ones"
         )
     return points[name].load()
 

@@ -196,11 +196,16 @@ class Track(ABC):
     def adapters(self, request: Request) -> list[MethodAdapter]:
         """What is run. Raises MethodError where it cannot be found, or is of another track."""
         from oysterbench.methods.adapters import ExternalCommand, PythonMethod
+        from oysterbench.methods.systems import split_reference
+        from oysterbench.methods.systems.adapter import SystemAdapter
 
         if request.template is not None:
             return [ExternalCommand(request.template, request.name, self.name, request.poses_of)]
         names = dict.fromkeys(request.methods or self.default_methods)
-        return [PythonMethod(name, self.takes) for name in names]
+        return [
+            PythonMethod(name, self.takes) if split_reference(name) is None else SystemAdapter(name, self.takes)
+            for name in names
+        ]
 
     def evaluate(self, request: Request) -> Evaluation:
         """Run methods on sequences, score and show what they predict."""
@@ -257,7 +262,9 @@ class Track(ABC):
             request.scheduler,
         )
         for job, outcome in finished:
-            yield Finished(job, outcome, self.score(job, outcome, request.out, settings) if outcome.finished else None)
+            own = job.adapter.evaluation
+            judged = self.settings({**own, **request.options}) if own else settings
+            yield Finished(job, outcome, self.score(job, outcome, request.out, judged) if outcome.finished else None)
 
 
 def about_sequence(

@@ -1,0 +1,207 @@
+"""Obtains the source of a published system at its commit, makes the edits that it needs, and builds it.
+
+A build is a folder of its own under the home: `source/`, `build/`, `build.log`, and, once it is whole, `built.json`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import IO
+
+from oysterbench.core.errors import MethodError
+from oysterbench.core.files import locked, write_atomically
+from oysterbench.methods.processes import tail
+from oysterbench.methods.systems.manifest import System
+from oysterbench.version import VERSION
+
+BUILT, LOG, EDITS = "built.json", "build.log", "edits.toml"
+STEP = re.compile(r"^\[(\d+)/(\d+)\]|^\[ *(\d+)%\]")
+"""How Ninja and Make begin a line on what they build."""
+
+Announce = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Build:
+    """A system that is built. compiler: its own first line; cpu_s: that it took; size_bytes: of all its files"""
+
+    commit: str
+    recipe: str
+    compiler: str
+    cpu_s: float
+    size_bytes: int
+    built_by: str
+
+
+def built(system: System) -> Build | None:
+    """The build that is here; None where there is none, or one of another commit or recipe only."""
+    try:
+        return Build(**json.loads((system.place / BUILT).read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return None
+    except (ValueError, TypeError) as error:
+        raise MethodError(f"{system.place / BUILT}: not what this version writes ({error}); build it again") from None
+
+
+def build(
+    system: System, source: Path | None = None, jobs: int | None = None, again: bool = False, announce: Announce = print
+) -> Build:
+    """Build a system where it is not built; what was begun and interrupted is begun anew.
+
+    source: a clone of its repository, bare or not, instead of the network; jobs: compilers at a time
+    Raises MethodError with what is missing, or the last words of what failed and the path of its log.
+    """
+    system.place.mkdir(parents=True, exist_ok=True)
+    with locked(system.place.with_suffix(".lock")):
+        known = built(system)
+        if known is not None and not again:
+            return known
+        _check_packages(system)
+        (system.place / BUILT).unlink(missing_ok=True)
+        before = _cpu_s()
+        with open(system.place / LOG, "wb") as log:
+            if system.description.python:
+                _install(system, log, announce)
+            if system.description.source:
+                _obtain(system, source, log, announce)
+            if (system.folder / "CMakeLists.txt").exists():
+                _compile(system, jobs, log, announce)
+        prepare = getattr(import_module(f"{system.module}.configure"), "prepare", None)
+        if prepare is not None:
+            prepare(system.place, announce)
+        found = Build(
+            commit=system.description.commit,
+            recipe=system.digest,
+            compiler=_compiler(),
+            cpu_s=round(_cpu_s() - before, 1),
+            size_bytes=sum(path.lstat().st_size for path in system.place.rglob("*") if path.is_file()),
+            built_by=VERSION,
+        )
+        write_atomically(system.place / BUILT, json.dumps(asdict(found), indent=1).encode())
+        return found
+
+
+def missing_packages(packages: Sequence[str]) -> list[str]:
+    """Debian packages that are not installed; none where there is no Debian to ask."""
+    if shutil.which("dpkg-query") is None:
+        return []
+    asked = ["dpkg-query", "--show", "--showformat", "${Package} ${db:Status-Status}\n", *packages]
+    answer = subprocess.run(asked, capture_output=True, text=True, check=False).stdout if packages else ""
+    here = {line.split()[0] for line in answer.splitlines() if line.endswith(" installed")}
+    return [name for name in packages if name not in here]
+
+
+def _check_packages(system: System) -> None:
+    if missing := missing_packages(system.description.packages):
+        raise MethodError(
+            f"{system.name} needs packages that are not installed; type: sudo apt-get install {' '.join(missing)}"
+        )
+    if system.description.source and shutil.which("git") is None:
+        raise MethodError(f"{system.name} needs git to obtain its source; type: sudo apt-get install git")
+
+
+def _obtain(system: System, given: Path | None, log: IO[bytes], announce: Announce) -> None:
+    """The needed folders of the source at its commit, with the edits."""
+    commit, address = system.description.commit, system.description.source
+    with tempfile.TemporaryDirectory(dir=system.place) as scratch:
+        clone = Path(scratch) / "clone"
+        if given is None:
+            announce(f"fetching {address} at {commit[:8]}")
+            _call(system, ["git", "init", "--quiet", "--bare", str(clone)], log)
+            _call(system, ["git", "-C", str(clone), "fetch", "--quiet", "--depth", "1", address, commit], log)
+        else:
+            announce(f"taking {commit[:8]} from {given}")
+            clone = given.absolute()
+            _call(system, ["git", "-C", str(clone), "cat-file", "-e", f"{commit}^{{commit}}"], log)
+        archive = Path(scratch) / "source.tar"
+        words = ["git", "-C", str(clone), "archive", "--output", str(archive), commit]
+        _call(system, [*words, *system.description.folders], log)
+        tree = Path(scratch) / "source"
+        with tarfile.open(archive) as file:
+            file.extractall(tree, filter="data")
+        make_edits(system.folder / EDITS, tree)
+        shutil.rmtree(system.place / "source", ignore_errors=True)
+        os.replace(tree, system.place / "source")
+
+
+def make_edits(edits: Path, tree: Path) -> None:
+    """Replace texts of a source tree, wherever in their file they stand. Raises MethodError for an absent one."""
+    if not edits.exists():
+        return
+    for edit in tomllib.loads(edits.read_text(encoding="utf-8"))["edit"]:
+        path = tree / edit["file"]
+        text = path.read_text(encoding="utf-8", errors="surrogateescape")
+        if edit["find"] not in text:
+            raise MethodError(f"{edits}: {edit['file']} of the source has no text {edit['find']!r} to replace")
+        changed = text.replace(edit["find"], edit["replace"])
+        path.write_text(changed, encoding="utf-8", errors="surrogateescape")
+
+
+def _compile(system: System, jobs: int | None, log: IO[bytes], announce: Announce) -> None:
+    folder = system.place / "build"
+    shutil.rmtree(folder, ignore_errors=True)
+    ninja = ["-G", "Ninja"] if shutil.which("ninja") else []
+    configure = ["cmake", *ninja, "-S", str(system.folder), "-B", str(folder), "-DCMAKE_BUILD_TYPE=Release"]
+    announce(f"configuring {system.name}")
+    _call(system, [*configure, f"-DUPSTREAM={system.place / 'source'}"], log)
+    count = jobs or len(os.sched_getaffinity(0))
+    _call(system, ["cmake", "--build", str(folder), "--parallel", str(count)], log, announce)
+    if not (folder / system.description.program).exists():
+        raise MethodError(f"{system.name}: its build left no {system.description.program}; {system.place / LOG}")
+
+
+def _install(system: System, log: IO[bytes], announce: Announce) -> None:
+    """Requirements of Python, beside what this interpreter has."""
+    place = system.place / "venv"
+    announce(f"installing {', '.join(system.description.python)}")
+    _call(system, [sys.executable, "-m", "venv", "--clear", "--system-site-packages", str(place)], log)
+    _call(system, [str(place / "bin" / "pip"), "install", "--no-input", *system.description.python], log)
+
+
+def _call(system: System, command: Sequence[str], log: IO[bytes], announce: Announce | None = None) -> None:
+    """Run a step; its output goes to the log, and how far it is to `announce`."""
+    log.write(f"$ {' '.join(command)}\n".encode())
+    log.flush()
+    try:
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+        ) as step:
+            assert step.stdout is not None
+            for line in step.stdout:
+                log.write(line.encode())
+                if announce is not None and (where := STEP.match(line)):
+                    announce(f"building {system.name}: {where.group().strip('[] ')}")
+    except FileNotFoundError:
+        raise MethodError(f"{system.name} needs {command[0]}, which is not here") from None
+    log.flush()
+    if step.returncode:
+        raise MethodError(
+            f"{system.name}: {command[0]} ended with status {step.returncode}; it last said: {tail(Path(log.name))}; "
+            f"all of it: {log.name}"
+        )
+
+
+def _compiler() -> str:
+    try:
+        said = subprocess.run(["c++", "--version"], capture_output=True, text=True, check=False).stdout
+    except FileNotFoundError:
+        return ""
+    return said.partition("\n")[0]
+
+
+def _cpu_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime

@@ -1,0 +1,88 @@
+"""Writes the configuration of a published system for one sequence, and becomes its program.
+
+    python -m oysterbench.methods.systems.launch REFERENCE BUILD INPUT FOLDER NUMBER
+
+The module `configure` of the system's folder has `command`, which is given a `Launch`, writes what the program reads
+into `Launch.folder`, and returns the command line.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from oysterbench.core.errors import MethodError, OysterbenchError
+from oysterbench.methods.interfaces.slam import SlamInterface
+from oysterbench.methods.systems.manifest import SystemMethod, split_reference
+from oysterbench.sequence import Sequence, open_sequence
+
+CONFIGURATION = "configuration"
+
+
+@dataclass(frozen=True)
+class Launch:
+    """One run of a system.
+
+    method, about: its name and what its manifest says of it; options: all of the system, by key; given: the sequence
+    in the form of the method, without the truth; source, build: the edited source tree and what was built of it;
+    folder: for the configuration; out: where the trajectory goes; number: of the run, from 0
+    """
+
+    method: str
+    about: SystemMethod
+    options: Mapping[str, Any]
+    given: Path
+    source: Path
+    build: Path
+    folder: Path
+    out: Path
+    number: int
+
+    @cached_property
+    def sequence(self) -> Sequence:
+        """The same as a sequence: its calibration, above all."""
+        return open_sequence(self.given)
+
+
+def launch_of(reference: str, place: Path, given: Path, folder: Path, number: int) -> tuple[Launch, list[str]]:
+    """The run, and the command line of its program."""
+    found = split_reference(reference)
+    if found is None:
+        raise MethodError(f"no published system has a method {reference!r}")
+    system, name, options = found
+    method = name.partition("[")[0]
+    kept = folder / CONFIGURATION
+    kept.mkdir(parents=True, exist_ok=True)
+    launch = Launch(
+        method=method,
+        about=system.description.methods[method],
+        options=options,
+        given=given.absolute(),
+        source=place / "source",
+        build=place / "build",
+        folder=kept.absolute(),
+        out=(folder / SlamInterface.out).absolute(),
+        number=number,
+    )
+    command: list[str] = import_module(f"{system.module}.configure").command(launch)
+    return launch, command
+
+
+def main(reference: str, place: str, given: str, folder: str, number: str) -> None:
+    """As the command line has it."""
+    try:
+        _, command = launch_of(reference, Path(place), Path(given), Path(folder), int(number))
+    except OysterbenchError as error:
+        sys.exit(str(error))
+    sys.stdout.flush()
+    os.execv(command[0], command)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,181 @@
+"""What a published system is: the system.toml of its folder, and the methods that it brings."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+
+from oysterbench.core.errors import MethodError
+from oysterbench.core.files import home
+from oysterbench.core.names import did_you_mean, nearest
+from oysterbench.methods.finding import find_method
+from oysterbench.methods.options import read_value, split_variant, variant_name
+
+ENTRY_POINTS = "oysterbench.systems"
+MANIFEST = "system.toml"
+
+Sensor = Literal["mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptionRange:
+    """An option of a system. default: the authors', None where their configuration has it; range: lowest and highest
+    that tuning tries, on a scale of logarithms where `log` is true; choices: the values it may have instead."""
+
+    default: Any = None
+    range: tuple[float, float] | None = None
+    log: bool = False
+    choices: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class SystemMethod:
+    """A way to run a system.
+
+    sensors: that it uses; online: whether a pose is what was known at its time; deterministic: whether two runs on one
+    sequence leave the same; form, poses_of: as of `ExternalCommand`; align: how it is aligned where the user does not
+    say, as a system without scale cannot be scored as it is; max_gap_s: between two poses of it, None for the
+    evaluator's; of: the method whose options it has with its own above; options: that differ from the system's
+    """
+
+    about: str
+    sensors: tuple[Sensor, ...]
+    online: bool
+    deterministic: bool
+    form: str = "euroc"
+    poses_of: str = "imu"
+    align: str = "posyaw"
+    max_gap_s: float | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """A system.toml.
+
+    source: address of its repository; commit: of 40 digits; folders: of the repository that are needed, all where
+    there are none; packages: Debian's, that building and running need; python: requirements, for a system that is a
+    package of Python's; program: what the build leaves; cpu_minutes, disk_mb: that building takes
+    """
+
+    title: str
+    paper: str
+    url: str
+    licence: str
+    program: str
+    methods: Mapping[str, SystemMethod]
+    source: str = ""
+    commit: str = ""
+    folders: tuple[str, ...] = ()
+    packages: tuple[str, ...] = ()
+    python: tuple[str, ...] = ()
+    cpu_minutes: float = 0.0
+    disk_mb: float = 0.0
+    options: Mapping[str, OptionRange] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class System:
+    """A published system by its name; folder: with what describes, builds and configures it; module: that folder's."""
+
+    name: str
+    folder: Path
+    module: str
+    description: Description
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of what builds it: other code, or another commit, is another build."""
+        found = hashlib.sha256()
+        for path in sorted(self.recipe_files()):
+            found.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+        return found.hexdigest()
+
+    def recipe_files(self) -> list[Path]:
+        """The files that decide what is built: sources and edits of ours, and the commit."""
+        commit = self.folder / MANIFEST
+        shared = self.folder.parent / "common"
+        places = [path for folder in (self.folder, shared) for path in folder.glob("*") if path.is_file()]
+        return [
+            commit,
+            *(path for path in places if path.suffix in {".cpp", ".h", ".txt"} or path.name == "edits.toml"),
+        ]
+
+    @property
+    def place(self) -> Path:
+        """Where it is built."""
+        return home() / "systems" / f"{self.name}-{self.description.commit[:8] or 'python'}-{self.digest[:8]}"
+
+
+@cache
+def systems() -> Mapping[str, System]:
+    """All that are known here, by name. Raises MethodError where one is described wrongly."""
+    found = {}
+    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda point: point.name):
+        spec = find_spec(point.value)
+        if spec is None or spec.origin is None:
+            raise MethodError(f"system {point.name!r}: its entry point {point.value} is no package that is here")
+        found[point.name] = read_system(point.name, Path(spec.origin).parent, point.value)
+    return found
+
+
+def read_system(name: str, folder: Path, module: str = "") -> System:
+    """The system of a folder. Raises MethodError, with file and key, where its system.toml is not one."""
+    path = folder / MANIFEST
+    try:
+        description = msgspec.toml.decode(path.read_bytes(), type=Description)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise MethodError(f"{path}: {error}") from None
+    for method, values in description.methods.items():
+        for key in values.options.keys() - description.options.keys():
+            raise MethodError(f"{path}: methods.{method}.options: the system has no option {key!r}")
+    return System(name, folder, module, description)
+
+
+def find_system(name: str) -> System:
+    """The system of that name. Raises MethodError where there is none."""
+    known = systems()
+    if name not in known:
+        meant = did_you_mean(nearest(name, known))
+        raise MethodError(f"unknown system {name!r}; {meant}known: {', '.join(known) or 'none'}")
+    return known[name]
+
+
+def split_reference(reference: str) -> tuple[System, str, dict[str, Any]] | None:
+    """System, method and all options of `METHOD[key=value,...]`; None where no system has such a method.
+
+    Raises MethodError for an option that the system has not, or a value that is none.
+    """
+    method, given = split_variant(reference)
+    system = next((one for one in systems().values() if method in one.description.methods), None)
+    if system is None:
+        return None
+    known = system.description.options
+    values = {key: option.default for key, option in known.items() if option.default is not None}
+    values |= system.description.methods[method].options
+    for key, text in given.items():
+        if key not in known:
+            meant = did_you_mean(nearest(key, known))
+            raise MethodError(
+                f"method {method!r} has no option {key!r}; {meant}its options: {', '.join(known) or 'none'}"
+            )
+        option = known[key]
+        sample = option.default if option.default is not None else next(iter(option.choices), None)
+        values[key] = read_value(text, sample, f"option {key!r} of method {method!r}")
+        if option.choices and values[key] not in option.choices:
+            expected = ", ".join(map(str, option.choices))
+            raise MethodError(f"option {key!r} of method {method!r}: expected one of {expected}, got {text}")
+    return system, variant_name(method, given), values
+
+
+def track_of(reference: str) -> str:
+    """The track of a method, of a published system or any other. Raises MethodError where there is no such method."""
+    return "slam" if split_reference(reference) is not None else find_method(reference).track

@@ -1,0 +1,168 @@
+"""Published systems: found, built from their sources, configured, run by name, and told apart when they change."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+import oysterbench
+from oysterbench.core.errors import MethodError
+from oysterbench.core.trajectory import Trajectory, write_tum
+from oysterbench.methods.systems import building, find_system, split_reference, systems
+from oysterbench.methods.systems.container import containerfile
+from oysterbench.methods.systems.manifest import read_system
+from oysterbench.results.records import read_results
+from tests.helpers.paths import COMMAND
+from tests.helpers.toy_system import toy_package, toy_repository
+
+needs_tools = pytest.mark.skipif(
+    not (shutil.which("git") and shutil.which("cmake")), reason="git and cmake are not installed"
+)
+
+
+@pytest.fixture
+def answer(tmp_path, dive_file):
+    """The true path, 2 times as large."""
+    truth = oysterbench.open(dive_file).truth()
+    large = Trajectory(truth.stamps_ns, 2 * truth.positions, truth.quaternions)
+    write_tum(tmp_path / "answer.tum", large)
+    return tmp_path / "answer.tum"
+
+
+@pytest.fixture
+def toy(tmp_path, answer, monkeypatch):
+    """A system that is not built, and the repository of its source; both are found by what is started here."""
+    commit = toy_repository(tmp_path / "upstream")
+    folder = toy_package(tmp_path / "python", commit, answer, align="sim3")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "python"))
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
+    monkeypatch.syspath_prepend(str(tmp_path / "python"))
+    forget()
+    yield folder
+    forget()
+
+
+def forget():
+    """What is known of systems in this process, of which every test has its own."""
+    systems.cache_clear()
+    for name in [name for name in sys.modules if name.startswith("toy_systems")]:
+        del sys.modules[name]
+
+
+def oysterbench_command(*words):
+    found = [COMMAND, *map(str, words)]
+    return subprocess.run(found, capture_output=True, text=True, check=False, env=os.environ)
+
+
+@needs_tools
+def test_a_system_is_built_and_run_by_name(toy, dive_file, tmp_path):
+    refused = oysterbench_command("run", "toy", "--on", dive_file, "--out", tmp_path / "out")
+    assert refused.returncode == 1
+    assert refused.stderr == "oysterbench: toy is not built here; type: oysterbench systems build toy\n"
+
+    done = oysterbench_command("systems", "build", "toy", "--source", tmp_path / "upstream")
+    assert done.returncode == 0, done.stderr
+    place = find_system("toy").place
+    assert "ready" in (place / "build" / "toy").read_text()
+    assert not (place / "source" / "unused").exists()
+    listed = json.loads(oysterbench_command("systems", "--json").stdout)
+    assert next(row for row in listed if row["method"] == "toy")["state"].startswith("built")
+
+    done = oysterbench_command("run", "toy", "--on", dive_file, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    (record,) = read_results(tmp_path / "out" / "results.json")
+    assert record.settings["align"] == "sim3"  # as its manifest says
+    assert record.metrics["ate_rmse_m"] < 1e-6
+    assert record.method_settings == {"method": "toy", "word": "ready", "gain": 1.0}
+    assert record.info["run"]["versions"]["commit"] == find_system("toy").description.commit
+    assert len(record.info["log_sha256"]) == 64
+    assert list(record.info["configuration_sha256"]) == ["word.txt"]
+
+    given = oysterbench_command("run", "toy", "--on", dive_file, "--out", tmp_path / "se3", "--align", "posyaw")
+    assert given.returncode == 0, given.stderr
+    (record,) = read_results(tmp_path / "se3" / "results.json")
+    assert record.settings["align"] == "posyaw"
+    assert record.metrics["ate_rmse_m"] > 1e-3
+
+
+@needs_tools
+def test_a_changed_configuration_or_recipe_is_another_run(toy, dive_file, tmp_path):
+    building.build(find_system("toy"), tmp_path / "upstream", announce=lambda text: None)
+    words = ("run", "toy", "--on", dive_file, "--out", tmp_path / "out")
+    assert oysterbench_command(*words).returncode == 0
+    with open(toy / "configure.py", "a") as file:
+        file.write("# changed\n")
+    changed = oysterbench_command(*words)
+    assert changed.returncode == 1
+    assert "--again runs it anew" in changed.stderr
+    with open(toy / "CMakeLists.txt", "a") as file:
+        file.write("# changed\n")
+    assert "is not built here" in oysterbench_command(*words).stderr
+
+
+@needs_tools
+def test_what_a_build_says_last_is_told_with_its_log(toy, tmp_path):
+    with open(toy / "CMakeLists.txt", "a") as file:
+        file.write('message(FATAL_ERROR "no such library")\n')
+    done = oysterbench_command("systems", "build", "toy", "--source", tmp_path / "upstream")
+    assert done.returncode == 1
+    last = done.stderr.splitlines()[-1]
+    assert "no such library" in last
+    assert last.endswith(str(find_system("toy").place / "build.log"))
+    assert building.built(find_system("toy")) is None
+
+
+@needs_tools
+def test_an_edit_of_a_text_that_is_not_there_is_refused(toy, tmp_path):
+    (toy / "edits.toml").write_text(
+        '[[edit]]\nfile = "src/toy.sh"\nfind = "never there"\nreplace = ""\nreason = "a test"\n'
+    )
+    with pytest.raises(MethodError, match=r"src/toy.sh of the source has no text 'never there'"):
+        building.build(find_system("toy"), tmp_path / "upstream", announce=lambda text: None)
+
+
+def test_packages_that_are_missing_are_named(toy, monkeypatch):
+    monkeypatch.setattr(building, "missing_packages", lambda packages: ["libfoo-dev", "libbar-dev"])
+    with pytest.raises(MethodError, match="type: sudo apt-get install libfoo-dev libbar-dev"):
+        building.build(find_system("toy"))
+
+
+def test_options_are_those_of_the_manifest(toy):
+    system, name, options = split_reference("toy[gain=2]")
+    assert (system.name, name, options) == ("toy", "toy[gain=2]", {"word": "ready", "gain": 2.0})
+    assert split_reference("gtsam_vi") is None
+    with pytest.raises(MethodError, match="has no option 'gian'; did you mean gain"):
+        split_reference("toy[gian=2]")
+    with pytest.raises(MethodError, match="expected one of ready, wrong, got never"):
+        split_reference("toy[word=never]")
+
+
+def test_a_wrong_manifest_is_named_with_file_and_key(toy):
+    text = (toy / "system.toml").read_text()
+    (toy / "system.toml").write_text(text.replace('sensors = ["mono"]', 'sensors = ["nose"]'))
+    with pytest.raises(MethodError, match=r"system.toml: .*'nose'.*sensors"):
+        read_system("toy", toy)
+    (toy / "system.toml").write_text(text.replace("align", "options = { none = 1 }\nalign"))
+    with pytest.raises(MethodError, match=r"methods.toy.options: the system has no option 'none'"):
+        read_system("toy", toy)
+
+
+def test_a_system_that_fails_has_its_last_words(toy, dive_file, tmp_path):
+    if not (shutil.which("git") and shutil.which("cmake")):
+        pytest.skip("git and cmake are not installed")
+    building.build(find_system("toy"), tmp_path / "upstream", announce=lambda text: None)
+    done = oysterbench_command("run", "toy[word=wrong]", "--on", dive_file, "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert "toy begins" in done.stderr
+
+
+def test_every_system_has_a_container_recipe():
+    for system in systems().values():
+        text = containerfile(system)
+        assert f"oysterbench systems build {system.name}" in text
+        assert all(package in text for package in system.description.packages)
