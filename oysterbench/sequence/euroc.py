@@ -56,6 +56,7 @@ class EurocSequence(Sequence):
             matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]),
             distortion=_numbers(settings, "distortion_coefficients"),
             T_base_cam=_numbers(settings, "data").reshape(4, 4),
+            time_offset_s=0.0 - _scalar(settings, "timeshift_cam_imu", 0.0),
             distortion_model="equidistant" if "equidistant" in settings.get("distortion_model", "") else "plumb_bob",
         )
 

@@ -37,3 +37,18 @@ def plain(value: Any, real: bool = True) -> str:
 def matrix(values: Array) -> list[str]:
     """Lines of a matrix as Kalibr writes it, two spaces under its key."""
     return [f"    - [{', '.join(repr(float(value)) for value in row)}]" for row in np.asarray(values)]
+
+
+def opencv_matrix(values: Array) -> list[str]:
+    """Lines of a matrix of reals as OpenCV writes it, under a key that ends in `!!opencv-matrix`."""
+    rows, cols = values.shape
+    numbers = ", ".join(repr(float(value)) for value in np.ravel(values))
+    return [f"  rows: {rows}", f"  cols: {cols}", "  dt: f", f"  data: [{numbers}]"]
+
+
+def replace_block(text: str, key: str, lines: list[str]) -> str:
+    """A text with other lines under a key: all that are indented. Raises MethodError for a key it lacks."""
+    found = re.search(rf"^{re.escape(key)}:.*\n((?:[ \t]+.*\n)+)", text, re.M)
+    if found is None:
+        raise MethodError(f"the authors' configuration has no block {key!r}")
+    return text[: found.start(1)] + "".join(f"{line}\n" for line in lines) + text[found.end(1) :]

@@ -61,8 +61,11 @@ class SystemAdapter(MethodAdapter):
 
     @property
     def _configuration(self) -> str:
-        """SHA-256 of what writes its configuration."""
-        return hashlib.sha256((self.system.folder / "configure.py").read_bytes()).hexdigest()
+        """SHA-256 of what writes its configuration, and of scripts that run it."""
+        found = hashlib.sha256()
+        for path in sorted([*self.system.folder.glob("*.py"), *(self.system.folder.parent / "common").glob("*.py")]):
+            found.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+        return found.hexdigest()
 
     def versions(self) -> dict[str, str]:
         described = self.system.description

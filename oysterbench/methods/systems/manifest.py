@@ -103,7 +103,7 @@ class System:
         """The files that decide what is built: sources and edits of ours, and the commit."""
         commit = self.folder / MANIFEST
         shared = self.folder.parent / "common"
-        places = [path for folder in (self.folder, shared) for path in folder.glob("*") if path.is_file()]
+        places = [path for folder in (self.folder, shared) for path in folder.rglob("*") if path.is_file()]
         return [
             commit,
             *(path for path in places if path.suffix in {".cpp", ".h", ".txt"} or path.name == "edits.toml"),

@@ -68,6 +68,7 @@ def _camera_yaml(name: str, camera: CameraCalibration, T_imu_cam: Array) -> list
         f"intrinsics: {numbers([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])}",
         f"distortion_model: {DISTORTION_MODELS[camera.distortion_model]}",
         f"distortion_coefficients: {numbers(coefficients)}",
+        f"timeshift_cam_imu: {number(0.0 - camera.time_offset_s)}",  # not of the layout: Kalibr's
     ]
 
 

@@ -1,0 +1,96 @@
+"""The settings of ORB-SLAM3: the authors' own for EuRoC with the calibration of the sequence; and its vocabulary."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import invert
+from oysterbench.methods.systems.launch import Launch
+from oysterbench.sequence import Sequence
+from oysterbench_baselines.external.common.yaml import opencv_matrix, replace_block, replace_values
+
+SETTINGS, VOCABULARY = "settings.yaml", "vocabulary.txt"
+EXAMPLES = {"mono": "Monocular", "mono_inertial": "Monocular-Inertial", "stereo_inertial": "Stereo-Inertial"}
+TAUGHT_ON = (("slam-mini", "mini-01"), ("slam-train", "train-02"))
+"""Split and sequence of the pictures that the vocabulary is trained on; none is of what methods are compared on."""
+
+
+def command(launch: Launch) -> list[str]:
+    """Write the settings; the command line."""
+    mode = next(mode for mode in sorted(EXAMPLES, key=len, reverse=True) if f"_{mode}" in launch.method)
+    example = launch.source / "Examples" / EXAMPLES[mode] / "EuRoC.yaml"
+    text = settings(example.read_text(encoding="utf-8"), launch.sequence, mode, launch.options)
+    (launch.folder / SETTINGS).write_text(text, encoding="utf-8")
+    words = launch.options["vocabulary"] or launch.build.parent / VOCABULARY
+    shift_s = 0.0 - next(iter(launch.sequence.cameras.values())).time_offset_s
+    asked = (launch.build / "orb_slam3", mode, launch.folder / SETTINGS, words, launch.given, launch.out, repr(shift_s))
+    return [str(word) for word in asked]
+
+
+def settings(authors: str, sequence: Sequence, mode: str, options: Mapping[str, Any]) -> str:
+    """The authors' file for a mode with the calibration and the rates of a sequence, and the options."""
+    cameras = list(sequence.cameras.values())[: 2 if mode.startswith("stereo") else 1]
+    if not all(camera.distortion_model == "plumb_bob" for camera in cameras):
+        raise MethodError("ORB-SLAM3: expected cameras of the model plumb_bob; the fisheye's has other keys")
+    first, unit = cameras[0], sequence.imu_calibration
+    values: dict[str, Any] = {"Camera.width": first.width, "Camera.height": first.height}
+    values["Camera.fps"] = round(first.rate_hz)
+    if "Camera.newWidth" in authors:  # the authors shrink EuRoC's; these stay as they are
+        values |= {"Camera.newWidth": first.width, "Camera.newHeight": first.height}
+    more = []
+    for number, camera in enumerate(cameras, start=1):
+        K = camera.matrix
+        coefficients = np.append(camera.distortion, np.zeros(5))
+        keys = zip(("fx", "fy", "cx", "cy"), (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), strict=True)
+        values |= {f"Camera{number}.{key}": float(value) for key, value in keys}
+        values |= {
+            f"Camera{number}.{k}": float(v) for k, v in zip(("k1", "k2", "p1", "p2"), coefficients, strict=False)
+        }
+        if coefficients[4]:
+            more.append(f"Camera{number}.k3: {float(coefficients[4])!r}")
+    if "inertial" in mode:
+        values |= {
+            "IMU.NoiseGyro": unit.gyro_noise_density,
+            "IMU.NoiseAcc": unit.accel_noise_density,
+            "IMU.GyroWalk": unit.gyro_random_walk,
+            "IMU.AccWalk": unit.accel_random_walk,
+            "IMU.Frequency": float(unit.rate_hz),
+        }
+    values |= {f"ORBextractor.{key}": value for key, value in options.items() if key != "vocabulary"}
+    text = replace_values(authors, values)
+    if "inertial" in mode:
+        text = replace_block(text, "IMU.T_b_c1", opencv_matrix(invert(unit.T_base_imu) @ first.T_base_cam))
+    if mode.startswith("stereo"):
+        text = replace_block(text, "Stereo.T_c1_c2", opencv_matrix(invert(first.T_base_cam) @ cameras[1].T_base_cam))
+    return text + "".join(f"\n{line}" for line in more) + "\n"
+
+
+def prepare(place: Path, announce: Callable[[str], None]) -> None:
+    """Train the vocabulary, as the published one is not part of the source. The same pictures give the same words."""
+    with tempfile.TemporaryDirectory(dir=place) as scratch:
+        pictures = []
+        for split, name in TAUGHT_ON:
+            announce(f"rendering {name} of {split}, on which the vocabulary is trained")
+            oysterbench("render", split, "--sequence", name, "--out", f"{scratch}/{split}")
+            folder = Path(scratch) / name
+            oysterbench("export", f"{scratch}/{split}/{name}.mcap", "--format", "euroc", "--out", str(folder))
+            pictures += sorted((folder / "mav0" / "cam0" / "data").glob("*.png"))
+        announce(f"training the vocabulary on {len(pictures)} pictures")
+        trainer = [str(place / "build" / "train_vocabulary"), str(place / VOCABULARY), "-"]
+        listed = "\n".join(map(str, pictures))
+        subprocess.run(trainer, input=listed, text=True, check=True, stdout=subprocess.DEVNULL)
+
+
+def oysterbench(*words: str) -> None:
+    """A command of this project's. Raises MethodError with its last line where it fails."""
+    done = subprocess.run([sys.executable, "-m", "oysterbench", *words], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise MethodError(f"oysterbench {' '.join(words)}: {(done.stderr.splitlines() or ['failed'])[-1]}")
