@@ -21,6 +21,7 @@ from oysterbench.cli.render import frames_bar, render
 from oysterbench.cli.run import run_command
 from oysterbench.cli.splits import splits
 from oysterbench.cli.systems import systems_command
+from oysterbench.cli.tune import tune_command
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.version import VERSION
 
@@ -74,6 +75,7 @@ def main() -> None:
       oysterbench eval steering                     policies that explore, against an expert
       oysterbench run my_slam --command "..."       run any program on a split, and score it
       oysterbench systems                           published systems: build one, then run it by name
+      oysterbench tune openvins_dynamic --out tuning    the best options by a stated number of trials
       oysterbench compare ours theirs               ranks, ties, and who is better where
       oysterbench train unet --data seg-train       a method that learns
       oysterbench splits                            what can be rendered, and what is here
@@ -100,6 +102,7 @@ for _command in (
     render,
     splits,
     systems_command,
+    tune_command,
     *HUB_COMMANDS,
 ):
     main.add_command(_command)

@@ -7,6 +7,7 @@ field of a field is written with a dot, as in `dead_reckoning[start.level_s=2]`.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import inspect
 import re
 import tomllib
@@ -17,6 +18,8 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.names import FEW, did_you_mean, nearest
 
 VARIANT = re.compile(r"(?P<method>[^\[\]]+)\[(?P<options>.*)\]", re.DOTALL)
+LONGEST = 160
+"""Characters of the options in a name, which has to be that of a folder; of more, it has their number and digest."""
 UNPLAIN = re.compile(r"[^A-Za-z0-9_.+=,-]+")
 """Characters that do not belong into the name of a file."""
 
@@ -80,6 +83,8 @@ def variant_name(name: str, options: Mapping[str, str]) -> str:
     written = ",".join(
         f"{key}={UNPLAIN.sub('-', value.replace(',', ' ')).strip('-')}" for key, value in options.items()
     )
+    if len(written) > LONGEST:
+        written = f"{len(options)}-options-{hashlib.sha256(written.encode()).hexdigest()[:8]}"
     return f"{name}[{written}]"
 
 

@@ -204,3 +204,21 @@ def test_an_unknown_method_is_named_before_anything_is_rendered(home):
     assert "unknown method 'orb_slam'; installed methods: " in done.stderr
     assert "module:Class" in done.stderr
     assert not home.exists()
+
+
+def test_tuning_ranks_its_trials_and_goes_on_in_its_folder(tmp_path):
+    (tmp_path / "rig.toml").write_text(TINY_RIG)
+    (tmp_path / "tiny.toml").write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
+    (tmp_path / "ranges.toml").write_text("[speed_m_s]\nrange = [0.1, 0.9]\n")
+    method = "oysterbench_baselines.template:Template"
+    words = ["tune", method, "--split", tmp_path / "tiny.toml", "--sequence", "tiny-01", "--trials", 3]
+    words += ["--ranges", tmp_path / "ranges.toml", "--out", tmp_path / "out"]
+    done = run_here(*words, home=tmp_path / "home")
+    assert done.returncode == 0, done.stderr
+    scores = {record.method: record.metrics["score"] for record in read_results(tmp_path / "out" / "results.json")}
+    assert len(scores) == 3
+    best = max(scores, key=scores.__getitem__)
+    assert done.stdout.splitlines()[-1] == best.replace("template", method)
+    again = run_here(*words, home=tmp_path / "home")
+    assert again.stdout == done.stdout
+    assert "running" not in again.stderr

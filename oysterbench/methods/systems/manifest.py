@@ -18,22 +18,12 @@ from oysterbench.core.files import home
 from oysterbench.core.names import did_you_mean, nearest
 from oysterbench.methods.finding import find_method
 from oysterbench.methods.options import read_value, split_variant, variant_name
+from oysterbench.methods.tuning import OptionRange
 
 ENTRY_POINTS = "oysterbench.systems"
 MANIFEST = "system.toml"
 
 Sensor = Literal["mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class OptionRange:
-    """An option of a system. default: the authors', None where their configuration has it; range: lowest and highest
-    that tuning tries, on a scale of logarithms where `log` is true; choices: the values it may have instead."""
-
-    default: Any = None
-    range: tuple[float, float] | None = None
-    log: bool = False
-    choices: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

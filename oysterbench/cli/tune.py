@@ -1,0 +1,100 @@
+"""The command `tune`: random search over the options of a method, with a budget that is the same for all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from oysterbench.cli.echo import echo, message
+from oysterbench.cli.evaluate import FOLDER, print_table
+
+
+@click.command("tune", short_help="Search a method's options on a split, by a stated number of trials.")
+@click.argument("method", metavar="METHOD")
+@click.option("--split", "split_name", default="slam-train", show_default=True, help="What it is tuned on.")
+@click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
+@click.option(
+    "--trials",
+    "count",
+    type=click.IntRange(min=2),
+    default=30,
+    show_default=True,
+    help="The first of them is the method as it is.",
+)
+@click.option(
+    "--ranges",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="TOML: [OPTION] range, log, choices.  [default: a published system's own]",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of what is tried.")
+@click.option("--jobs", type=click.IntRange(min=1), help="At a time, at most.  [default: one per core]")
+@click.option("--timeout", "limit_s", type=click.FloatRange(min=0, min_open=True), help="Seconds a run may take.")
+@click.option("--scheduler", metavar="ADDRESS", help="Run them on the workers of a Dask scheduler instead.")
+@click.option("--out", type=FOLDER, required=True, help="Folder of all runs; the same command goes on in it.")
+def tune_command(
+    method: str,
+    split_name: str,
+    sequences: tuple[str, ...],
+    count: int,
+    ranges: Path | None,
+    seed: int,
+    jobs: int | None,
+    limit_s: float | None,
+    scheduler: str | None,
+    out: Path,
+) -> None:
+    """Try METHOD with options drawn at random, and say which have the best mean score.
+
+    \b
+    Examples:
+      oysterbench tune openvins_dynamic --sequence train-02 --sequence train-07 --trials 30 --out tuning/openvins
+      oysterbench tune gtsam_vi --ranges ranges.toml --trials 30 --out tuning/gtsam_vi
+
+    A trial's options depend on the seed, its number and their names alone, so that methods with the same budget are
+    searched alike. A file of ranges has a table for each option: range = [1, 9], log = true, or choices = ["a", "b"].
+    A failed run counts with the score 0. The last line is the method with the best options, as `oysterbench run` takes
+    it. Whatever is interrupted, the same command goes on.
+    """
+    from oysterbench.cli.render import frames_bar, render_files
+    from oysterbench.methods.systems import split_reference, track_of
+    from oysterbench.methods.tuning import read_ranges, trials
+    from oysterbench.recipe import load_split
+    from oysterbench.report.tuning import best_of, trials_table
+    from oysterbench.results.records import add_results
+    from oysterbench.tracks import TRACKS, Request
+
+    track = TRACKS[track_of(method)]
+    found = split_reference(method)
+    if ranges is None and found is None:
+        raise click.UsageError(f"--ranges: {method} is no published system, which would have ranges of its own")
+    known = read_ranges(ranges) if ranges is not None else dict(found[0].description.options) if found else {}
+    references = trials(method, known, count, seed)
+
+    def keep(runs: Sequence[Any]) -> None:
+        add_results(out / "results.json", [run.record for run in runs])
+
+    request = Request(
+        out=out,
+        split=load_split(split_name),
+        sequences=sequences,
+        methods=references,
+        jobs=jobs,
+        limit_s=limit_s,
+        scheduler=scheduler,
+        render=render_files,
+        bar=frames_bar,
+        announce=message,
+        finished=keep,
+    )
+    names = {adapter.name: reference for adapter, reference in zip(track.adapters(request), references, strict=True)}
+    records = track.evaluate(request).records
+    table = trials_table(records, names)
+    print_table(table)
+    best = best_of(records, names)
+    if math.isfinite(best[1]):
+        message(f"best of {len(references)} trials, mean score {best[1]:.3f}:")
+        echo(names[best[0]])

@@ -1,0 +1,60 @@
+"""Random search over options: what is drawn, and the command."""
+
+from __future__ import annotations
+
+import pytest
+
+from oysterbench.core.errors import MethodError
+from oysterbench.methods.finding import find_method
+from oysterbench.methods.options import LONGEST, split_variant, variant_name
+from oysterbench.methods.tuning import OptionRange, read_ranges, trials
+
+RANGES = {
+    "gain": OptionRange(range=(0.01, 100.0), log=True),
+    "count": OptionRange(range=(3, 5)),
+    "word": OptionRange(choices=("a", "b")),
+    "fixed": OptionRange(default=7),
+}
+
+
+def drawn(count=400):
+    return [split_variant(reference)[1] for reference in trials("mine", RANGES, count)[1:]]
+
+
+def test_values_lie_in_their_ranges_and_fill_them():
+    gains = [float(options["gain"]) for options in drawn()]
+    assert 0.01 <= min(gains) < 0.02
+    assert 50 < max(gains) <= 100
+    assert 0.4 < sum(gain < 1 for gain in gains) / len(gains) < 0.6  # on a scale of logarithms
+    assert {options["count"] for options in drawn()} == {"3", "4", "5"}
+    assert {options["word"] for options in drawn()} == {"a", "b"}
+    assert all("fixed" not in options for options in drawn())
+
+
+def test_trials_are_a_prefix_of_more_trials_and_depend_on_the_seed_alone():
+    assert trials("mine", RANGES, 5) == trials("mine", RANGES, 30)[:5]
+    assert trials("mine", RANGES, 5)[0] == "mine"
+    assert trials("mine", RANGES, 5, seed=1) != trials("mine", RANGES, 5)
+    others = {**RANGES, "more": OptionRange(choices=(True, False))}
+    for one, other in zip(drawn(5), trials("mine", others, 5)[1:], strict=True):
+        assert split_variant(other)[1].items() >= one.items()  # an option more changes nothing of the others
+
+
+def test_nothing_to_try_is_refused():
+    with pytest.raises(MethodError, match="no option has a range or choices"):
+        trials("mine", {"fixed": OptionRange(default=7)}, 5)
+
+
+def test_a_wrong_file_of_ranges_is_named(tmp_path):
+    (tmp_path / "ranges.toml").write_text("[gain]\nrange = [1.0]\n")
+    with pytest.raises(MethodError, match=r"ranges\.toml: .*gain"):
+        read_ranges(tmp_path / "ranges.toml")
+
+
+def test_the_name_of_many_options_fits_a_folder():
+    options = {f"option_{i}": str(i) for i in range(60)}
+    name = variant_name("mine", options)
+    assert len(name) < LONGEST
+    assert name != variant_name("mine", {**options, "option_0": "1"})
+    (first, *_) = trials("oysterbench_baselines.template:Template", {"speed_m_s": OptionRange(range=(0.1, 0.5))}, 2)[1:]
+    assert find_method(first).speed_m_s == float(split_variant(first)[1]["speed_m_s"])
