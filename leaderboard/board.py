@@ -51,6 +51,7 @@ class Row:
     coverage:  mean over sequences, for tracks that have such a thing
     metrics:   means of the columns, coverage among them where it is one; None where there is none
     failures:  runs that failed, and sequences that were not answered
+    sensors, mode: what the method says that it uses, and "online" or "offline"; empty where it says nothing
     """
 
     digest: str
@@ -75,6 +76,8 @@ class Row:
     sequences: int
     runs: int
     failures: int
+    sensors: str = ""
+    mode: str = ""
 
 
 @dataclass(frozen=True)

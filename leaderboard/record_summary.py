@@ -23,6 +23,9 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }
 """Track -> metrics that stand beside the one that ranks."""
 
+SENSORS = {"mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass", "altimeter"}
+"""Words that a method may use for what it reads."""
+
 
 class RecordSummary(msgspec.Struct, frozen=True):
     """What ranks a record; the database holds it as JSON.
@@ -119,3 +122,15 @@ def _weight(key: str) -> str:
     """Key of the metric that weighs another; empty where each sequence has one vote."""
     found = find_metric(key)
     return "" if found is None else found.weight
+
+
+def sensors_and_mode(record: Record) -> tuple[str, str]:
+    """Sensors that a method says it uses, and "online" or "offline"; empty where its results say nothing of them, or
+    anything else than these words."""
+    said = record.results[0].info.get("method")
+    if not isinstance(said, dict):
+        return "", ""
+    sensors, online = said.get("sensors"), said.get("online")
+    known = isinstance(sensors, list) and bool(sensors) and set(map(str, sensors)) <= SENSORS
+    mode = {True: "online", False: "offline"}.get(online, "") if isinstance(online, bool) else ""
+    return ", ".join(sensors) if known and sensors else "", mode

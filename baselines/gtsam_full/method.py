@@ -44,6 +44,8 @@ class GtsamFull:
         check_output(self.name, output)
         self.output, self.camera, self.seed = output, camera, seed
         self.settings = settings or GtsamFullSettings()
+        sensors = ["mono", "imu", "dvl", "pressure", "compass", "altimeter"]
+        self.about = {"sensors": sensors, "online": output == "online"}
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of frames, missing ones too, and at the end; and the map."""

@@ -38,6 +38,7 @@ class VisualOnly:
         self.camera = camera
         self.stereo = stereo
         self.settings = settings or VisualOnlySettings()
+        self.about = {"sensors": ["stereo" if stereo else "mono"], "online": True}
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base at the frames that could be located; odom is base_link at the first of them."""

@@ -45,6 +45,11 @@ class MethodAdapter(ABC):
         return {}
 
     @property
+    def about(self) -> Mapping[str, Any]:
+        """What readers of results should know: `sensors` that it uses, whether it is `online`, `paper`, `code`."""
+        return {}
+
+    @property
     def evaluation(self) -> Mapping[str, Any]:
         """Options of its track, by key, that it is scored by where the user gives no others."""
         return {}
@@ -87,8 +92,13 @@ class PythonMethod(MethodAdapter):
         self.interface = interface_of(method.track)
         self.form = self.interface.own_form
         self._first_seed = seed_of(method)
+        self._about = dict(getattr(method, "about", {}))
         described = getattr(method, "as_dict", None)
         self._described = dict(described()) if described is not None else {}
+
+    @property
+    def about(self) -> Mapping[str, Any]:
+        return self._about
 
     @property
     def identity(self) -> dict[str, Any]:

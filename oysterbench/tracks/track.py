@@ -288,6 +288,7 @@ def about_sequence(
 
 def about_run(job: Job, outcome: Outcome) -> dict[str, Any]:
     """What every record of a run says of the method and of the run."""
+    about = {"method": dict(job.adapter.about)} if job.adapter.about else {}
     keys = ("command", "versions", "limit_s", "process", "started", "contained")
     return {
         "method": job.adapter.name,
@@ -296,7 +297,7 @@ def about_run(job: Job, outcome: Outcome) -> dict[str, Any]:
         "seed": outcome.identity["seed"],
         "hardware": outcome.hardware,
         "created": outcome.ended,
-        "info": {**outcome.info, "run": {key: getattr(outcome, key) for key in keys}},
+        "info": {**outcome.info, **about, "run": {key: getattr(outcome, key) for key in keys}},
     }
 
 

@@ -30,6 +30,8 @@ LONGEST_TEXT = 100
 HIDDEN = ("place", "team", "sequences", "runs", "state", "record", "supersedes", "url")
 """Columns in CSV and JSON alone."""
 
+MODE = "Online: each from what was known at its time; offline: from all of the sequence."
+
 MOST_SHOWN = 5
 """Metrics beside the one that ranks, on the page; CSV and JSON have all of them."""
 
@@ -182,9 +184,12 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     keys = [info.metric, *(key for key in info.columns if key != info.metric)]
     shown = {column.key for column in STANDING_OF_TRACK.get(info.track, ())[:MOST_SHOWN]}
     metric = metric_column(info.metric, sort=True)
+    described = any(row.sensors or row.mode for row in rows)
     columns = (
         Column("rank", "Rank", kind="number", sort="rank", about=RANK),
         Column("method", "Method", sort="method"),
+        Column("sensors", "Sensors", hidden=not described, about="That the method says it uses."),
+        Column("mode", "Poses", hidden=not described, about=MODE),
         metric,
         interval_column(metric, "interval", "Interval", numbers.LEVEL),
         replace(
@@ -212,6 +217,8 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
                 (
                     rank,
                     Cell(row.method, path=record_path(row.digest), small=row.team, mark=state_mark(row)),
+                    row.sensors or None,
+                    row.mode or None,
                     row.score,
                     Cell(interval, bar=numbers.bar(row.low, row.score, row.high), kind="soft"),
                     row.data_set,

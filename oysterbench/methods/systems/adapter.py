@@ -55,6 +55,12 @@ class SystemAdapter(MethodAdapter):
         return {"method": self.name.partition("[")[0], **self.options}
 
     @property
+    def about(self) -> Mapping[str, Any]:
+        described = self.system.description
+        known = {"sensors": list(self.method.sensors), "online": self.method.online}
+        return {**known, "title": described.title, "paper": described.paper, "code": described.source or described.url}
+
+    @property
     def evaluation(self) -> Mapping[str, Any]:
         gap = {} if self.method.max_gap_s is None else {"max_gap_s": self.method.max_gap_s}
         return {"align": self.method.align, **gap}

@@ -23,7 +23,7 @@ from oysterbench.methods.tuning import OptionRange
 ENTRY_POINTS = "oysterbench.systems"
 MANIFEST = "system.toml"
 
-Sensor = Literal["mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass"]
+Sensor = Literal["mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass", "altimeter"]
 
 
 @dataclass(frozen=True, kw_only=True)
