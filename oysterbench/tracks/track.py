@@ -302,11 +302,13 @@ def about_run(job: Job, outcome: Outcome) -> dict[str, Any]:
 
 
 def cost_of(outcome: Outcome, rate: str, amount: float) -> dict[str, float]:
-    """What a run cost; nothing where it did not begin. rate: metric of `amount` per second of wall time"""
+    """What a run cost; nothing where it did not begin. rate: metric of `amount` per second of wall time, which a run that
+    failed has not: it did not get through"""
     if not outcome.wall_s > 0:
         return {}
-    cost = {"wall_s": outcome.wall_s, "cpu_s": outcome.cpu_s, rate: amount / outcome.wall_s}
-    return {**cost, "peak_memory_mb": outcome.process["peak_bytes"] / 1e6}
+    speed = {rate: amount / outcome.wall_s} if outcome.failure is None else {}
+    memory = {"peak_memory_mb": outcome.process["peak_bytes"] / 1e6}
+    return {"wall_s": outcome.wall_s, "cpu_s": outcome.cpu_s, **speed, **memory}
 
 
 def shown_tables(records: Sequence[ResultRecord], first: Sequence[Table] = (), runs: bool = False) -> list[Table]:
