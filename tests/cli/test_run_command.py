@@ -63,7 +63,9 @@ def test_a_failed_run_is_one_line_and_exit_code_1(dive_file, answer, tmp_path):
     template = command(tmp_path, "refuses", answer)
     done = run_here("run", "--command", template, "--on", dive_file, "--out", tmp_path / "out", "--json")
     assert done.returncode == 1
-    assert "exit status 3; it last said: no vocabulary | giving up" in done.stderr
+    last = done.stderr.splitlines()[-1]
+    assert "exit status 3; it last said: no vocabulary | giving up; all that it said: " in last
+    assert (Path(last.rpartition(": ")[2]) / "stdout.txt").read_text() == "first\n"
     assert "Traceback" not in done.stderr
     (result,) = json.loads(done.stdout)["results"]
     assert result["metrics"]["score"] == 0.0
