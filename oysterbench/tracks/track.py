@@ -302,8 +302,8 @@ def about_run(job: Job, outcome: Outcome) -> dict[str, Any]:
 
 
 def cost_of(outcome: Outcome, rate: str, amount: float) -> dict[str, float]:
-    """What a run cost; nothing where it did not begin. rate: metric of `amount` per second of wall time, which a run that
-    failed has not: it did not get through"""
+    """What a run cost; nothing where it did not begin. rate: metric of `amount` per second of wall time, which a failed
+    run has not: it did not get through"""
     if not outcome.wall_s > 0:
         return {}
     speed = {rate: amount / outcome.wall_s} if outcome.failure is None else {}
