@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import tempfile
@@ -19,8 +20,14 @@ from oysterbench_baselines.external.common.yaml import opencv_matrix, replace_bl
 
 SETTINGS, VOCABULARY = "settings.yaml", "vocabulary.txt"
 EXAMPLES = {"mono": "Monocular", "mono_inertial": "Monocular-Inertial", "stereo_inertial": "Stereo-Inertial"}
+EXTRACTOR = ("nFeatures", "scaleFactor", "nLevels", "iniThFAST", "minThFAST")
+"""Options that are keys of the settings under `ORBextractor`."""
+
 TAUGHT_ON = (("slam-mini", "mini-01"), ("slam-train", "train-02"))
 """Split and sequence of the pictures that the vocabulary is trained on; none is of what methods are compared on."""
+
+EVERY = 4
+"""One picture in four: those between show the same."""
 
 
 def command(launch: Launch) -> list[str]:
@@ -31,8 +38,8 @@ def command(launch: Launch) -> list[str]:
     (launch.folder / SETTINGS).write_text(text, encoding="utf-8")
     words = launch.options["vocabulary"] or launch.build.parent / VOCABULARY
     shift_s = 0.0 - next(iter(launch.sequence.cameras.values())).time_offset_s
-    asked = (launch.build / "orb_slam3", mode, launch.folder / SETTINGS, words, launch.given, launch.out, repr(shift_s))
-    return [str(word) for word in asked]
+    program = [launch.build / "orb_slam3", mode, launch.folder / SETTINGS, words]
+    return [str(word) for word in (*program, launch.given, launch.out, shift_s, launch.number)]
 
 
 def settings(authors: str, sequence: Sequence, mode: str, options: Mapping[str, Any]) -> str:
@@ -64,7 +71,9 @@ def settings(authors: str, sequence: Sequence, mode: str, options: Mapping[str, 
             "IMU.AccWalk": unit.accel_random_walk,
             "IMU.Frequency": float(unit.rate_hz),
         }
-    values |= {f"ORBextractor.{key}": value for key, value in options.items() if key != "vocabulary"}
+        if options.get("fastInit"):
+            more.append("IMU.fastInit: 1")
+    values |= {f"ORBextractor.{key}": options[key] for key in EXTRACTOR if key in options}
     text = replace_values(authors, values)
     if "inertial" in mode:
         text = replace_block(text, "IMU.T_b_c1", opencv_matrix(invert(unit.T_base_imu) @ first.T_base_cam))
@@ -78,19 +87,20 @@ def prepare(place: Path, announce: Callable[[str], None]) -> None:
     with tempfile.TemporaryDirectory(dir=place) as scratch:
         pictures = []
         for split, name in TAUGHT_ON:
-            announce(f"rendering {name} of {split}, on which the vocabulary is trained")
-            oysterbench("render", split, "--sequence", name, "--out", f"{scratch}/{split}")
+            announce(f"rendering {name} of {split}, on which the vocabulary is trained, where it is not here")
+            files = json.loads(oysterbench("render", split, "--sequence", name, "--json"))["files"]
             folder = Path(scratch) / name
-            oysterbench("export", f"{scratch}/{split}/{name}.mcap", "--format", "euroc", "--out", str(folder))
-            pictures += sorted((folder / "mav0" / "cam0" / "data").glob("*.png"))
+            oysterbench("export", files[name], "--format", "euroc", "--out", str(folder), "--no-truth")
+            pictures += sorted((folder / "mav0" / "cam0" / "data").glob("*.png"))[::EVERY]
         announce(f"training the vocabulary on {len(pictures)} pictures")
         trainer = [str(place / "build" / "train_vocabulary"), str(place / VOCABULARY), "-"]
         listed = "\n".join(map(str, pictures))
         subprocess.run(trainer, input=listed, text=True, check=True, stdout=subprocess.DEVNULL)
 
 
-def oysterbench(*words: str) -> None:
-    """A command of this project's. Raises MethodError with its last line where it fails."""
+def oysterbench(*words: str) -> str:
+    """What a command of this project's prints. Raises MethodError with its last line where it fails."""
     done = subprocess.run([sys.executable, "-m", "oysterbench", *words], capture_output=True, text=True, check=False)
     if done.returncode:
         raise MethodError(f"oysterbench {' '.join(words)}: {(done.stderr.splitlines() or ['failed'])[-1]}")
+    return done.stdout

@@ -1,13 +1,12 @@
 // Feeds an EuRoC folder to ORB-SLAM3 in the order of the stamps, and writes the paths it then has.
 //
-//   orb_slam3 mono|mono_inertial|stereo_inertial SETTINGS.yaml VOCABULARY FOLDER OUT.tum SHIFT_S
+//   orb_slam3 mono|mono_inertial|stereo_inertial SETTINGS.yaml VOCABULARY FOLDER OUT.tum SHIFT_S SEED
 //
 // OUT.tum has the poses of all pictures of the largest map, as they are in the end: T_world_imu with gravity along -z
 // where there is an inertial unit, else T_world_camera. SHIFT_S is added to the stamps of the pictures, as ORB-SLAM3 knows
-// of no offset between the clocks. Before the next picture is read, the mapping of the last one is
-// waited for, so that the load of the machine does not decide what becomes of a picture.
+// of no offset between the clocks. Before the next picture is read, the mapping of the last one is waited for, and any
+// closing of a loop, so that the load of the machine does not decide what becomes of a picture.
 
-#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <fstream>
@@ -22,20 +21,28 @@
 #include "Atlas.h"
 #include "KeyFrame.h"
 #include "LocalMapping.h"
+#include "LoopClosing.h"
 #include "Map.h"
 #include "System.h"
+#include "Thirdparty/DBoW2/DUtils/Random.h"
 #include "Tracking.h"
 #include "folder.h"
 
 namespace {
 
-void wait_for_mapping(ORB_SLAM3::System &system) {
-  ORB_SLAM3::LocalMapping *mapping = system.mpLocalMapper;
-  while (mapping->KeyframesInQueue() > 0 || !mapping->AcceptKeyFrames()) {
-    if (mapping->isStopped() || mapping->stopRequested())
-      return;  // a loop is being closed: it goes on without tracking
+bool mapped(ORB_SLAM3::System &system) {
+  ORB_SLAM3::LocalMapping &mapping = *system.mpLocalMapper;
+  return mapping.KeyframesInQueue() == 0 && mapping.AcceptKeyFrames() && !mapping.stopRequested() &&
+         !mapping.isStopped() && !system.mpLoopCloser->CheckNewKeyFrames() && !system.mpLoopCloser->isRunningGBA();
+}
+
+bool finished(ORB_SLAM3::System &system) {
+  return system.mpLocalMapper->isFinished() && system.mpLoopCloser->isFinished() && !system.mpLoopCloser->isRunningGBA();
+}
+
+void wait_until(bool (*condition)(ORB_SLAM3::System &), ORB_SLAM3::System &system) {
+  while (!condition(system))
     std::this_thread::sleep_for(std::chrono::microseconds(200));
-  }
 }
 
 ORB_SLAM3::Map *largest_map(ORB_SLAM3::System &system) {
@@ -85,7 +92,7 @@ long write_path(ORB_SLAM3::System &system, bool inertial, const std::string &pat
 
 int main(int argc, char **argv) {
   using Sensor = ORB_SLAM3::System;
-  const std::string mode = argc == 7 ? argv[1] : "";
+  const std::string mode = argc == 8 ? argv[1] : "";
   Sensor::eSensor sensor;
   if (mode == "mono")
     sensor = Sensor::MONOCULAR;
@@ -94,8 +101,8 @@ int main(int argc, char **argv) {
   else if (mode == "stereo_inertial")
     sensor = Sensor::IMU_STEREO;
   else {
-    std::cerr << "usage: orb_slam3 mono|mono_inertial|stereo_inertial SETTINGS.yaml VOCABULARY FOLDER OUT.tum SHIFT_S"
-              << std::endl;
+    std::cerr << "usage: orb_slam3 mono|mono_inertial|stereo_inertial SETTINGS.yaml VOCABULARY FOLDER OUT.tum SHIFT_S "
+              << "SEED" << std::endl;
     return 2;
   }
   const bool inertial = sensor != Sensor::MONOCULAR, stereo = sensor == Sensor::IMU_STEREO;
@@ -104,7 +111,10 @@ int main(int argc, char **argv) {
   const std::vector<ImageRow> right = stereo ? read_images(folder + "cam1") : std::vector<ImageRow>();
   const std::vector<ImuRow> imu = read_imu(folder + "imu0/data.csv");
 
+  DUtils::Random::SeedRandOnce(std::stoi(argv[7]));  // upstream's own is 0
   ORB_SLAM3::System system(argv[3], argv[2], sensor, false);
+  // Upstream reads this key in files of its old form only.
+  system.mpTracker->mFastInit = int(cv::FileStorage(argv[2], cv::FileStorage::READ)["IMU.fastInit"]) != 0;
   const int64_t shift_ns = std::llround(std::stod(argv[6]) * 1e9);
   std::size_t next = 0, other = 0;
   for (const ImageRow &row : left) {
@@ -127,9 +137,10 @@ int main(int argc, char **argv) {
       system.TrackStereo(picture, second, seconds(row.stamp_ns + shift_ns), measured);
     else
       system.TrackMonocular(picture, seconds(row.stamp_ns + shift_ns), measured);
-    wait_for_mapping(system);
+    wait_until(mapped, system);
   }
   system.Shutdown();
+  wait_until(finished, system);
   const ORB_SLAM3::Map *largest = largest_map(system);
   if (inertial && (largest == nullptr || !const_cast<ORB_SLAM3::Map *>(largest)->isImuInitialized())) {
     std::cerr << "ORB-SLAM3 never initialised its inertial unit" << std::endl;

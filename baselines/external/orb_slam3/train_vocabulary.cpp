@@ -2,7 +2,6 @@
 //
 //   train_vocabulary OUT.txt PICTURE... (or - for a list of paths on the standard input)
 
-#include <cstdlib>
 #include <iostream>
 #include <string>
 #include <vector>
@@ -11,6 +10,7 @@
 
 #include "ORBVocabulary.h"
 #include "ORBextractor.h"
+#include "Thirdparty/DBoW2/DUtils/Random.h"
 
 int main(int argc, char **argv) {
   if (argc < 3) {
@@ -39,7 +39,7 @@ int main(int argc, char **argv) {
     for (int i = 0; i < rows.rows; i++)
       features.back().push_back(rows.row(i).clone());
   }
-  std::srand(1);  // the means begin where rand() says
+  DUtils::Random::SeedRandOnce(1);  // the means begin where it says, which else is the time of day
   ORB_SLAM3::ORBVocabulary vocabulary(10, 6, DBoW2::TF_IDF, DBoW2::L1_NORM);  // the published one's
   vocabulary.create(features);
   vocabulary.saveToTextFile(argv[1]);

@@ -10,11 +10,12 @@ import pytest
 
 import oysterbench
 from oysterbench.core.errors import MethodError
-from oysterbench.methods.systems import find_system
+from oysterbench.methods.systems import find_system, split_reference
 from oysterbench.methods.systems.building import built
+from oysterbench.methods.systems.launch import Launch
 from oysterbench.results.records import read_results
 from oysterbench_baselines.external.common.yaml import opencv_matrix, replace_block
-from oysterbench_baselines.external.orb_slam3.configure import settings
+from oysterbench_baselines.external.orb_slam3.configure import command, settings
 from tests.helpers.command import run
 from tests.helpers.paths import SHARED_DATA
 
@@ -83,6 +84,55 @@ def test_a_third_coefficient_of_distortion_gets_its_key(sequence, tmp_path):
     sequence.cameras = {name: bent}
     found = read_back(settings(AUTHORS, sequence, "mono_inertial", {}), tmp_path)
     assert found.getNode("Camera1.k3").real() == 0.003
+
+
+def test_the_second_camera_stands_where_the_calibration_has_it(sequence, tmp_path):
+    keys = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")
+    other = "".join(f"Camera2.{key}: 0.5\n" for key in keys)
+    block = "Stereo.T_c1_c2: !!opencv-matrix\n  rows: 4\n  cols: 4\n  dt: f\n  data: [1.0]\n"
+    found = read_back(settings(AUTHORS + other + block, sequence, "stereo_inertial", {}), tmp_path)
+    left, right, *_ = sequence.cameras.values()
+    assert found.getNode("Camera2.fx").real() == right.matrix[0, 0]
+    expected = np.linalg.inv(left.T_base_cam) @ right.T_base_cam  # takes points of the second into the first
+    np.testing.assert_allclose(found.getNode("Stereo.T_c1_c2").mat(), expected, atol=1e-6)
+
+
+def test_it_may_be_told_to_initialise_at_constant_speed(sequence, tmp_path):
+    options = split_reference("orb_slam3_stereo_inertial_smooth")[2]
+    asked = read_back(settings(AUTHORS, sequence, "mono_inertial", options), tmp_path)
+    assert asked.getNode("IMU.fastInit").real() == 1
+    options = split_reference("orb_slam3_stereo_inertial")[2]
+    assert read_back(settings(AUTHORS, sequence, "mono_inertial", options), tmp_path).getNode("IMU.fastInit").empty()
+
+
+def test_the_number_of_a_run_is_its_seed_and_another_vocabulary_is_taken(dive_file, tmp_path):
+    system, method, options = split_reference("orb_slam3_mono_inertial[vocabulary=/there/ORBvoc.txt]")
+    example = tmp_path / "source" / "Examples" / "Monocular-Inertial" / "EuRoC.yaml"
+    example.parent.mkdir(parents=True)
+    example.write_text(AUTHORS)
+    name = method.partition("[")[0]
+    launch = Launch(
+        method=name,
+        about=system.description.methods[name],
+        options=options,
+        given=dive_file,
+        source=tmp_path / "source",
+        build=tmp_path / "build",
+        folder=tmp_path,
+        out=tmp_path / "trajectory.tum",
+        number=3,
+    )
+    (camera, *_) = launch.sequence.cameras.values()
+    assert command(launch) == [
+        str(tmp_path / "build" / "orb_slam3"),
+        "mono_inertial",
+        str(tmp_path / "settings.yaml"),
+        "/there/ORBvoc.txt",
+        str(dive_file),
+        str(tmp_path / "trajectory.tum"),
+        str(0.0 - camera.time_offset_s),
+        "3",
+    ]
 
 
 def test_blocks_that_the_authors_lack_are_named():
