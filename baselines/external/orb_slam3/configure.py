@@ -20,6 +20,7 @@ from oysterbench_baselines.external.common.yaml import opencv_matrix, replace_bl
 
 SETTINGS, VOCABULARY = "settings.yaml", "vocabulary.txt"
 EXAMPLES = {"mono": "Monocular", "mono_inertial": "Monocular-Inertial", "stereo_inertial": "Stereo-Inertial"}
+COEFFICIENTS = {"plumb_bob": ("k1", "k2", "p1", "p2"), "equidistant": ("k1", "k2", "k3", "k4")}
 EXTRACTOR = ("nFeatures", "scaleFactor", "nLevels", "iniThFAST", "minThFAST")
 """Options that are keys of the settings under `ORBextractor`."""
 
@@ -45,24 +46,28 @@ def command(launch: Launch) -> list[str]:
 def settings(authors: str, sequence: Sequence, mode: str, options: Mapping[str, Any]) -> str:
     """The authors' file for a mode with the calibration and the rates of a sequence, and the options."""
     cameras = list(sequence.cameras.values())[: 2 if mode.startswith("stereo") else 1]
-    if not all(camera.distortion_model == "plumb_bob" for camera in cameras):
-        raise MethodError("ORB-SLAM3: expected cameras of the model plumb_bob; the fisheye's has other keys")
+    model = cameras[0].distortion_model
+    if model not in COEFFICIENTS or any(camera.distortion_model != model for camera in cameras):
+        raise MethodError(f"ORB-SLAM3: expected cameras of one model of {', '.join(COEFFICIENTS)}, got {model}")
     first, unit = cameras[0], sequence.imu_calibration
     values: dict[str, Any] = {"Camera.width": first.width, "Camera.height": first.height}
     values["Camera.fps"] = round(first.rate_hz)
     if "Camera.newWidth" in authors:  # the authors shrink EuRoC's; these stay as they are
         values |= {"Camera.newWidth": first.width, "Camera.newHeight": first.height}
+    if model == "equidistant":
+        authors = authors.replace(".p1:", ".k3:").replace(".p2:", ".k4:")
+        values["Camera.type"] = "KannalaBrandt8"
     more = []
     for number, camera in enumerate(cameras, start=1):
         K = camera.matrix
         coefficients = np.append(camera.distortion, np.zeros(5))
-        keys = zip(("fx", "fy", "cx", "cy"), (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), strict=True)
-        values |= {f"Camera{number}.{key}": float(value) for key, value in keys}
-        values |= {
-            f"Camera{number}.{k}": float(v) for k, v in zip(("k1", "k2", "p1", "p2"), coefficients, strict=False)
-        }
-        if coefficients[4]:
+        named = dict(zip(COEFFICIENTS[model], coefficients, strict=False))
+        named |= {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+        values |= {f"Camera{number}.{key}": float(value) for key, value in named.items()}
+        if model == "plumb_bob" and coefficients[4]:
             more.append(f"Camera{number}.k3: {float(coefficients[4])!r}")
+        if model == "equidistant" and len(cameras) > 1:  # what both see; points of the rest are matched in vain
+            more += [f"Camera{number}.overlappingBegin: 0", f"Camera{number}.overlappingEnd: {camera.width - 1}"]
     if "inertial" in mode:
         values |= {
             "IMU.NoiseGyro": unit.gyro_noise_density,

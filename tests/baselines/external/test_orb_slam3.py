@@ -21,6 +21,7 @@ from tests.helpers.paths import SHARED_DATA
 
 AUTHORS = """%YAML:1.0
 File.version: "1.0"
+Camera.type: "PinHole"
 Camera1.fx: 458.654
 Camera1.fy: 457.296
 Camera1.cx: 367.215
@@ -84,6 +85,15 @@ def test_a_third_coefficient_of_distortion_gets_its_key(sequence, tmp_path):
     sequence.cameras = {name: bent}
     found = read_back(settings(AUTHORS, sequence, "mono_inertial", {}), tmp_path)
     assert found.getNode("Camera1.k3").real() == 0.003
+
+
+def test_a_fisheye_is_one_of_kannala_and_brandt(sequence, tmp_path):
+    bent = {"distortion_model": "equidistant", "distortion": np.array([0.43, 2.4, -6.3, 10.0])}
+    sequence.cameras = {name: replace(camera, **bent) for name, camera in sequence.cameras.items()}
+    found = read_back(settings(AUTHORS, sequence, "mono_inertial", {}), tmp_path)
+    assert found.getNode("Camera.type").string() == "KannalaBrandt8"
+    assert [found.getNode(f"Camera1.k{n}").real() for n in (1, 2, 3, 4)] == [0.43, 2.4, -6.3, 10.0]
+    assert found.getNode("Camera1.p1").empty()
 
 
 def test_the_second_camera_stands_where_the_calibration_has_it(sequence, tmp_path):
