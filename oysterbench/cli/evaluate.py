@@ -129,8 +129,8 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
         message(f"written: {path}")
     failures = [one for one in records if one.failure is not None]
     for one in failures:
-        kept = None if out is None else out / "runs" / one.method / one.sequence / f"{one.run + 1}"
-        logs = f"; all that it said: {kept}" if kept is not None and kept.is_dir() else ""
+        kept_at = None if out is None else out / "runs" / one.method / one.sequence / f"{one.run + 1}"
+        logs = f"; all that it said: {kept_at}" if kept_at is not None and kept_at.is_dir() else ""
         message(f"{one.method} failed on {one.sequence}: {one.failure}{logs}")
     if failures or any(each.failure is not None for each in found.unscored):
         sys.exit(OysterbenchError.exit_code)

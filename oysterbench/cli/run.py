@@ -108,6 +108,7 @@ def run_command(
       {mcap}   a sequence file           its poses are taken as the vehicle's
       {images} a folder of pictures      (--track segmentation, detection or steering)
       {out}    the file that it leaves   {seed}  the number of the run, from 0
+      {online} a further one, where it likes: its path as it was known at each time (SLAM; measured, not ranked)
 
     The folder keeps each run's predictions, logs, cost and versions. A run that ends badly, takes too long, or leaves
     nothing that can be read is a failure in the results; one that the machine killed, or had no room for, is not, and

@@ -9,7 +9,7 @@ import shutil
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from string import Formatter
@@ -145,6 +145,7 @@ class PythonMethod(MethodAdapter):
 class ExternalCommand(MethodAdapter):
     """Another program. Its command line has {out}, where it leaves its predictions, and one form of its interface.
 
+    It is known by what it is, not by its name alone: by the digests of the program and of the files that it is given.
     options: of the interface; `poses_of` (SLAM): whose poses it leaves: base, imu, camera or a camera's name
     """
 
@@ -157,7 +158,7 @@ class ExternalCommand(MethodAdapter):
             asked = {key for word in self._words for _, key, _, _ in Formatter().parse(word) if key is not None}
         except ValueError as error:
             raise MethodError(f"--command {template!r}: {error}; write {{{{ and }}}} for braces of your own") from None
-        known = [*forms, "out", "seed"]
+        known = [*forms, "out", *self.interface.further, "seed"]
         for key in sorted(asked - set(known)):
             raise MethodError(
                 f"--command {template!r}: unknown placeholder {{{key}}}; known: "
@@ -181,31 +182,46 @@ class ExternalCommand(MethodAdapter):
 
     @property
     def identity(self) -> dict[str, Any]:
-        return {"command": self.template, **self.options}
+        return {**self.settings, "files": self._digests()}
 
     @property
     def settings(self) -> dict[str, Any]:
-        return self.identity
+        return {"command": self.template, **self.options}
 
-    @cached_property
-    def _program_sha256(self) -> str:
-        with open(self.program, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+    def _digests(self) -> dict[str, str]:
+        """SHA-256 of the program, and of scripts and files that the command line names, also as `--config=FILE`."""
+        named = (Path(part) for word in self._words[1:] for part in {word, word.partition("=")[2]} if part)
+        files = {str(path) for path in named if path.is_file()} | {str(self.program)}
+        return {name: file_digest(Path(name)) for name in sorted(files)}
 
     def versions(self) -> dict[str, str]:
-        return {"oysterbench": VERSION, "program": str(self.program), "program_sha256": self._program_sha256}
+        files = {f"sha256 of {name}": digest for name, digest in self._digests().items()}
+        return {"oysterbench": VERSION, "program": str(self.program), **files}
 
     def seed(self, number: int) -> int | None:
         return number if self._takes_seed else None
 
     def command(self, given: Path, folder: Path, number: int) -> list[str]:
-        values = {self.form: str(given), "out": str(folder / self.interface.out), "seed": str(number)}
+        left = {key: str(folder / name) for key, name in {"out": self.interface.out, **self.interface.further}.items()}
+        values = {self.form: str(given), **left, "seed": str(number)}
         return [str(self.program), *(word.format(**values) for word in self._words[1:])]
 
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         if not (folder / self.interface.out).exists():
             raise MethodError(f"ended well, but left no {self.interface.leaves.removeprefix('a ')} at {{out}}")
         return self.interface.take(sequence, given, folder, self.form, self.options)
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file as it is now, read once as long as it stays so."""
+    state = path.stat()
+    return _file_digest(path.absolute(), state.st_size, state.st_mtime_ns)
+
+
+@lru_cache
+def _file_digest(path: Path, size: int, modified_ns: int) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_name(name: str) -> str:

@@ -59,8 +59,8 @@ def run_jobs(
     with _alone(root):
         todo = []
         for job in jobs:
-            known = None if again else _finished(job, root)
-            if known is None or (retry and known.failure is not None):
+            known = None if again else _finished(job, root, retry)
+            if known is None:
                 todo.append(job)
             else:
                 yield job, known
@@ -72,15 +72,26 @@ def run_jobs(
             yield from _run(todo, root, workers or default_workers(), keep_inputs, hardware(), announce)
 
 
-def _finished(job: Job, root: Path) -> Outcome | None:
+def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
+    """The outcome of a job that needs not be run. Raises MethodError where it is that of another one."""
     folder = job.folder(root)
     outcome = read_outcome(folder)
-    if outcome is not None and outcome.identity != job.identity:
+    if outcome is None or (retry and outcome.failure is not None):
+        return None
+    if outcome.identity != job.identity:
+        changed = _changed_files(outcome.identity, job.identity)
+        differs = f"{', '.join(changed)} changed" if changed else "method, command or recipe differ"
         raise MethodError(
-            f"{folder}: holds run {job.number + 1} of another {job.adapter.name} (method, command or recipe differ); "
+            f"{folder}: holds run {job.number + 1} of another {job.adapter.name} ({differs}); "
             "it was left as it is: --again runs it anew, --out chooses another folder"
         )
     return outcome
+
+
+def _changed_files(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Files of a program that are in both identities of its runs, and not the same."""
+    old, new = (identity["method"].get("files", {}) for identity in (before, now))
+    return [name for name in new if old.get(name, new[name]) != new[name]]
 
 
 def _run(

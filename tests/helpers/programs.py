@@ -17,6 +17,10 @@ PROGRAMS = {
     "killed_in_a_shell": "sys.exit(137)",
     "full": "sys.exit(f'cannot write map.bin: {os.strerror(28)}')",
     "refuses": "print('first'); sys.stderr.write('no vocabulary\\ngiving up\\n'); sys.exit(3)",
+    # Its fourth argument gets the first half of the path, or the fifth argument where there is one.
+    "leaves_both": "import shutil; shutil.copy(argv[0], argv[2])\n"
+    "lines = open(argv[0]).readlines()\n"
+    "open(argv[3], 'w').writelines(argv[4:] or lines[: len(lines) // 2])",
     "silent": "pass",
     "garbage": "open(argv[2], 'w').write('tracking lost at frame 7\\n')",
     "empty": "open(argv[2], 'w').close()",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +92,27 @@ def test_the_exact_path_of_a_camera_without_scale_is_exact_by_sim3_and_so_is_its
     assert kept.metrics["ate_rmse_m"] < 1e-8
 
 
+def test_an_online_path_is_kept_beside_the_final_one(run, truth, dive_file, tmp_path):
+    given = moved(truth, frame_pose(oysterbench.open(dive_file), "imu", "euroc"))
+    write_tum(tmp_path / "imu.tum", given)
+    (done,) = run(ExternalCommand(command(tmp_path, "leaves_both", tmp_path / "imu.tum", "euroc", "{online}"), "both"))
+    paths = done.scored.record.info["paths"]
+    assert paths["scored"] == "final"
+    assert paths["alternatives"]["online"]["coverage"] < 0.6 < done.scored.record.metrics["coverage"]
+    assert paths["alternatives"]["online"]["ate_rmse_m"] < 1e-6
+    assert (tmp_path / "out" / f"{NAME}-both.online.tum").is_file()
+
+
+def test_an_online_path_that_cannot_be_read_costs_the_scored_one_nothing(run, answer, tmp_path):
+    template = command(tmp_path, "leaves_both", answer, "mcap", "{online}", "lost")
+    (done,) = run(ExternalCommand(template, "both"))
+    assert done.scored.record.metrics["ate_rmse_m"] < 1e-9
+    assert "paths" not in done.scored.record.info
+    (note,) = done.scored.record.notes
+    assert note.startswith("its online path cannot be read and was left out: ")
+    assert "\n" not in note
+
+
 def test_a_frame_that_the_vehicle_lacks_is_a_failure_that_lists_its_cameras(run, answer, tmp_path):
     (done,) = run(ExternalCommand(command(tmp_path, "copies", answer), "copies", poses_of="cam_top"))
     assert "expected base, imu, camera or one of its cameras: cam_left, cam_right" in done.failure
@@ -171,7 +193,9 @@ def test_cost_command_versions_and_hardware_are_recorded(run, answer, tmp_path):
     assert record.hardware["cores"] >= 1
     about = record.info["run"]
     assert about["command"][-1].endswith("trajectory.tum")
-    assert len(about["versions"]["program_sha256"]) == 64
+    digests = {key: value for key, value in about["versions"].items() if key.startswith("sha256 of ")}
+    assert {Path(key).name for key in digests} == {Path(sys.executable).name, "answer.tum", "copies.py"}
+    assert {len(value) for value in digests.values()} == {64}
     assert about["limit_s"] == 60.0
 
 
@@ -307,9 +331,9 @@ def test_what_is_finished_is_not_run_again_unless_that_is_asked_for(run, answer,
 def test_what_failed_is_run_again_where_that_is_asked_for(run, answer, tmp_path):
     refuses = ExternalCommand(command(tmp_path, "refuses", answer), "refuses")
     (failed,) = run(refuses)
-    (tmp_path / "refuses.py").write_text("import shutil, sys; shutil.copy(sys.argv[1], sys.argv[3])")
     (kept,) = run(refuses)
     assert kept.failure == failed.failure
+    (tmp_path / "refuses.py").write_text("import shutil, sys; shutil.copy(sys.argv[1], sys.argv[3])")
     (mended,) = run(refuses, retry=True)
     assert mended.failure is None
 
@@ -318,6 +342,17 @@ def test_results_of_another_command_are_not_taken_for_its_own(run, answer, tmp_p
     run(ExternalCommand(command(tmp_path, "copies", answer), "mine"))
     with pytest.raises(MethodError, match=r"holds run 1 of another mine .*--again runs it anew"):
         run(ExternalCommand(command(tmp_path, "counts", answer), "mine"))
+
+
+@pytest.mark.parametrize("word", ["{}", "--config={}"])
+def test_a_program_that_was_changed_is_another_and_the_file_is_named(word, run, answer, tmp_path):
+    config = tmp_path / "rig.yaml"
+    config.write_text("fast: 20")
+    mine = ExternalCommand(command(tmp_path, "copies", answer, "mcap", word.format(config)), "mine")
+    run(mine)
+    config.write_text("fast: 8")
+    with pytest.raises(MethodError, match=r"holds run 1 of another mine \(\S+/rig\.yaml changed\); it was left"):
+        run(mine)
 
 
 def test_one_runner_works_in_a_folder_at_a_time(dive_file, answer, tmp_path):

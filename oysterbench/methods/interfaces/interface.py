@@ -66,12 +66,14 @@ class Interface(ABC):
     forms:    placeholder of a command line -> what is put in its place
     own_form: what a method of Python is given
     out:      name of what a program leaves at {out}; leaves: the same in words
+    further:  placeholder -> name of what a program may leave as well
     """
 
     forms: ClassVar[Mapping[str, str]]
     own_form: ClassVar[str]
     out: ClassVar[str]
     leaves: ClassVar[str]
+    further: ClassVar[Mapping[str, str]] = {}
 
     def input_name(self, sequence: RunSequence, form: str) -> str:
         """Name of the file or folder of an input."""

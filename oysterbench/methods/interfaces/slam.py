@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from oysterbench.methods.processes import Processes
 from oysterbench.sequence import Sequence, open_sequence
 
 ESTIMATE = "estimate.npz"
+ONLINE = "trajectory.online.tum"
 EXPORT_LIMIT_S = 24 * 3600.0
 
 FORMS = {
@@ -86,6 +87,7 @@ class SlamInterface(Interface):
     own_form = SENSORS
     out = "trajectory.tum"
     leaves = "a trajectory"
+    further: ClassVar[Mapping[str, str]] = {"online": ONLINE}
 
     def input_name(self, sequence: RunSequence, form: str) -> str:
         """A file where the program reads one."""
@@ -107,20 +109,36 @@ class SlamInterface(Interface):
     def take(
         self, sequence: RunSequence, given: Path, folder: Path, form: str, options: Mapping[str, str]
     ) -> Predicted:
-        """Poses of the frame that the option `poses_of` says, by default that of the form, become those of the body."""
+        """Poses of the frame that the option `poses_of` says, by default that of the form, become those of the body.
+
+        A path as it was known at each time is the alternative "online"; one that cannot be read is a note.
+        """
         assert isinstance(sequence, SequencePath)
         opened = open_sequence(sequence.path)
         T_base_frame = frame_pose(opened, options["poses_of"], form)
         times = kitti_stamps(opened, given) if form == "kitti" else None
         try:
-            found = read_trajectory(folder / self.out, T_body_estimate=T_base_frame, times=times)
+            found = _read_path(folder / self.out, T_base_frame, times)
         except TrajectoryError as error:
             raise MethodError(f"left what cannot be read as a trajectory: {error}") from None
-        if times is not None and len(found) and found.stamps_ns[-1] < times[0]:
-            note = "its stamps count from the first image, as times.txt has them: the stamp of that was added"
-            found = replace(found, stamps_ns=found.stamps_ns + times[0], notes=(*found.notes, note))
-        write_npz(folder / ESTIMATE, found)
-        return Predicted(prediction=described("", {}, None), notes=found.notes)
+        estimate = Estimate(found)
+        if (folder / ONLINE).exists():
+            try:
+                path = _read_path(folder / ONLINE, T_base_frame, times)
+                estimate = Estimate(found, scored="final", alternatives={"online": path})
+            except (TrajectoryError, MethodError) as error:
+                note = f"its online path cannot be read and was left out: {error}"
+                estimate = Estimate(replace(found, notes=(*found.notes, note)))
+        return keep(estimate, folder)
+
+
+def _read_path(file: Path, T_base_frame: Array, times: NDArray[np.int64] | None) -> Trajectory:
+    """Poses of the body, of a file with those of a frame. times: (N,) ns, of KITTI's images. Raises TrajectoryError."""
+    found = read_trajectory(file, T_body_estimate=T_base_frame, times=times)
+    if times is not None and len(found) and found.stamps_ns[-1] < times[0]:
+        note = "its stamps count from the first image, as times.txt has them: the stamp of that was added"
+        found = replace(found, stamps_ns=found.stamps_ns + times[0], notes=(*found.notes, note))
+    return found
 
 
 def keep(estimate: Estimate, folder: Path) -> Predicted:
