@@ -4,7 +4,8 @@
 //
 // OUT.tum has the poses of all pictures of the largest map, as they are in the end: T_world_imu with gravity along -z
 // where there is an inertial unit, else T_world_camera. SHIFT_S is added to the stamps of the pictures, as ORB-SLAM3 knows
-// of no offset between the clocks. Before the next picture is read, the mapping of the last one is waited for, and any
+// of no offset between the clocks. OUT.online.tum has each pose as it was known at its time, in a world that is turned and
+// scaled anew whenever the map is. Before the next picture is read, the mapping of the last one is waited for, and any
 // closing of a loop, so that the load of the machine does not decide what becomes of a picture.
 
 #include <chrono>
@@ -53,12 +54,20 @@ ORB_SLAM3::Map *largest_map(ORB_SLAM3::System &system) {
   return largest;
 }
 
+void write_pose(std::ofstream &out, double time, const Sophus::SE3f &T_world) {
+  const Eigen::Vector3f t = T_world.translation();
+  const Eigen::Quaternionf q = T_world.unit_quaternion();
+  out << std::fixed << std::setprecision(9) << time << std::setprecision(7);
+  for (float value : {t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w()})
+    out << ' ' << value;
+  out << '\n';
+}
+
 // Each picture is kept by its pose relative to a key frame, which may have been merged into its parent since.
 long write_path(ORB_SLAM3::System &system, bool inertial, const std::string &path) {
   ORB_SLAM3::Map *largest = largest_map(system);
   const ORB_SLAM3::Tracking &tracker = *system.mpTracker;
   std::ofstream out(path);
-  out << std::fixed;
   long written = 0;
   auto reference = tracker.mlpReferences.begin();
   auto stamp = tracker.mlFrameTimes.begin();
@@ -76,13 +85,7 @@ long write_path(ORB_SLAM3::System &system, bool inertial, const std::string &pat
     if (key == nullptr || key->GetMap() != largest)
       continue;
     const Sophus::SE3f T_cam_world = relative * T_key_kept * key->GetPose();
-    const Sophus::SE3f T_world = (inertial ? key->mImuCalib.mTbc * T_cam_world : T_cam_world).inverse();
-    const Eigen::Vector3f t = T_world.translation();
-    const Eigen::Quaternionf q = T_world.unit_quaternion();
-    out << std::setprecision(9) << time << std::setprecision(7);
-    for (float value : {t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w()})
-      out << ' ' << value;
-    out << '\n';
+    write_pose(out, time, (inertial ? key->mImuCalib.mTbc * T_cam_world : T_cam_world).inverse());
     written++;
   }
   return written;
@@ -116,6 +119,8 @@ int main(int argc, char **argv) {
   // Upstream reads this key in files of its old form only.
   system.mpTracker->mFastInit = int(cv::FileStorage(argv[2], cv::FileStorage::READ)["IMU.fastInit"]) != 0;
   const int64_t shift_ns = std::llround(std::stod(argv[6]) * 1e9);
+  const std::string path = argv[5];
+  std::ofstream online(path.substr(0, path.rfind('.')) + ".online.tum");
   std::size_t next = 0, other = 0;
   for (const ImageRow &row : left) {
     while (other < right.size() && right[other].stamp_ns < row.stamp_ns)
@@ -133,10 +138,11 @@ int main(int argc, char **argv) {
       const ImuRow &m = imu[next];
       measured.emplace_back(m.accel[0], m.accel[1], m.accel[2], m.gyro[0], m.gyro[1], m.gyro[2], seconds(m.stamp_ns));
     }
-    if (stereo)
-      system.TrackStereo(picture, second, seconds(row.stamp_ns + shift_ns), measured);
-    else
-      system.TrackMonocular(picture, seconds(row.stamp_ns + shift_ns), measured);
+    const double time = seconds(row.stamp_ns + shift_ns);
+    const Sophus::SE3f T_cam_world = stereo ? system.TrackStereo(picture, second, time, measured)
+                                            : system.TrackMonocular(picture, time, measured);
+    if (system.GetTrackingState() == ORB_SLAM3::Tracking::OK && (!inertial || system.mpAtlas->isImuInitialized()))
+      write_pose(online, time, (inertial ? system.mpTracker->mpImuCalib->mTbc * T_cam_world : T_cam_world).inverse());
     wait_until(mapped, system);
   }
   system.Shutdown();
@@ -146,7 +152,7 @@ int main(int argc, char **argv) {
     std::cerr << "ORB-SLAM3 never initialised its inertial unit" << std::endl;
     return 1;
   }
-  const long written = write_path(system, inertial, argv[5]);
+  const long written = write_path(system, inertial, path);
   std::cout << written << " poses of " << left.size() << " pictures, " << system.mpAtlas->GetAllMaps().size() << " maps"
             << std::endl;
   if (written == 0) {
@@ -154,5 +160,6 @@ int main(int argc, char **argv) {
     return 1;
   }
   std::cout.flush();
+  online.flush();
   std::_Exit(0);  // its threads are still alive, and its destructors are not made for that
 }
