@@ -24,7 +24,7 @@ LEAST_FREE = 1 << 20
 """Bytes; where a disk has less, whatever fails beside it fails for that."""
 KILLED_STATUS = 128 + signal.SIGKILL
 """By which a shell says that what it ran was killed."""
-TAIL_BYTES, TAIL_LINES, TAIL_CHARACTERS = 4096, 5, 500
+TAIL_BYTES, TAIL_LINES, TAIL_CHARACTERS = 8192, 10, 2000
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ PROGRAMS = {
     "leaves_both": "import shutil; shutil.copy(argv[0], argv[2])\n"
     "lines = open(argv[0]).readlines()\n"
     "open(argv[3], 'w').writelines(argv[4:] or lines[: len(lines) // 2])",
+    "explains": "sys.exit('\\n'.join(f'frame {k}: ' + 90 * '.' for k in range(30)))",
     "silent": "pass",
     "garbage": "open(argv[2], 'w').write('tracking lost at frame 7\\n')",
     "empty": "open(argv[2], 'w').close()",

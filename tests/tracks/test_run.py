@@ -229,6 +229,12 @@ def test_a_program_that_fails_leaves_a_record_that_says_how(program, failure, ru
     assert record.metrics["score"] == 0.0
 
 
+def test_the_last_words_of_a_program_are_its_last_ten_lines_whole(run, answer, tmp_path):
+    (done,) = run(ExternalCommand(command(tmp_path, "explains", answer), "explains"))
+    said = done.failure.partition("it last said: ")[2].split(" | ")
+    assert [line[:9] for line in said] == [f"frame {k}:" for k in range(20, 30)]
+
+
 def test_a_program_that_the_machine_killed_is_not_scored_and_runs_again(run, answer, tmp_path):
     mine = ExternalCommand(command(tmp_path, "killed", answer), "mine")
     (done,) = run(mine)

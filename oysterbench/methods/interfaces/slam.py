@@ -37,7 +37,7 @@ EXPORT_LIMIT_S = 24 * 3600.0
 FORMS = {
     "euroc": "an EuRoC folder: mav0/ with cam0, cam1, ..., imu0",
     "tum": "a TUM RGB-D folder: rgb/, rgb.txt, accelerometer.txt, calibration.txt",
-    "kitti": "a KITTI odometry folder: sequences/00/ with undistorted images, calib.txt, times.txt",
+    "kitti": "a KITTI odometry folder: sequences/00/ with undistorted grey images, calib.txt, times.txt",
     "mcap": "a sequence file with everything that was measured",
 }
 """Placeholder of a command line -> what is put in its place."""

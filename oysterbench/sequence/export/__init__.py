@@ -17,7 +17,7 @@ from oysterbench.sequence.types import Sequence
 SHARED_FORMATS = {
     "euroc": "EuRoC/ASL: mav0/ with PNG images, IMU, sensor.yaml files and the state; for visual-inertial SLAM",
     "tum": "TUM RGB-D: rgb/ and depth/ with lists, groundtruth.txt, accelerometer.txt",
-    "kitti": "KITTI odometry: undistorted image_0/ (image_1/ of a stereo pair), calib.txt, times.txt, poses of image_0",
+    "kitti": "KITTI odometry: undistorted grey image_0/, image_1/ of a pair, calib.txt, times.txt, poses of image_0",
     "coco": "COCO instances: images and instances.json with polygons",
     "kalibr": "Kalibr calibration: camchain-imucam.yaml and imu.yaml",
     "ply": "point clouds in map as binary PLY: of depth images through the poses, and of sonar clouds",

@@ -1,7 +1,7 @@
 """KITTI odometry folders: sequences/00/ with images, calib.txt and times.txt, and poses/00.txt.
 
 KITTI's pictures are rectified, so those of a lens are undistorted here, and those of a pair brought into one plane, by
-the calibration that is given; its poses take cam 0, rectified, into the first cam 0.
+the calibration that is given. image_0 and image_1 are grey. Poses take cam 0, rectified, into the first cam 0.
 """
 
 from __future__ import annotations
@@ -62,15 +62,15 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
 
 
 def _projections(sequence: Sequence, pair: list[str], matrix: Array) -> list[str]:
-    """Lines of calib.txt: projections (3, 4) from the frame of image_0. Of a pair four, as readers expect them: those
-    of the colour cameras are the same."""
+    """Lines of calib.txt: projections (3, 4) from the frame of image_0. Always four, as readers expect them: those of
+    the colour cameras are the same, and of a camera alone those of the right ones."""
     T_base_left = sequence.cameras[pair[0]].T_base_cam
     rows = []
     for name, turn in zip(pair, rectify(sequence, pair), strict=True):
         T_left_cam = invert(T_base_left) @ sequence.cameras[name].T_base_cam
         offset = turn @ T_left_cam[:3, :3].T @ T_left_cam[:3, 3]
         rows.append(_row(matrix @ np.column_stack([np.eye(3), -offset])))
-    return [f"P{index}: {row}" for index, row in enumerate(rows if len(rows) == 1 else rows * 2)]
+    return [f"P{index}: {row}" for index, row in enumerate(rows * (4 // len(rows)))]
 
 
 def _write_images(sequence: Sequence, name: str, matrix: Array, turn: Array, kept: set[int], folder: Path) -> None:
@@ -79,7 +79,7 @@ def _write_images(sequence: Sequence, name: str, matrix: Array, turn: Array, kep
     frames = (image for image in sequence.images(name) if image.stamp_ns in kept)
     for index, image in enumerate(frames):
         pixels = image.pixels if maps is None else np.asarray(cv2.remap(image.pixels, *maps, cv2.INTER_LINEAR))
-        write_png(folder / f"{index:06d}.png", pixels)
+        write_png(folder / f"{index:06d}.png", cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
 
 
 def _row(matrix: Array) -> str:

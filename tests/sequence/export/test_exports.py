@@ -17,6 +17,7 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import invert
 from oysterbench.core.trajectory import read_trajectory
 from oysterbench.sequence.export import SHARED_FORMATS, export_sequence
+from oysterbench.sequence.export.kitti import _projections
 from oysterbench.sequence.types import imu_arrays
 from tests.helpers import hand_made_dive as dive
 
@@ -178,7 +179,10 @@ def test_kitti_is_a_stereo_pair_with_poses_of_the_left_camera(sequence, folders)
         files = sorted((place / f"image_{index}").iterdir())
         assert [file.name for file in files] == [f"{k:06d}.png" for k in range(20)]
         whole = list(sequence.images(name))
-        assert all(np.array_equal(png(file), image.pixels) for file, image in zip(files, whole, strict=True))
+        assert all(
+            np.array_equal(cv2.imread(str(file), cv2.IMREAD_UNCHANGED), cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY))
+            for file, image in zip(files, whole, strict=True)
+        )
     loaded = file_interface.read_kitti_poses_file(str(root / "poses" / "00.txt"))
     stamps = np.array([image.stamp_ns for image in images])
     poses = sequence.truth().at(stamps[stamps <= sequence.truth().stamps_ns[-1]]).matrices @ T_BASE_LEFT
@@ -198,6 +202,12 @@ def test_kitti_projects_a_point_where_each_camera_sees_it(sequence, folders):
         np.testing.assert_allclose(u[:2] / u[2], v[:2] / v[2], atol=1e-9)
     baseline = (float(lines[0][4]) - float(lines[1][4])) / float(lines[1][1])
     assert baseline == pytest.approx(0.12)
+
+
+def test_kitti_has_four_projections_of_a_camera_alone(sequence):
+    lines = _projections(sequence, ["cam_left"], sequence.cameras["cam_left"].matrix)
+    assert [line[:3] for line in lines] == ["P0:", "P1:", "P2:", "P3:"]
+    assert len({line[3:] for line in lines}) == 1
 
 
 # COCO --------------------------------------------------------------------------------------------------------------
