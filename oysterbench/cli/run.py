@@ -86,7 +86,7 @@ def run_command(
       oysterbench run my_slam:MySlam --split slam-mini --runs 5 --out results/mine
       oysterbench run openvins --split slam-val      (a published system: see oysterbench systems)
       oysterbench run my_slam --command "./my_slam {euroc} {out}" --split slam-val
-      oysterbench run orb3 --command "./orb3.sh {euroc} {out}" --split slam-val --timeout 900 --jobs 1
+      oysterbench run orb3 --command "./orb3.sh {euroc} {out}" --split slam-val --align se3 --timeout 900
       oysterbench run gtsam_vi --split slam-val --runs 5 --scheduler tcp://10.0.0.1:8786
       oysterbench run gtsam_vi --on V1_01_easy --align se3 --out results/euroc
       oysterbench run gtsam_vi --ablate frontend.max_tracks=70 --ablate loops.enabled=false --split slam-val
