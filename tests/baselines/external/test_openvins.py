@@ -22,6 +22,8 @@ max_cameras: 2
 gravity_mag: 9.81 # of this place
 track_frequency: 21.0
 init_dyn_use: false
+init_dyn_mle_max_time: 0.05 # s
+init_dyn_mle_max_threads: 6
 num_pts: 200
 histogram_method: "HISTOGRAM" # NONE, HISTOGRAM, CLAHE
 """
@@ -41,6 +43,8 @@ def test_the_estimator_file_is_the_authors_with_what_the_sequence_says(sequence)
     assert f"track_frequency: {sequence.cameras[camera].rate_hz + 1}\n" in text
     assert 'histogram_method: "CLAHE" # NONE' in text
     assert "num_pts: 90\n" in text
+    assert "init_dyn_mle_max_time: 5.0 # s" in text  # the load of the machine decides nothing
+    assert "init_dyn_mle_max_threads: 1\n" in text
     with pytest.raises(MethodError, match="the authors' configuration has 0 keys 'max_clones'"):
         estimator(AUTHORS, sequence, [camera], {"max_clones": 11})
 
