@@ -44,31 +44,34 @@ def systems_command(context: click.Context, as_json: bool) -> None:
 @click.argument("names", metavar="SYSTEM...", nargs=-1, required=True)
 @click.option(
     "--source",
+    "sources",
+    multiple=True,
     type=click.Path(path_type=Path, exists=True, file_okay=False),
-    help="A clone of its repository, instead of the network.",
+    help="A clone of its repository, or of a submodule's, instead of the network; repeatable.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), help="Compilers at a time.  [default: one per core]")
 @click.option("--again", is_flag=True, help="Build anew what is built.")
-def build_command(names: tuple[str, ...], source: Path | None, jobs: int | None, again: bool) -> None:
+def build_command(names: tuple[str, ...], sources: tuple[Path, ...], jobs: int | None, again: bool) -> None:
     """Build published systems from their own sources, which are none of this project's and stay under their licences.
 
     \b
     Examples:
       oysterbench systems build openvins
       oysterbench systems build openvins --source ~/open_vins --jobs 1
+      oysterbench systems build okvis2 --source ~/okvis2 --source ~/brisk --source ~/DBoW2 --source ~/opengv
+
+    With --source, each repository is taken from the first clone that has its commit, and nothing from the network.
     """
     from oysterbench.methods.systems import find_system
     from oysterbench.methods.systems.building import build
 
-    if source is not None and len(names) > 1:
-        raise click.UsageError(f"--source is of one system; got {', '.join(names)}")
     for system in [find_system(name) for name in names]:
         described = system.description
         message(
             f"{described.title} ({described.licence}): some {described.cpu_minutes:g} min of processor time, "
             f"{described.disk_mb:g} MB"
         )
-        found = build(system, source, jobs, again, message)
+        found = build(system, sources, jobs, again, message)
         message(
             f"built: {system.place} ({found.cpu_s / 60:.1f} min of processor time, {found.size_bytes / 1e6:.0f} MB)"
         )

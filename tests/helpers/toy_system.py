@@ -52,11 +52,11 @@ reason = "upstream leaves it to whoever builds it"
 """
 
 
-def toy_repository(folder: Path) -> str:
+def toy_repository(folder: Path, script: str = SCRIPT) -> str:
     """Make the upstream repository; its commit."""
     (folder / "src").mkdir(parents=True)
     (folder / "unused").mkdir()
-    (folder / "src" / "toy.sh").write_text(SCRIPT)
+    (folder / "src" / "toy.sh").write_text(script)
     (folder / "src" / "toy.sh").chmod(0o755)
     (folder / "unused" / "large.bin").write_text("not needed")
     git = ["git", "-C", str(folder), "-c", "user.name=toy", "-c", "user.email=toy@toy.example"]

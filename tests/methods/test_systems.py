@@ -92,7 +92,7 @@ def test_a_system_is_built_and_run_by_name(toy, dive_file, tmp_path):
 
 @needs_tools
 def test_a_changed_configuration_or_recipe_is_another_run(toy, dive_file, tmp_path):
-    building.build(find_system("toy"), tmp_path / "upstream", announce=lambda text: None)
+    building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
     words = ("run", "toy", "--on", dive_file, "--out", tmp_path / "out")
     assert oysterbench_command(*words).returncode == 0
     with open(toy / "configure.py", "a") as file:
@@ -123,7 +123,35 @@ def test_an_edit_of_a_text_that_is_not_there_is_refused(toy, tmp_path):
         '[[edit]]\nfile = "src/toy.sh"\nfind = "never there"\nreplace = ""\nreason = "a test"\n'
     )
     with pytest.raises(MethodError, match=r"src/toy.sh of the source has no text 'never there'"):
-        building.build(find_system("toy"), tmp_path / "upstream", announce=lambda text: None)
+        building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
+
+
+@needs_tools
+def test_submodules_are_put_where_the_source_expects_them_from_the_clone_that_has_them(toy, tmp_path):
+    commit = toy_repository(tmp_path / "other", script="echo another\n")
+    with open(toy / "system.toml", "a") as file:
+        file.write(f'\n[submodules."external/other"]\nsource = "https://x.example/x"\ncommit = "{commit}"\n')
+        file.write('folders = ["src"]\n')
+    forget()
+    with pytest.raises(MethodError, match=rf"needs https://x.example/x at {commit}, which is in none of"):
+        building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
+    building.build(find_system("toy"), [tmp_path / "upstream", tmp_path / "other"], announce=lambda text: None)
+    source = find_system("toy").place / "source"
+    assert (source / "external" / "other" / "src" / "toy.sh").read_text() == "echo another\n"
+    assert not (source / "external" / "other" / "unused").exists()
+    assert (source / "src" / "toy.sh").exists()
+
+
+@needs_tools
+def test_other_words_or_options_in_the_manifest_are_no_other_build(toy, tmp_path):
+    building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
+    text = (toy / "system.toml").read_text()
+    (toy / "system.toml").write_text(text.replace("default = 1.0", "default = 2.0"))
+    forget()
+    assert building.built(find_system("toy")) is not None
+    (toy / "system.toml").write_text(text.replace('program = "toy"', 'program = "toy"\npython = ["numpy"]'))
+    forget()
+    assert building.built(find_system("toy")) is None
 
 
 def test_packages_that_are_missing_are_named(toy, monkeypatch):
@@ -155,7 +183,7 @@ def test_a_wrong_manifest_is_named_with_file_and_key(toy):
 def test_a_system_that_fails_has_its_last_words(toy, dive_file, tmp_path):
     if not (shutil.which("git") and shutil.which("cmake")):
         pytest.skip("git and cmake are not installed")
-    building.build(find_system("toy"), tmp_path / "upstream", announce=lambda text: None)
+    building.build(find_system("toy"), [tmp_path / "upstream"], announce=lambda text: None)
     done = oysterbench_command("run", "toy[word=wrong]", "--on", dive_file, "--out", tmp_path / "out")
     assert done.returncode == 1
     assert "toy begins" in done.stderr

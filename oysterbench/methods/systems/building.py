@@ -24,7 +24,7 @@ from typing import IO
 from oysterbench.core.errors import MethodError
 from oysterbench.core.files import locked, write_atomically
 from oysterbench.methods.processes import tail
-from oysterbench.methods.systems.manifest import System
+from oysterbench.methods.systems.manifest import Submodule, System
 from oysterbench.version import VERSION
 
 BUILT, LOG, EDITS = "built.json", "build.log", "edits.toml"
@@ -57,11 +57,16 @@ def built(system: System) -> Build | None:
 
 
 def build(
-    system: System, source: Path | None = None, jobs: int | None = None, again: bool = False, announce: Announce = print
+    system: System,
+    sources: Sequence[Path] = (),
+    jobs: int | None = None,
+    again: bool = False,
+    announce: Announce = print,
 ) -> Build:
     """Build a system where it is not built; what was begun and interrupted is begun anew.
 
-    source: a clone of its repository, bare or not, instead of the network; jobs: compilers at a time
+    sources: clones, bare or not: a repository is taken from the first that has its commit, and from the network where
+    none is given; jobs: compilers at a time
     Raises MethodError with what is missing, or the last words of what failed and the path of its log.
     """
     system.place.mkdir(parents=True, exist_ok=True)
@@ -76,7 +81,7 @@ def build(
             if system.description.python:
                 _install(system, log, announce)
             if system.description.source:
-                _obtain(system, source, log, announce)
+                _obtain(system, sources, log, announce)
             if (system.folder / "CMakeLists.txt").exists():
                 _compile(system, jobs, log, announce)
         prepare = getattr(import_module(f"{system.module}.configure"), "prepare", None)
@@ -113,28 +118,42 @@ def _check_packages(system: System) -> None:
         raise MethodError(f"{system.name} needs git to obtain its source; type: sudo apt-get install git")
 
 
-def _obtain(system: System, given: Path | None, log: IO[bytes], announce: Announce) -> None:
-    """The needed folders of the source at its commit, with the edits."""
-    commit, address = system.description.commit, system.description.source
+def _obtain(system: System, given: Sequence[Path], log: IO[bytes], announce: Announce) -> None:
+    """The needed folders of the source and of its submodules at their commits, with the edits."""
+    described = system.description
+    whole = Submodule(source=described.source, commit=described.commit, folders=described.folders)
     with tempfile.TemporaryDirectory(dir=system.place) as scratch:
-        clone = Path(scratch) / "clone"
-        if given is None:
-            announce(f"fetching {address} at {commit[:8]}")
-            _call(system, ["git", "init", "--quiet", "--bare", str(clone)], log)
-            _call(system, ["git", "-C", str(clone), "fetch", "--quiet", "--depth", "1", address, commit], log)
-        else:
-            announce(f"taking {commit[:8]} from {given}")
-            clone = given.absolute()
-            _call(system, ["git", "-C", str(clone), "cat-file", "-e", f"{commit}^{{commit}}"], log)
-        archive = Path(scratch) / "source.tar"
-        words = ["git", "-C", str(clone), "archive", "--output", str(archive), commit]
-        _call(system, [*words, *system.description.folders], log)
         tree = Path(scratch) / "source"
-        with tarfile.open(archive) as file:
-            file.extractall(tree, filter="data")
+        for number, (place, needed) in enumerate([("", whole), *described.submodules.items()]):
+            clone = _clone(system, needed, given, Path(scratch) / f"clone-{number}", log, announce)
+            archive = Path(scratch) / "source.tar"
+            words = ["git", "-C", str(clone), "archive", "--output", str(archive), needed.commit]
+            _call(system, [*words, *needed.folders], log)
+            with tarfile.open(archive) as file:
+                file.extractall(tree / place, filter="data")
         make_edits(system.folder / EDITS, tree)
         shutil.rmtree(system.place / "source", ignore_errors=True)
         os.replace(tree, system.place / "source")
+
+
+def _clone(
+    system: System, needed: Submodule, given: Sequence[Path], folder: Path, log: IO[bytes], announce: Announce
+) -> Path:
+    """A clone that has the commit: the first given one that has, or a new one from the network where none is given."""
+    for path in given:
+        asked = ["git", "-C", str(path), "cat-file", "-e", f"{needed.commit}^{{commit}}"]
+        if subprocess.run(asked, stdout=log, stderr=log, check=False).returncode == 0:
+            announce(f"taking {needed.commit[:8]} from {path}")
+            return path.absolute()
+    if given:
+        raise MethodError(
+            f"{system.name} needs {needed.source} at {needed.commit}, which is in none of "
+            f"{', '.join(map(str, given))}; give a clone of it with another --source"
+        )
+    announce(f"fetching {needed.source} at {needed.commit[:8]}")
+    _call(system, ["git", "init", "--quiet", "--bare", str(folder)], log)
+    _call(system, ["git", "-C", str(folder), "fetch", "--quiet", "--depth", "1", needed.source, needed.commit], log)
+    return folder
 
 
 def make_edits(edits: Path, tree: Path) -> None:

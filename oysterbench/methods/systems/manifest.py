@@ -48,12 +48,22 @@ class SystemMethod:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Submodule:
+    """Another repository that the source needs within its tree; its keys as those of `Description`."""
+
+    source: str
+    commit: str
+    folders: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Description:
     """A system.toml.
 
     source: address of its repository; commit: of 40 digits; folders: of the repository that are needed, all where
-    there are none; packages: Debian's, that building and running need; python: requirements, for a system that is a
-    package of Python's; program: what the build leaves; cpu_minutes, disk_mb: that building takes
+    there are none; submodules: where in its tree others lie, after git's word; packages: Debian's, that building and
+    running need; python: requirements, for a system that is a package of Python's; program: what the build leaves;
+    cpu_minutes, disk_mb: that building takes
     """
 
     title: str
@@ -65,6 +75,7 @@ class Description:
     source: str = ""
     commit: str = ""
     folders: tuple[str, ...] = ()
+    submodules: Mapping[str, Submodule] = field(default_factory=dict)
     packages: tuple[str, ...] = ()
     python: tuple[str, ...] = ()
     cpu_minutes: float = 0.0
@@ -83,21 +94,19 @@ class System:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of what builds it: other code, or another commit, is another build."""
-        found = hashlib.sha256()
+        """SHA-256 of what builds it: other code, or another commit, is another build; other options are not."""
+        described = self.description
+        builds = (described.commit, described.folders, described.submodules, described.python, described.program)
+        found = hashlib.sha256(msgspec.json.encode(builds, order="sorted"))
         for path in sorted(self.recipe_files()):
             found.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
         return found.hexdigest()
 
     def recipe_files(self) -> list[Path]:
-        """The files that decide what is built: sources and edits of ours, and the commit."""
-        commit = self.folder / MANIFEST
-        shared = self.folder.parent / "common"
-        places = [path for folder in (self.folder, shared) for path in folder.rglob("*") if path.is_file()]
-        return [
-            commit,
-            *(path for path in places if path.suffix in {".cpp", ".h", ".txt"} or path.name == "edits.toml"),
-        ]
+        """The files that decide what is built: sources and edits of ours, and those that the systems share."""
+        places = [self.folder, self.folder.parent / "common"]
+        files = [path for place in places for path in place.rglob("*") if path.is_file()]
+        return [path for path in files if path.suffix in {".cpp", ".h", ".txt"} or path.name == "edits.toml"]
 
     @property
     def place(self) -> Path:
