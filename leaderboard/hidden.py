@@ -28,7 +28,7 @@ LEAST = -1.0
 DIGITS = {"sequence": 2, "split": 3}
 """Significant digits of what is no share of a sequence; of means over the split."""
 
-COSTS = ("wall_s", "cpu_s", "realtime_factor", "peak_memory_mb", "images_per_s", "pictures_per_s")
+COSTS = ("wall_s", "cpu_s", "cpu_s_per_s", "realtime_factor", "peak_memory_mb", "images_per_s", "pictures_per_s")
 """Metrics of the run and not of its estimate: they stay as they were measured, and say nothing of the truth."""
 
 NO_VALUE = "has no value for this estimate on this sequence"

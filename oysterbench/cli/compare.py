@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from oysterbench.cli.echo import echo, message
-from oysterbench.cli.outputs import Outputs, output_options, print_rich
+from oysterbench.cli.outputs import Outputs, output_options, print_table
 
 if TYPE_CHECKING:
     from oysterbench.results.records import ResultRecord
@@ -41,7 +41,7 @@ def compare_command(results: tuple[str, ...], split: str | None, outputs: Output
     settings are kept apart, in tables of their own.
     """
     from oysterbench.core.errors import ResultError
-    from oysterbench.report import SlamRun, comparison_tables, results_tables, terminal_table
+    from oysterbench.report import SlamRun, comparison_tables, results_tables
     from oysterbench.results.comparison import as_plain, boards, remarks
     from oysterbench.results.records import dump, labelled_results
 
@@ -58,7 +58,7 @@ def compare_command(results: tuple[str, ...], split: str | None, outputs: Output
         echo(dump({"remarks": remarks(found), "comparisons": [as_plain(board) for board in found]}))
     elif not outputs.on_stdout:
         for table in comparison_tables(records) or results_tables(records):
-            print_rich(terminal_table(table))
+            print_table(table)
 
 
 def _provided(text: str, split: str | None) -> list[ResultRecord] | None:

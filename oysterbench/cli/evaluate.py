@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli.echo import echo, message
-from oysterbench.cli.outputs import Outputs, print_rich
+from oysterbench.cli.outputs import Outputs, print_table
 from oysterbench.core.errors import OysterbenchError, ResultError
 
 if TYPE_CHECKING:
@@ -134,13 +134,6 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
         message(f"{one.method} failed on {one.sequence}: {one.failure}{logs}")
     if failures or any(each.failure is not None for each in found.unscored):
         sys.exit(OysterbenchError.exit_code)
-
-
-def print_table(table: Any) -> None:
-    """A table on stdout."""
-    from oysterbench.report import terminal_table
-
-    print_rich(terminal_table(table))
 
 
 def foreign_options(track: str, options: Mapping[str, Sequence[str]]) -> None:

@@ -15,6 +15,8 @@ import click
 from oysterbench.cli.echo import echo
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from oysterbench.report import DatasetRow
     from oysterbench.report.cards import Card
     from oysterbench.report.html import Runs
@@ -95,11 +97,22 @@ def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return option(wrapped)
 
 
+def print_table(table: Table) -> None:
+    """A table on stdout, as wide as that is."""
+    from oysterbench.report import terminal_table
+
+    console = _console()
+    console.print(terminal_table(table, width=console.width))
+
+
 def print_rich(table: Any) -> None:
-    """Print a table on stdout; a pipe has no width to wrap to."""
+    """Print a table of rich on stdout."""
+    _console().print(table)
+
+
+def _console() -> Console:
+    """Of stdout; a pipe has no width to wrap to."""
     from rich.console import Console
 
     console = Console()
-    if not console.is_terminal:
-        console = Console(width=200)
-    console.print(table)
+    return console if console.is_terminal else Console(width=200)

@@ -26,7 +26,7 @@ def systems_command(context: click.Context, as_json: bool) -> None:
     """
     if context.invoked_subcommand is not None:
         return
-    from oysterbench.cli.evaluate import print_table
+    from oysterbench.cli.outputs import print_table
     from oysterbench.methods.systems import systems
     from oysterbench.methods.systems.building import built
     from oysterbench.report.renderers.json import json_rows

@@ -10,7 +10,8 @@ from typing import Any
 import click
 
 from oysterbench.cli.echo import echo, message
-from oysterbench.cli.evaluate import FOLDER, print_table
+from oysterbench.cli.evaluate import FOLDER
+from oysterbench.cli.outputs import print_table
 
 
 @click.command("tune", short_help="Search a method's options on a split, by a stated number of trials.")

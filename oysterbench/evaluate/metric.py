@@ -102,10 +102,12 @@ class TrackMetrics:
     """The metrics of a track by their key, and which are shown.
 
     title:    of the track
-    table:    those of one line per method and sequence, the one that ranks first: as many as 80 characters hold
+    table:    those of one line per method and sequence, the one that ranks first
     standing: those of the standings, beside rank, score and interval
     beside:   the one that is shown beside the one that ranks, over conditions and over runs
     failed:   the values of a run without a scored estimate: it answers nothing, and its errors do not exist
+    costs:    those of what a run cost, behind `table` where any run has them
+    wide:     those of both that a terminal leaves out where it is too narrow: the others fit into 80 characters
     """
 
     title: str
@@ -114,6 +116,8 @@ class TrackMetrics:
     standing: tuple[str, ...]
     beside: str
     failed: Mapping[str, float]
+    costs: tuple[str, ...] = ("cpu_s", "peak_memory_mb")
+    wide: tuple[str, ...] = ("cpu_s", "peak_memory_mb")
 
     @property
     def ranking(self) -> str:

@@ -29,6 +29,7 @@ def metric_column(key: str, sort: bool = False, track: str = "") -> Column:
         better=metric.better,
         about=metric.definition,
         sort=key if sort else "",
+        wide=track in TRACKS and key in TRACKS[track].wide,
     )
 
 
@@ -44,6 +45,9 @@ def name_columns(*keys: str) -> tuple[Column, ...]:
 
 OF_TRACK = {name: metric_columns(track.table, name) for name, track in TRACKS.items()}
 """Track -> columns of its results."""
+
+COSTS_OF_TRACK = {name: metric_columns(track.costs, name) for name, track in TRACKS.items()}
+"""Track -> columns of what its runs cost."""
 
 STANDING_OF_TRACK = {name: metric_columns(track.standing, name) for name, track in TRACKS.items()}
 """Track -> columns of its standings, beside the metric that ranks."""

@@ -258,7 +258,7 @@ def _definitions(records: Sequence[ResultRecord], track: TrackMetrics) -> dict[s
     """What the numbers mean: the metrics of the tables, then all others that were measured."""
     name = records[0].track if records else ""
     measured = dict.fromkeys(key for record in records for key in record.metrics)
-    shown = [key for key in dict.fromkeys((*track.table, *track.standing)) if key in measured]
+    shown = [key for key in dict.fromkeys((*track.table, *track.costs, *track.standing)) if key in measured]
     return {
         "definitions": [_definition(key, name) for key in shown],
         "more_definitions": [_definition(key, name, records) for key in measured if key not in shown],

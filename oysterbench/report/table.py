@@ -90,7 +90,7 @@ class Column:
     cut:     decimals are cut, not rounded, so that nothing less than all is shown as 100 %
     better:  the direction of improvement; about: the definition
     sort:    what an address asks for to sort by it; empty where it cannot be
-    hidden:  in CSV and JSON alone
+    hidden:  in CSV and JSON alone; wide: not in a terminal that is too narrow for the table
     """
 
     key: str
@@ -107,6 +107,7 @@ class Column:
     about: str = ""
     sort: str = ""
     hidden: bool = False
+    wide: bool = False
 
     @property
     def number(self) -> bool:

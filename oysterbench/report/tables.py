@@ -11,7 +11,7 @@ import numpy as np
 from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import LEVEL, Interval
-from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column, name_columns
+from oysterbench.report.columns import COSTS_OF_TRACK, OF_TRACK, STANDING_OF_TRACK, metric_column, name_columns
 from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow, Value, interval_column
 from oysterbench.results.comparison import Board, SequenceRuns, boards, remarks
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
@@ -30,6 +30,8 @@ def results_table(records: Sequence[ResultRecord]) -> Table:
     for record in sorted(records, key=lambda record: order.index(record.sequence)):
         groups.setdefault((record.sequence, *method_key(record), *comparable_key(record)), []).append(record)
     columns = OF_TRACK[records[0].track] if records else ()
+    costs = COSTS_OF_TRACK[records[0].track] if records else ()
+    columns += tuple(column for column in costs if any(column.key in record.metrics for record in records))
     medians = [{column.key: median(group, column.key) for column in columns} for group in groups.values()]
     best = _best([group[0].sequence for group in groups.values()], medians, columns)
     rows = []

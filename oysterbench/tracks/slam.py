@@ -212,6 +212,8 @@ def record_outcome(
             about["info"]["map"] = dict(prediction["map"])
     duration = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
     cost = cost_of(outcome, "realtime_factor", duration)
+    if "realtime_factor" in cost:
+        cost["cpu_s_per_s"] = outcome.cpu_s / duration
     if failure is not None or estimate is None:
         return ResultRecord(**about, failure=failure, metrics=cost, notes=tuple(outcome.notes)), None
     try:

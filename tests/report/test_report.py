@@ -18,7 +18,16 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.slam.metrics import SLAM
 from oysterbench.evaluate.slam.scoring import EVALUATOR, SlamSettings, score
-from oysterbench.report import SlamRun, html_report, results_table, terminal_table, write_html_report
+from oysterbench.report import (
+    SlamRun,
+    csv_text,
+    html_report,
+    latex_text,
+    markdown_text,
+    results_table,
+    terminal_table,
+    write_html_report,
+)
 from oysterbench.report.columns import metric_column
 from oysterbench.report.plots import Curve, recall_plot, scatter_plot
 from oysterbench.results.records import ResultRecord
@@ -46,7 +55,7 @@ def run(method: str, sigma_m: float = 0.01, sequence: str = "mini-01", keep: sli
         "split_digest": "ab" * 32,
         "sequence": sequence,
         "method": method,
-        "metrics": {**result.metrics, "realtime_factor": 2.0},
+        "metrics": {**result.metrics, "realtime_factor": 2.0, "cpu_s_per_s": 0.75, "peak_memory_mb": 512.0},
         "reasons": result.reasons,
         "notes": result.notes,
         "settings": SlamSettings().as_dict(),
@@ -63,7 +72,7 @@ def failed(method: str, sequence: str = "mini-01") -> SlamRun:
 def printed(runs: list[SlamRun], width: int = 80, **options) -> str:
     stream_ = StringIO()
     Console(file=stream_, width=width, **options).print(
-        terminal_table(results_table([r.record for r in runs]), titled=False)
+        terminal_table(results_table([r.record for r in runs]), titled=False, width=width)
     )
     return stream_.getvalue()
 
@@ -76,8 +85,24 @@ def test_table_in_a_pipe_has_no_colour_and_fits_80_columns():
     assert "\x1b" not in text
     assert max(len(line.rstrip()) for line in text.splitlines()) <= 80
     line = next(line for line in text.splitlines() if "dead_reckoning" in line)
+    slam = TRACKS["slam"]
     assert line.split()[:2] == ["mini-01", "dead_reckoning"]
-    assert len(line.split()) == 2 + len(TRACKS["slam"].table)
+    assert len(line.split()) == 2 + len({*slam.table, *slam.costs} - {*slam.wide})
+
+
+def test_a_wide_terminal_and_every_file_have_processor_time_and_memory_beside_the_speed():
+    runs = [run("gtsam_vi")]
+    line = next(line for line in printed(runs, width=120).splitlines() if "gtsam_vi" in line)
+    assert line.split()[-3:] == ["2.0", "0.75", "512"]
+    records = [each.record for each in runs]
+    assert all("CPU" in text and "Memory" in text for text in (markdown_text(records), latex_text(records)))
+    assert ">0.75</td>" in html_report(runs, "oysterbench eval slam")
+    assert {"cpu_s_per_s", "peak_memory_mb"} <= {*csv_text(records).partition("\n")[0].split(",")}
+
+
+def test_what_no_run_has_measured_has_no_column():
+    (only,) = [run("gtsam_vi", metrics={"score": 0.5})]
+    assert "CPU" not in printed([only], width=120)
 
 
 def test_coverage_is_never_rounded_up():
@@ -94,7 +119,7 @@ def test_small_errors_get_another_decimal_all_over_their_column():
 def test_a_failure_is_a_row_without_errors_and_a_sentence():
     text = printed([run("gtsam_vi"), failed("mine")], width=120)
     (line,) = [line for line in text.splitlines() if line.split()[:2] == ["mini-01", "mine"]]
-    assert line.split()[2:] == ["0.000", "–", "–", "–", "–", "0.0", "–"]
+    assert line.split()[2:] == ["0.000", "–", "–", "–", "–", "0.0", "–", "–", "–"]
     assert "mine on mini-01 failed: it <crashed> & burned" in text
 
 

@@ -152,6 +152,15 @@ def test_the_terminal_shows_narrow_headings_and_all_cells():
     assert re.search(r"\x1b\[1;32m *0\.333", printed(force_terminal=True, color_system="standard"))
 
 
+def test_a_narrow_terminal_leaves_out_the_wide_columns_the_last_first():
+    columns = [Column(key, key, kind="number", wide=key != "a") for key in "abc"]
+    table = Table("", tuple(columns), (TableRow((111, 222, 333)),))
+    for width, shown in ((15, "111  222  333"), (14, "111  222"), (9, "111"), (1, "111")):
+        stream = io.StringIO()
+        Console(file=stream, width=80).print(terminal_table(table, width=width))
+        assert shown == stream.getvalue().splitlines()[-2].strip()
+
+
 class Cells(HTMLParser):
     """Gathers rows of a table; checks that tags nest."""
 

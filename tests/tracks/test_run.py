@@ -187,6 +187,7 @@ def test_cost_command_versions_and_hardware_are_recorded(run, answer, tmp_path):
     record = done.scored.record
     assert 0 < record.metrics["cpu_s"] < 60
     assert 0 < record.metrics["wall_s"] < 60
+    assert record.metrics["cpu_s_per_s"] == pytest.approx(record.metrics["cpu_s"] / 1.98)
     assert record.metrics["peak_memory_mb"] > 5
     assert record.metrics["realtime_factor"] == pytest.approx(1.98 / record.metrics["wall_s"])
     assert record.method_settings == {"command": template, "poses_of": "base"}

@@ -158,8 +158,13 @@ SLAM: dict[str, Metric] = {
         "Duration of the sequence divided by the wall time of the method; above 1 it keeps up with the sensors."
     ),
     "wall_s": lower("Wall time", "s")("Wall time of the method."),
-    "cpu_s": lower("CPU time", "s")("Processor time of the method, summed over its threads and processes."),
-    "peak_memory_mb": lower("Memory", "MB")(
+    "cpu_s": lower("CPU time", "s", Column("CPU", "s", 1))(
+        "Processor time of the method, summed over its threads and processes."
+    ),
+    "cpu_s_per_s": lower("CPU", "s/s", Column("CPU", "s/s", 2, small=0.1))(
+        "That processor time by the duration of the sequence: the cores that it would keep busy at the sensors' pace."
+    ),
+    "peak_memory_mb": lower("Memory", "MB", Column("memory", "MB", 0))(
         "Most memory (1e6 bytes) that the method's processes had resident, the program around it included: the greater "
         "of the largest one's peak, as the kernel kept it, and of their sum, looked at every 0.2 s."
     ),
@@ -209,5 +214,7 @@ TRACK = TrackMetrics(
     standing=("coverage", "ate_percent", "ate_rotation_rmse_deg", "realtime_factor"),
     beside="ate_percent",
     failed={"score": 0.0, "coverage": 0.0},
+    costs=("cpu_s_per_s", "peak_memory_mb"),
+    wide=("rpe_1s_rotation_rmse_deg", "peak_memory_mb"),
 )
 """Errors of the standings are relative to the path, as they are means over paths."""

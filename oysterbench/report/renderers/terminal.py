@@ -11,12 +11,18 @@ from oysterbench.report.table import Column, Table
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
+UNBOUNDED = 10_000
 STYLES = {"best": "bold green", "warn": "red"}
 """Kind of a cell -> how it looks in colour."""
 
 
-def terminal_table(table: Table, colour: bool = True, titled: bool = True) -> RichTable:
-    """A table of rich; what stands below the table stands below it in words."""
+def terminal_table(table: Table, colour: bool = True, titled: bool = True, width: int = UNBOUNDED) -> RichTable:
+    """A table of rich; what stands below the table stands below it in words. width: of the terminal, in characters;
+    where that is too little, the columns that are `wide` are left out, the last of them first."""
+    shown = [i for i, _ in table.shown]
+    for i in reversed([i for i in shown if table.columns[i].wide]):
+        if sum(_width(table, k) for k in shown) > width:
+            shown.remove(i)
     from rich.box import SIMPLE_HEAD
     from rich.table import Table as RichTable
     from rich.text import Text
@@ -36,7 +42,7 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True) -> Ri
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )
-    for _, column in table.shown:
+    for column in (table.columns[i] for i in shown):
         if column.number:
             made.add_column(_heading(column), justify="right", no_wrap=True)
         else:
@@ -44,9 +50,17 @@ def terminal_table(table: Table, colour: bool = True, titled: bool = True) -> Ri
     means = [row.kind == "mean" for row in table.rows]
     ends = [not before and after for before, after in pairwise([*means, False])]
     for row, texts, end in zip(table.rows, table.texts, ends, strict=True):
-        cells = [styled(texts[i], STYLES.get(row.cells[i].kind, "")) for i, _ in table.shown]
+        cells = [styled(texts[i], STYLES.get(row.cells[i].kind, "")) for i in shown]
         made.add_row(*cells, style="bold" if colour and row.kind == "mean" else "", end_section=end)
     return made
+
+
+def _width(table: Table, i: int) -> int:
+    """Characters of a column, and of what separates it from the next one."""
+    from rich.cells import cell_len
+
+    lines = [*_heading(table.columns[i]).split("\n"), *(row[i] for row in table.texts)]
+    return max(map(cell_len, lines)) + 2
 
 
 def _heading(column: Column) -> str:
