@@ -16,7 +16,7 @@ from oysterbench.cli.outputs import print_table
 
 @click.command("tune", short_help="Search a method's options on a split, by a stated number of trials.")
 @click.argument("method", metavar="METHOD")
-@click.option("--split", "split_name", default="slam-train", show_default=True, help="What it is tuned on.")
+@click.option("--split", "split_name", help="What it is tuned on.  [default: slam-train, or that of its track]")
 @click.option("--sequence", "sequences", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
 @click.option(
     "--trials",
@@ -38,7 +38,7 @@ from oysterbench.cli.outputs import print_table
 @click.option("--out", type=FOLDER, required=True, help="Folder of all runs; the same command goes on in it.")
 def tune_command(
     method: str,
-    split_name: str,
+    split_name: str | None,
     sequences: tuple[str, ...],
     count: int,
     ranges: Path | None,
@@ -48,7 +48,7 @@ def tune_command(
     scheduler: str | None,
     out: Path,
 ) -> None:
-    """Try METHOD with options drawn at random, and say which have the best mean score.
+    """Try METHOD with options drawn at random, and say which have the best mean of what ranks on its track.
 
     \b
     Examples:
@@ -57,14 +57,15 @@ def tune_command(
 
     A trial's options depend on the seed, its number and their names alone, so that methods with the same budget are
     searched alike. A file of ranges has a table for each option: range = [1, 9], log = true, or choices = ["a", "b"].
-    A failed run counts with the score 0. The last line is the method with the best options, as `oysterbench run` takes
-    it. Whatever is interrupted, the same command goes on.
+    A failed run counts as one that answers nothing. The last line is the method with the best options, as `oysterbench
+    run` takes it. Whatever is interrupted, the same command goes on.
     """
     from oysterbench.cli.render import frames_bar, render_files
+    from oysterbench.core.files import home
     from oysterbench.methods.systems import split_reference, track_of
     from oysterbench.methods.tuning import read_ranges, trials
     from oysterbench.recipe import load_split
-    from oysterbench.report.tuning import best_of, trials_table
+    from oysterbench.report.tuning import best_of, ranking_heading, trials_table
     from oysterbench.results.records import add_results
     from oysterbench.tracks import TRACKS, Request
 
@@ -80,12 +81,13 @@ def tune_command(
 
     request = Request(
         out=out,
-        split=load_split(split_name),
+        split=load_split(split_name or track.default_split.replace("-mini", "-train")),
         sequences=sequences,
         methods=references,
         jobs=jobs,
         limit_s=limit_s,
         scheduler=scheduler,
+        exports=home() / "exports",
         render=render_files,
         bar=frames_bar,
         announce=message,
@@ -97,5 +99,5 @@ def tune_command(
     print_table(table)
     best = best_of(records, names)
     if math.isfinite(best[1]):
-        message(f"best of {len(references)} trials, mean score {best[1]:.3f}:")
+        message(f"best of {len(references)} trials, mean {ranking_heading(track.name)} {best[1]:.3f}:")
         echo(names[best[0]])

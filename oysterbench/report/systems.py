@@ -11,6 +11,7 @@ from oysterbench.report.table import Column, Table, TableRow
 COLUMNS = (
     Column("system", "System"),
     Column("method", "Method"),
+    Column("track", "Track"),
     Column("sensors", "Sensors"),
     Column("mode", "Mode"),
     Column("licence", "Licence"),
@@ -28,9 +29,11 @@ def systems_table(known: Iterable[tuple[System, Build | None]]) -> Table:
         described = system.description
         state = "not built" if build is None else f"built, {build.commit[:8] or 'package'}"
         for name, method in described.methods.items():
-            sensors = ", ".join(method.sensors)
-            mode = "online" if method.online else "offline"
-            values = (described.title, name, sensors, mode, described.licence, state, method.about, described.paper)
-            rows.append(TableRow((*values, described.commit)))
-    note = "Build one: oysterbench systems build SYSTEM. Run it: oysterbench run METHOD --split slam-mini."
+            # A method of pictures has no further sensors, and each answer is of its picture.
+            sensors, mode = ", ".join(method.sensors) or "pictures", "online" if method.online else "offline"
+            if method.online is None:
+                mode = ""
+            values = (described.title, name, method.track, sensors, mode, described.licence, state)
+            rows.append(TableRow((*values, method.about, described.paper, described.commit)))
+    note = "Build one: oysterbench systems build SYSTEM. Run it: oysterbench run METHOD --split slam-mini, or seg-mini."
     return Table("Published systems", COLUMNS, tuple(rows), (note,))

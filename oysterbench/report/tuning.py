@@ -6,19 +6,31 @@ import math
 from collections.abc import Mapping, Sequence
 from statistics import fmean
 
+from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.report.table import Column, Table, TableRow
 from oysterbench.results.records import ResultRecord
+from oysterbench.results.standings import PRIMARY
 
 SHOWN = 10
 
 
 def mean_scores(records: Sequence[ResultRecord], names: Mapping[str, str]) -> dict[str, float]:
-    """Mean of the score of each trial over its runs, of which a failed one has 0; NaN where there is none."""
+    """Mean over the runs of each trial of what ranks on its track, a failed run counting as one that answers nothing;
+    NaN where there is none."""
     found: dict[str, list[float]] = {name: [] for name in names}
     for record in records:
         if record.method in found:
-            found[record.method].append(record.metrics.get("score", 0.0))
+            metric = PRIMARY[record.track]
+            found[record.method].append(record.metrics.get(metric, FAILED[record.track][metric]))
     return {name: fmean(scores) if scores else math.nan for name, scores in found.items()}
+
+
+def ranking_heading(track: str) -> str:
+    """What ranks on a track, in a word."""
+    metric = find_metric(PRIMARY[track], track)
+    assert metric is not None
+    assert metric.column is not None
+    return metric.column.heading
 
 
 def best_of(records: Sequence[ResultRecord], names: Mapping[str, str]) -> tuple[str, float]:
@@ -29,6 +41,7 @@ def best_of(records: Sequence[ResultRecord], names: Mapping[str, str]) -> tuple[
 
 def trials_table(records: Sequence[ResultRecord], names: Mapping[str, str]) -> Table:
     """The best trials, and the first, which is the method as it is. names: of methods, with their references"""
+    heading = ranking_heading(records[0].track) if records else "score"
     means = mean_scores(records, names)
     order = sorted(means, key=lambda name: math.inf if math.isnan(means[name]) else -means[name])
     first = next(iter(names))
@@ -36,7 +49,7 @@ def trials_table(records: Sequence[ResultRecord], names: Mapping[str, str]) -> T
     failures = {name: sum(r.method == name and r.failure is not None for r in records) for name in names}
     columns = (
         Column("trial", "Trial", kind="number", digits=0),
-        Column("score", "Score", kind="number", digits=3, better="higher"),
+        Column("score", heading[0].upper() + heading[1:], kind="number", digits=3, better="higher"),
         Column("failures", "Failures", kind="number", digits=0, better="lower"),
         Column("reference", "Options"),
     )

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 
 import pytest
 
@@ -18,7 +17,7 @@ from oysterbench.methods.systems.container import containerfile
 from oysterbench.methods.systems.manifest import read_system
 from oysterbench.results.records import read_results
 from tests.helpers.paths import COMMAND
-from tests.helpers.toy_system import toy_package, toy_repository
+from tests.helpers.toy_system import forget, toy_package, toy_repository
 
 needs_tools = pytest.mark.skipif(
     not (shutil.which("git") and shutil.which("cmake")), reason="git and cmake are not installed"
@@ -45,13 +44,6 @@ def toy(tmp_path, answer, monkeypatch):
     forget()
     yield folder
     forget()
-
-
-def forget():
-    """What is known of systems in this process, of which every test has its own."""
-    systems.cache_clear()
-    for name in [name for name in sys.modules if name.startswith("toy_systems")]:
-        del sys.modules[name]
 
 
 def oysterbench_command(*words):

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import MethodError
-from oysterbench.methods.adapters import MethodAdapter, check_name
+from oysterbench.methods.adapters import MethodAdapter, check_name, file_digest
 from oysterbench.methods.interfaces import Predicted, RunSequence, interface_of
+from oysterbench.methods.options import with_options
 from oysterbench.methods.processes import STDOUT
 from oysterbench.methods.systems.building import built
-from oysterbench.methods.systems.manifest import split_reference
+from oysterbench.methods.systems.manifest import file_options, split_reference
 from oysterbench.version import VERSION
 
 
@@ -28,17 +29,21 @@ class SystemAdapter(MethodAdapter):
             raise MethodError(f"no published system has a method {reference!r}; `oysterbench systems` lists them")
         self.system, self.name, self.options = found
         check_name(self.name.partition("[")[0])
-        if "slam" not in tracks:
-            raise MethodError(f"method {reference!r} is of the track 'slam'; expected one of {tracks[0]!r}")
+        self.method = self.system.description.methods[self.name.partition("[")[0]]
+        if self.method.track not in tracks:
+            raise MethodError(
+                f"method {reference!r} is of the track {self.method.track!r}; expected one of {tracks[0]!r}"
+            )
         build = built(self.system)
         if build is None:
             raise MethodError(
                 f"{self.system.name} is not built here; type: oysterbench systems build {self.system.name}"
             )
         self.build = build
-        self.reference = reference
-        self.method = self.system.description.methods[self.name.partition("[")[0]]
-        self.interface = interface_of("slam")
+        self._files = file_options(self.system, self.options)
+        # The folder that it is launched in is another one, and so is its home.
+        self.reference = with_options(reference, [f"{key}={self.options[key]}" for key in self._files])
+        self.interface = interface_of(self.method.track)
         self.form = self.method.form
 
     @property
@@ -48,22 +53,32 @@ class SystemAdapter(MethodAdapter):
             "build": self.build.recipe,
             "configuration": self._configuration,
             **self.settings,
+            **({"files": self._digests} if self._files else {}),
         }
 
     @property
     def settings(self) -> dict[str, Any]:
-        return {"method": self.name.partition("[")[0], **self.options}
+        return {"method": self.name.partition("[")[0], **self.options, **self._digests}
 
     @property
     def about(self) -> Mapping[str, Any]:
         described = self.system.description
-        known = {"sensors": list(self.method.sensors), "online": self.method.online}
-        return {**known, "title": described.title, "paper": described.paper, "code": described.source or described.url}
+        found = {"title": described.title, "paper": described.paper, "code": described.source or described.url}
+        if self.method.track != "slam":
+            return found
+        return {"sensors": list(self.method.sensors), "online": self.method.online, **found}
 
     @property
     def evaluation(self) -> Mapping[str, Any]:
+        if self.method.track != "slam":
+            return {}
         gap = {} if self.method.max_gap_s is None else {"max_gap_s": self.method.max_gap_s}
         return {"align": self.method.align, **gap}
+
+    @property
+    def _digests(self) -> dict[str, str]:
+        """SHA-256 of each file that its options name, as it is now."""
+        return {key: file_digest(Path(self.options[key])) for key in self._files}
 
     @property
     def _configuration(self) -> str:
@@ -90,14 +105,10 @@ class SystemAdapter(MethodAdapter):
 
     def take(self, sequence: RunSequence, given: Path, folder: Path) -> Predicted:
         if not (folder / self.interface.out).exists():
-            raise MethodError("ended well, but left no trajectory")
-        options = {"poses_of": self.method.poses_of}
+            raise MethodError(f"ended well, but left no {self.interface.leaves.removeprefix('a ')}")
+        options = {"poses_of": self.method.poses_of} if self.method.track == "slam" else {}
         found = self.interface.take(sequence, given, folder, self.form, options)
-        digests = {"log_sha256": _digest(folder / STDOUT)}
-        kept = {path.name: _digest(path) for path in sorted((folder / "configuration").glob("*")) if path.is_file()}
+        digests = {"log_sha256": file_digest(folder / STDOUT)}
+        written = sorted((folder / "configuration").glob("*"))
+        kept = {path.name: file_digest(path) for path in written if path.is_file()}
         return replace(found, info={**found.info, **digests, "configuration_sha256": kept})
-
-
-def _digest(path: Path) -> str:
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

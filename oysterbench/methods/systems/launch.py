@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import MethodError, OysterbenchError
-from oysterbench.methods.interfaces.slam import SlamInterface
+from oysterbench.methods.interfaces import interface_of
 from oysterbench.methods.systems.manifest import SystemMethod, split_reference
 from oysterbench.sequence import Sequence, open_sequence
 
@@ -31,7 +31,7 @@ class Launch:
 
     method, about: its name and what its manifest says of it; options: all of the system, by key; given: the sequence
     in the form of the method, without the truth; source, build: the edited source tree and what was built of it;
-    folder: for the configuration; out: where the trajectory goes; number: of the run, from 0
+    folder: for the configuration; out: where what its track asks for goes; number: of the run, from 0
     """
 
     method: str
@@ -46,7 +46,7 @@ class Launch:
 
     @cached_property
     def sequence(self) -> Sequence:
-        """The same as a sequence: its calibration, above all."""
+        """The same as a sequence, of the track slam: its calibration, above all."""
         return open_sequence(self.given)
 
 
@@ -57,17 +57,18 @@ def launch_of(reference: str, place: Path, given: Path, folder: Path, number: in
         raise MethodError(f"no published system has a method {reference!r}")
     system, name, options = found
     method = name.partition("[")[0]
+    about = system.description.methods[method]
     kept = folder / CONFIGURATION
     kept.mkdir(parents=True, exist_ok=True)
     launch = Launch(
         method=method,
-        about=system.description.methods[method],
+        about=about,
         options=options,
         given=given.absolute(),
         source=place / "source",
         build=place / "build",
         folder=kept.absolute(),
-        out=(folder / SlamInterface.out).absolute(),
+        out=(folder / interface_of(about.track).out).absolute(),
         number=number,
     )
     command: list[str] = import_module(f"{system.module}.configure").command(launch)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
@@ -16,7 +16,9 @@ import msgspec
 from oysterbench.core.errors import MethodError
 from oysterbench.core.files import home
 from oysterbench.core.names import did_you_mean, nearest
+from oysterbench.methods.adapters import file_digest
 from oysterbench.methods.finding import find_method
+from oysterbench.methods.interfaces import interface_of
 from oysterbench.methods.options import read_value, split_variant, variant_name
 from oysterbench.methods.tuning import OptionRange
 
@@ -30,21 +32,36 @@ Sensor = Literal["mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass",
 class SystemMethod:
     """A way to run a system.
 
-    sensors: that it uses; online: whether a pose is what was known at its time; deterministic: whether two runs on one
-    sequence leave the same; form, poses_of: as of `ExternalCommand`; align: how it is aligned where the user does not
-    say, as a system without scale cannot be scored as it is; max_gap_s: between two poses of it, None for the
-    evaluator's; of: the method whose options it has with its own above; options: that differ from the system's
+    track: that it answers to; form: what it is given, as of `ExternalCommand`; deterministic: whether two runs on one
+    sequence leave the same; options: that differ from the system's
+
+    Of the track slam alone: sensors: that it uses; online: whether a pose is what was known at its time; poses_of: as
+    of `ExternalCommand`; align: how it is aligned where the user does not say, as a system without scale cannot be
+    scored as it is; max_gap_s: between two poses of it, None for the evaluator's
     """
 
     about: str
-    sensors: tuple[Sensor, ...]
-    online: bool
     deterministic: bool
+    track: Literal["slam", "segmentation", "detection"] = "slam"
     form: str = "euroc"
+    options: Mapping[str, Any] = field(default_factory=dict)
+    sensors: tuple[Sensor, ...] = ()
+    online: bool | None = None
     poses_of: str = "imu"
     align: str = "posyaw"
     max_gap_s: float | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+OF_SLAM = ("sensors", "online", "poses_of", "align", "max_gap_s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SystemOption(OptionRange):
+    """An option of a system. file: whether it is the path of a file, by whose content it is then known, and which lies
+    under the home where the user names none; made_by: what to type where there is none."""
+
+    file: bool = False
+    made_by: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +97,7 @@ class Description:
     python: tuple[str, ...] = ()
     cpu_minutes: float = 0.0
     disk_mb: float = 0.0
-    options: Mapping[str, OptionRange] = field(default_factory=dict)
+    options: Mapping[str, SystemOption] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -136,7 +153,21 @@ def read_system(name: str, folder: Path, module: str = "") -> System:
     for method, values in description.methods.items():
         for key in values.options.keys() - description.options.keys():
             raise MethodError(f"{path}: methods.{method}.options: the system has no option {key!r}")
+        if wrong := _wrong(values):
+            raise MethodError(f"{path}: methods.{method}.{wrong}")
     return System(name, folder, module, description)
+
+
+def _wrong(method: SystemMethod) -> str | None:
+    """What of a method is not of its track."""
+    forms = interface_of(method.track).forms
+    if method.form not in forms:
+        return f"form: expected one of {', '.join(forms)}, as its track is {method.track}, got {method.form!r}"
+    given = [one.name for one in fields(method) if getattr(method, one.name) != one.default and one.name in OF_SLAM]
+    if method.track == "slam":
+        lacking = [key for key in ("sensors", "online") if key not in given]
+        return f"{lacking[0]}: missing, as its track is slam" if lacking else None
+    return f"{given[0]}: of the track slam; its track is {method.track}" if given else None
 
 
 def find_system(name: str) -> System:
@@ -151,7 +182,8 @@ def find_system(name: str) -> System:
 def split_reference(reference: str) -> tuple[System, str, dict[str, Any]] | None:
     """System, method and all options of `METHOD[key=value,...]`; None where no system has such a method.
 
-    Raises MethodError for an option that the system has not, or a value that is none.
+    A file among them is named by its whole path, and in the method's name by its digest. Raises MethodError for an
+    option that the system has not, a value that is none, or a file that is not there.
     """
     method, given = split_variant(reference)
     system = next((one for one in systems().values() if method in one.description.methods), None)
@@ -172,9 +204,26 @@ def split_reference(reference: str) -> tuple[System, str, dict[str, Any]] | None
         if option.choices and values[key] not in option.choices:
             expected = ", ".join(map(str, option.choices))
             raise MethodError(f"option {key!r} of method {method!r}: expected one of {expected}, got {text}")
+    for key in file_options(system, values):
+        path = (Path() if key in given else home()) / Path(values[key]).expanduser()
+        if not path.is_file():
+            advice = f"; type: {known[key].made_by}" if known[key].made_by else ""
+            raise MethodError(f"option {key!r} of method {method!r}: no file {path}{advice}")
+        values[key] = str(path.absolute())
+        if key in given:
+            given[key] = file_digest(path)[:8]
     return system, variant_name(method, given), values
+
+
+def file_options(system: System, values: Mapping[str, Any]) -> list[str]:
+    """Keys of the options that name a file."""
+    return [key for key, option in system.description.options.items() if option.file and values.get(key)]
 
 
 def track_of(reference: str) -> str:
     """The track of a method, of a published system or any other. Raises MethodError where there is no such method."""
-    return "slam" if split_reference(reference) is not None else find_method(reference).track
+    found = split_reference(reference)
+    if found is None:
+        return find_method(reference).track
+    system, name, _ = found
+    return system.description.methods[name.partition("[")[0]].track
