@@ -44,6 +44,7 @@ def main(task_file: str, folder: str, out: str) -> None:
         options.ba_refine_extra_params = False
         options.mapper.abs_pose_refine_focal_length = False
         options.mapper.abs_pose_refine_extra_params = False
+        options.mapper.init_min_tri_angle = task["init_min_tri_angle"]  # degrees
         models = pycolmap.incremental_mapping(database, pictures, scratch, options)
     if not models:
         sys.exit("COLMAP found no pair of pictures to begin with")
