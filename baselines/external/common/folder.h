@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <fstream>
+#include <iostream>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -56,4 +57,10 @@ inline std::vector<ImageRow> read_images(const std::string &camera) {
   for (const auto &row : read_rows(camera + "/data.csv"))
     found.push_back({std::stoll(row.at(0)), camera + "/data/" + row.at(1)});
   return found;
+}
+
+// A line at every tenth of the pictures, which whoever runs the program shows.
+inline void tell_progress(std::size_t done, std::size_t total) {
+  if (total > 0 && done * 10 / total != (done + 1) * 10 / total)
+    std::cout << "progress " << done + 1 << " of " << total << std::endl;
 }

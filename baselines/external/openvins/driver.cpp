@@ -90,6 +90,7 @@ int main(int argc, char **argv) {
         break;
     }
     system.feed_measurement_camera(pictures);
+    tell_progress(&first - images[0].data(), images[0].size());
     if (!system.initialized())
       continue;
     const auto state = system.get_state();

@@ -144,6 +144,7 @@ int main(int argc, char **argv) {
     if (system.GetTrackingState() == ORB_SLAM3::Tracking::OK && (!inertial || system.mpAtlas->isImuInitialized()))
       write_pose(online, time, (inertial ? system.mpTracker->mpImuCalib->mTbc * T_cam_world : T_cam_world).inverse());
     wait_until(mapped, system);
+    tell_progress(&row - left.data(), left.size());
   }
   system.Shutdown();
   wait_until(finished, system);
