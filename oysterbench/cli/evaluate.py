@@ -66,6 +66,7 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
     from dataclasses import replace
 
     from oysterbench.cli.render import frames_bar, render_files
+    from oysterbench.core.files import home
     from oysterbench.results.records import add_results
 
     results = request.out / "results.json"
@@ -75,7 +76,9 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
         # After each run, so that a kill leaves a table of what was finished.
         add_results(results, [run.record for run in runs])
 
-    shown = replace(request, render=render_files, bar=frames_bar, announce=message, finished=keep)
+    shown = replace(
+        request, exports=home() / "exports", render=render_files, bar=frames_bar, announce=message, finished=keep
+    )
     finish(track.evaluate(shown), request.out, outputs)
 
 

@@ -54,7 +54,6 @@ def track_options() -> dict[str, Option]:
 )
 @click.option("--again", is_flag=True, help="Run what is finished once more.")
 @click.option("--retry", is_flag=True, help="Run what failed once more.")
-@click.option("--keep-exports", is_flag=True, help="Keep what programs were given, for the next time.")
 @click.option("--out", type=FOLDER, help="Folder of the results.  [default: under the home]")
 @output_options
 def run_command(
@@ -73,7 +72,6 @@ def run_command(
     limit_s: float | None,
     again: bool,
     retry: bool,
-    keep_exports: bool,
     out: Path | None,
     outputs: Outputs,
     **values: Any,
@@ -127,8 +125,6 @@ def run_command(
         raise click.UsageError("--set and --ablate are for methods of Python: a program takes options in its --command")
     if places and sequences:
         raise click.UsageError("--sequence chooses from a split; with --on every sequence that is named is taken")
-    if scheduler is not None and keep_exports:
-        raise click.UsageError("--keep-exports is for runs on this machine: the workers of --scheduler keep nothing")
     if places and out is None:
         raise click.UsageError("--on needs --out: there is no folder that the results would belong to")
 
@@ -167,7 +163,6 @@ def run_command(
         limit_s=limit_s,
         again=again,
         retry=retry,
-        keep_inputs=keep_exports,
     )
     evaluate(track, request, outputs)
 

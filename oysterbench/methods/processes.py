@@ -54,15 +54,23 @@ class Processes:
         self._lock = threading.Lock()
         self._stopped = False
 
-    def run(self, command: Sequence[str], limit_s: float, folder: Path, hidden: Iterable[Path] = ()) -> Ended:
+    def run(
+        self,
+        command: Sequence[str],
+        limit_s: float,
+        folder: Path,
+        hidden: Iterable[Path] = (),
+        visible: Iterable[Path] = (),
+    ) -> Ended:
         """Run a command to its end; its output goes to stdout.txt and stderr.txt in a folder. Stopped by `stop`.
 
         hidden: what it cannot open, where the kernel can hide it (`sandbox`); then nothing tells it where that is.
+        visible: what it can read of that, and not write.
         Raises MachineError where it was killed from outside: by the kernel for memory, or by a person.
         """
         report = folder / REPORT
         report.unlink(missing_ok=True)
-        supervised = supervised_command(command, limit_s, report, hidden)
+        supervised = supervised_command(command, limit_s, report, hidden, visible)
         with open(folder / STDOUT, "wb") as out, open(folder / STDERR, "wb") as err:
             with self._lock:
                 if self._stopped:
@@ -82,8 +90,7 @@ class Processes:
             finally:
                 with self._lock:
                     self._running.discard(process)
-        if self._stopped:
-            raise Stopped
+        self.raise_if_stopped()
         if not report.is_file():
             raise MachineError(
                 f"the supervisor of {command[0]} was killed: {tail(folder / STDERR) or 'no word from it'}"
@@ -93,6 +100,11 @@ class Processes:
             raise MachineError(ended.failure)
         return ended
 
+    def raise_if_stopped(self) -> None:
+        """Raise Stopped where no command may start any more."""
+        if self._stopped:
+            raise Stopped
+
     def stop(self) -> None:
         """End all commands, and let none start."""
         with self._lock:
@@ -101,12 +113,15 @@ class Processes:
                 process.terminate()
 
 
-def supervised_command(command: Sequence[str], limit_s: float, report: Path, hidden: Iterable[Path]) -> list[str]:
-    """The command line that runs a command under the supervisor, out of reach of what is hidden."""
+def supervised_command(
+    command: Sequence[str], limit_s: float, report: Path, hidden: Iterable[Path], visible: Iterable[Path] = ()
+) -> list[str]:
+    """The command line that runs a command under the supervisor, out of reach of what is hidden and not visible."""
     places = [os.path.realpath(path) for path in hidden if path.exists()]
     if places and can_hide():
         names = {os.path.realpath(path or os.curdir) for path in [os.curdir, *sys.path]}
-        command = Sandbox(hidden=tuple(places), listed=tuple(sorted(names))).command(command)
+        shown = tuple(os.path.realpath(path) for path in visible)
+        command = Sandbox(hidden=tuple(places), visible=shown, listed=tuple(sorted(names))).command(command)
     return [sys.executable, "-I", "-S", str(SUPERVISOR), repr(float(limit_s)), str(report), *command]
 
 

@@ -20,9 +20,10 @@ from typing import Any
 from oysterbench.core.cluster import Results, find_withdrawn, run_on_cluster
 from oysterbench.core.errors import MethodError, OysterbenchError
 from oysterbench.core.files import write_atomically
+from oysterbench.methods.inputs import Inputs
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome
 from oysterbench.methods.processes import Processes
-from oysterbench.methods.runner import Inputs, run_job
+from oysterbench.methods.runner import run_job
 
 LOOK_S = 1.0
 """How often a worker looks whether its job is still wanted."""
@@ -77,7 +78,7 @@ def run_asked(asked: Asked, hardware: Hardware) -> tuple[Outcome, dict[str, byte
         root, scratch, processes = Path(folder) / "results", Path(folder) / "scratch", Processes()
         scratch.mkdir()
         with _stopped_when_withdrawn(processes):
-            outcome = run_job(job, root, Inputs(scratch, [job], None, processes), processes, hardware())
+            outcome = run_job(job, root, Inputs(scratch, [job], processes), processes, hardware())
         kept = job.folder(root)
         files = [path for path in kept.rglob("*") if path.is_file() and path != kept / OUTCOME]
         return outcome, {str(path.relative_to(kept)): path.read_bytes() for path in files}

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import os
 import shutil
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 from oysterbench.core.errors import LabelError, MachineError, MethodError, SequenceError
-from oysterbench.core.files import home, link
+from oysterbench.core.files import home
+from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
 from oysterbench.methods.processes import Processes, raise_if_full
@@ -28,8 +26,6 @@ ASSUMED_BYTES = 2 * 2**30
 """What a method is taken to need as long as none of its runs has been measured."""
 MARGIN = 1.2
 """Of a method's greatest peak so far, for the next of its runs."""
-
-Announce = Callable[[str], None]
 
 
 def default_workers() -> int:
@@ -43,7 +39,7 @@ def run_jobs(
     workers: int | None = 1,
     again: bool = False,
     retry: bool = False,
-    keep_inputs: bool = False,
+    exports: Path | None = None,
     hardware: Callable[[], Mapping[str, Any]] = dict,
     announce: Announce = lambda text: None,
     scheduler: str | None = None,
@@ -51,10 +47,10 @@ def run_jobs(
     """Each job with its outcome, as they are finished; those that are finished already come first and are not run.
 
     root: folder of the results, which one runner at a time may work in. again: run the finished ones too; retry: those
-    of them that failed. workers: at a time; None for one per core. hardware: says what a machine is; scheduler: address
-    of a Dask cluster that runs them. A job that ends badly has a `failure`; nothing that a method does raises here.
-    Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names, and
-    OSError where a disk is full.
+    of them that failed. workers: at a time; None for one per core. exports: folder where what programs are given is
+    kept for other runs. hardware: says what a machine is; scheduler: address of a Dask cluster that runs them. A job
+    that ends badly has a `failure`; nothing that a method does raises here. Raises MethodError, before anything is run,
+    where `root` holds outcomes of other jobs under the same names, and OSError where a disk is full.
     """
     with _alone(root):
         todo = []
@@ -69,7 +65,7 @@ def run_jobs(
 
             yield from run_remotely(todo, root, scheduler, workers, hardware)
         elif todo:
-            yield from _run(todo, root, workers or default_workers(), keep_inputs, hardware(), announce)
+            yield from _run(todo, root, workers or default_workers(), exports, hardware(), announce)
 
 
 def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
@@ -95,11 +91,11 @@ def _changed_files(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[st
 
 
 def _run(
-    jobs: list[Job], root: Path, workers: int, keep_inputs: bool, hardware: Mapping[str, Any], announce: Announce
+    jobs: list[Job], root: Path, workers: int, exports: Path | None, hardware: Mapping[str, Any], announce: Announce
 ) -> Iterator[tuple[Job, Outcome]]:
     processes = Processes()
     scratch = Path(tempfile.mkdtemp(prefix="oysterbench-"))  # says nothing of where the truth is
-    inputs = Inputs(scratch, jobs, root / "inputs" if keep_inputs else None, processes)
+    inputs = Inputs(scratch, jobs, processes, exports, announce)
     peaks = _known_peaks(jobs, root)
     budget = available_bytes()
     waiting, running = list(jobs), dict[Future[Outcome], Job]()
@@ -121,6 +117,7 @@ def _run(
         # Also where the caller stops asking, or is interrupted: nothing goes on without being waited for.
         processes.stop()
         pool.shutdown(wait=True, cancel_futures=True)
+        inputs.close()
         shutil.rmtree(scratch, ignore_errors=True)
 
 
@@ -134,7 +131,7 @@ def run_job(
     folder = Path(tempfile.mkdtemp(dir=inputs.scratch))
     started, seed = _now(), job.adapter.seed(job.number)
     who = f"method {job.adapter.name!r} on {job.sequence.name}"
-    hidden = (*job.sequence.hidden, home() / "splits")
+    hidden = (*job.sequence.hidden, home() / "splits", *inputs.hidden)
     command: list[str] = []
     outcome = Outcome(
         identity=job.identity,
@@ -153,7 +150,7 @@ def run_job(
     try:
         given = inputs.of(job)
         command += job.adapter.command(given, folder, job.number)
-        ended = processes.run(command, job.limit_s, folder, hidden)
+        ended = processes.run(command, job.limit_s, folder, hidden, visible=[given])
         process = {key: getattr(ended, key) for key in outcome.process}
         outcome = replace(outcome, wall_s=ended.wall_s, cpu_s=ended.cpu_s, process=process)
         _move(folder, kept)
@@ -171,7 +168,7 @@ def run_job(
         inputs.done(job)
         shutil.rmtree(folder, ignore_errors=True)
     if outcome.failure is not None:
-        for place in (inputs.scratch, kept):
+        for place in (inputs.scratch, *inputs.hidden, kept):
             raise_if_full(place, outcome.failure)
     outcome = replace(outcome, ended=_now())
     if outcome.finished:
@@ -201,51 +198,6 @@ def _with_predictions(outcome: Outcome, job: Job, found: Predicted) -> Outcome:
         notes=notes,
         prediction=dict(found.prediction),
     )
-
-
-class Inputs:
-    """Sequences in the forms that methods read, each made once, in a folder that says nothing of where they are from.
-
-    scratch: that folder; kept: where inputs are kept for another time, None where they are not.
-    """
-
-    def __init__(self, scratch: Path, jobs: Sequence[Job], kept: Path | None, processes: Processes) -> None:
-        self.scratch, self._kept, self._processes = scratch, kept, processes
-        self._wanted = Counter(self._key(job) for job in jobs)
-        self._locks = {key: Lock() for key in self._wanted}
-        self._count = Lock()
-
-    def of(self, job: Job) -> Path:
-        """The sequence of a job in its form, made now if it is not there. MethodError where it cannot be."""
-        key = self._key(job)
-        name = job.adapter.interface.input_name(job.sequence, job.adapter.form)
-        place = self.scratch / key / name
-        with self._locks[key]:
-            if not place.exists():
-                place.parent.mkdir(parents=True, exist_ok=True)
-                made = place if self._kept is None else self._kept / key / name
-                made.parent.mkdir(parents=True, exist_ok=True)
-                if not made.exists():
-                    job.sequence.write_input(job.adapter.form, made, self._processes)
-                if made.is_dir() and made != place:
-                    shutil.copytree(made, place, copy_function=link)
-                elif made != place:
-                    link(str(made), str(place))
-        return place
-
-    def done(self, job: Job) -> None:
-        """A job needs its input no more; the last one takes it away."""
-        key = self._key(job)
-        with self._count:
-            self._wanted[key] -= 1
-            last = self._wanted[key] == 0
-        if last:
-            shutil.rmtree(self.scratch / key, ignore_errors=True)
-
-    @staticmethod
-    def _key(job: Job) -> str:
-        origin = hashlib.sha256(job.sequence.origin.encode()).hexdigest()[:8]
-        return f"{job.sequence.name}-{job.adapter.form}-{origin}"
 
 
 def available_bytes() -> int:

@@ -44,6 +44,8 @@ LOOP_OPTIONS = (
 class ViewSequence(RunSequence):
     """A sequence of labelled views of a split."""
 
+    split: SplitRecipe
+
     def __init__(self, views: LabelledViews, path: Path, split: SplitRecipe) -> None:
         self.name = views.name
         self.views, self.path, self.split = views, path, split

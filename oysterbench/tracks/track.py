@@ -115,7 +115,7 @@ class Request:
     options: of the track, by key; methods: references, none for the track's own; template, name: of a program instead;
     runs: of each method on each sequence; jobs: at a time, one for each core where it is None; limit_s: of a run;
     again, retry: run what is finished, or failed, once more; workers: processes that render; scheduler: address of a
-    Dask cluster that runs the methods
+    Dask cluster that runs the methods; exports: folder where what programs are given is kept for other runs
     """
 
     out: Path
@@ -133,7 +133,7 @@ class Request:
     limit_s: float | None = None
     again: bool = False
     retry: bool = False
-    keep_inputs: bool = False
+    exports: Path | None = None
     scheduler: str | None = None
     render: Render = lambda split, **options: {}
     announce: Announce = lambda text: None
@@ -256,7 +256,7 @@ class Track(ABC):
             request.jobs,
             request.again,
             request.retry,
-            request.keep_inputs,
+            request.exports,
             hardware,
             request.announce,
             request.scheduler,

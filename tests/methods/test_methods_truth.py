@@ -84,7 +84,7 @@ def burglar(tmp_path, monkeypatch):
 
 def only_run(dive, reference, tmp_path):
     """What the method says of itself."""
-    (done,) = finished_of(TRACK, [dive], [reference], SlamSettings(), tmp_path / "out", keep_inputs=True)
+    (done,) = finished_of(TRACK, [dive], [reference], SlamSettings(), tmp_path / "out")
     assert done.outcome.failure is None, done.outcome.failure
     return done.outcome.info
 

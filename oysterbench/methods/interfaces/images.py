@@ -35,6 +35,7 @@ class ImagesInterface(Interface):
 
     forms: ClassVar = {FORM: "a folder of pictures, NAME.png, and images.txt with their names in order"}
     own_form = FORM
+    lasting = (FORM,)
     out = PREDICTIONS
     leaves = "masks or COCO annotations"
 

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, TypeVar
 
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.processes import Processes
+from oysterbench.recipe import SplitRecipe
 
 T = TypeVar("T")
 
@@ -36,9 +37,11 @@ class RunSequence(ABC):
 
     name: in tables and of folders; origin: what made it, as results of another origin are not results on this one;
     hidden: files and folders with its truth, which no method may open; limit_s: what a run may take by default
+    split: that it is of, None for one of the user's own
     """
 
     name: str
+    split: SplitRecipe | None = None
 
     @property
     @abstractmethod
@@ -65,12 +68,14 @@ class Interface(ABC):
 
     forms:    placeholder of a command line -> what is put in its place
     own_form: what a method of Python is given
+    lasting:  those of both that take long to write, and are kept for other runs
     out:      name of what a program leaves at {out}; leaves: the same in words
     further:  placeholder -> name of what a program may leave as well
     """
 
     forms: ClassVar[Mapping[str, str]]
     own_form: ClassVar[str]
+    lasting: ClassVar[tuple[str, ...]]
     out: ClassVar[str]
     leaves: ClassVar[str]
     further: ClassVar[Mapping[str, str]] = {}

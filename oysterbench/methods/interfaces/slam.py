@@ -85,6 +85,7 @@ class SlamInterface(Interface):
 
     forms = FORMS
     own_form = SENSORS
+    lasting = ("euroc", "tum", "kitti")
     out = "trajectory.tum"
     leaves = "a trajectory"
     further: ClassVar[Mapping[str, str]] = {"online": ONLINE}

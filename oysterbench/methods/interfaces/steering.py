@@ -42,6 +42,7 @@ class SteeringInterface(Interface):
 
     forms: ClassVar = {FORM: "a folder of pictures, STAMP.png, with views.csv and task.json"}
     own_form = FORM
+    lasting = (FORM,)
     out = "commands.csv"
     leaves = "a table of commands"
 

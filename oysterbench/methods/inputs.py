@@ -1,0 +1,99 @@
+"""What the runs of one call are given of sequences: each input made once, and taken away when nobody needs it."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from threading import Lock
+
+from oysterbench.methods.exports import Exports, key_of, most_gigabytes
+from oysterbench.methods.outcomes import Job
+from oysterbench.methods.processes import Processes
+from oysterbench.methods.sandbox import can_hide
+
+Announce = Callable[[str], None]
+
+
+class Inputs:
+    """Sequences in the forms that methods read, each made once.
+
+    scratch: folder that says nothing of where they are from; exports: where those of lasting forms are kept for other
+    runs, but those of hidden splits, in reach of no program but the one that is given them, which cannot write to them
+    """
+
+    def __init__(
+        self,
+        scratch: Path,
+        jobs: Sequence[Job],
+        processes: Processes,
+        exports: Path | None = None,
+        announce: Announce = lambda text: None,
+    ) -> None:
+        self.scratch, self._processes, self._announce = scratch, processes, announce
+        self._exports = None if exports is None or most_gigabytes() == 0 else Exports(exports)
+        self._wanted = Counter(self._key(job) for job in jobs)
+        self._locks = {key: Lock() for key in self._wanted}
+        self._held = {key: ExitStack() for key in self._wanted}
+        self._count = Lock()
+
+    @property
+    def hidden(self) -> tuple[Path, ...]:
+        """What no program may open, but its own input."""
+        return () if self._exports is None else (self._exports.folder,)
+
+    def of(self, job: Job) -> Path:
+        """The sequence of a job in its form, made now if it is not there. MethodError where it cannot be."""
+        key = self._key(job)
+        name = job.adapter.interface.input_name(job.sequence, job.adapter.form)
+        place = self.scratch / key / name
+        with self._locks[key]:
+            if place.exists():  # a link to what is kept, too
+                return place.resolve()
+            place.parent.mkdir(parents=True, exist_ok=True)
+            secret = job.sequence.split is not None and job.sequence.split.hidden
+            if self._exports is None or secret or job.adapter.form not in job.adapter.interface.lasting:
+                job.sequence.write_input(job.adapter.form, place, self._processes)
+            else:
+                kept = self._kept(self._exports, job, key) / name
+                if can_hide():
+                    place.symlink_to(kept.absolute())
+                else:  # a copy, as nothing would keep the program from the others, or from writing
+                    shutil.copytree(kept, place)
+        return place.resolve()
+
+    def _kept(self, exports: Exports, job: Job, key: str) -> Path:
+        """Folder of what is kept for other runs, held until the last job is done."""
+
+        def make(folder: Path) -> None:
+            self._announce(f"writing {job.sequence.name} as {job.adapter.form}, which is kept for other runs")
+            name = job.adapter.interface.input_name(job.sequence, job.adapter.form)
+            job.sequence.write_input(job.adapter.form, folder / name, self._processes)
+
+        lasting = key_of(job.sequence, job.adapter.form)
+        return self._held[key].enter_context(exports.hold(lasting, make, self._processes.raise_if_stopped))
+
+    def done(self, job: Job) -> None:
+        """A job needs its input no more; the last one takes it away."""
+        key = self._key(job)
+        with self._count:
+            self._wanted[key] -= 1
+            last = self._wanted[key] == 0
+        if last:
+            shutil.rmtree(self.scratch / key, ignore_errors=True)
+            self._held[key].close()
+
+    def close(self) -> None:
+        """No job needs any of them."""
+        for held in self._held.values():
+            held.close()
+        if self._exports is not None:
+            self._exports.tidy()
+
+    @staticmethod
+    def _key(job: Job) -> str:
+        origin = hashlib.sha256(job.sequence.origin.encode()).hexdigest()[:8]
+        return f"{job.sequence.name}-{job.adapter.form}-{origin}"
