@@ -20,12 +20,13 @@ from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_b
 from oysterbench_baselines.learning.checkpoint import Checkpoint
 from oysterbench_baselines.learning.loop import Progress, fit, pick_device
 from oysterbench_baselines.learning.losses import mask_loss
+from oysterbench_baselines.learning.masks import MaskModel, enlarged, probability
 from oysterbench_baselines.learning.samples import Floats, LabelledDataset
 from oysterbench_baselines.sim2real.data import Real, drawn
 from oysterbench_baselines.sim2real.scoring import EVALUATORS, WHOLE, Prediction, Score, Truth, score
 from oysterbench_baselines.sim2real.settings import Cell, ExperimentSettings
 from oysterbench_baselines.unet.instances import find_instances
-from oysterbench_baselines.unet.model import UNetModel, described, enlarged, probability
+from oysterbench_baselines.unet.model import described, unet_model
 from oysterbench_baselines.unet.training import new_network
 
 RESULT, PREDICTIONS, CHECKPOINT, LOCK = "results.json", "predictions.npz", "checkpoint.pt", ".lock"
@@ -93,9 +94,9 @@ class Bench:
             self._drawn[size, seed] = drawn(self.real.train, size, seed).digest()
         return self._drawn[size, seed]
 
-    def train(self, cell: Cell, folder: Path, progress: Progress) -> UNetModel:
+    def train(self, cell: Cell, folder: Path, progress: Progress) -> MaskModel:
         """The trained network of a cell, from its checkpoint where there is one."""
-        return UNetModel.of(self._trained(cell, folder, progress), pick_device(self.device))
+        return unet_model(self._trained(cell, folder, progress), pick_device(self.device))
 
     def _trained(self, cell: Cell, folder: Path, progress: Progress) -> Checkpoint:
         settings = self.settings
@@ -135,7 +136,7 @@ class Bench:
             return self.settings.batch
         return self.settings.schedule.kept if cell.synthetic else 0
 
-    def predictions(self, model: UNetModel) -> Iterator[Floats]:
+    def predictions(self, model: MaskModel) -> Iterator[Floats]:
         """(2, h, w) logits of each test image, at the working scale, to `STEP`."""
         for pixels in self.truth.pixels:
             yield np.clip(np.round(model.small_logits(pixels) / STEP), -127, 127).astype(np.int8)

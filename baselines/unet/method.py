@@ -9,7 +9,7 @@ from oysterbench.methods.images import Detections, Picture, Segmentation
 from oysterbench_baselines.learning.trained import on_torch, trained
 
 if TYPE_CHECKING:
-    from oysterbench_baselines.unet.model import UNetModel
+    from oysterbench_baselines.learning.masks import MaskModel
 
 
 class UNet:
@@ -27,7 +27,7 @@ class UNet:
     def run(self, images: Iterable[Picture]) -> Iterator[Segmentation]:
         """Probabilities at the pictures' own size."""
         model = load_model(self.checkpoint, self.device)
-        from oysterbench_baselines.unet.model import probability
+        from oysterbench_baselines.learning.masks import probability
 
         for image in images:
             yield Segmentation(image.name, probability=probability(model.logits(image.pixels)[0]))
@@ -41,18 +41,18 @@ class UNetInstances(UNet):
     def run(self, images: Iterable[Picture]) -> Iterator[Any]:
         """Masks that do not overlap, and how sure each is."""
         model = load_model(self.checkpoint, self.device)
+        from oysterbench_baselines.learning.masks import probability
         from oysterbench_baselines.unet.instances import find_instances
-        from oysterbench_baselines.unet.model import probability
 
         for image in images:
             found = find_instances(*probability(model.logits(image.pixels)))
             yield Detections(image.name, found.scores, numbers=found.labels)
 
 
-def load_model(checkpoint: str, device: str) -> UNetModel:
+def load_model(checkpoint: str, device: str) -> MaskModel:
     """The trained network. Raises MethodError, with what to type, where there is none."""
     path = trained("unet", checkpoint, "seg-train")
     with on_torch("unet"):
         from oysterbench_baselines.learning.loop import pick_device
-        from oysterbench_baselines.unet.model import UNetModel
-    return UNetModel.read(path, pick_device(device))
+        from oysterbench_baselines.unet.model import read_unet
+    return read_unet(path, pick_device(device))

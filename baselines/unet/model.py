@@ -1,113 +1,36 @@
-"""A trained network and what it says of pictures of any size."""
+"""A trained network, ready to predict."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch.nn import functional
 
 from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
 from oysterbench_baselines.learning.loop import channels_last
-from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics
+from oysterbench_baselines.learning.masks import MaskModel
 from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings
 
-LARGEST_TILE = 768
-"""px at the working scale: larger pictures are looked at in parts, so that memory does not grow with them."""
-MARGIN = 64
-"""px by which parts overlap: what lies nearer to a part's border than this is taken from the part beside it."""
+
+def unet_model(checkpoint: Checkpoint, device: torch.device | None = None) -> MaskModel:
+    """From a training. Raises MethodError where it is of another network."""
+    if checkpoint.network.get("kind") != "unet":
+        raise MethodError(f"expected the checkpoint of a unet, got one of {checkpoint.network.get('kind')!r}")
+    settings = UNetworkSettings(**{key: value for key, value in checkpoint.network.items() if key != "kind"})
+    network = UNetwork(settings)
+    network.load_state_dict(checkpoint.weights)
+    device = device or torch.device("cpu")
+    return MaskModel(channels_last(network.to(device)).eval(), settings.scale, settings.multiple, device)
 
 
-@dataclass
-class UNetModel:
-    """A network with its weights, ready to predict."""
-
-    network: UNetwork
-    settings: UNetworkSettings
-    device: torch.device
-
-    @classmethod
-    def of(cls, checkpoint: Checkpoint, device: torch.device | None = None) -> UNetModel:
-        """From a training. Raises MethodError where it is of another network."""
-        if checkpoint.network.get("kind") != "unet":
-            raise MethodError(f"expected the checkpoint of a unet, got one of {checkpoint.network.get('kind')!r}")
-        settings = UNetworkSettings(**{key: value for key, value in checkpoint.network.items() if key != "kind"})
-        network = UNetwork(settings)
-        network.load_state_dict(checkpoint.weights)
-        device = device or torch.device("cpu")
-        return cls(channels_last(network.to(device)).eval(), settings, device)
-
-    @classmethod
-    def read(cls, path: Path, device: torch.device | None = None) -> UNetModel:
-        """From a file."""
-        return cls.of(read_checkpoint(path), device)
-
-    def small_logits(self, pixels: NDArray[np.uint8]) -> Floats:
-        """(2, h, w) float32 logits of oyster and core at the working scale, of a picture (H, W, 3) uint8 RGB."""
-        small = shrink(pixels, self.settings.scale)
-        values = standardised(small, *statistics(small))
-        prediction = np.empty((2, *small.shape[:2]), dtype=np.float32)
-        for rows, inner_rows in _parts(small.shape[0]):
-            for columns, inner_columns in _parts(small.shape[1]):
-                part = self._logits(values[rows, columns])
-                prediction[:, inner_rows, inner_columns] = part[
-                    :, _within(inner_rows, rows.start), _within(inner_columns, columns.start)
-                ]
-        return prediction
-
-    def logits(self, pixels: NDArray[np.uint8]) -> Floats:
-        """(2, H, W) float32 logits of oyster and core at the size of the picture (H, W, 3) uint8 RGB."""
-        return enlarged(self.small_logits(pixels), pixels.shape[0], pixels.shape[1])
-
-    def _logits(self, values: Floats) -> Floats:
-        height, width = values.shape[:2]
-        step = self.settings.multiple
-        padded = np.pad(values, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
-        with torch.inference_mode():
-            batch = torch.from_numpy(np.ascontiguousarray(padded.transpose(2, 0, 1)))[None]
-            batch = batch.to(device=self.device, memory_format=torch.channels_last)
-            found = self.network(batch)[0, :, :height, :width]
-        return np.asarray(found.float().cpu().numpy(), dtype=np.float32)
+def read_unet(path: Path, device: torch.device | None = None) -> MaskModel:
+    """From a file."""
+    return unet_model(read_checkpoint(path), device)
 
 
 def described(settings: UNetworkSettings) -> dict[str, Any]:
     """What a checkpoint says of the network."""
     return {"kind": "unet", **asdict(settings)}
-
-
-def enlarged(logits: Floats, height: int, width: int) -> Floats:
-    """(K, h, w) logits at the size (K, H, W), bilinearly, corners of pixels on corners of pixels."""
-    tensor = torch.from_numpy(np.ascontiguousarray(logits))[None]
-    found = functional.interpolate(tensor, size=(height, width), mode="bilinear", align_corners=False)
-    return np.asarray(found[0].numpy(), dtype=np.float32)
-
-
-def probability(logits: Floats) -> Floats:
-    """Of logits, within 0 and 1."""
-    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -30, 30))), dtype=np.float32)
-
-
-def _parts(length: int) -> Iterator[tuple[slice, slice]]:
-    """Parts of a side, as they are looked at, and what of each is kept; together these are the whole side."""
-    if length <= LARGEST_TILE:
-        yield slice(0, length), slice(0, length)
-        return
-    stride = LARGEST_TILE - 2 * MARGIN
-    begin = 0
-    while True:
-        end = min(begin + LARGEST_TILE, length)
-        first, last = begin == 0, end == length
-        yield slice(begin, end), slice(begin if first else begin + MARGIN, end if last else end - MARGIN)
-        if last:
-            return
-        begin += stride
-
-
-def _within(inner: slice, begin: int) -> slice:
-    return slice(inner.start - begin, inner.stop - begin)

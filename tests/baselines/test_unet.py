@@ -14,10 +14,12 @@ from oysterbench.annotations import open_labelled  # noqa: E402
 from oysterbench.core.errors import MethodError  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
 from oysterbench.methods.images import Picture  # noqa: E402
+from oysterbench_baselines.learning import masks  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
-from oysterbench_baselines.unet import UNet, UNetInstances, model  # noqa: E402
+from oysterbench_baselines.learning.masks import enlarged  # noqa: E402
+from oysterbench_baselines.unet import UNet, UNetInstances  # noqa: E402
 from oysterbench_baselines.unet.instances import find_instances  # noqa: E402
-from oysterbench_baselines.unet.model import UNetModel, enlarged  # noqa: E402
+from oysterbench_baselines.unet.model import read_unet  # noqa: E402
 from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
 from tests.helpers.labelled_folders import image  # noqa: E402
@@ -62,19 +64,19 @@ def test_the_network_keeps_the_size_and_has_two_answers():
 @pytest.mark.parametrize("size", [(64, 80), (61, 83), (5, 7)])
 def test_pictures_of_any_size_are_answered_at_their_size(size, checkpoint):
     pixels = np.random.default_rng(0).integers(0, 255, (*size, 3), dtype=np.uint8)
-    assert UNetModel.read(checkpoint).logits(pixels).shape == (2, *size)
+    assert read_unet(checkpoint).logits(pixels).shape == (2, *size)
 
 
 def test_a_large_picture_in_parts_is_answered_everywhere_and_almost_as_the_whole(checkpoint, monkeypatch):
     """Parts are normalised each by itself, so that they differ a little from the whole; the seams do not show."""
     one = image(7, height=192, width=256)
-    found = UNetModel.read(checkpoint)
+    found = read_unet(checkpoint)
     whole = found.logits(one.pixels)[0]
-    monkeypatch.setattr(model, "LARGEST_TILE", 64)
-    monkeypatch.setattr(model, "MARGIN", 16)
+    monkeypatch.setattr(masks, "LARGEST_TILE", 64)
+    monkeypatch.setattr(masks, "MARGIN", 16)
     parts = found.logits(one.pixels)[0]
     assert ((whole > 0) == (parts > 0)).mean() > 0.95
-    spans = [inner for _, inner in model._parts(200)]
+    spans = [inner for _, inner in masks._parts(200)]
     assert spans[0].start == 0
     assert spans[-1].stop == 200
     assert all(a.stop == b.start for a, b in pairwise(spans))
