@@ -113,6 +113,19 @@ def test_other_weights_under_the_home_are_another_run(toy, pictures, tmp_path):
     assert "another toy_masks (weights changed)" in changed.stderr
 
 
+def test_requirements_of_python_are_installed_beside_what_is_here(toy):
+    """What this environment has already, torch among it, is shared and not installed again."""
+    manifest = toy / "system.toml"
+    manifest.write_text('python = ["numpy"]\n' + manifest.read_text())
+    forget()
+    system = find_system("toy")
+    building.build(system, announce=lambda text: None)
+    words = [building.interpreter(system), "-c", "import numpy, oysterbench; print(numpy.__file__)"]
+    found = subprocess.run([*map(str, words)], capture_output=True, text=True, check=True, cwd="/").stdout.strip()
+    assert found == np.__file__
+    assert not list(building.environment(system).glob("lib/python*/site-packages/numpy"))
+
+
 def test_what_to_type_is_said_where_there_are_no_weights(toy, tmp_path):
     (tmp_path / "home" / "models" / "toy.txt").unlink()
     with pytest.raises(MethodError, match=r"no file .*/home/models/toy\.txt; type: echo 120 > toy\.txt$"):

@@ -14,7 +14,7 @@ from oysterbench.methods.adapters import MethodAdapter, check_name, file_digest
 from oysterbench.methods.interfaces import Predicted, RunSequence, interface_of
 from oysterbench.methods.options import with_options
 from oysterbench.methods.processes import STDOUT
-from oysterbench.methods.systems.building import built
+from oysterbench.methods.systems.building import find_build
 from oysterbench.methods.systems.manifest import file_options, split_reference
 from oysterbench.version import VERSION
 
@@ -34,12 +34,7 @@ class SystemAdapter(MethodAdapter):
             raise MethodError(
                 f"method {reference!r} is of the track {self.method.track!r}; expected one of {tracks[0]!r}"
             )
-        build = built(self.system)
-        if build is None:
-            raise MethodError(
-                f"{self.system.name} is not built here; type: oysterbench systems build {self.system.name}"
-            )
-        self.build = build
+        self.build = find_build(self.system)
         self._files = file_options(self.system, self.options)
         # The folder that it is launched in is another one, and so is its home.
         self.reference = with_options(reference, [f"{key}={self.options[key]}" for key in self._files])

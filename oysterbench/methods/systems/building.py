@@ -12,6 +12,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tarfile
 import tempfile
 import tomllib
@@ -54,6 +55,25 @@ def built(system: System) -> Build | None:
         return None
     except (ValueError, TypeError) as error:
         raise MethodError(f"{system.place / BUILT}: not what this version writes ({error}); build it again") from None
+
+
+def environment(system: System) -> Path:
+    """Where the Python requirements of a system are installed: a virtual environment."""
+    return system.place / "venv"
+
+
+def interpreter(system: System) -> Path:
+    """The Python that has them. Raises MethodError where the system is not built."""
+    find_build(system)
+    return environment(system) / "bin" / "python"
+
+
+def find_build(system: System) -> Build:
+    """The build that is here. Raises MethodError, with what to type, where there is none."""
+    found = built(system)
+    if found is None:
+        raise MethodError(f"{system.name} is not built here; type: oysterbench systems build {system.name}")
+    return found
 
 
 def build(
@@ -184,9 +204,13 @@ def _compile(system: System, jobs: int | None, log: IO[bytes], announce: Announc
 
 def _install(system: System, log: IO[bytes], announce: Announce) -> None:
     """Requirements of Python, beside what this interpreter has."""
-    place = system.place / "venv"
+    place = environment(system)
     announce(f"installing {', '.join(system.description.python)}")
     _call(system, [sys.executable, "-m", "venv", "--clear", "--system-site-packages", str(place)], log)
+    # In an environment itself, this interpreter has what is not the system's.
+    own = sysconfig.get_path("purelib")
+    theirs = Path(sysconfig.get_path("purelib", "venv", {"base": str(place), "platbase": str(place)}))
+    (theirs / "beside.pth").write_text(f"import site; site.addsitedir({own!r})\n", encoding="utf-8")
     _call(system, [str(place / "bin" / "pip"), "install", "--no-input", *system.description.python], log)
 
 

@@ -120,7 +120,10 @@ class System:
         return found.hexdigest()
 
     def recipe_files(self) -> list[Path]:
-        """The files that decide what is built: sources and edits of ours, and those that the systems share."""
+        """The files that decide what is built: sources and edits of ours, and those that the systems share; none of a
+        system that is a package of Python's."""
+        if not (self.folder / "CMakeLists.txt").exists():
+            return []
         places = [self.folder, self.folder.parent / "common"]
         files = [path for place in places for path in place.rglob("*") if path.is_file()]
         return [path for path in files if path.suffix in {".cpp", ".h", ".txt"} or path.name == "edits.toml"]

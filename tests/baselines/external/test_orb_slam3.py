@@ -116,7 +116,9 @@ def test_it_may_be_told_to_initialise_at_constant_speed(sequence, tmp_path):
 
 
 def test_the_number_of_a_run_is_its_seed_and_another_vocabulary_is_taken(dive_file, tmp_path):
-    system, method, options = split_reference("orb_slam3_mono_inertial[vocabulary=/there/ORBvoc.txt]")
+    vocabulary = tmp_path / "ORBvoc.txt"
+    vocabulary.touch()
+    system, method, options = split_reference(f"orb_slam3_mono_inertial[vocabulary={vocabulary}]")
     example = tmp_path / "source" / "Examples" / "Monocular-Inertial" / "EuRoC.yaml"
     example.parent.mkdir(parents=True)
     example.write_text(AUTHORS)
@@ -137,7 +139,7 @@ def test_the_number_of_a_run_is_its_seed_and_another_vocabulary_is_taken(dive_fi
         str(tmp_path / "build" / "orb_slam3"),
         "mono_inertial",
         str(tmp_path / "settings.yaml"),
-        "/there/ORBvoc.txt",
+        str(vocabulary),
         str(dive_file),
         str(tmp_path / "trajectory.tum"),
         str(0.0 - camera.time_offset_s),

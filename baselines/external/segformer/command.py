@@ -1,0 +1,69 @@
+"""`oysterbench train segformer`, in the interpreter that its build has."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from oysterbench.core.files import home
+from oysterbench.methods.systems import find_system
+from oysterbench_baselines.learning.trained import device_option, tell_end, training_options
+
+
+@click.command("segformer", short_help="SegFormer, of the package transformers, on any labelled images.")
+@training_options
+@click.option("--side", help="Only images of this split of the data, as its manifest.csv names it, such as train.")
+@click.option("--size", type=click.Choice(["b0", "b1", "b2"]), default="b0", show_default=True, help="Of the network.")
+@device_option("auto")
+def command(
+    names: tuple[str, ...],
+    side: str | None,
+    size: str,
+    out: Path | None,
+    seed: int,
+    steps: int,
+    threads: int,
+    device: str,
+    again: bool,
+) -> None:
+    """Train the published network SegFormer from random weights, which `oysterbench run segformer` then uses.
+
+    \b
+    Examples:
+      oysterbench systems build segformer
+      oysterbench train segformer --data seg-train
+      oysterbench train segformer --data seg-train --data my-masks --size b1 --out mine.pt
+      oysterbench run "segformer[weights=mine.pt]" --split seg-val
+
+    Data is as of `oysterbench train unet`. May be interrupted, even killed: the same command goes on from the last
+    checkpoint, to the same weights.
+    """
+    from oysterbench.methods.systems.building import interpreter
+
+    system = find_system("segformer")
+    python = interpreter(system)
+    if not os.path.samefile(sys.prefix, python.parent.parent):
+        os.execv(python, [str(python), "-m", "oysterbench", *sys.argv[1:]])
+
+    from oysterbench.cli.labelled import open_all
+    from oysterbench.cli.render import frames_bar
+    from oysterbench_baselines.external.segformer.network import SegFormerSettings
+    from oysterbench_baselines.external.segformer.training import TrainingSettings, train
+    from oysterbench_baselines.learning.loop import pick_device
+
+    labelled = open_all(names, side)
+    settings = TrainingSettings(network=SegFormerSettings(size=size))
+    settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
+    path = out or home() / system.description.options["weights"].default
+    if again:
+        path.unlink(missing_ok=True)
+    with (
+        frames_bar("reading", "images") as loading,
+        frames_bar(f"training segformer on {len(labelled)} images", "steps") as progress,
+    ):
+        checkpoint = train(labelled, path, settings, seed, pick_device(device), progress, loading)
+    tell_end(checkpoint, path)

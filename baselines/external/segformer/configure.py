@@ -1,0 +1,16 @@
+"""SegFormer reads the folder of pictures as it is: its options go to `segment.py`."""
+
+from __future__ import annotations
+
+import json
+
+from oysterbench.methods.systems.launch import Launch
+
+
+def command(launch: Launch) -> list[str]:
+    """Write the options as JSON; the command line of the program, under the interpreter that has transformers."""
+    task = {**launch.options, "instances": launch.about.track == "detection"}
+    weights = task.pop("weights")  # known by what it holds, and not by its path
+    (launch.folder / "task.json").write_text(json.dumps(task, indent=1), encoding="utf-8")
+    words = [launch.build.parent / "venv" / "bin" / "python", "-m", f"{__package__}.segment"]
+    return [str(word) for word in (*words, launch.folder / "task.json", weights, launch.given, launch.out)]
