@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -65,6 +66,7 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
     """Evaluate what is requested, with what the command line shows of it while it goes on."""
     from dataclasses import replace
 
+    from oysterbench.cli.progress import runs_shown
     from oysterbench.cli.render import frames_bar, render_files
     from oysterbench.core.files import home
     from oysterbench.results.records import add_results
@@ -79,7 +81,9 @@ def evaluate(track: Track, request: Request, outputs: Outputs) -> None:
     shown = replace(
         request, exports=home() / "exports", render=render_files, bar=frames_bar, announce=message, finished=keep
     )
-    finish(track.evaluate(shown), request.out, outputs)
+    with nullcontext() if outputs.on_stdout else runs_shown() as told:
+        found = track.evaluate(replace(shown, told=told))
+    finish(found, request.out, outputs)
 
 
 def _check_folder(out: Path) -> None:

@@ -182,7 +182,7 @@ def plain_progress(title: str, unit: str = "frames") -> Progress:
             return
         told, at = tenth, now
         left = f", {_time((now - began) * (total - done) / (done - first))} left" if first < done < total else ""
-        message(f"{title}: {done} of {total} {unit}{left}")
+        message(f"{title}: {f'{done} of {total} {unit}'.rstrip()}{left}")
 
     return tell
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ def tune_command(
     A failed run counts as one that answers nothing. The last line is the method with the best options, as `oysterbench
     run` takes it. Whatever is interrupted, the same command goes on.
     """
+    from oysterbench.cli.progress import runs_shown
     from oysterbench.cli.render import frames_bar, render_files
     from oysterbench.core.files import home
     from oysterbench.methods.systems import split_reference, track_of
@@ -94,7 +96,8 @@ def tune_command(
         finished=keep,
     )
     names = {adapter.name: reference for adapter, reference in zip(track.adapters(request), references, strict=True)}
-    records = track.evaluate(request).records
+    with runs_shown() as told:
+        records = track.evaluate(replace(request, told=told)).records
     table = trials_table(records, names)
     print_table(table)
     best = best_of(records, names)

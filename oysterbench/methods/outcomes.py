@@ -27,6 +27,11 @@ class Job:
     limit_s: float
     of: int = 1
 
+    @property
+    def title(self) -> str:
+        """What it is in messages."""
+        return f"{self.adapter.name} on {self.sequence.name}, run {self.number + 1}"
+
     def folder(self, root: Path) -> Path:
         """Where its predictions and its logs are kept."""
         return root / "runs" / self.adapter.name / self.sequence.name / f"{self.number + 1}"

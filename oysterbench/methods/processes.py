@@ -175,13 +175,26 @@ def signal_name(number: int) -> str:
 
 def tail(path: Path) -> str:
     """The last lines of a log in one line, however long it is and whatever it holds."""
+    return " | ".join(_lines(_end_of(path))[-TAIL_LINES:])[-TAIL_CHARACTERS:]
+
+
+def complete_lines(path: Path) -> list[str]:
+    """The last lines of a log that goes on, but one that is not at its end yet."""
+    return _lines(_end_of(path).rpartition("\n")[0])
+
+
+def _end_of(path: Path) -> str:
+    """Of a log that may be absent; a carriage return ends a line, too."""
     try:
         with open(path, "rb") as file:
             size = file.seek(0, 2)
             file.seek(max(0, size - TAIL_BYTES))
-            text = file.read().decode(errors="replace")
+            return file.read().decode(errors="replace").replace("\r", "\n")
     except OSError:
         return ""
-    printable = "".join(c if c.isprintable() or c == "\n" else " " for c in text.replace("\r", "\n"))
-    lines = [" ".join(line.split()) for line in printable.split("\n") if line.strip()]
-    return " | ".join(lines[-TAIL_LINES:])[-TAIL_CHARACTERS:]
+
+
+def _lines(text: str) -> list[str]:
+    """Those that are not blank, of characters that can be shown."""
+    printable = "".join(c if c.isprintable() or c == "\n" else " " for c in text)
+    return [" ".join(line.split()) for line in printable.split("\n") if line.strip()]

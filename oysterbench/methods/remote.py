@@ -40,7 +40,7 @@ class Asked:
     identity: Mapping[str, Any]
 
     def __repr__(self) -> str:
-        return f"{self.job.adapter.name} on {self.job.sequence.name}, run {self.job.number + 1}"
+        return self.job.title
 
 
 def run_remotely(

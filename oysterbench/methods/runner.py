@@ -11,11 +11,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import LabelError, MachineError, MethodError, SequenceError
 from oysterbench.core.files import home
+from oysterbench.methods.hearing import Told, hear
 from oysterbench.methods.inputs import Announce, Inputs
 from oysterbench.methods.interfaces import Predicted
 from oysterbench.methods.outcomes import OUTCOME, Job, Outcome, read_outcome
@@ -24,6 +26,8 @@ from oysterbench.methods.sandbox import can_hide
 
 ASSUMED_BYTES = 2 * 2**30
 """What a method is taken to need as long as none of its runs has been measured."""
+LOOK_S = 1.0
+"""How often those that run are listened to."""
 MARGIN = 1.2
 """Of a method's greatest peak so far, for the next of its runs."""
 
@@ -43,14 +47,16 @@ def run_jobs(
     hardware: Callable[[], Mapping[str, Any]] = dict,
     announce: Announce = lambda text: None,
     scheduler: str | None = None,
+    told: Told | None = None,
 ) -> Iterator[tuple[Job, Outcome]]:
     """Each job with its outcome, as they are finished; those that are finished already come first and are not run.
 
     root: folder of the results, which one runner at a time may work in. again: run the finished ones too; retry: those
     of them that failed. workers: at a time; None for one per core. exports: folder where what programs are given is
-    kept for other runs. hardware: says what a machine is; scheduler: address of a Dask cluster that runs them. A job
-    that ends badly has a `failure`; nothing that a method does raises here. Raises MethodError, before anything is run,
-    where `root` holds outcomes of other jobs under the same names, and OSError where a disk is full.
+    kept for other runs. hardware: says what a machine is; scheduler: address of a Dask cluster that runs them. told: of
+    what those say that go on here. A job that ends badly has a `failure`; nothing that a method does raises here.
+    Raises MethodError, before anything is run, where `root` holds outcomes of other jobs under the same names, and
+    OSError where a disk is full.
     """
     with _alone(root):
         todo = []
@@ -65,7 +71,7 @@ def run_jobs(
 
             yield from run_remotely(todo, root, scheduler, workers, hardware)
         elif todo:
-            yield from _run(todo, root, workers or default_workers(), exports, hardware(), announce)
+            yield from _run(todo, root, workers or default_workers(), exports, hardware(), announce, told)
 
 
 def _finished(job: Job, root: Path, retry: bool) -> Outcome | None:
@@ -91,7 +97,13 @@ def _changed_files(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[st
 
 
 def _run(
-    jobs: list[Job], root: Path, workers: int, exports: Path | None, hardware: Mapping[str, Any], announce: Announce
+    jobs: list[Job],
+    root: Path,
+    workers: int,
+    exports: Path | None,
+    hardware: Mapping[str, Any],
+    announce: Announce,
+    told: Told | None,
 ) -> Iterator[tuple[Job, Outcome]]:
     processes = Processes()
     scratch = Path(tempfile.mkdtemp(prefix="oysterbench-"))  # says nothing of where the truth is
@@ -99,16 +111,21 @@ def _run(
     peaks = _known_peaks(jobs, root)
     budget = available_bytes()
     waiting, running = list(jobs), dict[Future[Outcome], Job]()
+    folders: dict[str, Path] = {}
     pool = ThreadPoolExecutor(workers)
     try:
         while waiting or running:
             while waiting and len(running) < workers and _fits(waiting[0], running.values(), peaks, budget):
                 job = waiting.pop(0)
                 started = len(jobs) - len(waiting)
-                of = f"{job.adapter.name} on {job.sequence.name}, run {job.number + 1}"
-                announce(f"running {of} ({started} of {len(jobs)})")
-                running[pool.submit(run_job, job, root, inputs, processes, hardware)] = job
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                announce(f"running {job.title} ({started} of {len(jobs)})")
+                begun = partial(folders.__setitem__, job.title)
+                running[pool.submit(run_job, job, root, inputs, processes, hardware, begun)] = job
+            ended = wait(running, None if told is None else LOOK_S, FIRST_COMPLETED).done
+            if told is not None:
+                titles = [job.title for future, job in running.items() if future not in ended]
+                told({title: hear(folders[title]) for title in titles if title in folders})
+            for future in ended:
                 job, outcome = running.pop(future), future.result()
                 peak = int(outcome.process["peak_bytes"])
                 peaks[job.adapter.name] = max(peaks.get(job.adapter.name, 0), peak)
@@ -122,13 +139,20 @@ def _run(
 
 
 def run_job(
-    job: Job, root: Path, inputs: Inputs, processes: Processes, hardware: Mapping[str, Any] | None = None
+    job: Job,
+    root: Path,
+    inputs: Inputs,
+    processes: Processes,
+    hardware: Mapping[str, Any] | None = None,
+    begun: Callable[[Path], None] = lambda folder: None,
 ) -> Outcome:
-    """Run one job and keep what became of it, where that is the method's doing."""
+    """Run one job and keep what became of it, where that is the method's doing. begun: called with the folder that its
+    output goes to until it has ended."""
     kept = job.folder(root)
     shutil.rmtree(kept, ignore_errors=True)
     kept.mkdir(parents=True)
     folder = Path(tempfile.mkdtemp(dir=inputs.scratch))
+    begun(folder)
     started, seed = _now(), job.adapter.seed(job.number)
     who = f"method {job.adapter.name!r} on {job.sequence.name}"
     hidden = (*job.sequence.hidden, home() / "splits", *inputs.hidden)

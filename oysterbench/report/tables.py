@@ -262,9 +262,9 @@ def runs_table(board: Board) -> Table:
         Column("failed", "Failed", kind="number", short="failed"),
         _median_column(metric),
         interval_column(metric, f"{metric.key}_range", "from, to", ""),
-        _median_column(coverage),
+        replace(_median_column(coverage), wide=True),
         _median_column(error),
-        interval_column(error, f"{error.key}_range", "from, to", ""),
+        replace(interval_column(error, f"{error.key}_range", "from, to", ""), wide=True),
     )
     note = "A failed run scores 0; errors are those of the runs that have one."
     return Table(f"Runs on {board.name}", columns, tuple(rows), (note,) if rows else ())

@@ -13,6 +13,7 @@ from oysterbench.core.errors import MethodError
 
 if TYPE_CHECKING:
     from oysterbench.methods.adapters import MethodAdapter
+    from oysterbench.methods.hearing import Told
     from oysterbench.methods.interfaces import RunSequence
     from oysterbench.methods.outcomes import Job, Outcome
     from oysterbench.recipe import SplitRecipe
@@ -115,7 +116,8 @@ class Request:
     options: of the track, by key; methods: references, none for the track's own; template, name: of a program instead;
     runs: of each method on each sequence; jobs: at a time, one for each core where it is None; limit_s: of a run;
     again, retry: run what is finished, or failed, once more; workers: processes that render; scheduler: address of a
-    Dask cluster that runs the methods; exports: folder where what programs are given is kept for other runs
+    Dask cluster that runs the methods; exports: folder where what programs are given is kept for other runs;
+    told: called every second with what the runs that go on said last
     """
 
     out: Path
@@ -137,6 +139,7 @@ class Request:
     scheduler: str | None = None
     render: Render = lambda split, **options: {}
     announce: Announce = lambda text: None
+    told: Told | None = None
     bar: Bar = lambda title, unit: nullcontext(lambda done, total: None)
     finished: Callable[[Sequence[Any]], None] = lambda runs: None
     """Called with the runs so far after each of them, so that a kill leaves a table of what was finished."""
@@ -260,6 +263,7 @@ class Track(ABC):
             hardware,
             request.announce,
             request.scheduler,
+            request.told,
         )
         for job, outcome in finished:
             own = job.adapter.evaluation

@@ -1,0 +1,79 @@
+"""What is shown while runs go on: a line for each on a terminal, and else a line at every tenth, both on stderr."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from oysterbench.cli.echo import message
+from oysterbench.cli.render import plain_progress
+from oysterbench.core.text import printable
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
+    from oysterbench.methods.hearing import Heard, Told
+    from oysterbench.simulation.generate import Progress
+
+QUIET_S = 30.0  # between two lines that a run says of something else than its progress
+BAR_WIDTH = 16  # characters
+
+
+@contextmanager
+def runs_shown() -> Iterator[Told]:
+    """To be told what runs say; nothing is shown before that."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.table import Column
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield plain_runs()
+        return
+    title = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
+    rest = Column(no_wrap=True, overflow="ellipsis", ratio=1)
+    said = TextColumn("{task.fields[said]}", markup=False, table_column=rest)
+    times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    columns = (title, BarColumn(BAR_WIDTH), said, *times)
+    bars = Progress(*columns, console=console, redirect_stdout=False, transient=True, expand=True, refresh_per_second=2)
+    tasks: dict[str, TaskID] = {}
+
+    def tell(heard: Mapping[str, Heard]) -> None:
+        for name in tasks.keys() - heard.keys():
+            bars.remove_task(tasks.pop(name))
+        for name, one in heard.items():
+            if name not in tasks:
+                tasks[name] = bars.add_task(printable(name), total=None, said="")
+            text = f"{one.done} of {one.total}" if one.total else printable(one.line)
+            bars.update(tasks[name], total=one.total or None, completed=one.done, said=text)
+        bars.start()
+
+    try:
+        yield tell
+    finally:
+        bars.stop()
+
+
+def plain_runs() -> Told:
+    """Lines on stderr: of each run at every tenth, and every few minutes; or what it says else, not too often."""
+    bars: dict[str, tuple[Progress, Heard]] = {}
+    told: dict[str, tuple[float, str]] = {}
+
+    def tell(heard: Mapping[str, Heard]) -> None:
+        for name in bars.keys() - heard.keys():
+            del bars[name]
+        for name, one in heard.items():
+            at, line = told.setdefault(name, (time.monotonic(), ""))
+            if one.total:
+                show, before = bars.get(name, (plain_progress(name, ""), one))
+                if one.done < before.done:  # another pass over the pictures
+                    show = plain_progress(name, "")
+                bars[name] = show, one
+                show(one.done, one.total)
+            elif one.line != line and time.monotonic() >= at + QUIET_S:
+                told[name] = time.monotonic(), one.line
+                message(f"{name}: {one.line}")
+
+    return tell

@@ -1,0 +1,34 @@
+"""What a program says while it runs: how far it is, in lines `progress 120 of 700`, or else its last line."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from oysterbench.methods.processes import STDERR, STDOUT, complete_lines
+
+PROGRESS = re.compile(r"progress (\d{1,9}) of (\d{1,9})")
+
+
+@dataclass(frozen=True)
+class Heard:
+    """Of a run that goes on. done, total: of its last line on its progress, 0 where there is none; line: any other."""
+
+    done: int = 0
+    total: int = 0
+    line: str = ""
+
+
+Told = Callable[[Mapping[str, Heard]], None]
+"""Called every second with what the runs that go on said last, by their titles."""
+
+
+def hear(folder: Path) -> Heard:
+    """What a run said last whose output goes to a folder."""
+    said = complete_lines(folder / STDOUT)
+    steps = [match for line in said if (match := PROGRESS.fullmatch(line))]
+    others = [line for line in said if not PROGRESS.fullmatch(line)] or complete_lines(folder / STDERR)
+    done, total = map(int, steps[-1].groups()) if steps else (0, 0)
+    return Heard(min(done, total), total, others[-1] if others else "")
