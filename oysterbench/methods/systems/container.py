@@ -10,10 +10,11 @@ def containerfile(system: System) -> str:
     """Text of a Containerfile: Debian with the system's packages, this project, and the system built."""
     packages = " ".join(["python3-venv", "git", *system.description.packages])
     described = system.description
+    extra = "slam" if any(method.track == "slam" for method in described.methods.values()) else "score"
     return f"""# {described.title} ({described.licence}), built from its own source, and oysterbench, which runs it.
 FROM debian:12
 # The wheel of a release, or an address that pip takes.
-ARG OYSTERBENCH="oysterbench[slam]=={VERSION}"
+ARG OYSTERBENCH="oysterbench[{extra}]=={VERSION}"
 RUN apt-get update && apt-get install --yes --no-install-recommends {packages} && rm -rf /var/lib/apt/lists/*
 RUN python3 -m venv /opt/oysterbench && /opt/oysterbench/bin/pip install --no-cache-dir "$OYSTERBENCH"
 ENV PATH=/opt/oysterbench/bin:$PATH OYSTERBENCH_HOME=/data
