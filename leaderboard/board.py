@@ -51,7 +51,8 @@ class Row:
     coverage:  mean over sequences, for tracks that have such a thing
     metrics:   means of the columns, coverage among them where it is one; None where there is none
     failures:  runs that failed, and sequences that were not answered
-    sensors, mode: what the method says that it uses, and "online" or "offline"; empty where it says nothing
+    sensors, mode: what the method says that it uses, and "online" or "offline"; code, paper: where its program is, and
+               what it is described in; each empty where it says nothing
     """
 
     digest: str
@@ -78,6 +79,8 @@ class Row:
     failures: int
     sensors: str = ""
     mode: str = ""
+    code: str = ""
+    paper: str = ""
 
 
 @dataclass(frozen=True)

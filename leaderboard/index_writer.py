@@ -29,12 +29,12 @@ from oysterbench_leaderboard.record_summary import (
     column_means,
     data_set_value,
     read_record,
-    sensors_and_mode,
+    said_of_method,
     summarise_record,
 )
 from oysterbench_leaderboard.store import RecordStore, StatusChange
 
-SCHEMA = f"9 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
+SCHEMA = f"10 {VERSION} {hashlib.sha256(json.dumps(COLUMNS).encode()).hexdigest()[:8]}"
 """Changes with every change of a table, or of what is put into it: an index of another is made anew."""
 
 CHUNK = 1000
@@ -142,7 +142,7 @@ def _row(record: Record, digest: str) -> dict[str, Any]:
         "words": f"{record.method}\n{record.team}".casefold(),
         "data_set": data_set_value(record),
         "metrics": column_means(record),
-        **dict(zip(("sensors", "mode"), sensors_and_mode(record), strict=True)),
+        **said_of_method(record),
         "sequences": len(summary.sequences),
         "runs": len(record.results),
         "summary_data": msgspec.json.encode(summary).decode(),

@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.text import unseen
 from oysterbench.evaluate.metrics import FAILED, find_metric
 from oysterbench.evaluate.statistics import Sample, mean_over_sequences, sequence_means, sequence_weights, weighed_means
 from oysterbench.hub.canonical import sha256
@@ -25,6 +26,9 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 
 SENSORS = {"mono", "stereo", "imu", "dvl", "sonar", "pressure", "compass", "altimeter"}
 """Words that a method may use for what it reads."""
+
+MOST_SAID = {"code": 300, "paper": 500}
+"""Characters of what it says besides."""
 
 
 class RecordSummary(msgspec.Struct, frozen=True):
@@ -124,13 +128,19 @@ def _weight(key: str) -> str:
     return "" if found is None else found.weight
 
 
-def sensors_and_mode(record: Record) -> tuple[str, str]:
-    """Sensors that a method says it uses, and "online" or "offline"; empty where its results say nothing of them, or
-    anything else than these words."""
+def said_of_method(record: Record) -> dict[str, str]:
+    """What a method says of itself, in the columns of `board.Row`: sensors, and "online" or "offline", in these words
+    alone; where its code is, and the paper on it, as plain text. Empty where its results say nothing of them."""
     said = record.results[0].info.get("method")
-    if not isinstance(said, dict):
-        return "", ""
+    said = said if isinstance(said, dict) else {}
     sensors, online = said.get("sensors"), said.get("online")
     known = isinstance(sensors, list) and bool(sensors) and set(map(str, sensors)) <= SENSORS
-    mode = {True: "online", False: "offline"}.get(online, "") if isinstance(online, bool) else ""
-    return ", ".join(sensors) if known and sensors else "", mode
+    return {
+        "sensors": ", ".join(sensors) if known and sensors else "",
+        "mode": {True: "online", False: "offline"}.get(online, "") if isinstance(online, bool) else "",
+        **{key: _plain(said.get(key), most) for key, most in MOST_SAID.items()},
+    }
+
+
+def _plain(text: Any, most: int) -> str:
+    return text if isinstance(text, str) and len(text) <= most and unseen(text) is None else ""

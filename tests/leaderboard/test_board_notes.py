@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import pytest
 
+from oysterbench.report.renderers import html_table
+from oysterbench.report.table import Column, Table, TableRow
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import open_index
 from oysterbench_leaderboard.site.pages.board import board_page
 from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.site.works import work_cell
 from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.tables import board_table
 from tests.helpers.records_made import record_made
@@ -32,13 +35,13 @@ def test_a_board_of_pictures_to_learn_on_says_so(split, told, tmp_path):
 @pytest.mark.parametrize(
     ("said", "shown"),
     [
-        ({"sensors": ["mono", "imu"], "online": True, "paper": "A paper"}, ("mono, imu", "online")),
-        ({"sensors": ["stereo"], "online": False}, ("stereo", "offline")),
-        ({"sensors": ["<b>all</b>"], "online": "yes"}, ("", "")),
-        ("everything", ("", "")),
+        ({"sensors": ["mono", "imu"], "online": True, "paper": "A paper"}, ("mono, imu", "online", "", "A paper")),
+        ({"sensors": ["stereo"], "online": False, "code": "https://x.org"}, ("stereo", "offline", "https://x.org", "")),
+        ({"sensors": ["<b>all</b>"], "online": "yes", "code": ["x"], "paper": "A\u202epaper"}, ("", "", "", "")),
+        ("everything", ("", "", "", "")),
     ],
 )
-def test_a_board_says_what_a_method_reads_and_when(said, shown, tmp_path):
+def test_a_board_says_what_a_method_reads_and_when_and_where_it_is_from(said, shown, tmp_path):
     record = record_made()
     results = [replace(result, info={**result.info, "method": said}) for result in record.results]
     store = RecordStore(tmp_path / "board")
@@ -46,7 +49,37 @@ def test_a_board_says_what_a_method_reads_and_when(said, shown, tmp_path):
     site = Site(open_index(store, str(tmp_path / "index.sqlite")))
     (info,) = site.index.boards()
     (row,) = site.index.page(info.id, Query()).rows
-    assert (row.sensors, row.mode) == shown
+    assert (row.sensors, row.mode, row.code, row.paper) == shown
     table = board_page(site, info.track, info.split).tables[0]
-    assert {column.key for _, column in table.shown} >= ({"sensors", "mode"} if shown[0] else set())
-    assert ("sensors" in {column.key for _, column in table.shown}) == bool(shown[0])
+    columns = {column.key for _, column in table.shown}
+    assert [key in columns for key in ("sensors", "code")] == [bool(shown[0]), bool(shown[2] or shown[3])]
+
+
+@pytest.mark.parametrize(
+    ("citation", "name", "address"),
+    [
+        ("", "", ""),
+        ("A. Bee, C. Dee: On reefs. Sea 3(2), 2021. doi:10.1/x", "Bee et al. 2021", ""),
+        ("A. Bee: On reefs. Sea 3(2), 2021. doi:10.1109/X.2020.307.", "Bee 2021", "https://doi.org/10.1109/X.2020.307"),
+        (
+            "J.-M. Gómez Ruiz, C. Dee: Reefs. arXiv 1902.09199, 2022",
+            "Gómez Ruiz et al. 2022",
+            "https://arxiv.org/abs/1902.09199",
+        ),
+        ("A. Bee: Reefs. 2019; A. Bee, C. Dee: Seas. 2018", "Bee 2019", ""),
+        ("Reefs, https://x.org/a?b=1.", "paper", "https://x.org/a?b=1"),
+        ("javascript:alert(2020)", "javascript 2020", ""),
+    ],
+)
+def test_a_paper_is_named_in_a_few_words_and_linked_where_it_has_an_address(citation, name, address):
+    cell = work_cell("https://github.com/reef/lab_slam.git", citation)
+    assert (cell.small, cell.small_url, cell.about) == (name, address, citation)
+    assert (cell.value, cell.text) == ("https://github.com/reef/lab_slam.git", "lab_slam")
+    html = html_table(Table("", (Column("code"),), (TableRow((cell,)),)))
+    assert html.count("<a ") == 1 + bool(address)
+
+
+def test_code_is_named_as_where_it_lies_names_it():
+    places = ("https://gitlab.com/reef/slam", "https://www.slam.org/x", "baselines/gtsam_vi", "ftp://x/y", "")
+    assert [work_cell(place, "").text for place in places] == ["slam", "slam.org", "gtsam_vi", "y", None]
+    assert [work_cell(place, "").url for place in places] == [*places[:2], "", "", ""]

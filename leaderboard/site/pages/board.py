@@ -21,16 +21,19 @@ from oysterbench_leaderboard.site.pages.ranks import RANK, TIERS, UNRANKED, rank
 from oysterbench_leaderboard.site.pages.stress import stress_drawing
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
+from oysterbench_leaderboard.site.works import work_cell
 from oysterbench_leaderboard.tables import DATA_SET, NOT_RANKED, has_data_set, learnt_on
 
 MOST_ROWS = 1000
 LONGEST_TEXT = 100
 """Rows of a page and characters to look for, at most."""
 
-HIDDEN = ("place", "team", "sequences", "runs", "state", "record", "supersedes", "url")
+HIDDEN = ("place", "team", "mode", "paper", "sequences", "runs", "state", "record", "supersedes", "url")
 """Columns in CSV and JSON alone."""
 
 MODE = "Online: each from what was known at its time; offline: from all of the sequence."
+
+WORK = "That the method says it is, and the paper that it says describes it."
 
 MOST_SHOWN = 5
 """Metrics beside the one that ranks, on the page; CSV and JSON have all of them."""
@@ -188,8 +191,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     columns = (
         Column("rank", "Rank", kind="number", sort="rank", about=RANK),
         Column("method", "Method", sort="method"),
-        Column("sensors", "Sensors", hidden=not described, about="That the method says it uses."),
-        Column("mode", "Poses", hidden=not described, about=MODE),
+        Column("sensors", "Sensors", "poses", hidden=not described, about=f"That the method says it uses. {MODE}"),
         metric,
         interval_column(metric, "interval", "Interval", numbers.LEVEL),
         replace(
@@ -204,6 +206,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
         Column("failures", "Failed", "runs", "number", about="Runs that failed, and sequences not answered."),
         Column("tier", "Tier", about="Who vouches for the numbers."),
         Column("created", "Date", "UTC", sort="created"),
+        Column("code", "Code", "paper", hidden=not any(row.code or row.paper for row in rows), about=WORK),
         *(
             Column(key, kind="number" if key in ("place", "sequences", "runs") else "text", hidden=True)
             for key in HIDDEN
@@ -217,8 +220,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
                 (
                     rank,
                     Cell(row.method, path=record_path(row.digest), small=row.team, mark=state_mark(row)),
-                    row.sensors or None,
-                    row.mode or None,
+                    Cell(row.sensors or None, small=row.mode),
                     row.score,
                     Cell(interval, bar=numbers.bar(row.low, row.score, row.high), kind="soft"),
                     row.data_set,
@@ -226,6 +228,7 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
                     Cell(row.failures, f"{row.failures} of {row.runs}", kind="warn" if row.failures else ""),
                     Cell(row.tier, about=TIERS.get(row.tier, "")),
                     Cell(row.created, row.created[:10]),
+                    work_cell(row.code, row.paper),
                     *(row.digest if key == "record" else getattr(row, key) for key in HIDDEN),
                 ),
                 row.state if row.state != "current" else "",

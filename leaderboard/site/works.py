@@ -1,0 +1,69 @@
+"""Papers and programs of methods, as they are named on pages: in a few words, with an address where they have one."""
+
+from __future__ import annotations
+
+import re
+from urllib.parse import urlsplit
+
+from oysterbench.report.table import Cell
+
+ADDRESS = re.compile(r"https?://[^\s<>\"]+[^\s<>\".,;)]")
+ARXIV = re.compile(r"\barXiv[: ]*(\d{4}\.\d{4,5})", re.IGNORECASE)
+DOI = re.compile(r"\bdoi[: ]*(10\.\d{4,9}/[^\s<>\"]+[^\s<>\".,;)])", re.IGNORECASE)
+YEAR = re.compile(r"\b((?:19|20)\d\d)\b(?!\.\d)")
+INITIALS = re.compile(r"^(?:\w\.[- ]?)+")
+FORGES = ("github.com", "gitlab.com", "codeberg.org", "bitbucket.org")
+MOST_NAME = 40
+
+
+def work_cell(code: str, paper: str) -> Cell:
+    """The name of the code, with that of the paper below it. code: where it is; paper: a citation, such as
+    "A. Author, B. Author: Title. Venue 2020, doi:..."."""
+    return Cell(
+        code or None,
+        code_name(code) or None,
+        about=paper,
+        small=paper_name(paper),
+        url=code if ADDRESS.fullmatch(code) else "",
+        small_url=paper_address(paper),
+    )
+
+
+def code_name(place: str) -> str:
+    """Of the address of a repository, or a path, its last part; of another page, its host.
+
+    >>> code_name("https://github.com/rpng/open_vins"), code_name("https://colmap.github.io/x")
+    ('open_vins', 'colmap.github.io')
+    """
+    host = urlsplit(place).netloc.removeprefix("www.") if ADDRESS.fullmatch(place) else ""
+    own = place.strip("/").removesuffix(".git").rpartition("/")[2]
+    return (host if host and host not in FORGES else own)[:MOST_NAME]
+
+
+def paper_name(citation: str) -> str:
+    """First author and year of the first of several, where they can be told.
+
+    >>> paper_name("C. Campos, R. Elvira: ORB-SLAM3. IEEE T-RO 37(6), 2021"), paper_name("S. Leutenegger: OKVIS2. 2022")
+    ('Campos et al. 2021', 'Leutenegger 2022')
+    >>> paper_name("https://example.org/paper.pdf")
+    'paper'
+    """
+    if not citation:
+        return ""
+    first = ADDRESS.sub("", citation).partition(";")[0]
+    authors, years = first.partition(":")[0].split(","), YEAR.findall(first)
+    name = INITIALS.sub("", authors[0].strip())
+    if not name or not years or len(name) > MOST_NAME:
+        return "paper"
+    return f"{name}{' et al.' if len(authors) > 1 else ''} {years[-1]}"
+
+
+def paper_address(citation: str) -> str:
+    """Where it can be read: an address in the text, a DOI or a number of arXiv; empty where there is none."""
+    if found := ADDRESS.search(citation):
+        return found[0]
+    if found := DOI.search(citation):
+        return f"https://doi.org/{found[1]}"
+    if found := ARXIV.search(citation):
+        return f"https://arxiv.org/abs/{found[1]}"
+    return ""
