@@ -8,6 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
+from oysterbench.methods.options import with_options
 from oysterbench.methods.systems import find_system, split_reference
 from oysterbench.methods.systems.building import built, environment, interpreter
 from oysterbench.methods.systems.launch import launch_of
@@ -54,8 +55,9 @@ def test_it_is_trained_in_the_environment_of_its_build_which_shares_torch(tmp_pa
     assert not list(environment(system).glob("lib/python*/site-packages/torch"))
 
     for method, track in (("segformer", "segmentation"), ("segformer_instances[least_area=1]", "detection")):
-        reference = method.replace("]", f",weights={weights}]") if "[" in method else f"{method}[weights={weights}]"
-        done = start("run", reference, "--on", tmp_path / "set", "--out", tmp_path / track)
+        done = start(
+            "run", with_options(method, [f"weights={weights}"]), "--on", tmp_path / "set", "--out", tmp_path / track
+        )
         assert done.returncode == 0, done.stderr
         records = read_results(tmp_path / track / "results.json")
         assert {record.sequence for record in records} == {"one", "two"}
