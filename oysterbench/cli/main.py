@@ -158,7 +158,7 @@ def _known_format(ctx: click.Context, parameter: click.Parameter, value: str) ->
     return value
 
 
-@main.command(cls=ExportCommand, short_help="Export a sequence: EuRoC, TUM RGB-D, KITTI, COCO, Kalibr, PLY.")
+@main.command(cls=ExportCommand, short_help="Export a sequence: EuRoC, TUM, KITTI, COCO, Kalibr, ROS bag, PLY.")
 @click.argument("sequence", type=click.Path(path_type=Path))
 @click.option("--format", "form", metavar="FORMAT", callback=_known_format, required=True, help="What to write.")
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, which must not be there yet.")
@@ -173,6 +173,8 @@ def export(sequence: Path, form: str, out: Path, truth: bool, as_json: bool) -> 
       oysterbench export mini-01.mcap --format euroc --out for-a-method --no-truth
       oysterbench export mini-01.mcap --format tum --out mini-01-tum
       oysterbench export mini-01.mcap --format coco --out mini-01-coco
+      oysterbench export mini-01.mcap --format rosbag --out mini-01-bag
+      oysterbench export mini-01.mcap --format mcap --out for-ros2 --no-truth
     """
     from oysterbench.sequence import open_sequence
     from oysterbench.sequence.export import export_sequence

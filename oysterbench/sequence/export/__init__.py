@@ -20,6 +20,8 @@ SHARED_FORMATS = {
     "kitti": "KITTI odometry: undistorted grey image_0/, image_1/ of a pair, calib.txt, times.txt, poses of image_0",
     "coco": "COCO instances: images and instances.json with polygons",
     "kalibr": "Kalibr calibration: camchain-imucam.yaml and imu.yaml",
+    "rosbag": "ROS 1 bag with EuRoC's topics: /cam0/image_raw (mono8), /imu0; and Kalibr's files",
+    "mcap": "the sequence file itself, for ROS 2; with --no-truth what was measured alone",
     "ply": "point clouds in map as binary PLY: of depth images through the poses, and of sonar clouds",
 }
 """Formats of several sensors, and what they are: each is the module of its name, `write(sequence, folder, truth)`."""

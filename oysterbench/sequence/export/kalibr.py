@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +16,26 @@ DISTORTION_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
 
 
 def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
-    """camchain-imucam.yaml and imu.yaml; a calibration is not truth, so `truth` changes nothing."""
+    """camchain-imucam.yaml and imu.yaml, for the topics of a sequence file."""
+    return write_calibration(sequence, folder, truth, [f"/{name}/image" for name in sequence.cameras], "/imu")
+
+
+def write_calibration(
+    sequence: Sequence, folder: Path, truth: bool, image_topics: Iterable[str], imu_topic: str
+) -> list[str]:
+    """The same for any topics: of the cameras, in their order, and of the inertial unit.
+
+    truth: with offsets of the clocks that the rig's recipe has and no calibration knows
+    """
     notes = port_notes(sequence, sequence.cameras)
-    shifts = _time_shifts(sequence)
+    shifts = _time_shifts(sequence, truth)
     lines: list[str] = []
     previous: Array | None = None
-    for index, (name, camera) in enumerate(sequence.cameras.items()):
+    for index, ((name, camera), topic) in enumerate(zip(sequence.cameras.items(), image_topics, strict=True)):
         if camera.distortion_model == "plumb_bob" and np.any(camera.distortion[4:]):
             notes.append(f"{name}: Kalibr's radtan has no k3: its {camera.distortion[4]:g} was left out")
-        lines += [f"cam{index}:", *(f"  {line}" for line in _camera(sequence, name, camera, previous))]
-        if name in shifts:
-            lines.append(f"  timeshift_cam_imu: {number(shifts[name])}")
+        lines += [f"cam{index}:", *(f"  {line}" for line in _camera(sequence, camera, previous))]
+        lines += [f"  rostopic: {topic}", f"  timeshift_cam_imu: {number(shifts[name])}"]
         previous = camera.T_base_cam
     write_lines(folder / "camchain-imucam.yaml", lines)
     unit = sequence.imu_calibration
@@ -36,14 +46,14 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
             f"accelerometer_random_walk: {number(unit.accel_random_walk)}",
             f"gyroscope_noise_density: {number(unit.gyro_noise_density)}",
             f"gyroscope_random_walk: {number(unit.gyro_random_walk)}",
-            "rostopic: /imu",
+            f"rostopic: {imu_topic}",
             f"update_rate: {number(unit.rate_hz)}",
         ],
     )
     return notes
 
 
-def _camera(sequence: Sequence, name: str, camera: CameraCalibration, previous: Array | None) -> list[str]:
+def _camera(sequence: Sequence, camera: CameraCalibration, previous: Array | None) -> list[str]:
     T_cam_base, matrix = invert(camera.T_base_cam), camera.matrix
     lines = ["T_cam_imu:", *_rows(T_cam_base @ sequence.imu_calibration.T_base_imu)]
     if previous is not None:
@@ -55,7 +65,6 @@ def _camera(sequence: Sequence, name: str, camera: CameraCalibration, previous: 
         f"distortion_model: {DISTORTION_MODELS[camera.distortion_model]}",
         f"intrinsics: {numbers([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])}",
         f"resolution: [{camera.width}, {camera.height}]",
-        f"rostopic: /{name}/image",
     ]
 
 
@@ -63,14 +72,12 @@ def _rows(matrix: Array) -> list[str]:
     return [f"- {numbers(row)}" for row in matrix]
 
 
-def _time_shifts(sequence: Sequence) -> dict[str, float]:
-    """Camera -> shift in s with t_imu = t_cam + shift: that of the calibration where it was measured, else from the
-    clocks of the rig's recipe, where the file has it."""
-    if sequence.uncertainty is not None:
-        return {name: 0.0 - camera.time_offset_s for name, camera in sequence.cameras.items()}
+def _time_shifts(sequence: Sequence, truth: bool) -> dict[str, float]:
+    """Camera -> shift in s with t_imu = t_cam + shift: that of the calibration; but with `truth`, where nothing was
+    measured, from the clocks of the rig's recipe, if the file has it."""
     source = getattr(sequence, "attachments", {}).get("rig.toml")
-    if source is None:
-        return {}
+    if not truth or source is None or sequence.uncertainty is not None:
+        return {name: 0.0 - camera.time_offset_s for name, camera in sequence.cameras.items()}
     rig = tomllib.loads(source.decode())
     inertial = rig["imu"].get("clock_offset_ms", 0.0)
     return {camera["name"]: (inertial - camera.get("clock_offset_ms", 0.0)) / 1e3 for camera in rig["camera"]}
