@@ -1,0 +1,1 @@
+"""VINS-Fusion."""
