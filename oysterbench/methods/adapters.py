@@ -54,6 +54,11 @@ class MethodAdapter(ABC):
         """Options of its track, by key, that it is scored by where the user gives no others."""
         return {}
 
+    @property
+    def limit_factor(self) -> float:
+        """By what a sequence's time limit is multiplied for it, where the user gives none."""
+        return 1.0
+
     @abstractmethod
     def versions(self) -> dict[str, str]:
         """Of what is run, by name."""

@@ -248,7 +248,7 @@ class Track(ABC):
         from oysterbench.results.records import hardware
 
         jobs = [
-            Job(adapter, sequence, k, request.limit_s or sequence.limit_s, request.runs)
+            Job(adapter, sequence, k, request.limit_s or sequence.limit_s * adapter.limit_factor, request.runs)
             for sequence in sequences
             for adapter in adapters
             for k in range(request.runs)

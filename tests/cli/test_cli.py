@@ -261,7 +261,7 @@ def test_an_export_of_nothing_is_one_line(dive_file, tmp_path):
     assert_one_line(
         run("export", dive_file, "--format", "coco", "--out", tmp_path / "out", "--no-truth"), "which are truth"
     )
-    assert run("export", dive_file, "--format", "rosbag", "--out", tmp_path / "out").returncode == 2
+    assert run("export", dive_file, "--format", "pcap", "--out", tmp_path / "out").returncode == 2
     assert list(tmp_path.iterdir()) == []
 
 

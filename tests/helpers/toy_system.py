@@ -34,6 +34,7 @@ online = true
 deterministic = false
 align = "{align}"
 poses_of = "base"
+limit_factor = 1.5
 
 [options.word]
 default = "ready"

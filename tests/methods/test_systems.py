@@ -69,16 +69,19 @@ def test_a_system_is_built_and_run_by_name(toy, dive_file, tmp_path):
     assert done.returncode == 0, done.stderr
     (record,) = read_results(tmp_path / "out" / "results.json")
     assert record.settings["align"] == "sim3"  # as its manifest says
+    assert record.info["run"]["limit_s"] == 1.5 * 600
     assert record.metrics["ate_rmse_m"] < 1e-6
     assert record.method_settings == {"method": "toy", "word": "ready", "gain": 1.0}
     assert record.info["run"]["versions"]["commit"] == find_system("toy").description.commit
     assert len(record.info["log_sha256"]) == 64
     assert list(record.info["configuration_sha256"]) == ["word.txt"]
 
-    given = oysterbench_command("run", "toy", "--on", dive_file, "--out", tmp_path / "se3", "--align", "posyaw")
+    others = ("--align", "posyaw", "--timeout", 60)
+    given = oysterbench_command("run", "toy", "--on", dive_file, "--out", tmp_path / "se3", *others)
     assert given.returncode == 0, given.stderr
     (record,) = read_results(tmp_path / "se3" / "results.json")
     assert record.settings["align"] == "posyaw"
+    assert record.info["run"]["limit_s"] == 60
     assert record.metrics["ate_rmse_m"] > 1e-3
 
 
@@ -169,6 +172,9 @@ def test_a_wrong_manifest_is_named_with_file_and_key(toy):
         read_system("toy", toy)
     (toy / "system.toml").write_text(text.replace("align", "options = { none = 1 }\nalign"))
     with pytest.raises(MethodError, match=r"methods.toy.options: the system has no option 'none'"):
+        read_system("toy", toy)
+    (toy / "system.toml").write_text(text.replace("limit_factor = 1.5", "limit_factor = 0.0"))
+    with pytest.raises(MethodError, match=r"system.toml: Expected `float` > 0.0 - at `\$.methods\[...\].limit_factor`"):
         read_system("toy", toy)
 
 

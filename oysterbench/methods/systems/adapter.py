@@ -71,6 +71,10 @@ class SystemAdapter(MethodAdapter):
         return {"align": self.method.align, **gap}
 
     @property
+    def limit_factor(self) -> float:
+        return self.method.limit_factor
+
+    @property
     def _digests(self) -> dict[str, str]:
         """SHA-256 of each file that its options name, as it is now."""
         return {key: file_digest(Path(self.options[key])) for key in self._files}

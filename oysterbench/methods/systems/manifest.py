@@ -9,7 +9,7 @@ from functools import cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -33,7 +33,8 @@ class SystemMethod:
     """A way to run a system.
 
     track: that it answers to; form: what it is given, as of `ExternalCommand`; deterministic: whether two runs on one
-    sequence leave the same; options: that differ from the system's
+    sequence leave the same; options: that differ from the system's; limit_factor: by what the time limit of a run is
+    multiplied, where the user gives none
 
     Of the track slam alone: sensors: that it uses; online: whether a pose is what was known at its time; poses_of: as
     of `ExternalCommand`; align: how it is aligned where the user does not say, as a system without scale cannot be
@@ -45,6 +46,7 @@ class SystemMethod:
     track: Literal["slam", "segmentation", "detection"] = "slam"
     form: str = "euroc"
     options: Mapping[str, Any] = field(default_factory=dict)
+    limit_factor: Annotated[float, msgspec.Meta(gt=0)] = 1.0
     sensors: tuple[Sensor, ...] = ()
     online: bool | None = None
     poses_of: str = "imu"
