@@ -41,7 +41,11 @@ class DeadReckoning:
 
     def __init__(self, settings: DeadReckoningSettings | None = None) -> None:
         self.settings = settings or DeadReckoningSettings()
-        self.about = {"sensors": ["imu", "dvl", "pressure", "compass"], "online": True}
+        self.about = {
+            "sensors": ["imu", "dvl", "pressure", "compass"],
+            "online": True,
+            "code": "baselines/dead_reckoning",
+        }
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of the inertial samples, each from what came before it.

@@ -45,7 +45,7 @@ class GtsamFull:
         self.output, self.camera, self.seed = output, camera, seed
         self.settings = settings or GtsamFullSettings()
         sensors = ["mono", "imu", "dvl", "pressure", "compass", "altimeter"]
-        self.about = {"sensors": sensors, "online": output == "online"}
+        self.about = {"sensors": sensors, "online": output == "online", "code": "baselines/gtsam_full"}
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of frames, missing ones too, and at the end; and the map."""

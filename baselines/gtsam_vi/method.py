@@ -46,7 +46,11 @@ class GtsamVi:
         check_output(self.name, output)
         self.output, self.camera, self.stereo, self.seed = output, camera, stereo, seed
         self.settings = settings or GtsamViSettings()
-        self.about = {"sensors": ["stereo" if stereo else "mono", "imu"], "online": output == "online"}
+        self.about = {
+            "sensors": ["stereo" if stereo else "mono", "imu"],
+            "online": output == "online",
+            "code": "baselines/gtsam_vi",
+        }
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base at the camera's stamps, for some seconds where frames are missing too; and the map."""

@@ -38,7 +38,11 @@ class VisualOnly:
         self.camera = camera
         self.stereo = stereo
         self.settings = settings or VisualOnlySettings()
-        self.about = {"sensors": ["stereo" if stereo else "mono"], "online": True}
+        self.about = {
+            "sensors": ["stereo" if stereo else "mono"],
+            "online": True,
+            "code": "baselines/visual_only",
+        }
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base at the frames that could be located; odom is base_link at the first of them."""

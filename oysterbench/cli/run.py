@@ -50,7 +50,7 @@ def track_options() -> dict[str, Option]:
     "--timeout",
     "limit_s",
     type=click.FloatRange(min=0, min_open=True),
-    help="Seconds a run may take.  [default: 10 times the sequence's, or 10 a picture; at least 600; or a multiple that a system asks for]",
+    help="Seconds a run may take.  [default: 10 times the sequence's, 10 a picture, at least 600, or a system's own]",
 )
 @click.option("--again", is_flag=True, help="Run what is finished once more.")
 @click.option("--retry", is_flag=True, help="Run what failed once more.")

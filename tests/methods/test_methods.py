@@ -12,6 +12,8 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Estimate, LandmarkMap, Method, find_method, method_names, run_method
 from oysterbench.methods.options import with_options
+from oysterbench_leaderboard.record_summary import SENSORS
+from tests.helpers.paths import ROOT
 
 
 class Still:
@@ -41,6 +43,14 @@ def test_the_baselines_are_installed_as_methods():
         method = find_method(name)
         assert isinstance(method, Method)
         assert method.name == name
+
+
+@pytest.mark.parametrize("name", ["dead_reckoning", "gtsam_full", "gtsam_vi", "gtsam_vi_stereo", "visual_only"])
+def test_a_baseline_says_what_it_reads_and_when_and_where_its_code_is(name):
+    about = find_method(name).about
+    assert set(about["sensors"]) <= SENSORS
+    assert about["online"] in (True, False)
+    assert (ROOT / about["code"] / "method.py").is_file()
 
 
 def test_an_unknown_method_is_named_with_what_is_installed():
