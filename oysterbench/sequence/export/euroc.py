@@ -1,4 +1,7 @@
-"""EuRoC/ASL folders: mav0/cam0, cam1, ..., imu0 and state_groundtruth_estimate0. The body is the IMU."""
+"""EuRoC/ASL folders: mav0/cam0, cam1, ..., imu0 and state_groundtruth_estimate0. The body is the IMU.
+
+Beside mav0 lie Kalibr's files for the same cameras, and README.txt.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, invert
-from oysterbench.sequence.export.parts import number, numbers, port_notes, sensor_poses, write_lines, write_png
+from oysterbench.sequence.export.kalibr import write_calibration
+from oysterbench.sequence.export.parts import number, numbers, sensor_poses, write_lines, write_png
+from oysterbench.sequence.export.readme import truth_line, write_readme
 from oysterbench.sequence.truth import TRUTH
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
@@ -20,6 +25,10 @@ TRUTH_HEADER = (
     "#timestamp,p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],"
     "v_RS_R_x [m s^-1],v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],b_w_RS_S_x [rad s^-1],b_w_RS_S_y [rad s^-1],"
     "b_w_RS_S_z [rad s^-1],b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]"
+)
+OWN = (
+    "mav0/*/sensor.yaml have the same; gravity and timeshift_cam_imu in them are not of the layout.",
+    "camchain-imucam.yaml and imu.yaml are Kalibr's. Stamps are in ns.",
 )
 DISTORTION_MODELS = {"plumb_bob": "radial-tangential", "equidistant": "equidistant"}
 
@@ -47,7 +56,9 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     write_lines(inertial / "data.csv", [IMU_HEADER, *samples])
     write_lines(root / "body.yaml", [f"comment: {sequence.name}"])
     notes = [f"cam{index} is {name}" for index, name in enumerate(sequence.cameras)]
-    notes += port_notes(sequence, sequence.cameras)
+    labels = {f"cam{index}": name for index, name in enumerate(sequence.cameras)}
+    notes += write_calibration(sequence, folder, False, [f"/{label}/image_raw" for label in labels], "/imu0")
+    write_readme(sequence, folder, "EuRoC/ASL", labels, [*OWN, truth_line(truth, "mav0/state_groundtruth_estimate0")])
     if truth:
         _write_state(sequence, root / "state_groundtruth_estimate0")
         notes.append("the biases of the state are not known to the file: they are nan")

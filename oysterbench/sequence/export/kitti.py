@@ -24,6 +24,7 @@ from oysterbench.sequence.export.parts import (
     write_lines,
     write_png,
 )
+from oysterbench.sequence.export.readme import README, head, truth_line
 from oysterbench.sequence.types import Sequence
 
 
@@ -53,12 +54,30 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
         _write_images(sequence, name, matrix, turns[index], set(kept), place / f"image_{index}")
     write_lines(place / "calib.txt", _projections(sequence, pair, matrix))
     write_lines(place / "times.txt", (f"{(stamp - kept[0]) * 1e-9:.9e}" for stamp in kept))
+    write_lines(
+        folder / README, [head(sequence, "KITTI odometry"), "", *_about(sequence, pair, matrix, kept[0], truth)]
+    )
     if truth:
         times = np.array([true.taken_ns(stamp) for stamp in kept], dtype=np.int64)
         poses = sensor_poses(path.at(times), true.T_base_cam @ transform(turns[0].T, np.zeros(3)))
         (folder / "poses").mkdir()
         write_lines(folder / "poses" / "00.txt", (_row(pose[:3]) for pose in invert(poses[0]) @ poses))
     return notes
+
+
+def _about(sequence: Sequence, pair: list[str], matrix: Array, first_ns: int, truth: bool) -> list[str]:
+    """Lines of README.txt."""
+    left = sequence.cameras[pair[0]]
+    lines = [f"image_{index}: {name}, grey, {left.rate_hz:g} Hz" for index, name in enumerate(pair)]
+    if len(pair) > 1:
+        right = [float(value) for value in _projections(sequence, pair, matrix)[1].split()[1:]]
+        lines.append(f"The right camera is {-right[3] / right[0]:.6f} m to the right (P1: -fx times that).")
+    return [
+        *lines,
+        "The images were undistorted, and those of a pair rectified: they have no distortion left.",
+        f"times.txt is in s from the first image, whose stamp is {first_ns} ns; the layout has no IMU.",
+        truth_line(truth, "poses/00.txt"),
+    ]
 
 
 def _projections(sequence: Sequence, pair: list[str], matrix: Array) -> list[str]:

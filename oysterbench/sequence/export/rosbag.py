@@ -22,6 +22,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.sequence.export.kalibr import write_calibration
 from oysterbench.sequence.export.parts import sensor_poses
+from oysterbench.sequence.export.readme import truth_line, write_readme
 from oysterbench.sequence.types import Sequence
 
 IMAGE, IMU, POSE = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped"
@@ -46,6 +47,12 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
             topic, data = messages.encoded(item)
             bag.write(connections[topic], item.stamp_ns, data)
     notes = write_calibration(sequence, folder, truth, topics.values(), IMU_TOPIC)
+    labels = {topic: name for name, topic in topics.items()}
+    own = (
+        f"{IMU_TOPIC} has no orientation. camchain-imucam.yaml and imu.yaml are Kalibr's.",
+        truth_line(truth, TRUTH_TOPIC),
+    )
+    write_readme(sequence, folder, "EuRoC's ROS 1 bags", labels, own)
     return [*(f"{topic} is {name}, in grey" for name, topic in topics.items()), *notes]
 
 

@@ -1,4 +1,4 @@
-"""TUM RGB-D folders: rgb/, depth/, their lists, the camera's path and the accelerometer."""
+"""TUM RGB-D folders: rgb/, depth/, their lists, the camera's path, the accelerometer, README.txt."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds, write_tum
 from oysterbench.sequence.export.parts import any_camera, port_notes, sensor_poses, write_lines, write_png
+from oysterbench.sequence.export.readme import truth_line, write_readme
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
+OWN = ("Stamps are in s. accelerometer.txt is of the IMU, in its frame; the layout has no place for a gyroscope.",)
 DEPTH_STEPS = 5000.0
 """Numbers of a depth image in a metre; 65535, the greatest, is 13.1 m."""
+PLACE = f"groundtruth.txt, of the camera, and in depth/, {DEPTH_STEPS:g} to the metre"
 
 
 def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
@@ -34,6 +37,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
         folder / "accelerometer.txt", ["# accelerometer, in the frame of the IMU", "# timestamp ax ay az", *samples]
     )
     write_lines(folder / "calibration.txt", _calibration(sequence.cameras[name]))
+    write_readme(sequence, folder, "TUM RGB-D", {"rgb": name}, [*OWN, truth_line(truth, PLACE)])
     notes = [f"images of {name}"]
     notes += port_notes(sequence, [name])
     if not truth:

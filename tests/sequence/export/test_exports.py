@@ -111,6 +111,37 @@ def test_what_a_method_is_given_can_be_exported_for_one_that_is_not_ours(sequenc
     assert len(list(oysterbench.open(folder).imu())) == 200
 
 
+@pytest.mark.parametrize(
+    ("form", "said"),
+    [
+        ("euroc", ("cam1: cam_right, 64 x 48, 10 Hz", "IMU: 100 Hz", "walk of its bias 1.0e-05", "timeshift_cam_imu")),
+        ("tum", ("rgb: cam_left", "Kalibr, OpenVINS: radtan", "T_imu_cam", "no place for a gyroscope")),
+        ("kitti", ("image_1: cam_right", "0.120000 m to the right", "whose stamp is 1767225600")),
+        ("rosbag", ("/cam0/image_raw: cam_left", "VINS-Fusion: PINHOLE", "OKVIS2: radialtangential")),
+    ],
+)
+def test_a_folder_says_what_its_layout_has_no_place_for(form, said, sequence, folders, tmp_path):
+    text = (folders[form] / "README.txt").read_text()
+    assert [words for words in said if words not in text] == []
+    assert "The truth is in " in text
+    blind, _ = export_sequence(sequence, form, tmp_path / "blind", truth=False)
+    assert "The truth was left out." in (blind / "README.txt").read_text()
+
+
+def test_euroc_has_kalibrs_files_for_its_cameras(sequence, folders):
+    chain = yaml.safe_load((folders["euroc"] / "camchain-imucam.yaml").read_text())
+    for cam in ("cam0", "cam1"):
+        settings = yaml.safe_load((folders["euroc"] / "mav0" / cam / "sensor.yaml").read_text())
+        T_imu_cam = np.array(settings["T_BS"]["data"]).reshape(4, 4)
+        np.testing.assert_allclose(np.array(chain[cam]["T_cam_imu"]) @ T_imu_cam, np.eye(4), atol=1e-12)
+        assert chain[cam]["timeshift_cam_imu"] == settings["timeshift_cam_imu"]
+        assert chain[cam]["intrinsics"] == settings["intrinsics"]
+    unit = yaml.safe_load((folders["euroc"] / "imu.yaml").read_text())
+    settings = yaml.safe_load((folders["euroc"] / "mav0" / "imu0" / "sensor.yaml").read_text())
+    assert unit["update_rate"] == settings["rate_hz"]
+    assert {key: settings[key] for key in unit if key in settings} == {k: v for k, v in unit.items() if k in settings}
+
+
 # TUM ---------------------------------------------------------------------------------------------------------------
 
 
@@ -160,6 +191,7 @@ def test_tum_accelerometer_is_the_imus(sequence, folders):
 def test_tum_without_truth_has_neither_poses_nor_depth(sequence, tmp_path):
     folder, notes = export_sequence(sequence, "tum", tmp_path / "blind", truth=False)
     assert sorted(path.name for path in folder.iterdir()) == [
+        "README.txt",
         "accelerometer.txt",
         "calibration.txt",
         "rgb",

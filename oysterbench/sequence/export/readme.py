@@ -1,0 +1,88 @@
+"""README.txt of an exported folder: what its files say by units and conventions, and what they have no place for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from oysterbench.core.geometry import Array, invert
+from oysterbench.sequence.export.parts import number, write_lines
+from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
+from oysterbench.version import VERSION
+
+README = "README.txt"
+
+NAMES = {
+    "plumb_bob": {
+        "EuRoC": "radial-tangential",
+        "ROS": "plumb_bob",
+        "Kalibr, OpenVINS": "radtan",
+        "OKVIS2": "radialtangential",
+        "ORB-SLAM3": "PinHole with k1 k2 p1 p2",
+        "VINS-Fusion": "PINHOLE",
+        "DSO": "RadTan",
+        "COLMAP": "OPENCV",
+        "Basalt": "none, as its pinhole has no distortion; undistort",
+    },
+    "equidistant": {
+        "EuRoC, ROS, Kalibr, OpenVINS, OKVIS2": "equidistant",
+        "ORB-SLAM3": "KannalaBrandt8",
+        "VINS-Fusion": "KANNALA_BRANDT",
+        "DSO": "EquiDistant",
+        "COLMAP": "OPENCV_FISHEYE",
+        "Basalt": "kb4",
+    },
+}
+"""Model of distortion, as in sensor_msgs/CameraInfo -> what systems call it in their configurations."""
+
+COEFFICIENTS = {"plumb_bob": "k1 k2 p1 p2 k3", "equidistant": "k1 k2 k3 k4"}
+
+
+def write_readme(
+    sequence: Sequence, folder: Path, layout: str, cameras: Mapping[str, str], further: Iterable[str]
+) -> None:
+    """cameras: how the layout calls a camera -> its name; further: lines on what is the layout's own."""
+    T_imu_base = invert(sequence.imu_calibration.T_base_imu)
+    lines = [head(sequence, layout), ""]
+    for label, name in cameras.items():
+        camera = sequence.cameras[name]
+        lines += [*_camera(label, name, camera, T_imu_base @ camera.T_base_cam), ""]
+    for model in dict.fromkeys(sequence.cameras[name].distortion_model for name in cameras.values()):
+        lines.append(f"Names of this distortion ({COEFFICIENTS[model]} of OpenCV):")
+        lines += [*(f"  {systems}: {name}" for systems, name in NAMES[model].items()), ""]
+    write_lines(folder / README, [*lines, *_imu(sequence.imu_calibration), "", *further])
+
+
+def head(sequence: Sequence, layout: str) -> str:
+    """First line."""
+    return f"{sequence.name} in the layout of {layout}, by oysterbench {VERSION}."
+
+
+def truth_line(truth: bool, place: str) -> str:
+    """Where the truth is."""
+    return f"The truth is in {place}." if truth else "The truth was left out."
+
+
+def _camera(label: str, name: str, camera: CameraCalibration, T_imu_cam: Array) -> list[str]:
+    distorted = any(camera.distortion)
+    coefficients = " ".join(number(value) for value in camera.distortion)
+    matrix = camera.matrix
+    return [
+        f"{label}: {name}, {camera.width} x {camera.height}, {camera.rate_hz:g} Hz",
+        "  fx fy cx cy: " + " ".join(number(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))) + " px",
+        f"  distortion: {coefficients if distorted else 'none'}",
+        f"  its stamps are late by {number(camera.time_offset_s)} s, as far as the calibration knows: Kalibr's",
+        f"  timeshift_cam_imu is {number(0.0 - camera.time_offset_s)}, with t_imu = t_cam + timeshift",
+        "  T_imu_cam, which takes points of the camera into the IMU (T_BS, where the body is the IMU):",
+        *("    " + " ".join(f"{value: .9f}" for value in row) for row in T_imu_cam),
+    ]
+
+
+def _imu(unit: ImuCalibration) -> list[str]:
+    return [
+        f"IMU: {unit.rate_hz:g} Hz; rad/s and m/s^2; gravity is {number(unit.gravity)} m/s^2",
+        f"  gyroscope: noise {number(unit.gyro_noise_density)} rad/s/sqrt(Hz), "
+        f"random walk of its bias {number(unit.gyro_random_walk)} rad/s^2/sqrt(Hz)",
+        f"  accelerometer: noise {number(unit.accel_noise_density)} m/s^2/sqrt(Hz), "
+        f"random walk of its bias {number(unit.accel_random_walk)} m/s^3/sqrt(Hz)",
+    ]
