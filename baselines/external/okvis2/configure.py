@@ -27,7 +27,7 @@ def command(launch: Launch) -> list[str]:
     written = launch.folder / CONFIGURATION
     written.write_text(configuration(authors, launch.sequence, cameras, launch.options), encoding="utf-8")
     program = [launch.build / "okvis2", written, launch.source / "resources"]
-    return [str(word) for word in (*program, launch.given, launch.out, 0.0 - cameras[0].time_offset_s, launch.number)]
+    return [str(word) for word in (*program, launch.given, launch.out, 0.0 - cameras[0].time_offset_s)]
 
 
 def configuration(

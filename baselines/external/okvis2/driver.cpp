@@ -1,6 +1,6 @@
 // Feeds an EuRoC folder to OKVIS2 in the order of the stamps, and writes the paths it then has.
 //
-//   okvis2 CONFIG.yaml VOCABULARY_FOLDER FOLDER OUT.tum SHIFT_S SEED
+//   okvis2 CONFIG.yaml VOCABULARY_FOLDER FOLDER OUT.tum SHIFT_S
 //
 // OUT.tum has the poses of all pictures as they are in the end, OUT.online.tum each as it was known at its time: T_world_imu
 // with gravity along -z. SHIFT_S is added to the stamps of the pictures, as OKVIS2 knows of no offset between the clocks.
@@ -20,12 +20,6 @@
 #include <opencv2/imgcodecs.hpp>
 
 #include "folder.h"
-
-namespace opengv {
-namespace sac {
-unsigned ransac_seed = 0;  // what the edit of its sampling reads
-}
-}  // namespace opengv
 
 namespace {
 
@@ -68,14 +62,13 @@ long write_path(const okvis::ViGraph &graph, const std::string &path) {
 }  // namespace
 
 int main(int argc, char **argv) {
-  if (argc != 7) {
-    std::cerr << "usage: okvis2 CONFIG.yaml VOCABULARY_FOLDER FOLDER OUT.tum SHIFT_S SEED" << std::endl;
+  if (argc != 6) {
+    std::cerr << "usage: okvis2 CONFIG.yaml VOCABULARY_FOLDER FOLDER OUT.tum SHIFT_S" << std::endl;
     return 2;
   }
   google::InitGoogleLogging(argv[0]);
   FLAGS_logtostderr = true;
   FLAGS_log_prefix = false;
-  opengv::sac::ransac_seed = 12345u + unsigned(std::stoul(argv[6]));
   okvis::ViParameters parameters;
   okvis::ViParametersReader(argv[1]).getParameters(parameters);
   const std::string folder = std::string(argv[3]) + "/mav0/";
