@@ -131,7 +131,7 @@ def finish(found: Evaluation, out: Path | None, outputs: Outputs) -> None:
     if kept:
         methods = ", ".join(dict.fromkeys(one.method for one in kept))
         runs = "1 earlier run" if len(kept) == 1 else f"{len(kept)} earlier runs"
-        message(f"{out}: results of {runs} stay beside these, without figures: {methods}")
+        message(f"{out}: results of {runs} stay beside these, without figures: {methods}; oysterbench compare {out}")
     for path in written:
         message(f"written: {path}")
     failures = [one for one in records if one.failure is not None]

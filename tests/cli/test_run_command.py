@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 from pathlib import Path
@@ -151,6 +152,24 @@ def test_what_another_program_reached_stays_in_the_folder(dive_file, answer, tmp
         assert done.returncode == 0, done.stderr
     assert [record.method for record in read_results(out / "results.json")] == ["second", "first"]
     assert f"{out}: results of 1 earlier run stay beside these, without figures: second" in done.stderr
+
+
+def test_a_program_that_fails_is_a_row_beside_others_in_every_file_of_the_folder(dive_file, answer, tmp_path):
+    out = tmp_path / "out"
+    for name, program, code in (("never", "refuses", 1), ("good", "copies", 0)):
+        done = run_here("run", name, "--command", command(tmp_path, program, answer), "--on", dive_file, "--out", out)
+        assert done.returncode == code, done.stderr
+    for file in ("results.md", "results.tex", "report.html", "results.csv"):
+        text = (out / file).read_text()
+        rows = [line for line in re.sub(r"</td>\n|<t[hd][^>]*>", " ", text).splitlines() if "hand-made" in line]
+        assert any("never" in row for row in rows), file
+        assert any("good" in row for row in rows), file
+    compared = run_here("compare", out)
+    assert compared.returncode == 0, compared.stderr
+    assert [line.split()[1] for line in compared.stdout.splitlines() if line.split()[:1] in (["(1)"], ["(2)"])] == [
+        "good",
+        "never",
+    ]
 
 
 @pytest.mark.parametrize(
