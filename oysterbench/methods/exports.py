@@ -30,8 +30,8 @@ from oysterbench.version import VERSION
 SETTING = "OYSTERBENCH_EXPORTS_GB"
 MOST_GB = 20.0
 """Of all exports that are kept, where the setting says nothing; 0 keeps none."""
-MOST_DAYS = 30.0
-"""That an export is kept since it was last used."""
+MOST_DAYS, MOST_DAYS_REPLACED = 30.0, 1.0
+"""That an export is kept since it was last used, and one that other code has written anew."""
 MADE = "made.json"
 LOOK_S = 0.2
 
@@ -63,8 +63,10 @@ class Exports:
         """Take away what has not been used for long, then the longest unused as long as all are too large."""
         uses = sorted((_used(path), path.parent.name) for path in self.folder.glob(f"*/{MADE}"))
         sizes = {key: int(_made(self.folder / key / MADE)["bytes"]) for _, key in uses}
+        latest = {key.rpartition("-")[0]: key for _, key in uses}
         for used, key in uses:
-            too_old = used < time.time() - MOST_DAYS * 86400
+            days = MOST_DAYS if latest[key.rpartition("-")[0]] == key else MOST_DAYS_REPLACED
+            too_old = used < time.time() - days * 86400
             if (too_old or sum(sizes.values()) > self.most_bytes) and self._take_away(key):
                 del sizes[key]
         for half in self.folder.glob(".*"):  # of a process that was killed, if nobody makes it now
@@ -115,18 +117,19 @@ def most_gigabytes() -> float:
 
 
 def key_of(sequence: RunSequence, form: str) -> str:
-    """Equal for exports with the same content: of one sequence and its files as they are, in one form, by one code."""
+    """Equal for exports with the same content: of one sequence and its files as they are, in one form; after the last
+    dash, by one code."""
     states = [path.stat() for path in sequence.hidden if path.is_file()]
     files = [(state.st_size, state.st_mtime_ns) for state in states]
-    made_of = json.dumps([sequence.origin, form, files, VERSION, _code()])
-    return f"{sequence.name}-{form}-{hashlib.sha256(made_of.encode()).hexdigest()[:12]}"
+    made_of = json.dumps([sequence.origin, form, files])
+    return f"{sequence.name}-{form}-{hashlib.sha256(made_of.encode()).hexdigest()[:12]}-{_code()[:8]}"
 
 
 @cache
 def _code() -> str:
     """SHA-256 of what writes exports."""
     here = Path(__file__).parent
-    found = hashlib.sha256()
+    found = hashlib.sha256(VERSION.encode())
     for path in sorted([*(here / "interfaces").glob("*.py"), *(here.parent / "sequence" / "export").glob("*.py")]):
         found.update(path.read_bytes())
     return found.hexdigest()

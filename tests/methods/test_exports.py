@@ -149,13 +149,15 @@ def test_the_longest_unused_go_first_where_all_are_too_large_and_none_that_is_us
         assert names(store) == {"b"}
 
 
-def test_what_was_not_used_for_long_is_taken_away(tmp_path):
+def test_what_was_not_used_for_long_is_taken_away_sooner_where_other_code_wrote_it_anew(tmp_path):
     store = Exports(tmp_path, most_bytes=1e9)
-    use(store, "old", "young")
-    age = time.time() - (exports.MOST_DAYS + 1) * 86400
-    os.utime(tmp_path / "old" / exports.MADE, (age, age))
+    ages = {"a-1": exports.MOST_DAYS + 1, "b-1": exports.MOST_DAYS - 1, "b-2": 0, "c-1": 0.5, "c-2": 0, "d-1": 29}
+    for key, days in ages.items():
+        use(store, key)
+        used = time.time() - days * 86400
+        os.utime(tmp_path / key / exports.MADE, (used, used))
     store.tidy()
-    assert names(store) == {"young"}
+    assert names(store) == {"b-2", "c-1", "c-2", "d-1"}
 
 
 def test_an_export_that_fails_leaves_nothing_and_one_that_was_killed_is_made_anew(tmp_path):
