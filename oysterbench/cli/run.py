@@ -103,6 +103,7 @@ def run_command(
       {euroc}  an EuRoC folder           its poses are taken as the IMU's
       {tum}    a TUM RGB-D folder        its poses are taken as the camera's
       {kitti}  a KITTI odometry folder   its poses are taken as the left camera's
+      {rosbag} a folder with a ROS 1 bag its poses are taken as the IMU's
       {mcap}   a sequence file           its poses are taken as the vehicle's
       {images} a folder of pictures      (--track segmentation, detection or steering)
       {out}    the file that it leaves   {seed}  the number of the run, from 0
@@ -111,7 +112,9 @@ def run_command(
     The folder keeps each run's predictions, logs, cost and versions. A run that ends badly, takes too long, or leaves
     nothing that can be read is a failure in the results; one that the machine killed, or had no room for, is not, and
     the same command runs it again. Whatever is interrupted, even killed: the same command goes
-    on from there. Files between processes lie in the folder that TMPDIR names.
+    on from there. Files between processes lie in the folder that TMPDIR names; folders that programs are given are kept
+    under the home for other runs, up to OYSTERBENCH_EXPORTS_GB (20). Lines `progress 120 of 700` of a program are shown
+    as a bar.
     """
     if (split_name is None) == (not places):
         raise click.UsageError("expected --split SPLIT or --on SEQUENCE, one of them")

@@ -51,7 +51,7 @@ def moved(truth: Trajectory, T_base_frame: np.ndarray) -> Trajectory:
 )
 def test_a_program_that_answers_in_the_frame_of_its_input_is_right_to_the_digit(form, run, truth, dive_file, tmp_path):
     sequence = oysterbench.open(dive_file)
-    frame = {"euroc": "imu", "tum": "cam_left", "kitti": "cam_left", "mcap": "base"}[form]
+    frame = {"euroc": "imu", "tum": "cam_left", "kitti": "cam_left", "rosbag": "imu", "mcap": "base"}[form]
     given = moved(truth, frame_pose(sequence, frame, form))
     if form == "kitti":  # stamps as KITTI has them: from the first image
         given = Trajectory(given.stamps_ns - truth.stamps_ns[0], given.positions, given.quaternions)
@@ -281,7 +281,7 @@ def test_processes_that_outlive_their_program_are_killed_and_noted(run, answer, 
     ("template", "message"),
     [
         ("true {euroc}", "expected {out}, where the program leaves a trajectory, and one of {euroc}"),
-        ("true {out}", "and one of {euroc}, {tum}, {kitti}, {mcap}, what it reads, got {out}"),
+        ("true {out}", "and one of {euroc}, {tum}, {kitti}, {rosbag}, {mcap}, what it reads, got {out}"),
         ("true {euroc} {mcap} {out}", "got {euroc}, {mcap}, {out}"),
         ("true {bag} {out}", "unknown placeholder {bag}; known: {euroc}"),
         ("true {euroc} {out} 'awk {'", "write {{ and }} for braces of your own"),

@@ -38,6 +38,7 @@ FORMS = {
     "euroc": "an EuRoC folder: mav0/ with cam0, cam1, ..., imu0",
     "tum": "a TUM RGB-D folder: rgb/, rgb.txt, accelerometer.txt, calibration.txt",
     "kitti": "a KITTI odometry folder: sequences/00/ with undistorted grey images, calib.txt, times.txt",
+    "rosbag": "a folder with a ROS 1 bag, NAME.bag, as EuRoC's are: /cam0/image_raw, /imu0; and Kalibr's files",
     "mcap": "a sequence file with everything that was measured",
 }
 """Placeholder of a command line -> what is put in its place."""
@@ -45,7 +46,7 @@ FORMS = {
 SENSORS = "sensors"
 """Form of what a method of Python is given: a sequence as it was, file or folder, without the truth."""
 
-POSES_OF = {"euroc": "imu", "tum": "camera", "kitti": "camera", "mcap": "base"}
+POSES_OF = {"euroc": "imu", "tum": "camera", "kitti": "camera", "rosbag": "imu", "mcap": "base"}
 """Whose poses the programs that read a form are taken to leave: its body frame."""
 
 
@@ -85,7 +86,7 @@ class SlamInterface(Interface):
 
     forms = FORMS
     own_form = SENSORS
-    lasting = ("euroc", "tum", "kitti")
+    lasting = ("euroc", "tum", "kitti", "rosbag")
     out = "trajectory.tum"
     leaves = "a trajectory"
     further: ClassVar[Mapping[str, str]] = {"online": ONLINE}
