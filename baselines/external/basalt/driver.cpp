@@ -2,9 +2,9 @@
 //
 //   basalt CONFIG.json CALIBRATION.json FOLDER OUT.tum GRAVITY
 //
-// Poses are T_world_imu, gravity (m/s^2) along -z; their stamps are of the clock of the IMU. As many cameras are read as the
-// calibration has. The pose at each picture is waited for before the next is given, and nothing runs beside it, so that
-// neither the load of the machine nor the order of threads changes anything.
+// Poses are T_world_imu, gravity (m/s^2) along -z; their stamps are of the clock of the IMU. There are as many cameras as
+// the calibration has. The state at each picture is waited for before the next is given, and nothing runs beside it: what
+// else the machine does, and the order of threads, change nothing.
 
 #include <algorithm>
 #include <cstdint>
@@ -116,12 +116,12 @@ int main(int argc, char **argv) {
     write_pose(out, state->t_ns, state->T_w_i);
     written++;
   }
-  flow->input_queue.push(nullptr);
-  odometry.maybe_join();
   std::cout << written << " poses of " << images[0].size() << " pictures" << std::endl;
   if (written == 0) {
-    std::cerr << "Basalt gave no pose" << std::endl;
-    return 1;
+    std::cerr << folder << ": no picture of all cameras has inertial measurements after it" << std::endl;
+    std::_Exit(1);
   }
+  flow->input_queue.push(nullptr);
+  odometry.maybe_join();
   return 0;
 }
