@@ -46,8 +46,10 @@ def runs_shown() -> Iterator[Told]:
         for name, one in heard.items():
             if name not in tasks:
                 tasks[name] = bars.add_task(printable(name), total=None, said="")
-            text = f"{one.done} of {one.total}" if one.total else printable(one.line)
-            bars.update(tasks[name], total=one.total or None, completed=one.done, said=text)
+            if one.total:
+                bars.update(tasks[name], total=one.total, completed=one.done, said=f"{one.done} of {one.total}")
+            elif bars.tasks[bars.task_ids.index(tasks[name])].total is None:  # else it has said much since then
+                bars.update(tasks[name], said=printable(one.line))
         bars.start()
 
     try:
@@ -72,7 +74,7 @@ def plain_runs() -> Told:
                     show = plain_progress(name, "")
                 bars[name] = show, one
                 show(one.done, one.total)
-            elif one.line != line and time.monotonic() >= at + QUIET_S:
+            elif name not in bars and one.line != line and time.monotonic() >= at + QUIET_S:
                 told[name] = time.monotonic(), one.line
                 message(f"{name}: {one.line}")
 

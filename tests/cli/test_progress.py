@@ -16,10 +16,12 @@ from tests.helpers.programs import PROGRAMS, command
 RUN = "mine on mini-01, run 1"
 
 
-def test_off_a_terminal_each_run_tells_its_tenths_of_every_pass(capsys):
+def test_off_a_terminal_each_run_tells_its_tenths_of_every_pass(capsys, monkeypatch):
     tell = plain_runs()
     for done in [*range(0, 101, 5), 0, 10]:
         tell({RUN: Heard(done, 100), "other": Heard(1, 3)})
+    monkeypatch.setattr(progress, "QUIET_S", 0.0)
+    tell({RUN: Heard(line="much else since then"), "other": Heard(1, 3)})
     lines = [re.sub(", [0-9]+ s left", "", line) for line in capsys.readouterr().err.splitlines()]
     assert lines.count("other: 1 of 3") == 1
     expected = [f"{RUN}: {done} of 100" for done in [*range(0, 101, 10), 0, 10]]
@@ -42,6 +44,7 @@ def test_a_terminal_has_a_line_for_each_run_that_goes_on(capsys, monkeypatch):
     with runs_shown() as tell:
         tell({RUN: Heard(55, 140, "loop closed"), "other on mini-01, run 2": Heard(line="[b]map[/b]")})
         first = capsys.readouterr()
+        tell({RUN: Heard(line="much else since then"), "other on mini-01, run 2": Heard(line="[b]map[/b]")})
         tell({"other on mini-01, run 2": Heard(line="mapping")})
     last = capsys.readouterr()
     lines = [re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", line) for line in first.err.splitlines()]
@@ -49,6 +52,7 @@ def test_a_terminal_has_a_line_for_each_run_that_goes_on(capsys, monkeypatch):
     assert any("[b]map[/b]" in line for line in lines)
     assert max(map(len, lines)) <= 80
     assert "mapping" in last.err
+    assert "much else" not in last.err
     assert not first.out + last.out
 
 

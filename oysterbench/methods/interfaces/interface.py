@@ -8,11 +8,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.processes import Processes
-from oysterbench.recipe import SplitRecipe
+
+if TYPE_CHECKING:
+    from oysterbench.recipe import SplitRecipe
 
 T = TypeVar("T")
 
