@@ -83,10 +83,9 @@ int main(int argc, char **argv) {
   const std::string path = argv[4];
   std::ofstream online(path.substr(0, path.rfind('.')) + ".online.tum");
   std::vector<std::size_t> others(images.size(), 0);
-  std::size_t next = 0, read = 0;
+  std::size_t next = 0;
   for (const ImageRow &first : images[0]) {
-    if (++read % std::max<std::size_t>(images[0].size() / 10, 1) == 0)
-      std::cout << "progress " << read << " of " << images[0].size() << std::endl;
+    tell_progress(&first - images[0].data(), images[0].size());
     std::map<std::size_t, cv::Mat> pictures;
     for (std::size_t i = 0; i < images.size(); i++) {
       while (others[i] < images[i].size() && images[i][others[i]].stamp_ns < first.stamp_ns)

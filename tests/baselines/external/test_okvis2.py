@@ -162,7 +162,7 @@ def test_its_options_are_keys_of_the_authors_example():
 
 
 def test_it_reaches_on_floor_euroc_what_others_reach(tmp_path):
-    """2.7 to 11 mm, says the sequence's own README of OpenVINS and ORB-SLAM3 with one camera; it has one."""
+    """6.7 to 11 mm over all pictures, says the sequence's own README of OpenVINS and ORB-SLAM3 with its one camera."""
     floor = SHARED_DATA / "floor-euroc"
     if not floor.is_dir():
         pytest.skip(f"{floor} is absent; OYSTERBENCH_SHARED_DATA names the folder that holds floor-euroc")
@@ -171,4 +171,4 @@ def test_it_reaches_on_floor_euroc_what_others_reach(tmp_path):
     done = run("run", "okvis2_mono", "--on", floor, "--align", "se3", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     (record,) = read_results(tmp_path / "results.json")
-    assert record.metrics["ate_rmse_m"] < 0.012
+    assert record.metrics["ate_rmse_m"] < 0.006
