@@ -10,7 +10,9 @@ from oysterbench.report.renderers import html_table
 from oysterbench.report.table import Column, Table, TableRow
 from oysterbench_leaderboard.board import Query
 from oysterbench_leaderboard.index import open_index
+from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.board import board_page
+from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.site import Site
 from oysterbench_leaderboard.site.works import work_cell
 from oysterbench_leaderboard.store import RecordStore
@@ -53,6 +55,24 @@ def test_a_board_says_what_a_method_reads_and_when_and_where_it_is_from(said, sh
     table = board_page(site, info.track, info.split).tables[0]
     columns = {column.key for _, column in table.shown}
     assert [key in columns for key in ("sensors", "code")] == [bool(shown[0]), bool(shown[2] or shown[3])]
+
+
+def test_a_record_names_its_code_and_paper_with_their_addresses(tmp_path):
+    said = {
+        "sensors": ["mono"],
+        "code": "https://github.com/reef/slam",
+        "paper": "A. <Bee>: Reefs. arXiv 1902.09199, 2022",
+    }
+    record = record_made()
+    store = RecordStore(tmp_path / "board")
+    digest = store.add(replace(record, results=tuple(replace(one, info={"method": said}) for one in record.results)))
+    site = Site(open_index(store, str(tmp_path / "index.sqlite")))
+    page = render.page_html(record_page(site, digest), render.server_links())
+    assert 'code: <a href="https://github.com/reef/slam" rel="nofollow noopener external">slam</a>' in page
+    assert (
+        'paper: <a href="https://arxiv.org/abs/1902.09199" rel="nofollow noopener external">A. &lt;Bee&gt;: Reefs'
+        in page
+    )
 
 
 @pytest.mark.parametrize(
