@@ -89,4 +89,4 @@ def test_it_reaches_on_floor_euroc_what_its_page_says(tmp_path):
     done = run("run", "dso", "--on", floor, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     (record,) = read_results(tmp_path / "results.json")
-    assert record.metrics["ate_rmse_m"] < 0.05
+    assert record.metrics["ate_rmse_m"] < 0.005
