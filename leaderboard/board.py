@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
+
+from oysterbench.evaluate.slam import SlamSettings
+from oysterbench.results.records import plain
 
 State = Literal["current", "superseded", "withdrawn"]
 
@@ -34,6 +37,13 @@ class BoardInfo:
     entries: int
     updated: str
     newest: bool
+
+    @property
+    def scored_by(self) -> str:
+        """The evaluator, with the settings that are not its defaults: what tells boards of one split apart."""
+        defaults = plain(asdict(SlamSettings())) if self.track == "slam" else self.settings
+        others = [f"{key} = {value}" for key, value in self.settings.items() if defaults.get(key) != value]
+        return ", ".join([self.evaluator_version, *others])
 
 
 @dataclass(frozen=True)

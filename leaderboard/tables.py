@@ -27,8 +27,8 @@ NOT_RANKED = "What is self-reported (tier 'reported') is not ranked: nobody but 
 
 
 def board_name(board: BoardInfo) -> str:
-    """Track, split, evaluator."""
-    return f"{board.track} on {board.split} ({board.evaluator_version})"
+    """Track, split, evaluator and those of its settings that are not usual."""
+    return f"{board.track} on {board.split} ({board.scored_by})"
 
 
 def board_table(page: BoardPage) -> Table:

@@ -34,6 +34,19 @@ def test_a_board_of_pictures_to_learn_on_says_so(split, told, tmp_path):
     assert [note.split()[-1] for note in notes] == ([told] if told else [])
 
 
+def test_boards_of_one_split_are_told_apart_by_the_settings_that_are_not_usual(tmp_path):
+    store = RecordStore(tmp_path / "board")
+    usual = record_made(method="usual", track="slam")
+    store.add(usual)
+    results = tuple(replace(one, settings={**one.settings, "align": "sim3"}) for one in usual.results)
+    store.add(replace(usual, method="without scale", results=results))
+    index = open_index(store, str(tmp_path / "index.sqlite"))
+    names = {board_table(index.page(info.id, Query())).title for info in index.boards()}
+    evaluator = usual.results[0].evaluator_version
+    assert len(names) == 2
+    assert any(name.endswith(f"({evaluator}, align = sim3)") for name in names)
+
+
 @pytest.mark.parametrize(
     ("said", "shown"),
     [
