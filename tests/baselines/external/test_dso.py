@@ -12,11 +12,10 @@ import oysterbench
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.systems import find_system
 from oysterbench.methods.systems.building import built
-from oysterbench.methods.systems.launch import Launch
-from oysterbench.methods.systems.manifest import split_reference
 from oysterbench.results.records import read_results
 from oysterbench_baselines.external.dso.configure import camera_file, command
 from tests.helpers.command import run
+from tests.helpers.launches import launch_of
 from tests.helpers.paths import BASELINES, SHARED_DATA
 
 
@@ -52,18 +51,7 @@ def test_what_its_undistortion_lacks_is_refused(camera, bent):
 
 
 def test_it_is_given_its_camera_the_folder_and_the_options(dive_file, tmp_path):
-    system, _, options = split_reference("dso[max_frames=9]")
-    launch = Launch(
-        method="dso",
-        about=system.description.methods["dso"],
-        options=options,
-        given=dive_file,
-        source=tmp_path / "source",
-        build=tmp_path / "build",
-        folder=tmp_path,
-        out=tmp_path / "trajectory.tum",
-        number=0,
-    )
+    launch = launch_of("dso[max_frames=9]", dive_file, tmp_path)
     (camera, *_) = launch.sequence.cameras.values()
     assert command(launch) == [
         str(tmp_path / "build" / "dso"),

@@ -10,12 +10,12 @@ import pytest
 
 import oysterbench
 from oysterbench.core.errors import MethodError
-from oysterbench.methods.systems import find_system, split_reference
+from oysterbench.methods.systems import find_system
 from oysterbench.methods.systems.building import built
-from oysterbench.methods.systems.launch import Launch
 from oysterbench.results.records import read_results
 from oysterbench_baselines.external.okvis2.configure import command, configuration, replace_nested
 from tests.helpers.command import run
+from tests.helpers.launches import launch_of
 from tests.helpers.paths import SHARED_DATA
 
 AUTHORS = """%YAML:1.0
@@ -125,21 +125,9 @@ def test_keys_that_the_authors_lack_are_named():
 
 
 def test_the_offset_of_the_clocks_is_on_its_command_line(dive_file, tmp_path):
-    system, method, options = split_reference("okvis2_mono[noise_factor=2.0]")
     (tmp_path / "source" / "config").mkdir(parents=True)
     (tmp_path / "source" / "config" / "euroc.yaml").write_text(AUTHORS)
-    name = method.partition("[")[0]
-    launch = Launch(
-        method=name,
-        about=system.description.methods[name],
-        options=options,
-        given=dive_file,
-        source=tmp_path / "source",
-        build=tmp_path / "build",
-        folder=tmp_path,
-        out=tmp_path / "trajectory.tum",
-        number=0,
-    )
+    launch = launch_of("okvis2_mono[noise_factor=2.0]", dive_file, tmp_path)
     (camera, *_) = launch.sequence.cameras.values()
     assert command(launch) == [
         str(tmp_path / "build" / "okvis2"),

@@ -12,11 +12,11 @@ import oysterbench
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.systems import find_system, split_reference
 from oysterbench.methods.systems.building import built
-from oysterbench.methods.systems.launch import Launch
 from oysterbench.results.records import read_results
 from oysterbench_baselines.external.common.yaml import opencv_matrix, replace_block
 from oysterbench_baselines.external.orb_slam3.configure import command, settings
 from tests.helpers.command import run
+from tests.helpers.launches import launch_of
 from tests.helpers.paths import SHARED_DATA
 
 AUTHORS = """%YAML:1.0
@@ -118,22 +118,10 @@ def test_it_may_be_told_to_initialise_at_constant_speed(sequence, tmp_path):
 def test_the_number_of_a_run_is_its_seed_and_another_vocabulary_is_taken(dive_file, tmp_path):
     vocabulary = tmp_path / "ORBvoc.txt"
     vocabulary.touch()
-    system, method, options = split_reference(f"orb_slam3_mono_inertial[vocabulary={vocabulary}]")
     example = tmp_path / "source" / "Examples" / "Monocular-Inertial" / "EuRoC.yaml"
     example.parent.mkdir(parents=True)
     example.write_text(AUTHORS)
-    name = method.partition("[")[0]
-    launch = Launch(
-        method=name,
-        about=system.description.methods[name],
-        options=options,
-        given=dive_file,
-        source=tmp_path / "source",
-        build=tmp_path / "build",
-        folder=tmp_path,
-        out=tmp_path / "trajectory.tum",
-        number=3,
-    )
+    launch = launch_of(f"orb_slam3_mono_inertial[vocabulary={vocabulary}]", dive_file, tmp_path, number=3)
     (camera, *_) = launch.sequence.cameras.values()
     assert command(launch) == [
         str(tmp_path / "build" / "orb_slam3"),

@@ -12,11 +12,10 @@ import oysterbench
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.systems import find_system
 from oysterbench.methods.systems.building import built
-from oysterbench.methods.systems.launch import Launch
-from oysterbench.methods.systems.manifest import split_reference
 from oysterbench.results.records import read_results
 from oysterbench_baselines.external.vins_fusion.configure import EUROC_NOISE, camera_file, command, configuration
 from tests.helpers.command import run
+from tests.helpers.launches import launch_of
 from tests.helpers.paths import SHARED_DATA
 
 BLOCK = """body_T_cam{}: !!opencv-matrix
@@ -116,21 +115,10 @@ def test_a_camera_has_the_model_of_its_distortion(sequence, tmp_path):
     ("method", "count", "example"), [("vins_fusion", 2, "stereo"), ("vins_fusion_mono", 1, "mono")]
 )
 def test_it_is_given_its_configuration_and_the_folder(dive_file, tmp_path, method, count, example):
-    system, _, options = split_reference(method)
     authors = tmp_path / "source" / "config" / "euroc" / f"euroc_{example}_imu_config.yaml"
     authors.parent.mkdir(parents=True)
     authors.write_text(AUTHORS if count == 2 else AUTHORS.replace(BLOCK.format(1), ""))
-    launch = Launch(
-        method=method,
-        about=system.description.methods[method],
-        options=options,
-        given=dive_file,
-        source=tmp_path / "source",
-        build=tmp_path / "build",
-        folder=tmp_path,
-        out=tmp_path / "trajectory.tum",
-        number=0,
-    )
+    launch = launch_of(method, dive_file, tmp_path)
     program, *words = command(launch)
     assert program == str(tmp_path / "build" / "vins_fusion")
     assert words == [str(tmp_path / "vins.yaml"), str(dive_file), str(tmp_path / "trajectory.tum")]
