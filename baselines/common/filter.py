@@ -11,6 +11,7 @@ yaw gains no information from measurements that have none. Biases and the states
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,9 @@ GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
 FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
 """m^2 and rad^2 on every covariance of a pose: the first one is exact by definition, and a matrix that is singular
 cannot be inverted."""
+GYRO_WARMING, ACCEL_WARMING = 1e-4, 2e-3
+"""rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz): walks that keep up with biases of a unit that warms by 0.1 K/s, of 1e-4 to 9e-4
+rad/s and 0.005 to 0.01 m/s^2 per K, as MEMS without compensation have them: no data sheet counts it as noise."""
 CORE = 15
 """Rows of the error: attitude (rad), velocity (m/s), position (m), both biases (rad/s, m/s^2); then the aiding's."""
 
@@ -39,12 +43,12 @@ class InertialNoise:
 
     @staticmethod
     def of(imu: ImuCalibration, inflation: float) -> InertialNoise:
-        """That of a unit, its white part inflated; a file may say zero, and a little is left then."""
+        """That of a unit, its white part inflated, while it warms; a file may say zero, and a little is left then."""
         return InertialNoise(
             max(imu.gyro_noise_density, 1e-6) * inflation,
             max(imu.accel_noise_density, 1e-5) * inflation,
-            max(imu.gyro_random_walk, 1e-8),
-            max(imu.accel_random_walk, 1e-7),
+            math.hypot(imu.gyro_random_walk, GYRO_WARMING),
+            math.hypot(imu.accel_random_walk, ACCEL_WARMING),
         )
 
 
@@ -52,7 +56,7 @@ class InvariantFilter:
     """State of the IMU in odom, biases, and further states of aiding sensors, with their joint covariance.
 
     rotation (3, 3) R_odom_imu, velocity, position (3,), gyro_bias, accel_bias (3,), extra (M,): means.
-    covariance (15 + M, 15 + M): of the error above.
+    covariance (15 + M, 15 + M): of the error above. down (3,): gravity in odom, m/s^2.
     """
 
     def __init__(self, rotation: Array, noise: InertialNoise, gravity: float) -> None:
@@ -63,7 +67,7 @@ class InvariantFilter:
         self.covariance = np.zeros((CORE, CORE))
         self.rate = np.zeros(3)  # latest angular rate, rad/s, in the IMU frame, bias removed
         self.noise = noise
-        self._down = np.array([0.0, 0.0, -gravity])
+        self.down = np.array([0.0, 0.0, -gravity])
 
     @property
     def pose(self) -> Array:
@@ -86,7 +90,7 @@ class InvariantFilter:
         and the transition is exact to second order in dt."""
         rate = gyro - self.gyro_bias
         middle = self.rotation @ rotation_exp(0.5 * dt * rate)
-        acceleration = middle @ (accel - self.accel_bias) + self._down
+        acceleration = middle @ (accel - self.accel_bias) + self.down
         self._propagate_covariance(dt, middle)
         self.position = self.position + dt * (self.velocity + 0.5 * dt * acceleration)
         self.velocity = self.velocity + dt * acceleration
@@ -100,7 +104,7 @@ class InvariantFilter:
 
     def _propagate_covariance(self, dt: float, middle: Array) -> None:
         noise, eye = self.noise, np.eye(3)
-        g, v, p = cross(self._down), cross(self.velocity), cross(self.position)
+        g, v, p = cross(self.down), cross(self.velocity), cross(self.position)
         step = np.eye(CORE)
         turned = dt * middle
         step[ATTITUDE, GYRO_BIAS] = -turned

@@ -85,8 +85,8 @@ class DeadReckoning:
             if isinstance(item, ImuMeasurement):
                 samples.add(item)
             segment = samples.cut(item.stamp_ns)
-            for dt, gyro, accel in zip(segment.dt, segment.gyro, segment.accel, strict=True):
-                filter.propagate(dt, gyro, accel)
+            filter.propagate_all(segment)
+            aiding.propagate(segment)
             if isinstance(item, ImuMeasurement):
                 stamps.append(item.stamp_ns)
                 poses.append(filter.pose @ T_imu_base)
@@ -98,4 +98,5 @@ class DeadReckoning:
         quaternions = Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
         trajectory = Trajectory(np.array(stamps, dtype=np.int64), positions, quaternions, np.array(covariances))
         info = {"started_at_rest": at_rest, "sensors": ["imu", *sensors], "refused": aiding.refused}
+        info |= aiding.found(filter)
         return Estimate(trajectory, {**info, "settings": dataclasses.asdict(settings)})

@@ -14,6 +14,7 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.slam.scoring import SlamSettings, score
 from oysterbench_baselines.common.aiding import Aiding, AidingSettings, aiding_sensors
 from oysterbench_baselines.common.filter import CORE, InertialNoise, InvariantFilter, rotation_exp
+from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.dead_reckoning import DeadReckoning
 from tests.helpers import sensor_dive as dive
 
@@ -92,11 +93,14 @@ def test_one_velocity_says_nothing_of_the_misalignment():
     filter.covariance[:6, :6] = np.diag([0.05**2] * 3 + [1.0] * 3)
     samples = list(sequence.dvl())[:8]
     prior = np.radians(AidingSettings().dvl.misalignment_sigma_deg)
+    level = Segment(np.full(100, 0.01), np.zeros((100, 3)), np.tile([0.0, 0.0, 9.80665], (100, 1)))
+    aiding.propagate(level)  # so that what the log saw is as old as it may be
     for sample in samples:
         aiding.update(filter, dataclasses.replace(sample, beam_velocities=samples[0].beam_velocities))
         at = aiding.sensors["dvl"].rows
-        left = np.sqrt(np.diag(filter.covariance)[at.start + 1 : at.stop])
+        left = np.sqrt(np.diag(filter.covariance)[at.start + 1 : at.start + 4])
         np.testing.assert_allclose(left, prior, rtol=1e-4)
+    assert np.linalg.norm(filter.velocity) > 0.3  # they were heard
 
 
 def test_the_evaluator_finds_the_covariances_and_that_they_agree():
@@ -251,6 +255,7 @@ def test_each_sensors_derivative_is_that_of_its_prediction(kind):
     def ask(change: Array):
         filter, aiding = moved(base[0], change), base[1]
         aiding.sensors["magnetometer"]._last_ns = None
+        aiding.sensors["dvl"]._clock.late = lambda stamp_ns: (0.01, 0.005)
         aiding.sensors[kind].correct = capture
         aiding.update(filter, sample)
         return seen.pop()
@@ -267,7 +272,9 @@ def test_each_sensors_derivative_is_that_of_its_prediction(kind):
         size = step * 1e-5 if kind == "magnetometer" and axis in range(n - 15, n - 9) else step
         ends = [ask(sign * size * np.eye(n)[axis])[0] for sign in (1, -1)]
         wanted = -(ends[0] - ends[1]) / (2 * size)
-        np.testing.assert_allclose(slope[:, axis], wanted, atol=1e-6 * max(1, np.abs(slope).max()), err_msg=str(axis))
+        # By the latency it is a difference over 50 ms, as the unit is shaken by more than the vehicle speeds up.
+        share = 2e-2 if axis == CORE + 4 else 1e-6
+        np.testing.assert_allclose(slope[:, axis], wanted, atol=share * max(1, np.abs(slope).max()), err_msg=str(axis))
 
 
 def started(sequence: dive.SensorDive) -> tuple[InvariantFilter, Aiding]:
@@ -277,9 +284,11 @@ def started(sequence: dive.SensorDive) -> tuple[InvariantFilter, Aiding]:
     filter.velocity, filter.position = np.array([0.4, -0.2, 0.1]), np.array([1.0, 2.0, -0.3])
     filter.rate = np.array([0.1, -0.05, 0.2])
     aiding = Aiding(aiding_sensors(sequence, AidingSettings()))
+    steps = np.ones((60, 1))
+    aiding.propagate(Segment(np.full(60, 0.01), steps * [0.1, -0.05, 0.2], steps * [0.3, -0.2, 9.9]))
     for kind in ALL:
         aiding.update(filter, sequence._samples[kind][0])
-    filter.extra[:4] = [0.01, 0.02, -0.01, 0.03]
+    filter.extra[:5] = [0.01, 0.02, -0.01, 0.03, 0.2]
     return filter, aiding
 
 

@@ -16,15 +16,18 @@ from oysterbench.sensors.dvl import DvlRecipe
 from oysterbench.sensors.imu import ImuRecipe
 from oysterbench_baselines.common.aiding.dvl import (
     DVL_KEY,
+    Interval,
+    Ping,
     Velocity,
     beam_rows,
     sum_velocities,
     velocity_error,
     velocity_factor,
 )
+from oysterbench_baselines.common.aiding.instants import History
 from oysterbench_baselines.common.aiding.magnetometer import field_error
 from oysterbench_baselines.common.aiding.pressure import DEPTH_KEY, depth_error, depth_factor
-from oysterbench_baselines.common.inertial import SampleBuffer, Segment
+from oysterbench_baselines.common.inertial import SampleBuffer
 from oysterbench_baselines.gtsam_vi.states import State, make_state
 from tests.helpers import sensor_dive as dive
 
@@ -45,22 +48,27 @@ def perfect_dive() -> dive.SensorDive:
     return dive.SensorDive(0, dataclasses.replace(vehicle, sensors=sensors), dive.survey_path(30.0))
 
 
-def interval(sequence: dive.SensorDive, seconds: float) -> tuple[list[Any], State]:
-    """Parts of an interval from BEGIN_S on, cut at the DVL's samples, and the true state at its beginning."""
+def interval(
+    sequence: dive.SensorDive, seconds: float, first_s: float = 0.05, latency_s: float = 0.0
+) -> tuple[Interval, State]:
+    """The pings from first_s after BEGIN_S on, taken to be so late, and the true state at BEGIN_S."""
     begin = dive.START_NS + round(BEGIN_S * 1e9)
-    samples, parts = SampleBuffer(), []
-    for item in sequence.stream("dvl", start_ns=begin, end_ns=begin + round(seconds * 1e9) + 1):
+    samples, history, pings = SampleBuffer(), History(0.6), []
+    for item in sequence.stream("dvl", start_ns=begin - 10**9, end_ns=begin + round(seconds * 1e9) + 1):
+        time = (item.stamp_ns - begin) * 1e-9
         if not hasattr(item, "beam_valid"):
             samples.add(item)
-        elif item.stamp_ns > begin:
-            parts.append((samples.cut(item.stamp_ns), item))
-        else:
-            samples.cut(item.stamp_ns)
+            history.add(samples.cut(item.stamp_ns))
+            if item.stamp_ns == begin:
+                history.mark()
+        elif time >= first_s and (rows := beam_rows(item, 0.001)) is not None:
+            pings.append(Ping(time + latency_s, -latency_s, 0.0, *rows))
     motion = sequence.path.at(np.array([BEGIN_S]))
     T_base_imu = sequence.imu_calibration.T_base_imu
     rotation = motion.rotation[0] @ T_base_imu[:3, :3]
     velocity = motion.velocity[0] + motion.rotation[0] @ np.cross(motion.rate[0], T_base_imu[:3, 3])
-    return parts, make_state(rotation, motion.position[0], velocity, np.zeros(3), np.zeros(3))
+    state = make_state(rotation, motion.position[0], velocity, np.zeros(3), np.zeros(3))
+    return Interval(history.about_mark(), pings), state
 
 
 def summed(seconds: float = 0.4, gyro_bias: Array | None = None) -> tuple[Velocity, State]:
@@ -71,14 +79,14 @@ def summed(seconds: float = 0.4, gyro_bias: Array | None = None) -> tuple[Veloci
     if gyro_bias is not None:
         nav = state.nav
         state = State(nav, gtsam.imuBias.ConstantBias(np.zeros(3), gyro_bias))
-    velocity = sum_velocities(parts, state, GRAVITY, T_imu_dvl, 0.001)
+    velocity = sum_velocities(parts, state, GRAVITY, T_imu_dvl)
     assert velocity is not None
     return velocity, state
 
 
 def test_samples_over_an_interval_say_the_velocity_at_its_beginning():
     velocity, state = summed()
-    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(4))
+    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(5))
     assert error.shape == (3,)
     assert np.abs(error).max() < TOLERANCE  # m/s, at 0.5 m/s
     # Four samples of 1 mm/s per beam; sideways beams see the sine of 22.5 deg.
@@ -91,7 +99,7 @@ def test_samples_over_an_interval_say_the_velocity_at_its_beginning():
 def test_a_changed_gyro_bias_is_made_up_for():
     _, state = summed()
     off, _ = summed(gyro_bias=np.array([2e-3, -1e-3, 3e-3]))
-    at = state.nav.pose(), state.nav.velocity(), gtsam.imuBias.ConstantBias(), np.zeros(4)
+    at = state.nav.pose(), state.nav.velocity(), gtsam.imuBias.ConstantBias(), np.zeros(5)
     error, _ = velocity_error(off, GRAVITY, *at)
     unchanged = dataclasses.replace(off, bias=gtsam.imuBias.ConstantBias())
     assert np.abs(error).max() < TOLERANCE
@@ -101,36 +109,58 @@ def test_a_changed_gyro_bias_is_made_up_for():
 def test_two_beams_still_give_two_rows():
     sequence = perfect_dive()
     parts, state = interval(sequence, 0.1)
-    segment, sample = parts[0]
-    valid = np.array([True, False, True, False])
+    (ping,) = parts.pings
+    kept = [0, 2]
     lame = dataclasses.replace(
-        sample,
-        velocity=np.full(3, np.nan),
-        covariance=np.full((3, 3), np.nan),
-        beam_valid=valid,
-        beam_velocities=np.where(valid, sample.beam_velocities, np.nan),
+        ping, directions=ping.directions[kept], along=ping.along[kept], variances=ping.variances[kept]
     )
     T_imu_dvl = invert(sequence.imu_calibration.T_base_imu) @ sequence.dvl_calibration.T_base_sensor
-    velocity = sum_velocities([(segment, lame)], state, GRAVITY, T_imu_dvl, 0.001)
+    velocity = sum_velocities(dataclasses.replace(parts, pings=[lame]), state, GRAVITY, T_imu_dvl)
     assert velocity is not None
-    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(4))
+    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(5))
     assert error.shape == (2,)
     assert np.abs(error).max() < TOLERANCE
 
 
 def test_without_a_lock_there_is_no_factor():
     sequence = perfect_dive()
-    parts, state = interval(sequence, 0.1)
     deaf = dataclasses.replace(
-        parts[0][1],
+        next(sequence.dvl()),
         velocity=np.full(3, np.nan),
         covariance=np.full((3, 3), np.nan),
-        beam_valid=np.zeros(4, dtype=bool),
         beam_velocities=np.full(4, np.nan),
+        beam_valid=np.zeros(4, dtype=bool),
     )
     assert beam_rows(deaf, 0.001) is None
-    assert sum_velocities([(parts[0][0], deaf)], state, GRAVITY, np.eye(4), 0.001) is None
-    assert sum_velocities([(Segment.join([]), None)], state, GRAVITY, np.eye(4), 0.001) is None
+    parts, state = interval(sequence, 0.1)
+    assert sum_velocities(dataclasses.replace(parts, pings=[]), state, GRAVITY, np.eye(4)) is None
+
+
+def test_a_ping_from_before_the_key_frame_says_the_velocity_at_it():
+    sequence = perfect_dive()
+    parts, state = interval(sequence, 0.0, first_s=-0.31)
+    assert [round(ping.time_s, 3) for ping in parts.pings] == [-0.3, -0.2, -0.1, 0.0]
+    early = dataclasses.replace(parts, pings=parts.pings[:2])
+    assert sequence.dvl_calibration is not None
+    T_imu_dvl = invert(sequence.imu_calibration.T_base_imu) @ sequence.dvl_calibration.T_base_sensor
+    velocity = sum_velocities(early, state, GRAVITY, T_imu_dvl)
+    assert velocity is not None
+    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(5))
+    assert np.abs(error).max() < TOLERANCE
+
+
+def test_the_latency_of_a_dvl_shifts_what_it_sees():
+    """Pings taken to be 20 ms older than they are, beside a latency that says so."""
+    sequence = perfect_dive()
+    T_imu_dvl = invert(sequence.imu_calibration.T_base_imu) @ sequence.dvl_calibration.T_base_sensor
+    late, state = interval(sequence, 0.4, latency_s=-0.02)
+    velocity = sum_velocities(late, state, GRAVITY, T_imu_dvl)
+    assert velocity is not None
+    at = state.nav.pose(), state.nav.velocity(), state.bias
+    known, _ = velocity_error(velocity, GRAVITY, *at, np.zeros(5))
+    unknown, _ = velocity_error(velocity, GRAVITY, *at, np.array([0.0, 0.0, 0.0, 0.0, 0.02]))
+    assert np.abs(known).max() < TOLERANCE
+    assert np.abs(unknown).max() > 4 * TOLERANCE
 
 
 def numerical(error, values: list[Any], sizes: list[int], step: float = 1e-6) -> list[Array]:
@@ -160,9 +190,9 @@ def test_the_velocity_factors_derivatives_are_those_of_its_error():
     velocity, state = summed()
     pose = state.nav.pose().retract(np.array([0.1, -0.2, 0.3, 1.0, 2.0, 3.0]))
     bias = gtsam.imuBias.ConstantBias(np.array([0.1, -0.05, 0.02]), np.array([0.01, 0.02, -0.01]))
-    at = [pose, np.array([0.4, -0.2, 0.1]), bias, np.array([0.01, 0.02, -0.01, 0.03])]
+    at = [pose, np.array([0.4, -0.2, 0.1]), bias, np.array([0.01, 0.02, -0.01, 0.03, 0.05])]
     _, slopes = velocity_error(velocity, GRAVITY, *at)
-    wanted = numerical(lambda *v: velocity_error(velocity, GRAVITY, *v), at, [6, 3, 6, 4])
+    wanted = numerical(lambda *v: velocity_error(velocity, GRAVITY, *v), at, [6, 3, 6, 5])
     for slope, other in zip(slopes, wanted, strict=True):
         np.testing.assert_allclose(slope, other, atol=1e-7)
 
@@ -180,10 +210,10 @@ def test_the_calibration_of_a_dvl_multiplies_what_it_sees():
     sequence.change("dvl", twisted)
     parts, _ = interval(sequence, 0.4)
     T_imu_dvl = invert(sequence.imu_calibration.T_base_imu) @ sequence.dvl_calibration.T_base_sensor
-    velocity = sum_velocities(parts, state, GRAVITY, T_imu_dvl, 0.001)
+    velocity = sum_velocities(parts, state, GRAVITY, T_imu_dvl)
     at = state.nav.pose(), state.nav.velocity(), state.bias
-    known, _ = velocity_error(velocity, GRAVITY, *at, np.concatenate([[scale], twist]))
-    unknown, _ = velocity_error(velocity, GRAVITY, *at, np.zeros(4))
+    known, _ = velocity_error(velocity, GRAVITY, *at, np.concatenate([[scale], twist, [0.0]]))
+    unknown, _ = velocity_error(velocity, GRAVITY, *at, np.zeros(5))
     assert np.abs(known).max() < TOLERANCE
     assert np.abs(unknown).max() > 1e-3
 
@@ -236,7 +266,7 @@ def test_the_velocity_factor_gives_the_solver_the_same_error():
     values.insert(X(3), state.nav.pose())
     values.insert(V(3), state.nav.velocity() + np.array([0.01, 0.0, 0.0]))
     values.insert(B(3), state.bias)
-    values.insert(DVL_KEY, np.zeros(4))
+    values.insert(DVL_KEY, np.zeros(5))
     factor = velocity_factor(velocity, 3, GRAVITY, 1e6)
-    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), values.atVector(V(3)), state.bias, np.zeros(4))
+    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), values.atVector(V(3)), state.bias, np.zeros(5))
     assert factor.error(values) == pytest.approx(0.5 * np.sum((error / velocity.sigmas) ** 2), rel=1e-6)

@@ -47,13 +47,14 @@ def aiding_sensors(sequence: Sequence, settings: AidingSettings, kinds: Collecti
     dvl, pressure, compass = (getattr(sequence, f"{kind}_calibration") if kind in kinds else None for kind in KINDS)
     sensors = list[AidingSensor]()
     if dvl is not None:
-        sensors.append(Dvl(T_imu_base @ dvl.T_base_sensor, gravity, settings.dvl, settings.gate))
+        mount = T_imu_base @ dvl.T_base_sensor
+        sensors.append(Dvl(mount, gravity, settings.dvl, settings.gate, sequence.uncertainty))
     if pressure is not None:
         mount = T_imu_base @ pressure.T_base_sensor
         sensors.append(Pressure(mount, gravity, pressure, settings.pressure, settings.gate))
     if compass is not None:
         mount = T_imu_base @ compass.T_base_sensor
-        sensors.append(Magnetometer(mount[:3, :3], settings.magnetometer, settings.gate))
+        sensors.append(Magnetometer(mount[:3, :3], compass, settings.magnetometer, settings.gate, sequence.uncertainty))
     return sensors
 
 
@@ -67,6 +68,10 @@ class Aiding:
     def refused(self) -> dict[str, int]:
         """Samples refused, in part or as a whole, by kind."""
         return {kind: self.sensors[kind].refused if kind in self.sensors else 0 for kind in KINDS}
+
+    def found(self, filter: InvariantFilter) -> dict[str, float]:
+        """What is known of the sensors by now, for the record."""
+        return {name: value for sensor in self.sensors.values() for name, value in sensor.found(filter).items()}
 
     @property
     def knows_velocity(self) -> bool:

@@ -1,20 +1,33 @@
-"""Doppler velocity log: along beam b it sees b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r).
+"""Doppler velocity log: along beam b it sees b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r) of when it pinged.
 
-Scale s and misalignment m of its axes are its calibration, (4,); r is its place in the IMU's frame, w the angular rate.
+Scale s, misalignment m of its axes and latency l of its messages are its calibration, (5,); r is its place in the IMU's
+frame, w the angular rate. A ping was l before its message, less what this one was later than others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import DvlMeasurement
-from oysterbench_baselines.common.aiding.sensor import AidingSensor, Calibration, GateSettings, python_factor, symbol
+from oysterbench.sensors.uncertainty import Uncertainty, axes
+from oysterbench_baselines.common.aiding.instants import History, Instants, Record, instants
+from oysterbench_baselines.common.aiding.ping_clock import PingClock, PingClockSettings
+from oysterbench_baselines.common.aiding.sensor import (
+    AidingSensor,
+    Calibration,
+    GateSettings,
+    python_factor,
+    stated_sigmas,
+    symbol,
+)
 from oysterbench_baselines.common.filter import (
+    ACCEL_BIAS,
+    ATTITUDE,
     CORE,
     GYRO_BIAS,
     VELOCITY,
@@ -23,7 +36,7 @@ from oysterbench_baselines.common.filter import (
     left_jacobian,
     rotation_exp,
 )
-from oysterbench_baselines.common.inertial import Segment, integrate
+from oysterbench_baselines.common.inertial import Segment
 
 if TYPE_CHECKING:
     import gtsam
@@ -33,16 +46,51 @@ if TYPE_CHECKING:
 DVL_KEY = symbol("d")
 WEAK = 1e-6  # share of the strongest direction's information below which beams say nothing about a direction
 BIAS_STEP = 1e-5  # rad/s, of the difference quotient
+LATENCY_STEP_S = 0.025  # of the same: long against a thruster's turn, which shakes more than the vehicle speeds up
+REACH_S = 0.6  # that a message may be late
 
 
 @dataclass(frozen=True)
 class DvlSettings:
-    """What the samples do not say of a DVL."""
+    """What the samples do not say of a DVL. Scale and misalignment err by these beside what a calibration states."""
 
-    scale_sigma: float = 0.003  # of 1: a DVL of the A50 class is sold as good to 1 %, the better model to 0.1 %
-    misalignment_sigma_deg: float = 0.5  # per axis: what a mount is made and measured to
+    scale_sigma: float = 0.01  # of 1: a DVL of the A50 class is sold as good to 1 %, the better model to 0.1 %
+    misalignment_sigma_deg: float = 0.5  # per axis: what a mount is made to
+    latency_s: float = 0.1  # of messages behind their pings: 50 to 200 ms, or none where stamps are the log's own
+    latency_sigma_s: float = 0.1
+    latency_walk_s: float = 1e-3  # s/sqrt(s)
     noise_floor: float = 0.001  # m/s, 1 sigma of a beam, whatever the sample says
+    noise: float = 0.005  # m/s, likewise, where no sample has said anything
     huber: float = 3.0  # sigmas; beyond, a residual in the graph counts linearly
+    clock: PingClockSettings = field(default_factory=PingClockSettings)
+
+    @property
+    def sigmas(self) -> Array:
+        """(5,) of scale, misalignment (rad) and latency (s)."""
+        twist = np.radians(self.misalignment_sigma_deg)
+        return np.array([self.scale_sigma, twist, twist, twist, self.latency_sigma_s])
+
+
+@dataclass(frozen=True)
+class Ping:
+    """What the beams said, and when: time_s after a state of the vehicle, below zero before it, if messages are
+    `latency_s` late, with jitter_s, 1 sigma, beside that. directions (K, 3), along (K,) m/s, variances (K,): see
+    `beam_rows`."""
+
+    time_s: float
+    latency_s: float
+    jitter_s: float
+    directions: Array
+    along: Array
+    variances: Array
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Pings of the time between two key frames, and the inertial measurements about the first of them."""
+
+    record: Record
+    pings: list[Ping]
 
 
 class Dvl(AidingSensor):
@@ -51,19 +99,28 @@ class Dvl(AidingSensor):
     kind = "dvl"
     measures = (DvlMeasurement,)
     suspect = VELOCITY
-    unit = np.ones(4)
+    unit = np.ones(5)
 
-    def __init__(self, T_imu_dvl: Array, gravity: float, settings: DvlSettings, gate: GateSettings) -> None:
+    def __init__(
+        self,
+        T_imu_dvl: Array,
+        gravity: float,
+        settings: DvlSettings,
+        gate: GateSettings,
+        uncertainty: Uncertainty | None = None,
+    ) -> None:
+        """uncertainty: as the calibration states it, of a whole rig."""
         super().__init__(gate)
+        stated = stated_sigmas(uncertainty, "dvl", ("scale", *axes("rotation", "rad")))
+        self._sigmas = np.hypot(settings.sigmas, np.append(stated, 0.0))
         self.T_imu_dvl, self.gravity, self.settings = T_imu_dvl, gravity, settings
         self.velocity_ns: int | None = None
-        twist = np.radians(settings.misalignment_sigma_deg)
-        self._sigmas = np.array([settings.scale_sigma, twist, twist, twist])
-        self._beam_variance = 0.0
-        self._parts: list[tuple[Segment, DvlMeasurement | None]] = []  # since the last key frame
-        self._intervals: dict[
-            int, list[tuple[Segment, DvlMeasurement | None]]
-        ] = {}  # by the key frame that they lead to
+        self._clock = PingClock(settings.clock)
+        self._history = History(REACH_S)
+        self._last_ns: int | None = None
+        self._beam_variance = settings.noise**2
+        self._pings: list[Ping] = []  # since the last key frame
+        self._intervals: dict[int, Interval] = {}  # by the key frame that they lead to
 
     def update(self, filter: InvariantFilter, sample: DvlMeasurement) -> bool:
         """By its beams. Linear in v, but not in v and the calibration together: the slopes by the calibration are taken
@@ -71,6 +128,7 @@ class Dvl(AidingSensor):
         a long silence wrong, the sample would say nothing of the misalignment, the next one would, and from the two of
         them the filter would believe to know it.
         """
+        late_s, jitter_s = self._clock.late(sample.stamp_ns)
         beams = beam_rows(sample, self.settings.noise_floor)
         if beams is None:
             return False
@@ -79,46 +137,91 @@ class Dvl(AidingSensor):
             self._beam_variance = float(variances.max())
         variances = np.maximum(variances, self._beam_variance)
         if self.rows is None:
-            self.rows = filter.append(np.zeros(4), self._sigmas)
+            mean = np.array([0.0, 0.0, 0.0, 0.0, self.settings.latency_s])
+            self.rows = filter.append(mean, self._sigmas)
         at = self.rows
         calibration = filter.extra[at.start - CORE : at.stop - CORE]
-        rotation, lever = self.T_imu_dvl[:3, :3], self.T_imu_dvl[:3, 3]
-        turn = (1.0 + calibration[0]) * rotation_exp(-calibration[1:])
-        by_velocity = turn @ rotation.T @ filter.rotation.T
-        seen = by_velocity @ filter.velocity + turn @ rotation.T @ np.cross(filter.rate, lever)
-        residual = along - directions @ seen
-        rows = directions @ by_velocity
-        gain = filter.covariance[VELOCITY, VELOCITY] @ rows.T
-        change = gain @ np.linalg.solve(rows @ gain + np.diag(variances), residual)
-        then = seen + by_velocity @ change
-        slope = np.zeros((3, len(filter.covariance)))
-        slope[:, VELOCITY] = by_velocity
-        slope[:, GYRO_BIAS] = turn @ rotation.T @ cross(lever)
-        slope[:, at.start] = then / (1.0 + calibration[0])
-        slope[:, at.start + 1 : at.stop] = cross(then) @ left_jacobian(-calibration[1:])
-        believed = self.correct(filter, residual, directions @ slope, variances)
+        self._walk(filter, at.stop - 1, sample.stamp_ns)
+        latency_s = max(float(calibration[4]), -late_s)  # none is heard before it was sent
+        ping = Ping(-late_s - latency_s, latency_s, jitter_s, directions, along, variances)
+        record = self._history.about_end()
+        if LATENCY_STEP_S - ping.time_s > record.before_s:
+            return False  # from before the first inertial measurements
+        residual, slope, noise = predict(ping, record, filter, at, self.T_imu_dvl)
+        believed = self.correct(filter, residual, slope, noise)
         if believed:
             self.velocity_ns = sample.stamp_ns
-            if self._parts:
-                self._parts[-1] = (self._parts[-1][0], sample)
+            self._pings.append(replace(ping, time_s=ping.time_s + self._history.since_s))
         return believed
 
+    def _walk(self, filter: InvariantFilter, row: int, stamp_ns: int) -> None:
+        """The latency wanders, and what the clock does not know of it with it."""
+        elapsed = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
+        filter.covariance[row, row] += elapsed * self.settings.latency_walk_s**2
+        self._last_ns = stamp_ns
+
+    def found(self, filter: InvariantFilter) -> dict[str, float]:
+        if self.rows is None:
+            return {}
+        calibration = filter.extra[self.rows.start - CORE : self.rows.stop - CORE]
+        return {"dvl_scale": 1.0 + float(calibration[0]), "dvl_latency_s": float(calibration[4])}
+
     def propagate(self, segment: Segment) -> None:
-        self._parts.append((segment, None))
+        self._history.add(segment)
 
     def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
-        self._intervals[keyframe], self._parts = self._parts, []
+        self._intervals[keyframe], self._pings = Interval(self._history.about_mark(), self._pings), []
+        self._history.mark()
 
     def forget_intervals(self) -> None:
         self._intervals.clear()
 
     def calibration(self) -> Calibration:
-        return Calibration(DVL_KEY, np.zeros(4), self._sigmas)
+        return Calibration(DVL_KEY, np.array([0.0, 0.0, 0.0, 0.0, self.settings.latency_s]), self._sigmas)
 
     def factors(self, keyframe: int, before: State) -> list[gtsam.NonlinearFactor]:
-        floor = self.settings.noise_floor
-        velocity = sum_velocities(self._intervals[keyframe], before, self.gravity, self.T_imu_dvl, floor)
+        velocity = sum_velocities(self._intervals[keyframe], before, self.gravity, self.T_imu_dvl)
         return [] if velocity is None else [velocity_factor(velocity, keyframe - 1, self.gravity, self.settings.huber)]
+
+
+def predict(
+    ping: Ping, record: Record, filter: InvariantFilter, at: slice, T_imu_dvl: Array
+) -> tuple[Array, Array, Array]:
+    """Measured minus predicted (K,) of the beams of a ping, its derivative (K, 15 + M) by the filter's error, and the
+    noise (K, K). at: rows of the log's calibration."""
+    calibration = filter.extra[at.start - CORE : at.stop - CORE]
+    rotation, lever = T_imu_dvl[:3, :3], T_imu_dvl[:3, 3]
+    turn = (1.0 + calibration[0]) * rotation_exp(-calibration[1:4]) @ rotation.T
+    to_body = filter.rotation.T
+    start, down = to_body @ filter.velocity, to_body @ filter.down
+    times = ping.time_s + LATENCY_STEP_S * np.array([0.0, -1.0, 1.0])
+
+    def moving(gyro_bias: Array) -> tuple[Array, Instants]:
+        """(3, 3) m/s: velocities of the log at the ping, and a step before and after it, in the IMU's frame."""
+        found = instants(record, times, gyro_bias, filter.accel_bias)
+        return found.velocities(start, down) + np.cross(found.rate, lever), found
+
+    (now, before, after), then = moving(filter.gyro_bias)
+    back = turn @ then.rotation[0].T
+    slope = np.zeros((3, len(filter.covariance)))
+    slope[:, VELOCITY] = back @ to_body
+    slope[:, ATTITUDE] = then.time[0] * back @ to_body @ cross(filter.down)
+    slope[:, ACCEL_BIAS] = back @ then.accel[0]
+    for axis in range(3):
+        moved = moving(filter.gyro_bias + BIAS_STEP * np.eye(3)[axis])[0][0]
+        slope[:, GYRO_BIAS.start + axis] = turn @ (moved - now) / BIAS_STEP
+    by_velocity = ping.directions @ slope[:, VELOCITY]
+    residual = ping.along - ping.directions @ turn @ now
+    gain = filter.covariance[VELOCITY, VELOCITY] @ by_velocity.T
+    change = gain @ np.linalg.solve(by_velocity @ gain + np.diag(ping.variances), residual)
+    seen = turn @ now + slope[:, VELOCITY] @ change
+    slope[:, at.start] = seen / (1.0 + calibration[0])
+    slope[:, at.start + 1 : at.start + 4] = cross(seen) @ left_jacobian(-calibration[1:4])
+    slope[:, at.start + 4] = turn @ (before - after) / (then.time[2] - then.time[1])
+    by_time = ping.directions @ slope[:, at.start + 4]
+    residual = residual - (calibration[4] - ping.latency_s) * by_time
+    by_time = ping.jitter_s * by_time
+    return residual, ping.directions @ slope, np.diag(ping.variances) + np.outer(by_time, by_time)
 
 
 def beam_rows(sample: DvlMeasurement, floor: float) -> tuple[Array, Array, Array] | None:
@@ -150,7 +253,7 @@ class Velocity:
     axes (u + down R^T g + accel a + gyro b + calibration c - measured) is white with `sigmas`.
 
     axes (K, 3) unit rows, K <= 3; sigmas (K,) m/s; down (3, 3) s: the samples' mean time after the key frame, and how
-    the turns in between mix the axes; accel, gyro (3, 3), calibration (3, 4); measured (3,); bias: of the IMU, about
+    the turns in between mix the axes; accel, gyro (3, 3), calibration (3, 5); measured (3,); bias: of the IMU, about
     which it was linearised.
     """
 
@@ -164,73 +267,68 @@ class Velocity:
     bias: gtsam.imuBias.ConstantBias
 
 
-def sum_velocities(
-    parts: list[tuple[Segment, DvlMeasurement | None]], state: State, gravity: float, T_imu_dvl: Array, floor: float
-) -> Velocity | None:
-    """All samples of an interval, propagated to its beginning by the inertial measurements, as one; None without any.
+def sum_velocities(interval: Interval, state: State, gravity: float, T_imu_dvl: Array) -> Velocity | None:
+    """All pings of an interval, carried to its beginning by the inertial measurements, as one; None without any.
 
-    parts: the interval's inertial measurements, cut at the samples; state: at its beginning, roughly.
-    A beam d of the DVL at time t sees d . (1 + s) Exp(-m) R_dvl_imu (dR^T (u + t R^T g + dv) + w x r), with dR, dv the
-    preintegrated rotation and velocity (Forster et al. 2017, eq. 33). The rows of all beams are linear in u: their
-    least-squares solution for it is the measurement, and keeps how it depends on the rest.
+    state: at its beginning, roughly. A beam d of the DVL at time t sees
+    d . (1 + s) Exp(-m) R_dvl_imu (dR^T (u + t R^T g + dv) + w x r), with dR, dv the preintegrated rotation and velocity
+    (Forster et al. 2017, eq. 33). The rows of all beams are linear in u: their least-squares solution for it is the
+    measurement, and keeps how it depends on the rest.
     """
-    segments = [segment for segment, _ in parts]
-    heard = [(k + 1, beam_rows(sample, floor)) for k, (_, sample) in enumerate(parts) if sample is not None]
-    usable = [(k, rows) for k, rows in heard if rows is not None and len(segments[k - 1].dt)]
-    if not usable:
+    if not interval.pings:
         return None
     to_dvl, lever = T_imu_dvl[:3, :3].T, T_imu_dvl[:3, 3]
-    bias = state.bias
-    down = state.nav.attitude().matrix().T @ np.array([0.0, 0.0, -gravity])
-    start = state.nav.attitude().matrix().T @ state.nav.velocity()
+    bias, pings = state.bias, interval.pings
+    to_body = state.nav.attitude().matrix().T
+    start, down = to_body @ state.nav.velocity(), to_body @ np.array([0.0, 0.0, -gravity])
+    n = len(pings)
+    at = np.array([ping.time_s for ping in pings])
+    times = np.concatenate([at, at - LATENCY_STEP_S, at + LATENCY_STEP_S])
+    directions = np.concatenate([ping.directions for ping in pings]) @ to_dvl
+    of = np.repeat(np.arange(n), [len(ping.directions) for ping in pings])  # by row, its ping
 
-    def slopes_at(gyro_bias: Array) -> tuple[Array, Array, Array, Array]:
-        """Slopes (M, 3) of all beams by u, by time R^T g (M, 3) and accelerometer bias (M, 3), and constants (M,)."""
-        integral = integrate(segments, gyro_bias)
-        slopes, down_slopes, accel_slopes, constants = [], [], [], []
-        for k, (directions, _, _) in usable:
-            slope = directions @ to_dvl @ integral.rotation[k].T
-            rate = segments[k - 1].gyro[-1] - gyro_bias
-            gained = integral.velocity[k] - integral.velocity_rate[k] @ bias.accelerometer()
-            slopes.append(slope)
-            down_slopes.append(slope * integral.time[k])
-            accel_slopes.append(-slope @ integral.velocity_rate[k])
-            constants.append(slope @ gained + directions @ to_dvl @ np.cross(rate, lever))
-        by_u, by_down, by_accel, constant = map(np.concatenate, (slopes, down_slopes, accel_slopes, constants))
-        return by_u, by_down, by_accel, constant
+    def moving(gyro_bias: Array) -> tuple[Array, Instants]:
+        """(3 n, 3) m/s: velocities of the log at the pings, and a step before and after them, in the IMU's frame."""
+        found = instants(interval.record, times, gyro_bias, bias.accelerometer())
+        return found.velocities(start, down) + np.cross(found.rate, lever), found
 
-    slope, down_slope, accel_slope, constant = slopes_at(bias.gyroscope())
-    along = np.concatenate([rows[1] for _, rows in usable])
-    weight = 1.0 / np.concatenate([rows[2] for _, rows in usable])
+    seen, then = moving(bias.gyroscope())
+    slope = np.einsum("kj,klj->kl", directions, then.rotation[of])
+    along = np.einsum("kj,kj->k", directions, seen[of])
+    gyro_slope = np.empty((len(of), 3))
+    for axis in range(3):
+        moved, _ = moving(bias.gyroscope() + BIAS_STEP * np.eye(3)[axis])
+        gyro_slope[:, axis] = np.einsum("kj,kj->k", directions, moved[of] - seen[of]) / BIAS_STEP
+    # The velocity in the DVL's frame, by which its calibration multiplies; and what it changes by with the latency.
+    before, after = seen[n : 2 * n], seen[2 * n :]
+    by_time = (before - after) / (then.time[2 * n :] - then.time[n : 2 * n])[:, None]
+    in_dvl = seen[:n] @ to_dvl.T
+    calibration_slope = np.column_stack(
+        [
+            np.einsum("kj,kj->k", directions, seen[of]),
+            np.cross(np.concatenate([ping.directions for ping in pings]), in_dvl[of]),
+            np.einsum("kj,kj->k", directions, by_time[of]),
+        ]
+    )
+    latency = np.array([ping.latency_s for ping in pings])[of]
+    jitter = np.array([ping.jitter_s for ping in pings])[of] * calibration_slope[:, 4]
+    weight = 1.0 / (np.concatenate([ping.variances for ping in pings]) + jitter**2)
     if not np.isfinite(weight).all():
         return None
-    seen = slope @ start + down_slope @ down + constant
-    gyro_slope = np.empty((len(seen), 3))
-    for axis in range(3):
-        moved = slopes_at(bias.gyroscope() + BIAS_STEP * np.eye(3)[axis])
-        gyro_slope[:, axis] = (moved[0] @ start + moved[1] @ down + moved[3] - seen) / BIAS_STEP
-    # The velocity in the DVL's frame, by which its calibration multiplies.
-    calibration_slope = []
-    for k, (directions, _, _) in usable:
-        integral = integrate(segments[:k], bias.gyroscope())
-        gained = integral.velocity[-1] - integral.velocity_rate[-1] @ bias.accelerometer()
-        rate = segments[k - 1].gyro[-1] - bias.gyroscope()
-        moving = integral.rotation[-1].T @ (start + integral.time[-1] * down + gained) + np.cross(rate, lever)
-        moving = to_dvl @ moving
-        calibration_slope.append(directions @ np.column_stack([moving, cross(moving)]))
     information = slope.T @ (weight[:, None] * slope)
     values, vectors = np.linalg.eigh(information)
     known = values > WEAK * values[-1]
-    axes = vectors[:, known].T
-    solve = (vectors[:, known] / values[known]) @ axes @ slope.T * weight  # (3, M): the least-squares solution
+    seen_axes = vectors[:, known].T
+    solve = (vectors[:, known] / values[known]) @ seen_axes @ slope.T * weight  # (3, M): the least-squares solution
+    measured = np.concatenate([ping.along for ping in pings]) + calibration_slope[:, 4] * latency
     return Velocity(
-        axes,
+        seen_axes,
         1.0 / np.sqrt(values[known]),
-        solve @ down_slope,
-        solve @ accel_slope,
+        solve @ (slope * then.time[of][:, None]),
+        solve @ np.einsum("kj,kjl->kl", slope, then.accel[of]),
         solve @ gyro_slope,
-        solve @ np.concatenate(calibration_slope),
-        solve @ (along - constant),
+        solve @ calibration_slope,
+        solve @ (measured - along + slope @ start + then.time[of] * (slope @ down)),
         bias,
     )
 
@@ -243,7 +341,7 @@ def velocity_error(
     bias: gtsam.imuBias.ConstantBias,
     calibration: Array,
 ) -> tuple[Array, list[Array]]:
-    """Error (K,) of a `Velocity`; its derivatives by pose (K, 6), velocity (K, 3), bias (K, 6), calibration (K, 4)."""
+    """Error (K,) of a `Velocity`; its derivatives by pose (K, 6), velocity (K, 3), bias (K, 6), calibration (K, 5)."""
     to_body = pose.rotation().matrix().T
     start, down = to_body @ v, to_body @ np.array([0.0, 0.0, -gravity])
     accel = bias.accelerometer() - velocity.bias.accelerometer()

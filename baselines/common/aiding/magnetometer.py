@@ -1,6 +1,7 @@
-"""Magnetometer: A R_mag_imu R^T f + h, the Earth's field f in odom, hard iron h and soft iron A, all of them unknown.
+"""Magnetometer: A R_mag_imu R^T f + h, the Earth's field f in odom, hard iron h and soft iron A.
 
-With f free, one attitude says nothing; yaw is held by how the field turns against the vehicle.
+With f free, one attitude says nothing; yaw is held by how the field turns against the vehicle. Motors add a field that
+comes and goes with their current: its mean is hard iron, the rest is noise, alike over seconds.
 """
 
 from __future__ import annotations
@@ -13,7 +14,16 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import MagneticMeasurement
-from oysterbench_baselines.common.aiding.sensor import AidingSensor, Calibration, GateSettings, python_factor, symbol
+from oysterbench.sensors.magnetometer import HARD_IRON, SOFT_IRON, MagnetometerCalibration
+from oysterbench.sensors.uncertainty import Uncertainty, axes
+from oysterbench_baselines.common.aiding.sensor import (
+    AidingSensor,
+    Calibration,
+    GateSettings,
+    python_factor,
+    stated_sigmas,
+    symbol,
+)
 from oysterbench_baselines.common.filter import ATTITUDE, CORE, InvariantFilter, cross
 
 if TYPE_CHECKING:
@@ -32,9 +42,13 @@ class MagnetometerSettings:
     """What the samples do not say of iron and fields, and which of them count for key frames."""
 
     field_sigma: float = 15e-6  # T, per axis, of the first field reading as the Earth's: what hard iron hides
-    hard_iron_sigma: float = 10e-6  # T, per axis
-    soft_iron_sigma: float = 0.03  # of each element, about the identity
-    sigma: float = 0.3e-6  # T: motors and currents, beside the sensor's own noise
+    hard_iron_sigma: float = 10e-6  # T, per axis, of a vehicle that was not swung
+    soft_iron_sigma: float = 0.03  # of each element, about the identity, likewise
+    mean_motor_sigma: float = 1e-6  # T, per axis: of motors, since it was swung
+    sigma: float = 0.3e-6  # T: what else there is beside the sensor's own noise
+    motor_sigma: float = 0.15e-6  # T, per axis, of what motors come and go by, before it has been seen
+    motor_memory_s: float = 20.0  # over which it is seen
+    motor_tau_s: float = 3.0  # readings closer than this err alike: as long as a correction, or a wave
     interval_s: float = 0.1  # readings in between say nothing new: iron, not noise, limits the compass
     max_delay_s: float = 0.06  # a reading older than this does not count for a key frame
     keyframes: int = 1  # from one reading that counts to the next; 3 saves an eighth of the time, and heading
@@ -49,33 +63,43 @@ class Magnetometer(AidingSensor):
     suspect = ATTITUDE
     unit = np.r_[[FIELD_UNIT] * 6, np.ones(9)]
 
-    def __init__(self, R_imu_compass: Array, settings: MagnetometerSettings, gate: GateSettings) -> None:
+    def __init__(
+        self,
+        R_imu_compass: Array,
+        calibration: MagnetometerCalibration,
+        settings: MagnetometerSettings,
+        gate: GateSettings,
+        uncertainty: Uncertainty | None = None,
+    ) -> None:
+        """uncertainty: as the calibration states it, of a whole rig."""
         super().__init__(gate)
         self.R_compass_imu, self.settings = R_imu_compass.T, settings
+        self._hard, self._soft, self._sigmas = known_iron(calibration, settings, uncertainty)
+        self._motors = np.full(3, settings.motor_sigma**2)  # T^2, variances of their field, by axis
         self._last_ns: int | None = None
         self._believed: MagneticMeasurement | None = None
-        self._fields: dict[int, tuple[Array, float]] = {}  # at a key frame, and 1 sigma, FIELD_UNIT
+        self._fields: dict[int, tuple[Array, Array]] = {}  # at a key frame, and 1 sigma by axis, FIELD_UNIT
         self._first_field: Array | None = None
         self.earth: Array | None = None
 
     def update(self, filter: InvariantFilter, sample: MagneticMeasurement) -> bool:
-        settings = self.settings
-        if self._last_ns is not None and sample.stamp_ns - self._last_ns < settings.interval_s * 1e9:
+        elapsed = self.settings.interval_s if self._last_ns is None else (sample.stamp_ns - self._last_ns) * 1e-9
+        if elapsed < self.settings.interval_s:
             believed = self._refused_in_a_row == 0
         else:
             self._last_ns = sample.stamp_ns
-            believed = self._update(filter, sample)
+            believed = self._update(filter, sample, elapsed)
         if believed:
             self._believed = sample
         return believed
 
-    def _update(self, filter: InvariantFilter, sample: MagneticMeasurement) -> bool:
-        settings = self.settings
+    def _update(self, filter: InvariantFilter, sample: MagneticMeasurement, elapsed: float) -> bool:
+        """How much motors bend the field is told by how far readings are off beyond what the filter expects (Mehra
+        1970, IEEE TAC 15(2), on noise told from innovations)."""
         to_sensor = self.R_compass_imu @ filter.rotation.T
         if self.rows is None:
-            mean = np.concatenate([to_sensor.T @ sample.field, np.zeros(3), np.eye(3).ravel()])
-            sigmas = [settings.field_sigma] * 3 + [settings.hard_iron_sigma] * 3 + [settings.soft_iron_sigma] * 9
-            self.rows = filter.append(mean, np.array(sigmas))
+            mean = np.concatenate([to_sensor.T @ self._outside(sample.field), self._hard, self._soft.ravel()])
+            self.rows = filter.append(mean, self._sigmas)
         at = self.rows
         field, hard, soft = np.split(filter.extra[at.start - CORE : at.stop - CORE], [3, 6])
         soft = soft.reshape(3, 3)
@@ -85,8 +109,26 @@ class Magnetometer(AidingSensor):
         slope[:, at.start : at.start + 3] = soft @ to_sensor
         slope[:, at.start + 3 : at.start + 6] = np.eye(3)
         slope[:, at.start + 6 : at.stop] = np.kron(np.eye(3), local)
-        variance = np.full(3, sample.variance + settings.sigma**2)
-        return self.correct(filter, sample.field - soft @ local - hard, slope, variance)
+        residual = sample.field - soft @ local - hard
+        expected = np.einsum("ki,ij,kj->k", slope, filter.covariance, slope) + self._own(sample)
+        believed = self.correct(filter, residual, slope, np.diag(self.variances(sample, elapsed)))
+        if believed:
+            share = min(elapsed / self.settings.motor_memory_s, 1.0)
+            self._motors += share * (np.maximum(residual**2 - expected, 0.0) - self._motors)
+        return believed
+
+    def _outside(self, field: Array) -> Array:
+        """(3,) T: what the field would be without the vehicle's iron, in the sensor's frame."""
+        return np.asarray(np.linalg.solve(self._soft, field - self._hard))
+
+    def _own(self, sample: MagneticMeasurement) -> float:
+        return float(sample.variance) + self.settings.sigma**2
+
+    def variances(self, sample: MagneticMeasurement, interval_s: float) -> Array:
+        """Variances (3,) T^2 of readings so far apart: motors bend alike those that follow each other, which as white
+        noise must count for less."""
+        alike = max(1.0, self.settings.motor_tau_s / max(interval_s, 1e-3))
+        return self._own(sample) + self._motors * alike
 
     def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
         """The field, if it was read a moment ago; less certain as the vehicle turns."""
@@ -95,10 +137,10 @@ class Magnetometer(AidingSensor):
             return
         if self._fields and keyframe < next(reversed(self._fields)) + settings.keyframes:
             return
-        field = sample.field / FIELD_UNIT
         turned = np.linalg.norm(filter.rate) * (stamp_ns - sample.stamp_ns) * 1e-9
-        own = (sample.variance + settings.sigma**2) / FIELD_UNIT**2
-        self._fields[keyframe] = field, float(np.sqrt(own + (turned * np.linalg.norm(field)) ** 2))
+        variances = self.variances(sample, interval_s) + (turned * np.linalg.norm(sample.field)) ** 2
+        field = sample.field / FIELD_UNIT
+        self._fields[keyframe] = field, np.sqrt(variances) / FIELD_UNIT
         if self._first_field is None:
             self._first_field = field
 
@@ -106,23 +148,39 @@ class Magnetometer(AidingSensor):
         """The Earth's field as it was seen from there: it is free, and this is only where the solver begins."""
         if self._first_field is None or (filter is None and self.earth is not None):
             return
-        field, _ = self._fields.get(keyframe, (self._first_field, 0.0))
-        self.earth = (self.R_compass_imu @ state.nav.attitude().matrix().T).T @ field
+        field, _ = self._fields.get(keyframe, (self._first_field, None))
+        to_sensor = self.R_compass_imu @ state.nav.attitude().matrix().T
+        self.earth = to_sensor.T @ self._outside(field * FIELD_UNIT) / FIELD_UNIT
 
     def calibration(self) -> Calibration | None:
         if self.earth is None:
             return None
-        settings = self.settings
-        iron = [settings.field_sigma / FIELD_UNIT] * 3 + [settings.hard_iron_sigma / FIELD_UNIT] * 3
-        mean = np.concatenate([self.earth, np.zeros(3), np.eye(3).ravel()])
-        return Calibration(COMPASS_KEY, mean, np.array(iron + [settings.soft_iron_sigma] * 9))
+        mean = np.concatenate([self.earth, self._hard / FIELD_UNIT, self._soft.ravel()])
+        return Calibration(COMPASS_KEY, mean, self._sigmas / self.unit)
 
     def factors(self, keyframe: int, before: State) -> list[gtsam.NonlinearFactor]:
         if keyframe not in self._fields or self.earth is None:
             return []
-        field, sigma = self._fields[keyframe]
+        field, sigmas = self._fields[keyframe]
         keys, error = [symbol("x", keyframe), COMPASS_KEY], partial(field_error, field, self.R_compass_imu)
-        return [python_factor(keys, sigma, 3, error, huber=self.settings.huber)]
+        return [python_factor(keys, sigmas, 3, error, huber=self.settings.huber)]
+
+
+def known_iron(
+    calibration: MagnetometerCalibration, settings: MagnetometerSettings, uncertainty: Uncertainty | None
+) -> tuple[Array, Array, Array]:
+    """Hard (3,) T and soft iron (3, 3) as a calibration has them, and 1 sigmas (15,) of the Earth's field and of both.
+
+    A mount that errs by a small turn e makes A (1 - [e]x) of A: soft iron beside the diagonal.
+    """
+    field = np.full(3, settings.field_sigma)
+    if calibration.hard_iron_t is None or calibration.soft_iron is None:
+        iron = np.r_[np.full(3, settings.hard_iron_sigma), np.full(9, settings.soft_iron_sigma)]
+        return np.zeros(3), np.eye(3), np.r_[field, iron]
+    hard = np.hypot(stated_sigmas(uncertainty, "magnetometer", HARD_IRON), settings.mean_motor_sigma)
+    turn = np.abs(cross(stated_sigmas(uncertainty, "magnetometer", axes("rotation", "rad"))))
+    soft = np.hypot(stated_sigmas(uncertainty, "magnetometer", SOFT_IRON), turn.ravel())
+    return calibration.hard_iron_t, calibration.soft_iron, np.r_[field, hard, soft]
 
 
 def field_error(field: Array, R_compass_imu: Array, pose: gtsam.Pose3, iron: Array) -> tuple[Array, list[Array]]:

@@ -79,7 +79,7 @@ class Pressure(AidingSensor):
         slope[0, at] = 1.0
         residual = np.array([height - place[2] - filter.extra[at - CORE]])
         climb = float(np.sqrt(filter.covariance[VELOCITY, VELOCITY][2, 2]))
-        believed = self.correct(filter, residual, slope, np.array([self.variance(sample, elapsed)]))
+        believed = self.correct(filter, residual, slope, np.array([[self.variance(sample, elapsed)]]))
         if believed and climb < settings.wave_climb:
             share = min(elapsed / settings.wave_memory_s, 1.0)
             scatter = (residual.item() - self._off) ** 2 - settings.sigma**2

@@ -6,7 +6,7 @@ frames, and adds one factor a key frame. GTSAM is imported where a factor is mad
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from oysterbench.core.geometry import Array
+from oysterbench.sensors.uncertainty import Uncertainty
 from oysterbench_baselines.common.filter import InvariantFilter
 from oysterbench_baselines.common.inertial import Segment
 
@@ -67,13 +68,13 @@ class AidingSensor:
         """
         raise NotImplementedError
 
-    def correct(self, filter: InvariantFilter, residual: Array, slope: Array, variances: Array) -> bool:
+    def correct(self, filter: InvariantFilter, residual: Array, slope: Array, noise: Array) -> bool:
         """Correct by the rows that are as near to their prediction as their covariance says; whether there were any.
 
-        residual (K,), slope (K, 15 + M) and variances (K,). When all of a sensor is refused time and again it is the
+        residual (K,), slope (K, 15 + M) and noise (K, K). When all of a sensor is refused time and again it is the
         filter that is wrong: what the sensor measures is then as uncertain as it is off, and the sample counts.
         """
-        spread = np.einsum("ki,ij,kj->k", slope, filter.covariance, slope) + variances
+        spread = np.einsum("ki,ij,kj->k", slope, filter.covariance, slope) + noise.diagonal()
         near = residual**2 <= float(chdtri(1, self.gate.chance)) * spread
         self.refused += not near.all()
         self._refused_in_a_row = 0 if near.any() else self._refused_in_a_row + 1
@@ -83,11 +84,15 @@ class AidingSensor:
             filter.covariance[rows, rows] += np.eye(3) * float(np.max(residual**2)) / lever
             near[:] = True
         if near.any():
-            filter.update(residual[near], slope[near], np.diag(variances[near]))
+            filter.update(residual[near], slope[near], noise[np.ix_(near, near)])
         return bool(near.any())
 
+    def found(self, filter: InvariantFilter) -> dict[str, float]:
+        """What the filter has found of the sensor's constants, by names with units."""
+        return {}
+
     def propagate(self, segment: Segment) -> None:
-        """Inertial measurements since the last sample of any sensor, of frames after the first key frame."""
+        """Inertial measurements since the last sample of any sensor."""
 
     def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
         """Keep what was measured for a key frame, `interval_s` after the last one."""
@@ -111,6 +116,13 @@ class AidingSensor:
     ) -> list[gtsam.NonlinearFactor]:
         """Between key frames and landmarks: ids (L,) and points (L, 3) in odom."""
         return []
+
+
+def stated_sigmas(uncertainty: Uncertainty | None, sensor: str, parameters: Sequence[str]) -> Array:
+    """1 sigmas (N,) that a calibration states of a sensor's parameters; zeros where it has no errors to speak of."""
+    if uncertainty is None:
+        return np.zeros(len(parameters))
+    return np.array([uncertainty.sigma(f"{sensor}.{name}") for name in parameters])
 
 
 def symbol(letter: str, index: int = 0) -> int:
