@@ -1,6 +1,12 @@
-"""The camera model: one camera or two on a vehicle, as rays at depth 1 whose errors are counted in pixels."""
+"""The camera model: one camera or two on a vehicle, as rays at depth 1 whose errors are counted in pixels.
+
+Rays are what the front end makes of pixels by the lens that is given. Where lenses are calibrated online, what they are
+thought to be comes in here.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
 
 import gtsam
 import numpy as np
@@ -9,28 +15,81 @@ from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
-from oysterbench_baselines.gtsam_vi.frontend import homogeneous
+from oysterbench_baselines.gtsam_vi.calibration import CLOCK, CameraUncertainty, Optics, lens_key, mount_key
+from oysterbench_baselines.gtsam_vi.frontend import distort, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.settings import LandmarkSettings, NoiseSettings
 
 
 class CameraRig:
-    """Projection, triangulation and reprojection errors; the front end has dealt with distortion.
+    """Projection, triangulation and reprojection errors.
 
     T_imu_cams (C, 4, 4): mounts of the C cameras, T_imu_cam (4, 4) that of the first; focal: px, of the first.
+    clock_s: by how much stamps are late. uncertainty: with it, cameras are variables of the graph.
     """
 
-    def __init__(self, cameras: list[CameraCalibration], imu: ImuCalibration) -> None:
-        self.calibration = cameras[0]
+    def __init__(
+        self, cameras: list[CameraCalibration], imu: ImuCalibration, uncertainty: CameraUncertainty | None = None
+    ) -> None:
+        self.given, self.uncertainty = cameras, uncertainty
         self.focal = float(cameras[0].matrix[0, 0] + cameras[0].matrix[1, 1]) / 2
-        self.T_imu_cams = np.array([invert(imu.T_base_imu) @ camera.T_base_cam for camera in cameras])
-        self.T_imu_cam = self.T_imu_cams[0]
+        self._given = [Optics.of(camera, invert(imu.T_base_imu)) for camera in cameras]
         # Rays at depth 1 are pixels of a camera with unit focal length.
         self._unit_camera = gtsam.Cal3_S2()
-        self._mounts = [gtsam.Pose3(T_imu_cam) for T_imu_cam in self.T_imu_cams]
+        self._set(self._given, 0.0)
+
+    def _set(self, optics: list[Optics], clock_s: float) -> None:
+        self._optics, self.clock_s = optics, clock_s
+        self._lenses = [known.seen_by(camera) for known, camera in zip(optics, self.given, strict=True)]
+        self.T_imu_cams = np.array([known.mount.matrix() for known in optics])
+        self.T_imu_cam = self.T_imu_cams[0]
+
+    # As variables of a graph.
+
+    @property
+    def clock_is_free(self) -> bool:
+        """Whether the clock is a variable."""
+        return self.uncertainty is not None and self.uncertainty.clock_sigma > 0
+
+    def keys(self) -> list[int]:
+        """Of the variables."""
+        if self.uncertainty is None:
+            return []
+        of_cameras = [key for c in range(len(self.given)) for key in (mount_key(c), lens_key(c))]
+        return [*of_cameras, CLOCK] if self.clock_is_free else of_cameras
+
+    def insert(self, values: gtsam.Values) -> None:
+        """Put the cameras as they are thought to be into values."""
+        if self.uncertainty is None:
+            return
+        for c, optics in enumerate(self._optics):
+            optics.insert(values, c)
+        if self.clock_is_free:
+            values.insert(CLOCK, np.array([self.clock_s]))
+
+    def read(self, values: gtsam.Values) -> None:
+        """Take the cameras to be as values have them."""
+        if self.uncertainty is not None:
+            optics = [optics.read(values, c) for c, optics in enumerate(self._optics)]
+            self._set(optics, float(values.atVector(CLOCK)[0]) if self.clock_is_free else 0.0)
+
+    def prior(self) -> list[gtsam.NonlinearFactor]:
+        """What is known of the variables beforehand."""
+        return [] if self.uncertainty is None else self.uncertainty.prior(self._given)
+
+    def _now(self, rays: Array, camera: int | NDArray[np.intp]) -> Array:
+        """Rays (N, 2) of pixels by the lens as it is thought to be, from those by the lens that is given."""
+        if self._optics is self._given:
+            return rays
+        found, cameras = np.array(rays, dtype=float), np.broadcast_to(camera, len(rays))
+        for c, (given, lens) in enumerate(zip(self.given, self._lenses, strict=True)):
+            own = cameras == c
+            found[own] = undistort(distort(rays[own], given), lens)
+        return found
 
     def pixel_noise(self, settings: NoiseSettings, inflation: float = 1.0) -> gtsam.noiseModel.Base:
-        """Of a ray at depth 1, its sigma `inflation` times the usual one."""
-        noise = gtsam.noiseModel.Isotropic.Sigma(2, inflation * settings.pixel_sigma_px / self.focal)
+        """Of a view of a landmark, its sigma `inflation` times the usual one."""
+        sigma = inflation * settings.pixel_sigma_px / (self.focal if self.uncertainty is None else 1.0)
+        noise = gtsam.noiseModel.Isotropic.Sigma(2, sigma)
         return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(settings.huber), noise)
 
     def correlation(self, of_one: float) -> float:
@@ -38,13 +97,30 @@ class CameraRig:
         second one takes over what the patches of the first have drifted."""
         return of_one * float(np.sqrt(len(self.T_imu_cams))) if of_one > 1.0 else 1.0
 
-    def projection_factor(
-        self, keyframe: int, landmark: int, ray: Array, camera: int, noise: gtsam.noiseModel.Base
-    ) -> gtsam.NonlinearFactor:
-        """A landmark seen along `ray` (2,) at depth 1. Behind the camera it has no gradient, and raises nothing."""
-        return gtsam.GenericProjectionFactorCal3_S2(
-            ray, noise, X(keyframe), L(landmark), self._unit_camera, False, False, self._mounts[camera]
-        )
+    def projection_factors(
+        self,
+        keyframes: Iterable[int],
+        landmarks: Iterable[int],
+        rays: Array,
+        cameras: NDArray[np.intp],
+        noises: Iterable[gtsam.noiseModel.Base],
+    ) -> Iterator[gtsam.NonlinearFactor]:
+        """Landmarks (N,) seen from key frames (N,) along rays (N, 2) at depth 1 by cameras (N,), with noises (N,).
+
+        Behind the camera they have no gradient, and raise nothing.
+        """
+        views = zip(keyframes, landmarks, cameras.tolist(), noises, strict=True)
+        if self.uncertainty is None:
+            for (keyframe, landmark, camera, noise), ray in zip(views, rays, strict=True):
+                yield gtsam.GenericProjectionFactorCal3_S2(
+                    ray, noise, X(keyframe), L(landmark), self._unit_camera, False, False, self._given[camera].mount
+                )
+            return
+        pixels = np.empty((len(rays), 2))
+        for c, given in enumerate(self.given):
+            pixels[cameras == c] = distort(rays[cameras == c], given)
+        for (keyframe, landmark, camera, noise), pixel in zip(views, pixels, strict=True):
+            yield self._given[camera].factor(pixel, noise, X(keyframe), L(landmark), camera)
 
     def triangulate(
         self,
@@ -61,11 +137,11 @@ class CameraRig:
         minimises the distances from its rays, weighted by inverse depth; it must have parallax, lie before every view
         and project near every ray.
         """
-        order = np.argsort(track, kind="stable")
-        T_imu_cams = self.T_imu_cam if camera is None else self.T_imu_cams[camera[order]]
-        track, rays, cameras = track[order], rays[order], T_odom_imu[order] @ T_imu_cams
         if len(track) == 0:
             return track, np.empty((0, 3))
+        order = np.argsort(track, kind="stable")
+        by = np.zeros(len(track), dtype=np.intp) if camera is None else camera[order]
+        track, rays, cameras = track[order], self._now(rays[order], by), T_odom_imu[order] @ self.T_imu_cams[by]
         ids, starts, row = np.unique(track, return_index=True, return_inverse=True)
         directions = homogeneous(rays)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -93,5 +169,6 @@ class CameraRig:
         camera, or one each (N,)."""
         cameras = invert(T_odom_imu @ self.T_imu_cams[camera])
         local = np.einsum("...ij,...j->...i", cameras[..., :3, :3], points) + cameras[..., :3, 3]
-        error = np.linalg.norm(local[:, :2] / np.maximum(local[:, 2:], 1e-6) - rays, axis=1) * self.focal
+        seen = self._now(rays, camera)
+        error = np.linalg.norm(local[:, :2] / np.maximum(local[:, 2:], 1e-6) - seen, axis=1) * self.focal
         return np.where(local[:, 2] > 0, error, np.inf)

@@ -28,9 +28,13 @@ from oysterbench_baselines.common.filter import (
     cross,
 )
 from oysterbench_baselines.common.inertial import Segment
+from oysterbench_baselines.gtsam_vi.calibration import MODELS
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, read_state
+
+VIEWS = gtsam.GenericProjectionFactorCal3_S2, *(factor for _, factor, *_ in MODELS.values())
+"""Factors of a landmark in a picture."""
 
 
 def filter_slopes(state: State, k: int, size: int = CORE) -> dict[int, Array]:
@@ -111,11 +115,11 @@ def discounted(graph: gtsam.NonlinearFactorGraph, times: float, huber: float) ->
     less = gtsam.NonlinearFactorGraph()
     for k in range(graph.size()):
         factor = graph.at(k)
-        if isinstance(factor, gtsam.GenericProjectionFactorCal3_S2):
-            robust: Any = factor.noiseModel()
-            noise = gtsam.noiseModel.Isotropic.Sigma(2, times * robust.noise().sigma())
+        if isinstance(factor, VIEWS):
+            view: Any = factor
+            noise = gtsam.noiseModel.Isotropic.Sigma(2, times * view.noiseModel().noise().sigma())
             loss = gtsam.noiseModel.mEstimator.Huber.Create(huber)
-            factor = factor.cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(loss, noise))
+            factor = view.cloneWithNewNoiseModel(gtsam.noiseModel.Robust.Create(loss, noise))
         less.push_back(factor)
     return less
 

@@ -24,6 +24,7 @@ from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.common.aiding import Aiding
 from oysterbench_baselines.common.filter import CORE, FLOOR, VELOCITY, InertialNoise, InvariantFilter
 from oysterbench_baselines.common.inertial import Segment, relative_rotation
+from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
 from oysterbench_baselines.gtsam_vi.closed_form import level_rotation
 from oysterbench_baselines.gtsam_vi.covariance import (
     covariances_until,
@@ -68,7 +69,8 @@ class AidedFilter:
 class Estimator:
     """Takes inertial measurements, samples of aiding sensors and frames of tracks, in time order.
 
-    cameras: one, or two that see the same. aided: what there is beside cameras and inertial unit.
+    cameras: one, or two that see the same. aided: what there is beside cameras and inertial unit. uncertainty: of the
+    cameras, which are then calibrated online.
     """
 
     def __init__(
@@ -77,12 +79,13 @@ class Estimator:
         imu: ImuCalibration,
         settings: GtsamViSettings,
         aided: AidedFilter | None = None,
+        uncertainty: CameraUncertainty | None = None,
     ) -> None:
         self.imu, self.settings = imu, settings
         noise = InertialNoise.of(imu, settings.noise.imu_inflation)
         self.aiding = aided.aiding if aided else Aiding()
         self.filter = aided.filter if aided else InvariantFilter(np.eye(3), noise, imu.gravity)
-        self.model = Model(cameras, imu, settings, self.aiding)
+        self.model = Model(cameras, imu, settings, self.aiding, uncertainty)
         self.window: Window | None = None
         self.loops = LoopCloser(cameras[0], self.model, settings) if settings.loops.enabled else None
         self.keyframes: list[Keyframe] = []
@@ -166,9 +169,10 @@ class Estimator:
     def _associate(self, tracks: FeatureTracks) -> tuple[Observations, NDArray[np.int64], NDArray[np.intp]]:
         """What the frame observes, by landmark; the landmarks (N,) of its tracks, and their order."""
         segment, self._since_frame = Segment.join(self._since_frame), []
-        landmarks = self._association.landmarks(tracks.ids, tracks.rays, segment, self.gyro_bias)
+        rays = np.asarray(tracks.at_stamp, dtype=float)
+        landmarks = self._association.landmarks(tracks.ids, rays, segment, self.gyro_bias)
         order = np.argsort(landmarks, kind="stable")
-        return Observations(landmarks[order], np.asarray(tracks.rays, dtype=float)[order]), landmarks, order
+        return Observations(landmarks[order], rays[order]), landmarks, order
 
     def _is_keyframe(self, observations: Observations) -> bool:
         if not self.keyframes:
@@ -212,7 +216,7 @@ class Estimator:
         keyframe = self.keyframes[-1]
         keyframe.aiding = self.aiding.factors(keyframe.index, self.keyframes[-2].estimate)
         try:
-            window.add(self.keyframes, state_of(self.filter))
+            window.add(self.keyframes, self.model.when_taken(keyframe, state_of(self.filter)))
             diverged = self._recovery.has_diverged(window, keyframe)
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             diverged = True
@@ -246,7 +250,7 @@ class Estimator:
         self.aiding.forget_intervals()
         k, shared = self.keyframes[-1].index, self.aiding.shared_states()
         f, state = self.filter, self.keyframes[-1].estimate
-        set_state(f, state)
+        set_state(f, self.model.at_stamp(self.keyframes[-1], state))
         try:
             values, joint = window.joint([X(k), V(k), B(k), *shared])
         except RuntimeError:  # GTSAM: the system of equations cannot be solved

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -17,15 +17,29 @@ from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 
 @dataclass(frozen=True)
 class FeatureTracks:
-    """Tracked corners of one frame: ids (N,) int64, pixels (N, 2) as seen, rays (N, 2) undistorted at depth 1."""
+    """Tracked corners of one frame: ids (N,) int64, pixels (N, 2) as seen, rays (N, 2) undistorted at depth 1.
+
+    rolled (N, 2): by how much rays have moved from the stamp of the frame to when their row was read; zeros where all
+    rows are read at once.
+    """
 
     ids: NDArray[np.int64]
     pixels: Array
     rays: Array
+    rolled: Array | None = None
+
+    @property
+    def at_stamp(self) -> Array:
+        """Rays (N, 2) as they were at the stamp."""
+        return self.rays if self.rolled is None else self.rays - self.rolled
 
 
 NO_TRACKS = FeatureTracks(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2)))
 """Those of a frame that is missing."""
+
+
+FEWEST_FOR_FLOW = 12
+"""Tracks whose flow is fitted: twice as many as there are numbers in it."""
 
 
 @dataclass(frozen=True)
@@ -109,18 +123,55 @@ def epipolar_inliers(
     return np.asarray(inliers[int(np.argmax(inliers.sum(axis=1)))], dtype=bool)
 
 
-def even_contrast(grey: NDArray[np.uint8], settings: FrontEndSettings) -> NDArray[np.uint8]:
-    """A grey picture (H, W) without its veil of scattered light, and with the same contrast everywhere.
-
-    The veil is the mean around a pixel, which takes the slower part of caustics and of a lamp's cone with it; what is
-    left is divided by its own spread in a wider surrounding, and by no less than the sensor's noise.
-    """
+def without_veil(grey: NDArray[np.uint8], settings: FrontEndSettings) -> NDArray[np.float32]:
+    """A grey picture (H, W) less the mean around each pixel: the veil of scattered light, the slower part of caustics,
+    and a lamp's cone."""
     picture = grey.astype(np.float32)
-    detail = picture - cv2.blur(picture, (settings.veil_px, settings.veil_px))
+    return np.asarray(picture - cv2.blur(picture, (settings.veil_px, settings.veil_px)), dtype=np.float32)
+
+
+def even_contrast(detail: NDArray[np.float32], settings: FrontEndSettings) -> NDArray[np.uint8]:
+    """A picture (H, W) without its veil, with the same contrast everywhere: divided by its own spread in a wider
+    surrounding, and by no less than the sensor's noise."""
     square = cv2.sqrBoxFilter(detail, cv2.CV_32F, (settings.contrast_px, settings.contrast_px))
     spread = np.sqrt(np.maximum(square, 0.0))  # its running sums leave a little less than nothing where all is black
     even = 128 + settings.contrast_grey * detail / (spread + settings.contrast_floor_grey)
     return cv2.convertScaleAbs(np.maximum(even, 0.0)).astype(np.uint8, copy=False)
+
+
+class FixedPattern:
+    """What pictures share however the camera moves: hot pixels, spots on the port, its reflections.
+
+    Corners on them do not move, agree with each other, and say that the vehicle is at rest. Taken as fixed is what the
+    mean of pictures from different places has beyond its own standard error.
+    """
+
+    def __init__(self, settings: FrontEndSettings) -> None:
+        self._settings = settings
+        self._count = 0
+        self._moved_px = 0.0  # since the last picture that was added
+        self._mean = self._square = np.zeros((1, 1), dtype=np.float32)
+        self._pattern: NDArray[np.float32] | None = None  # (H, W)
+
+    def taken_from(self, detail: NDArray[np.float32]) -> NDArray[np.float32]:
+        """A picture (H, W) without its veil, without what is fixed as well."""
+        return detail if self._pattern is None else detail - self._pattern
+
+    def add(self, detail: NDArray[np.float32], moved_px: float) -> None:
+        """A picture (H, W) without its veil, in which all has moved by so much since the last one."""
+        limits = self._settings
+        self._moved_px += moved_px
+        if self._moved_px < limits.pattern_step_px and self._count:
+            return
+        self._moved_px = 0.0
+        self._count += 1
+        share = 1.0 / min(self._count, limits.pattern_pictures)
+        self._mean = self._mean + share * (detail - self._mean)
+        self._square = self._square + share * (detail * detail - self._square)
+        if self._count < limits.pattern_pictures // 2:
+            return
+        error = np.sqrt(np.maximum(self._square - self._mean * self._mean, 0.0) * share)
+        self._pattern = np.where(np.abs(self._mean) > limits.pattern_sigmas * error, self._mean, 0.0)
 
 
 class FrontEnd:
@@ -134,6 +185,7 @@ class FrontEnd:
         self.image: NDArray[np.uint8] | None = None  # (H, W), the latest, equalised
         self._next_id = 0
         self._taken: NDArray[np.uint8] | None = None  # the latest, as it was taken
+        self._pattern = FixedPattern(settings)
         self._tracks = NO_TRACKS
 
     def track(self, pixels: NDArray[np.uint8], R_before_now: Array, elapsed_s: float = 0.0) -> FeatureTracks:
@@ -145,21 +197,51 @@ class FrontEnd:
         self._taken = pixels
         if elapsed_s > self.settings.max_gap_s:
             self._tracks = NO_TRACKS
-        image = self.equalise(pixels)
+        detail = self._without_veil(pixels)
+        image = even_contrast(self._pattern.taken_from(detail), self.settings)
+        before = self._tracks
         if self.image is not None and len(self._tracks.ids):
             self._tracks = self._follow(self.image, image, R_before_now)
         self.image = image
-        self._tracks = self._replenish(image)
-        return self._tracks
+        self._pattern.add(detail, self._moved_px(before, R_before_now))
+        kept, self._tracks = self._tracks, self._replenish(image)
+        if not self.calibration.readout_s or elapsed_s <= 0:
+            return self._tracks
+        return replace(self._tracks, rolled=self._rolled(before, kept, elapsed_s))
+
+    def _rolled(self, before: FeatureTracks, kept: FeatureTracks, elapsed_s: float) -> Array:
+        """Of the latest tracks, see `FeatureTracks`: by the flow (a, b, c) (x, y, 1) that fits those kept for
+        elapsed_s, which a track that has just begun shares, and in which their own noise averages out."""
+        tracks, height = self._tracks, self.calibration.height
+        if len(kept.ids) < FEWEST_FOR_FLOW:
+            return np.zeros((len(tracks.ids), 2))
+        _, then, now = np.intersect1d(before.ids, kept.ids, assume_unique=True, return_indices=True)
+        places, flow = homogeneous(kept.rays[now]), (kept.rays[now] - before.rays[then]) / elapsed_s
+        fit = np.linalg.lstsq(places, flow, rcond=None)[0]
+        off = np.linalg.norm(flow - places @ fit, axis=1)
+        near = off <= 3 * np.median(off)
+        fit = np.linalg.lstsq(places[near], flow[near], rcond=None)[0]
+        late = (tracks.pixels[:, 1:] / (height - 1) - 0.5) * self.calibration.readout_s
+        return np.asarray(late * (homogeneous(tracks.rays) @ fit), dtype=float)
 
     def repeats(self, pixels: NDArray[np.uint8]) -> bool:
         """Whether a picture is the last one again, to the bit, which noise lets no camera take twice."""
         return self._taken is not None and np.array_equal(self._taken, pixels)
 
     def equalise(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """A picture (H, W, 3) RGB or (H, W) as corners are looked for in it: (H, W) uint8."""
+        """A picture (H, W, 3) RGB or (H, W) of another camera as corners are looked for in it: (H, W) uint8."""
+        return even_contrast(self._without_veil(pixels), self.settings)
+
+    def _without_veil(self, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
         grey = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-        return even_contrast(np.asarray(grey, dtype=np.uint8), self.settings)
+        return without_veil(np.asarray(grey, dtype=np.uint8), self.settings)
+
+    def _moved_px(self, before: FeatureTracks, R_before_now: Array) -> float:
+        """How far the picture has moved: by the tracks, or where there are hardly any, by the gyroscope."""
+        _, then, now = np.intersect1d(before.ids, self._tracks.ids, assume_unique=True, return_indices=True)
+        if len(now) >= FEWEST_FOR_FLOW:
+            return float(np.median(np.linalg.norm(self._tracks.pixels[now] - before.pixels[then], axis=1)))
+        return self._focal * float(np.arccos(np.clip((np.trace(R_before_now) - 1) / 2, -1.0, 1.0)))
 
     def _follow(self, last: NDArray[np.uint8], image: NDArray[np.uint8], R_before_now: Array) -> FeatureTracks:
         """The last frame's tracks in this one: Lucas-Kanade forth and back, then the epipolar check."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import gtsam
@@ -12,7 +13,9 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.common.aiding import Aiding
+from oysterbench_baselines.gtsam_vi.calibration import CLOCK, LAST, CameraUncertainty
 from oysterbench_baselines.gtsam_vi.cameras import CameraRig
+from oysterbench_baselines.gtsam_vi.clock import clocked, moved_on
 from oysterbench_baselines.gtsam_vi.preintegration import inertial_factor, preintegration_params
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
@@ -24,6 +27,7 @@ LEAST = np.array([1e-4] * 3 + [1e-4] * 3)
 class Model:
     """Calibrations, noise models and the factors made of them. aiding: the sensors beside cameras and inertial unit.
 
+    uncertainty: of the cameras, which are then calibrated online.
     initial_covariances: by the key frame at which a graph begins, of its pose (6, 6) and velocity (3, 3) in odom's
     axes; where there are none, nothing is known but the gauge.
     """
@@ -34,10 +38,11 @@ class Model:
         imu: ImuCalibration,
         settings: GtsamViSettings,
         aiding: Aiding | None = None,
+        uncertainty: CameraUncertainty | None = None,
     ) -> None:
         self.settings = settings
         self.imu = imu
-        self.rig = CameraRig(cameras, imu)
+        self.rig = CameraRig(cameras, imu, uncertainty)
         self.aiding = aiding or Aiding()
         self.params = preintegration_params(imu, settings.noise)
         self.initial_covariances: dict[int, tuple[Array, Array]] = {}
@@ -45,13 +50,39 @@ class Model:
         self.gyro_turn_on = max(imu.gyro_turn_on, 1e-4)
         self.accel_turn_on = max(imu.accel_turn_on, 1e-3)
 
+    def inertial(
+        self, previous: Keyframe, keyframe: Keyframe, bias: gtsam.imuBias.ConstantBias
+    ) -> gtsam.NonlinearFactor:
+        """What the inertial measurements between two key frames say of their states."""
+        factor = inertial_factor(keyframe.index - 1, keyframe.index, keyframe.segment, bias, self.params)
+        if not self.rig.clock_is_free:
+            return factor
+        after = keyframe.rates
+        assert after is not None
+        return clocked(factor, CLOCK, (previous.rates or after, after), self.imu.gravity)
+
+    def at_stamp(self, keyframe: Keyframe, state: State) -> State:
+        """The state at a key frame's stamp from that when its picture was taken."""
+        rates = keyframe.rates
+        return state if rates is None else moved_on(state, self.rig.clock_s, rates, self.imu.gravity)
+
+    def when_taken(self, keyframe: Keyframe, state: State) -> State:
+        """The other way round."""
+        rates = keyframe.rates
+        return state if rates is None else moved_on(state, -self.rig.clock_s, rates, self.imu.gravity)
+
     def motion(
-        self, keyframe: Keyframe, before: State, state: State, bias: gtsam.imuBias.ConstantBias
+        self,
+        previous: Keyframe,
+        keyframe: Keyframe,
+        before: State,
+        state: State,
+        bias: gtsam.imuBias.ConstantBias,
     ) -> list[gtsam.NonlinearFactor]:
         """All that ties a key frame to the one before it, given the states of both."""
         k, settings = keyframe.index, self.settings
         if keyframe.trusted:
-            return [inertial_factor(k - 1, k, keyframe.segment, bias, self.params), *keyframe.aiding]
+            return [self.inertial(previous, keyframe, bias), *keyframe.aiding]
         time = max(keyframe.segment.duration, settings.keyframes.min_s)
         moved = np.repeat([settings.recovery.unknown_rate, settings.recovery.unknown_speed], 3) * time
         turn_on = np.array([self.accel_turn_on] * 3 + [self.gyro_turn_on] * 3)
@@ -69,9 +100,14 @@ class Model:
         )
 
     def calibration_priors(self) -> list[gtsam.NonlinearFactor]:
-        """What is known beforehand of the aiding sensors' calibrations."""
+        """What is known beforehand of the calibrations of cameras and aiding sensors."""
         diagonal = gtsam.noiseModel.Diagonal.Sigmas
-        return [gtsam.PriorFactorVector(c.key, c.value, diagonal(c.sigmas)) for c in self.aiding.calibrations()]
+        aiding = [gtsam.PriorFactorVector(c.key, c.value, diagonal(c.sigmas)) for c in self.aiding.calibrations()]
+        return [*self.rig.prior(), *aiding]
+
+    def calibration_keys(self) -> list[int]:
+        """Of all calibrations that are variables."""
+        return [*self.rig.keys(), *(calibration.key for calibration in self.aiding.calibrations())]
 
     def start_priors(self, keyframe: int, state: State) -> list[gtsam.NonlinearFactor]:
         """What is known of the state at which a graph begins; of the first of all, that it is the origin and ahead."""
@@ -113,7 +149,7 @@ def adjust(
     Landmarks are triangulated anew and adjusted once for each gate on their reprojection error: wide first, while the
     states are rough. min_views: key frames that must have seen a landmark.
     """
-    rig, settings = model.rig, model.settings
+    rig, settings = copy(model.rig), model.settings
     rows = [k.observations.rows() for k in keyframes]
     row = np.concatenate([np.full(len(ids), n) for n, (ids, _, _) in enumerate(rows)])
     track, rays, camera = (np.concatenate(part) for part in zip(*rows, strict=True))
@@ -131,25 +167,26 @@ def adjust(
             graph.push_back(factor)
         for calibration in model.aiding.calibrations():
             values.insert(calibration.key, calibration.value)
-        for keyframe, state in zip(keyframes, states, strict=True):
+        rig.insert(values)
+        for n, (keyframe, state) in enumerate(zip(keyframes, states, strict=True)):
             insert_state(values, keyframe.index, state)
-            if keyframe.index > first:
+            if n:
                 # Integrated about one bias for all: the average, whose corrections are smallest.
-                before = states[keyframe.index - first - 1]
-                for factor in model.motion(keyframe, before, state, states[-1].bias):
+                for factor in model.motion(keyframes[n - 1], keyframe, states[n - 1], state, states[-1].bias):
                     graph.push_back(factor)
             if keyframe.stationary:
                 graph.push_back(model.zero_velocity(keyframe.index))
         for landmark, point in zip(ids, points, strict=True):
             values.insert(L(int(landmark)), point)
         seen = np.flatnonzero(np.isin(track, ids))
-        for m in seen:
-            factor = rig.projection_factor(first + int(row[m]), int(track[m]), rays[m], int(camera[m]), noises[row[m]])
+        views = (first + row[seen]).tolist(), track[seen].tolist(), rays[seen], camera[seen]
+        for factor in rig.projection_factors(*views, [noises[n] for n in row[seen]]):
             graph.push_back(factor)
         for factor in model.aiding.landmark_factors(keyframes, states, ids, points):
             graph.push_back(factor)
         values = _optimise(graph, values, settings.smoothing.iterations)
         states = [read_state(values, k.index) for k in keyframes]
+        rig.read(values)
     poses = np.array([state.matrix for state in states])
     points = np.array([values.atPoint3(L(int(i))) for i in ids]).reshape(-1, 3)
     errors = rig.errors_px(poses[row[seen]], points[np.searchsorted(ids, track[seen])], rays[seen], camera[seen])
@@ -166,16 +203,16 @@ def nested_dissection(graph: gtsam.NonlinearFactorGraph) -> gtsam.Ordering:
     """An order of elimination by METIS (Karypis & Kumar 1998), which cuts a path of many passes across all of them.
 
     A third of the memory that COLAMD's takes. METIS writes beyond its arrays where a variable shares no factor with any
-    other (a calibration that nothing measures), so these are kept from it, and come last.
+    other (a calibration that nothing measures), so these are kept from it, and come last. So do the cameras, which all
+    landmarks share.
     """
-    linked, known = gtsam.NonlinearFactorGraph(), set[int]()
+    linked, known = gtsam.SymbolicFactorGraph(), set[int]()
     for n in range(graph.size()):
-        factor = graph.at(n)
-        keys = set(factor.keys())
+        keys = {key for key in graph.at(n).keys() if key >> 56 not in LAST}  # noqa: SIM118 (no dictionary)
         if len(keys) > 1:
-            linked.push_back(factor)
+            linked.push_back(gtsam.SymbolicFactor.FromKeys(sorted(keys)))
             known |= keys
-    ordering = gtsam.Ordering.MetisNonlinearFactorGraph(linked) if known else gtsam.Ordering()
+    ordering = gtsam.Ordering.MetisSymbolicFactorGraph(linked) if known else gtsam.Ordering()
     for key in graph.keyVector():
         if key not in known:
             ordering.push_back(key)

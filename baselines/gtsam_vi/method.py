@@ -16,6 +16,7 @@ from oysterbench.core.measurements import Image
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
+from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
@@ -64,7 +65,8 @@ class GtsamVi:
                 )
             cameras.append(second)
         calibrations = [sequence.cameras[camera] for camera in cameras]
-        estimator = Estimator(calibrations, sequence.imu_calibration, self.settings)
+        uncertainty = CameraUncertainty.of(sequence.uncertainty, cameras, calibrations)
+        estimator = Estimator(calibrations, sequence.imu_calibration, self.settings, uncertainty=uncertainty)
         run_estimator(estimator, sequence, cameras, sequence.stream(*cameras), self.seed)
         return estimate_of(estimator, self.output, self.settings, {"cameras": cameras})
 
@@ -169,4 +171,5 @@ def estimate_of(estimator: Estimator, output: Output, settings: GtsamViSettings,
 
 def _match(matcher: StereoMatcher, front_end: FrontEnd, tracks: FeatureTracks, other: Image) -> Array:
     assert front_end.image is not None
-    return matcher.match(front_end.image, front_end.equalise(other.pixels), tracks)
+    rays = matcher.match(front_end.image, front_end.equalise(other.pixels), tracks)
+    return rays if tracks.rolled is None else rays - tracks.rolled  # the rows of a pair are read together

@@ -55,7 +55,7 @@ def inertial_factor(
     segment: Segment,
     bias: gtsam.imuBias.ConstantBias,
     params: gtsam.PreintegrationCombinedParams,
-) -> gtsam.NonlinearFactor:
+) -> gtsam.CombinedImuFactor:
     """What a segment says of the states of the key frames at its ends, preintegrated at a bias."""
     measurements = preintegrate(segment, bias, params)
     return gtsam.CombinedImuFactor(X(before), V(before), X(after), V(after), B(before), B(after), measurements)

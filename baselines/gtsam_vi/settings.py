@@ -20,6 +20,9 @@ class FrontEndSettings:
     contrast_px: int = 55  # side of the spread that is divided by
     contrast_floor_grey: float = 3.0  # of the spread: the sensor's noise, which is not to be lifted
     contrast_grey: float = 40.0  # the spread afterwards
+    pattern_pictures: int = 40  # that make the mean in which what does not move stands out
+    pattern_step_px: float = 15.0  # by which they have moved: half a veil, so that each shows something else
+    pattern_sigmas: float = 4.0  # of the mean's own error, beyond which it is fixed
     flow_window_px: int = 21  # side of the tracked patch: smaller ones are lost in murk, larger ones slide over relief
     flow_levels: int = 3  # pyramid levels above the image: with the gyroscope's prediction, 80 px of flow
     backward_error_px: float = 0.7  # a track must return to where it came from

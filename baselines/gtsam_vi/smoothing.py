@@ -20,7 +20,8 @@ def smooth(model: Model, keyframes: list[Keyframe], frames: list[Frame]) -> tupl
         (3 * gate, gate),
         model.settings.landmarks.min_views,
     )
-    states = [read_state(bundle.values, keyframe.index) for keyframe in keyframes]
+    model.rig.read(bundle.values)
+    states = [model.at_stamp(keyframe, read_state(bundle.values, keyframe.index)) for keyframe in keyframes]
     return bundle, between(model, keyframes, states, frames)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -30,6 +31,17 @@ class State:
         return self.nav.pose().matrix()
 
 
+@dataclass(frozen=True)
+class Rates:
+    """What the inertial unit reads at an instant: gyro rad/s and accel m/s^2, (3,) each."""
+
+    gyro: Array
+    accel: Array
+
+
+RATES_S = 0.1  # over which readings are averaged: several turns of a thruster that shakes the unit
+
+
 @dataclass
 class Keyframe:
     """A key frame: stamp, what it observed, inertial measurements since the last key frame, its latest estimate; and
@@ -47,6 +59,16 @@ class Keyframe:
     state: State | None = None
     aiding: list[gtsam.NonlinearFactor] = field(default_factory=list)
     trusted: bool = True
+
+    @cached_property
+    def rates(self) -> Rates | None:
+        """What the unit reads at its stamp; None where it has read nothing before."""
+        segment = self.segment
+        ago = np.cumsum(segment.dt[::-1])[::-1] - segment.dt
+        latest = ago < RATES_S
+        if not latest.any():
+            return None
+        return Rates(segment.gyro[latest].mean(axis=0), segment.accel[latest].mean(axis=0))
 
     @property
     def estimate(self) -> State:

@@ -17,7 +17,6 @@ from oysterbench.core.geometry import Array
 from oysterbench_baselines.gtsam_vi.covariance import joint_covariance
 from oysterbench_baselines.gtsam_vi.fixed_lag import FixedLagSmoother
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
-from oysterbench_baselines.gtsam_vi.preintegration import inertial_factor
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
 
@@ -52,7 +51,7 @@ class Window:
                 stamps[key(keyframe.index)] = float(keyframe.index)
         for landmark in self._landmarks:
             stamps[L(landmark)] = float(self._observations[landmark][-1].keyframe)
-        stamps |= dict.fromkeys((c.key for c in model.aiding.calibrations()), float(last))
+        stamps |= dict.fromkeys(model.calibration_keys(), float(last))
         self._smoother.update(bundle.graph, bundle.values, stamps)
         self._read(keyframes, last)
 
@@ -64,12 +63,12 @@ class Window:
         stamps = {key(k): float(k) for key in (X, V, B)}
         insert_state(values, k, predicted)
         bias = keyframes[-2].estimate.bias
-        graph.push_back(inertial_factor(k - 1, k, keyframe.segment, bias, self.model.params))
+        graph.push_back(self.model.inertial(keyframes[-2], keyframe, bias))
         if keyframe.stationary:
             graph.push_back(self.model.zero_velocity(k))
         for factor in keyframe.aiding:
             graph.push_back(factor)
-        stamps |= dict.fromkeys((c.key for c in self.model.aiding.calibrations()), float(k))  # they never leave
+        stamps |= dict.fromkeys(self.model.calibration_keys(), float(k))  # they never leave
         keyframe.state = predicted
         self._remember(keyframe)
         self._observe_landmarks(keyframe, graph, stamps)
@@ -115,13 +114,12 @@ class Window:
         slid = {int(ids[n]) for n, error in zip(known, errors, strict=True) if error > limit}
         self._rejected |= slid
         self._landmarks -= slid
-        for n in known:
-            landmark = int(ids[n])
-            if landmark not in slid:
-                graph.push_back(
-                    self.model.rig.projection_factor(keyframe.index, landmark, rays[n], int(cameras[n]), noise)
-                )
-                stamps[L(landmark)] = float(keyframe.index)
+        seen = [n for n in known if int(ids[n]) not in slid]
+        landmarks, count = [int(ids[n]) for n in seen], len(seen)
+        views = [keyframe.index] * count, landmarks, rays[seen], cameras[seen], [noise] * count
+        for factor in self.model.rig.projection_factors(*views):
+            graph.push_back(factor)
+        stamps |= {L(landmark): float(keyframe.index) for landmark in landmarks}
 
     def _triangulate_landmarks(
         self,
@@ -159,15 +157,23 @@ class Window:
             values.insert(L(int(landmark)), point)
             stamps[L(int(landmark))] = float(last)
             self._landmarks.add(int(landmark))
-        for landmark, view in zip(track, observations, strict=True):
-            if landmark in self._landmarks:
-                graph.push_back(
-                    self.model.rig.projection_factor(view.keyframe, landmark, view.ray, view.camera, view.noise)
-                )
+        new = [n for n, landmark in enumerate(track) if landmark in self._landmarks]
+        if not new:
+            return
+        views = [observations[n] for n in new]
+        for factor in self.model.rig.projection_factors(
+            [view.keyframe for view in views],
+            [track[n] for n in new],
+            np.array([view.ray for view in views]),
+            np.array([view.camera for view in views]),
+            [view.noise for view in views],
+        ):
+            graph.push_back(factor)
 
     def _read(self, keyframes: list[Keyframe], last: int) -> None:
-        """Write the smoother's estimate into the key frames."""
+        """Write the smoother's estimate into the key frames, and into the model of the cameras."""
         values = self._smoother.estimate
+        self.model.rig.read(values)
         for keyframe in keyframes[-self._lag :]:
             if values.exists(X(keyframe.index)):
                 keyframe.state = read_state(values, keyframe.index)

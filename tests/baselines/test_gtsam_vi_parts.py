@@ -26,6 +26,7 @@ from oysterbench_baselines.gtsam_vi.frontend import (
     find_corners,
     homogeneous,
     undistort,
+    without_veil,
 )
 from oysterbench_baselines.gtsam_vi.graph import nested_dissection
 from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
@@ -79,14 +80,17 @@ def test_a_picture_without_texture_gives_no_tracks():
         assert len(front_end.track(grey, np.eye(3)).ids) == 0
 
 
+def equalise(picture: np.ndarray) -> np.ndarray:
+    settings = GtsamViSettings().frontend
+    return even_contrast(without_veil(picture.astype(np.uint8), settings), settings)
+
+
 def test_a_veil_of_scattered_light_and_a_lamps_cone_are_taken_away():
     """The same texture with a tenth of its contrast, under a veil that brightens across the picture, looks the same."""
     picture = texture().astype(float)
     veil = 60 + 80 * np.linspace(0, 1, 640)[None, :]
-    clear = even_contrast(np.clip(picture, 0, 255).astype(np.uint8), GtsamViSettings().frontend).astype(float)
-    murky = even_contrast(
-        np.clip(0.3 * (picture - 110) + veil, 0, 255).astype(np.uint8), GtsamViSettings().frontend
-    ).astype(float)
+    clear = equalise(np.clip(picture, 0, 255)).astype(float)
+    murky = equalise(np.clip(0.3 * (picture - 110) + veil, 0, 255)).astype(float)
     inner = (slice(60, -60), slice(60, -60))
     assert np.corrcoef(clear[inner].ravel(), murky[inner].ravel())[0, 1] > 0.98
     assert 0.7 < murky[inner].std() / clear[inner].std() < 1.05
@@ -95,10 +99,7 @@ def test_a_veil_of_scattered_light_and_a_lamps_cone_are_taken_away():
 def test_noise_of_the_sensor_is_not_lifted_to_texture():
     noise = np.random.default_rng(0).normal(size=(480, 640))
     dark = np.clip(20 + noise, 0, 255).astype(np.uint8)
-    assert (
-        even_contrast(dark, GtsamViSettings().frontend).std()
-        < 0.4 * even_contrast(texture(), GtsamViSettings().frontend).std()
-    )
+    assert equalise(dark).std() < 0.4 * equalise(texture()).std()
 
 
 def test_the_seed_is_that_of_the_random_samples():
