@@ -25,7 +25,7 @@ GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
 FLOOR = np.diag([1e-4**2] * 3 + [1e-5**2] * 3)
 """m^2 and rad^2 on every covariance of a pose: the first one is exact by definition, and a matrix that is singular
 cannot be inverted."""
-GYRO_WARMING, ACCEL_WARMING = 1e-4, 2e-3
+GYRO_WARMING, ACCEL_WARMING = 1e-4, 1e-3
 """rad/s^2/sqrt(Hz) and m/s^3/sqrt(Hz): walks that keep up with biases of a unit that warms by 0.1 K/s, of 1e-4 to 9e-4
 rad/s and 0.005 to 0.01 m/s^2 per K, as MEMS without compensation have them: no data sheet counts it as noise."""
 CORE = 15

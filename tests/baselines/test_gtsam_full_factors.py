@@ -17,6 +17,7 @@ from oysterbench.sensors.imu import ImuRecipe
 from oysterbench_baselines.common.aiding.dvl import (
     DVL_KEY,
     Interval,
+    Latency,
     Ping,
     Velocity,
     beam_rows,
@@ -33,6 +34,7 @@ from tests.helpers import sensor_dive as dive
 
 GRAVITY = 9.80665
 TOLERANCE = 2e-4  # m/s, at 0.5 m/s: what inertial samples of 100 Hz and a lever arm of 12 cm leave
+IN_TIME = Latency(0.0, 0.0)
 BEGIN_S = 20.0  # of the interval in the dive
 
 
@@ -48,10 +50,8 @@ def perfect_dive() -> dive.SensorDive:
     return dive.SensorDive(0, dataclasses.replace(vehicle, sensors=sensors), dive.survey_path(30.0))
 
 
-def interval(
-    sequence: dive.SensorDive, seconds: float, first_s: float = 0.05, latency_s: float = 0.0
-) -> tuple[Interval, State]:
-    """The pings from first_s after BEGIN_S on, taken to be so late, and the true state at BEGIN_S."""
+def interval(sequence: dive.SensorDive, seconds: float, first_s: float = 0.05) -> tuple[Interval, State]:
+    """The pings from first_s after BEGIN_S on, and the true state at BEGIN_S."""
     begin = dive.START_NS + round(BEGIN_S * 1e9)
     samples, history, pings = SampleBuffer(), History(0.6), []
     for item in sequence.stream("dvl", start_ns=begin - 10**9, end_ns=begin + round(seconds * 1e9) + 1):
@@ -62,7 +62,7 @@ def interval(
             if item.stamp_ns == begin:
                 history.mark()
         elif time >= first_s and (rows := beam_rows(item, 0.001)) is not None:
-            pings.append(Ping(time + latency_s, -latency_s, 0.0, *rows))
+            pings.append(Ping(time, *rows))
     motion = sequence.path.at(np.array([BEGIN_S]))
     T_base_imu = sequence.imu_calibration.T_base_imu
     rotation = motion.rotation[0] @ T_base_imu[:3, :3]
@@ -79,14 +79,14 @@ def summed(seconds: float = 0.4, gyro_bias: Array | None = None) -> tuple[Veloci
     if gyro_bias is not None:
         nav = state.nav
         state = State(nav, gtsam.imuBias.ConstantBias(np.zeros(3), gyro_bias))
-    velocity = sum_velocities(parts, state, GRAVITY, T_imu_dvl)
+    velocity = sum_velocities(parts, IN_TIME, state, GRAVITY, T_imu_dvl)
     assert velocity is not None
     return velocity, state
 
 
 def test_samples_over_an_interval_say_the_velocity_at_its_beginning():
     velocity, state = summed()
-    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(5))
+    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(4))
     assert error.shape == (3,)
     assert np.abs(error).max() < TOLERANCE  # m/s, at 0.5 m/s
     # Four samples of 1 mm/s per beam; sideways beams see the sine of 22.5 deg.
@@ -99,7 +99,7 @@ def test_samples_over_an_interval_say_the_velocity_at_its_beginning():
 def test_a_changed_gyro_bias_is_made_up_for():
     _, state = summed()
     off, _ = summed(gyro_bias=np.array([2e-3, -1e-3, 3e-3]))
-    at = state.nav.pose(), state.nav.velocity(), gtsam.imuBias.ConstantBias(), np.zeros(5)
+    at = state.nav.pose(), state.nav.velocity(), gtsam.imuBias.ConstantBias(), np.zeros(4)
     error, _ = velocity_error(off, GRAVITY, *at)
     unchanged = dataclasses.replace(off, bias=gtsam.imuBias.ConstantBias())
     assert np.abs(error).max() < TOLERANCE
@@ -115,9 +115,9 @@ def test_two_beams_still_give_two_rows():
         ping, directions=ping.directions[kept], along=ping.along[kept], variances=ping.variances[kept]
     )
     T_imu_dvl = invert(sequence.imu_calibration.T_base_imu) @ sequence.dvl_calibration.T_base_sensor
-    velocity = sum_velocities(dataclasses.replace(parts, pings=[lame]), state, GRAVITY, T_imu_dvl)
+    velocity = sum_velocities(dataclasses.replace(parts, pings=[lame]), IN_TIME, state, GRAVITY, T_imu_dvl)
     assert velocity is not None
-    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(5))
+    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(4))
     assert error.shape == (2,)
     assert np.abs(error).max() < TOLERANCE
 
@@ -133,7 +133,7 @@ def test_without_a_lock_there_is_no_factor():
     )
     assert beam_rows(deaf, 0.001) is None
     parts, state = interval(sequence, 0.1)
-    assert sum_velocities(dataclasses.replace(parts, pings=[]), state, GRAVITY, np.eye(4)) is None
+    assert sum_velocities(dataclasses.replace(parts, pings=[]), IN_TIME, state, GRAVITY, np.eye(4)) is None
 
 
 def test_a_ping_from_before_the_key_frame_says_the_velocity_at_it():
@@ -143,24 +143,25 @@ def test_a_ping_from_before_the_key_frame_says_the_velocity_at_it():
     early = dataclasses.replace(parts, pings=parts.pings[:2])
     assert sequence.dvl_calibration is not None
     T_imu_dvl = invert(sequence.imu_calibration.T_base_imu) @ sequence.dvl_calibration.T_base_sensor
-    velocity = sum_velocities(early, state, GRAVITY, T_imu_dvl)
+    velocity = sum_velocities(early, IN_TIME, state, GRAVITY, T_imu_dvl)
     assert velocity is not None
-    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(5))
+    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(4))
     assert np.abs(error).max() < TOLERANCE
 
 
-def test_the_latency_of_a_dvl_shifts_what_it_sees():
-    """Pings taken to be 20 ms older than they are, beside a latency that says so."""
+def test_what_is_not_known_of_a_dvls_latency_counts_once_for_all_its_pings():
+    """20 ms too much of latency: the error is what its sigma says, however many pings there are."""
     sequence = perfect_dive()
     T_imu_dvl = invert(sequence.imu_calibration.T_base_imu) @ sequence.dvl_calibration.T_base_sensor
-    late, state = interval(sequence, 0.4, latency_s=-0.02)
-    velocity = sum_velocities(late, state, GRAVITY, T_imu_dvl)
+    parts, state = interval(sequence, 0.4)
+    velocity = sum_velocities(parts, Latency(0.02, 0.02), state, GRAVITY, T_imu_dvl)
+    sure = sum_velocities(parts, Latency(0.02, 0.0), state, GRAVITY, T_imu_dvl)
     assert velocity is not None
-    at = state.nav.pose(), state.nav.velocity(), state.bias
-    known, _ = velocity_error(velocity, GRAVITY, *at, np.zeros(5))
-    unknown, _ = velocity_error(velocity, GRAVITY, *at, np.array([0.0, 0.0, 0.0, 0.0, 0.02]))
-    assert np.abs(known).max() < TOLERANCE
-    assert np.abs(unknown).max() > 4 * TOLERANCE
+    assert sure is not None
+    at = state.nav.pose(), state.nav.velocity(), state.bias, np.zeros(4)
+    worst = [np.abs(velocity_error(v, GRAVITY, *at)[0] / v.sigmas).max() for v in (velocity, sure)]
+    assert worst[0] < 1.2
+    assert worst[1] > 1.5
 
 
 def numerical(error, values: list[Any], sizes: list[int], step: float = 1e-6) -> list[Array]:
@@ -190,9 +191,9 @@ def test_the_velocity_factors_derivatives_are_those_of_its_error():
     velocity, state = summed()
     pose = state.nav.pose().retract(np.array([0.1, -0.2, 0.3, 1.0, 2.0, 3.0]))
     bias = gtsam.imuBias.ConstantBias(np.array([0.1, -0.05, 0.02]), np.array([0.01, 0.02, -0.01]))
-    at = [pose, np.array([0.4, -0.2, 0.1]), bias, np.array([0.01, 0.02, -0.01, 0.03, 0.05])]
+    at = [pose, np.array([0.4, -0.2, 0.1]), bias, np.array([0.01, 0.02, -0.01, 0.03])]
     _, slopes = velocity_error(velocity, GRAVITY, *at)
-    wanted = numerical(lambda *v: velocity_error(velocity, GRAVITY, *v), at, [6, 3, 6, 5])
+    wanted = numerical(lambda *v: velocity_error(velocity, GRAVITY, *v), at, [6, 3, 6, 4])
     for slope, other in zip(slopes, wanted, strict=True):
         np.testing.assert_allclose(slope, other, atol=1e-7)
 
@@ -210,10 +211,10 @@ def test_the_calibration_of_a_dvl_multiplies_what_it_sees():
     sequence.change("dvl", twisted)
     parts, _ = interval(sequence, 0.4)
     T_imu_dvl = invert(sequence.imu_calibration.T_base_imu) @ sequence.dvl_calibration.T_base_sensor
-    velocity = sum_velocities(parts, state, GRAVITY, T_imu_dvl)
+    velocity = sum_velocities(parts, IN_TIME, state, GRAVITY, T_imu_dvl)
     at = state.nav.pose(), state.nav.velocity(), state.bias
-    known, _ = velocity_error(velocity, GRAVITY, *at, np.concatenate([[scale], twist, [0.0]]))
-    unknown, _ = velocity_error(velocity, GRAVITY, *at, np.zeros(5))
+    known, _ = velocity_error(velocity, GRAVITY, *at, np.concatenate([[scale], twist]))
+    unknown, _ = velocity_error(velocity, GRAVITY, *at, np.zeros(4))
     assert np.abs(known).max() < TOLERANCE
     assert np.abs(unknown).max() > 1e-3
 
@@ -266,7 +267,7 @@ def test_the_velocity_factor_gives_the_solver_the_same_error():
     values.insert(X(3), state.nav.pose())
     values.insert(V(3), state.nav.velocity() + np.array([0.01, 0.0, 0.0]))
     values.insert(B(3), state.bias)
-    values.insert(DVL_KEY, np.zeros(5))
+    values.insert(DVL_KEY, np.zeros(4))
     factor = velocity_factor(velocity, 3, GRAVITY, 1e6)
-    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), values.atVector(V(3)), state.bias, np.zeros(5))
+    error, _ = velocity_error(velocity, GRAVITY, state.nav.pose(), values.atVector(V(3)), state.bias, np.zeros(4))
     assert factor.error(values) == pytest.approx(0.5 * np.sum((error / velocity.sigmas) ** 2), rel=1e-6)

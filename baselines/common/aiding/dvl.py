@@ -1,7 +1,8 @@
 """Doppler velocity log: along beam b it sees b . (1 + s) Exp(-m) R_dvl_imu (R^T v + w x r) of when it pinged.
 
-Scale s, misalignment m of its axes and latency l of its messages are its calibration, (5,); r is its place in the IMU's
-frame, w the angular rate. A ping was l before its message, less what this one was later than others.
+Scale s and misalignment m of its axes are its calibration, (4,); r is its place in the IMU's frame, w the angular rate.
+A ping was a latency before its message, and what this one was later than others. The latency is found by the filter
+alone: it multiplies accelerations, which are not known before it is, and that takes many small steps.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ WEAK = 1e-6  # share of the strongest direction's information below which beams 
 BIAS_STEP = 1e-5  # rad/s, of the difference quotient
 LATENCY_STEP_S = 0.025  # of the same: long against a thruster's turn, which shakes more than the vehicle speeds up
 REACH_S = 0.6  # that a message may be late
+UNSEEN_ACCEL = 0.3  # m/s^2, 1 sigma: an ROV gathers speed, and sways
 
 
 @dataclass(frozen=True)
@@ -66,20 +68,17 @@ class DvlSettings:
 
     @property
     def sigmas(self) -> Array:
-        """(5,) of scale, misalignment (rad) and latency (s)."""
+        """(4,) of scale and misalignment (rad)."""
         twist = np.radians(self.misalignment_sigma_deg)
-        return np.array([self.scale_sigma, twist, twist, twist, self.latency_sigma_s])
+        return np.array([self.scale_sigma, twist, twist, twist])
 
 
 @dataclass(frozen=True)
 class Ping:
-    """What the beams said, and when: time_s after a state of the vehicle, below zero before it, if messages are
-    `latency_s` late, with jitter_s, 1 sigma, beside that. directions (K, 3), along (K,) m/s, variances (K,): see
-    `beam_rows`."""
+    """What the beams said, and when: time_s after a state of the vehicle, below zero before it, and a latency before
+    that. directions (K, 3), along (K,) m/s, variances (K,): see `beam_rows`."""
 
     time_s: float
-    latency_s: float
-    jitter_s: float
     directions: Array
     along: Array
     variances: Array
@@ -93,13 +92,22 @@ class Interval:
     pings: list[Ping]
 
 
+@dataclass(frozen=True)
+class Latency:
+    """By which messages are late, s, and 1 sigma of that."""
+
+    mean_s: float
+    sigma_s: float
+
+
 class Dvl(AidingSensor):
-    """T_imu_dvl (4, 4): its mount. velocity_ns: stamp of the last velocity that was believed."""
+    """T_imu_dvl (4, 4): its mount. velocity_ns: stamp of the last velocity that was believed. latency: as the filter
+    knows it by now."""
 
     kind = "dvl"
     measures = (DvlMeasurement,)
     suspect = VELOCITY
-    unit = np.ones(5)
+    unit = np.ones(4)
 
     def __init__(
         self,
@@ -112,7 +120,9 @@ class Dvl(AidingSensor):
         """uncertainty: as the calibration states it, of a whole rig."""
         super().__init__(gate)
         stated = stated_sigmas(uncertainty, "dvl", ("scale", *axes("rotation", "rad")))
-        self._sigmas = np.hypot(settings.sigmas, np.append(stated, 0.0))
+        self._sigmas = np.hypot(settings.sigmas, stated)
+        self.latency = Latency(settings.latency_s, settings.latency_sigma_s)
+        self._latency = -1  # its row in the filter's error
         self.T_imu_dvl, self.gravity, self.settings = T_imu_dvl, gravity, settings
         self.velocity_ns: int | None = None
         self._clock = PingClock(settings.clock)
@@ -137,34 +147,37 @@ class Dvl(AidingSensor):
             self._beam_variance = float(variances.max())
         variances = np.maximum(variances, self._beam_variance)
         if self.rows is None:
-            mean = np.array([0.0, 0.0, 0.0, 0.0, self.settings.latency_s])
-            self.rows = filter.append(mean, self._sigmas)
-        at = self.rows
-        calibration = filter.extra[at.start - CORE : at.stop - CORE]
-        self._walk(filter, at.stop - 1, sample.stamp_ns)
-        latency_s = max(float(calibration[4]), -late_s)  # none is heard before it was sent
-        ping = Ping(-late_s - latency_s, latency_s, jitter_s, directions, along, variances)
+            self.rows = filter.append(np.zeros(4), self._sigmas)
+            added = filter.append(np.array([self.settings.latency_s]), np.array([self.settings.latency_sigma_s]))
+            self._latency = added.start
+        row = self._latency
+        self._walk(filter, sample.stamp_ns)
+        # None is heard before it was sent.
+        known = Latency(max(float(filter.extra[row - CORE]), -late_s), float(np.sqrt(filter.covariance[row, row])))
+        ping = Ping(-late_s, directions, along, variances)
         record = self._history.about_end()
-        if LATENCY_STEP_S - ping.time_s > record.before_s:
-            return False  # from before the first inertial measurements
-        residual, slope, noise = predict(ping, record, filter, at, self.T_imu_dvl)
+        residual, slope, by_time, noise = predict(ping, known, record, filter, self.rows, self.T_imu_dvl)
+        slope[:, row] = by_time
+        residual = residual - (filter.extra[row - CORE] - known.mean_s) * by_time
+        noise += jitter_s**2 * np.outer(by_time, by_time)
         believed = self.correct(filter, residual, slope, noise)
+        self.latency = Latency(float(filter.extra[row - CORE]), float(np.sqrt(filter.covariance[row, row])))
         if believed:
             self.velocity_ns = sample.stamp_ns
-            self._pings.append(replace(ping, time_s=ping.time_s + self._history.since_s))
+            time_s = ping.time_s + self._history.since_s
+            self._pings.append(replace(ping, time_s=time_s, variances=noise.diagonal()))
         return believed
 
-    def _walk(self, filter: InvariantFilter, row: int, stamp_ns: int) -> None:
+    def _walk(self, filter: InvariantFilter, stamp_ns: int) -> None:
         """The latency wanders, and what the clock does not know of it with it."""
         elapsed = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
-        filter.covariance[row, row] += elapsed * self.settings.latency_walk_s**2
+        filter.covariance[self._latency, self._latency] += elapsed * self.settings.latency_walk_s**2
         self._last_ns = stamp_ns
 
     def found(self, filter: InvariantFilter) -> dict[str, float]:
         if self.rows is None:
             return {}
-        calibration = filter.extra[self.rows.start - CORE : self.rows.stop - CORE]
-        return {"dvl_scale": 1.0 + float(calibration[0]), "dvl_latency_s": float(calibration[4])}
+        return {"dvl_scale": 1.0 + float(filter.extra[self.rows.start - CORE]), "dvl_latency_s": self.latency.mean_s}
 
     def propagate(self, segment: Segment) -> None:
         self._history.add(segment)
@@ -177,24 +190,30 @@ class Dvl(AidingSensor):
         self._intervals.clear()
 
     def calibration(self) -> Calibration:
-        return Calibration(DVL_KEY, np.array([0.0, 0.0, 0.0, 0.0, self.settings.latency_s]), self._sigmas)
+        return Calibration(DVL_KEY, np.zeros(4), self._sigmas)
 
     def factors(self, keyframe: int, before: State) -> list[gtsam.NonlinearFactor]:
-        velocity = sum_velocities(self._intervals[keyframe], before, self.gravity, self.T_imu_dvl)
+        velocity = sum_velocities(self._intervals[keyframe], self.latency, before, self.gravity, self.T_imu_dvl)
         return [] if velocity is None else [velocity_factor(velocity, keyframe - 1, self.gravity, self.settings.huber)]
 
 
 def predict(
-    ping: Ping, record: Record, filter: InvariantFilter, at: slice, T_imu_dvl: Array
-) -> tuple[Array, Array, Array]:
-    """Measured minus predicted (K,) of the beams of a ping, its derivative (K, 15 + M) by the filter's error, and the
-    noise (K, K). at: rows of the log's calibration."""
+    ping: Ping, latency: Latency, record: Record, filter: InvariantFilter, at: slice, T_imu_dvl: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Measured minus predicted (K,) of the beams of a ping, its derivatives by the filter's error (K, 15 + M), but the
+    latency's, and by the latency (K,), m/s^2; and the noise (K, K). at: rows of the log's calibration.
+
+    Latency and acceleration multiply, and both may be unknown at first: what they make together, of second order, is
+    noise of the product of their variances (Bar-Shalom, Li, Kirubarajan 2001, sec. 10.3.2). Without it a bias of the
+    accelerometer is taken for latency.
+    """
     calibration = filter.extra[at.start - CORE : at.stop - CORE]
     rotation, lever = T_imu_dvl[:3, :3], T_imu_dvl[:3, 3]
-    turn = (1.0 + calibration[0]) * rotation_exp(-calibration[1:4]) @ rotation.T
+    turn = (1.0 + calibration[0]) * rotation_exp(-calibration[1:]) @ rotation.T
     to_body = filter.rotation.T
     start, down = to_body @ filter.velocity, to_body @ filter.down
-    times = ping.time_s + LATENCY_STEP_S * np.array([0.0, -1.0, 1.0])
+    time = ping.time_s - latency.mean_s
+    times = time + LATENCY_STEP_S * np.array([0.0, -1.0, 1.0])
 
     def moving(gyro_bias: Array) -> tuple[Array, Instants]:
         """(3, 3) m/s: velocities of the log at the ping, and a step before and after it, in the IMU's frame."""
@@ -202,6 +221,8 @@ def predict(
         return found.velocities(start, down) + np.cross(found.rate, lever), found
 
     (now, before, after), then = moving(filter.gyro_bias)
+    missed = max(0.0, -time - record.before_s)  # s, from before the first inertial measurements
+    variances = ping.variances + (UNSEEN_ACCEL * missed) ** 2
     back = turn @ then.rotation[0].T
     slope = np.zeros((3, len(filter.covariance)))
     slope[:, VELOCITY] = back @ to_body
@@ -213,15 +234,16 @@ def predict(
     by_velocity = ping.directions @ slope[:, VELOCITY]
     residual = ping.along - ping.directions @ turn @ now
     gain = filter.covariance[VELOCITY, VELOCITY] @ by_velocity.T
-    change = gain @ np.linalg.solve(by_velocity @ gain + np.diag(ping.variances), residual)
+    change = gain @ np.linalg.solve(by_velocity @ gain + np.diag(variances), residual)
     seen = turn @ now + slope[:, VELOCITY] @ change
     slope[:, at.start] = seen / (1.0 + calibration[0])
-    slope[:, at.start + 1 : at.start + 4] = cross(seen) @ left_jacobian(-calibration[1:4])
-    slope[:, at.start + 4] = turn @ (before - after) / (then.time[2] - then.time[1])
-    by_time = ping.directions @ slope[:, at.start + 4]
-    residual = residual - (calibration[4] - ping.latency_s) * by_time
-    by_time = ping.jitter_s * by_time
-    return residual, ping.directions @ slope, np.diag(ping.variances) + np.outer(by_time, by_time)
+    slope[:, at.start + 1 : at.stop] = cross(seen) @ left_jacobian(-calibration[1:])
+    by_time = ping.directions @ turn @ (before - after) / max(then.time[2] - then.time[1], LATENCY_STEP_S)
+    by_accel = np.zeros((3, len(filter.covariance)))
+    by_accel[:, ATTITUDE], by_accel[:, ACCEL_BIAS] = back @ to_body @ cross(filter.down), -back
+    by_accel = ping.directions @ by_accel
+    both = latency.sigma_s**2 * by_accel @ filter.covariance @ by_accel.T
+    return residual, ping.directions @ slope, by_time, np.diag(variances) + both
 
 
 def beam_rows(sample: DvlMeasurement, floor: float) -> tuple[Array, Array, Array] | None:
@@ -253,7 +275,7 @@ class Velocity:
     axes (u + down R^T g + accel a + gyro b + calibration c - measured) is white with `sigmas`.
 
     axes (K, 3) unit rows, K <= 3; sigmas (K,) m/s; down (3, 3) s: the samples' mean time after the key frame, and how
-    the turns in between mix the axes; accel, gyro (3, 3), calibration (3, 5); measured (3,); bias: of the IMU, about
+    the turns in between mix the axes; accel, gyro (3, 3), calibration (3, 4); measured (3,); bias: of the IMU, about
     which it was linearised.
     """
 
@@ -267,10 +289,14 @@ class Velocity:
     bias: gtsam.imuBias.ConstantBias
 
 
-def sum_velocities(interval: Interval, state: State, gravity: float, T_imu_dvl: Array) -> Velocity | None:
+def sum_velocities(
+    interval: Interval, latency: Latency, state: State, gravity: float, T_imu_dvl: Array
+) -> Velocity | None:
     """All pings of an interval, carried to its beginning by the inertial measurements, as one; None without any.
 
-    state: at its beginning, roughly. A beam d of the DVL at time t sees
+    state: at its beginning, roughly. What is not known of the latency moves all pings together.
+
+    A beam d of the DVL at time t sees
     d . (1 + s) Exp(-m) R_dvl_imu (dR^T (u + t R^T g + dv) + w x r), with dR, dv the preintegrated rotation and velocity
     (Forster et al. 2017, eq. 33). The rows of all beams are linear in u: their least-squares solution for it is the
     measurement, and keeps how it depends on the rest.
@@ -281,11 +307,10 @@ def sum_velocities(interval: Interval, state: State, gravity: float, T_imu_dvl: 
     bias, pings = state.bias, interval.pings
     to_body = state.nav.attitude().matrix().T
     start, down = to_body @ state.nav.velocity(), to_body @ np.array([0.0, 0.0, -gravity])
-    n = len(pings)
-    at = np.array([ping.time_s for ping in pings])
+    at = np.array([ping.time_s for ping in pings]) - latency.mean_s
     times = np.concatenate([at, at - LATENCY_STEP_S, at + LATENCY_STEP_S])
     directions = np.concatenate([ping.directions for ping in pings]) @ to_dvl
-    of = np.repeat(np.arange(n), [len(ping.directions) for ping in pings])  # by row, its ping
+    of = np.repeat(np.arange(len(pings)), [len(ping.directions) for ping in pings])  # by row, its ping
 
     def moving(gyro_bias: Array) -> tuple[Array, Instants]:
         """(3 n, 3) m/s: velocities of the log at the pings, and a step before and after them, in the IMU's frame."""
@@ -299,28 +324,22 @@ def sum_velocities(interval: Interval, state: State, gravity: float, T_imu_dvl: 
     for axis in range(3):
         moved, _ = moving(bias.gyroscope() + BIAS_STEP * np.eye(3)[axis])
         gyro_slope[:, axis] = np.einsum("kj,kj->k", directions, moved[of] - seen[of]) / BIAS_STEP
-    # The velocity in the DVL's frame, by which its calibration multiplies; and what it changes by with the latency.
-    before, after = seen[n : 2 * n], seen[2 * n :]
-    by_time = (before - after) / (then.time[2 * n :] - then.time[n : 2 * n])[:, None]
-    in_dvl = seen[:n] @ to_dvl.T
-    calibration_slope = np.column_stack(
-        [
-            np.einsum("kj,kj->k", directions, seen[of]),
-            np.cross(np.concatenate([ping.directions for ping in pings]), in_dvl[of]),
-            np.einsum("kj,kj->k", directions, by_time[of]),
-        ]
-    )
-    latency = np.array([ping.latency_s for ping in pings])[of]
-    jitter = np.array([ping.jitter_s for ping in pings])[of] * calibration_slope[:, 4]
-    weight = 1.0 / (np.concatenate([ping.variances for ping in pings]) + jitter**2)
-    if not np.isfinite(weight).all():
+    # The velocity in the DVL's frame, by which its calibration multiplies.
+    turned = np.cross(np.concatenate([ping.directions for ping in pings]), (seen @ to_dvl.T)[of])
+    calibration_slope = np.column_stack([along, turned])
+    _, before, after = np.split(seen, 3)
+    by_time = np.einsum("kj,kj->k", directions, ((before - after) / (2 * LATENCY_STEP_S))[of])
+    noise = np.diag(np.concatenate([ping.variances for ping in pings]))
+    noise += latency.sigma_s**2 * np.outer(by_time, by_time)
+    if not np.isfinite(noise).all():
         return None
-    information = slope.T @ (weight[:, None] * slope)
+    weight = np.linalg.inv(noise)
+    information = slope.T @ weight @ slope
     values, vectors = np.linalg.eigh(information)
     known = values > WEAK * values[-1]
     seen_axes = vectors[:, known].T
-    solve = (vectors[:, known] / values[known]) @ seen_axes @ slope.T * weight  # (3, M): the least-squares solution
-    measured = np.concatenate([ping.along for ping in pings]) + calibration_slope[:, 4] * latency
+    solve = (vectors[:, known] / values[known]) @ seen_axes @ slope.T @ weight  # (3, M): the least-squares solution
+    measured = np.concatenate([ping.along for ping in pings])
     return Velocity(
         seen_axes,
         1.0 / np.sqrt(values[known]),
@@ -341,7 +360,7 @@ def velocity_error(
     bias: gtsam.imuBias.ConstantBias,
     calibration: Array,
 ) -> tuple[Array, list[Array]]:
-    """Error (K,) of a `Velocity`; its derivatives by pose (K, 6), velocity (K, 3), bias (K, 6), calibration (K, 5)."""
+    """Error (K,) of a `Velocity`; its derivatives by pose (K, 6), velocity (K, 3), bias (K, 6), calibration (K, 4)."""
     to_body = pose.rotation().matrix().T
     start, down = to_body @ v, to_body @ np.array([0.0, 0.0, -gravity])
     accel = bias.accelerometer() - velocity.bias.accelerometer()

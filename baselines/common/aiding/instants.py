@@ -81,6 +81,8 @@ class Instants:
 def instants(record: Record, times: Array, gyro_bias: Array, accel_bias: Array) -> Instants:
     """Those at times (K,) s after a record's instant, within what it holds; biases (3,)."""
     segment, before = record.segment, record.before_s
+    if not len(segment.dt):  # nothing has happened yet
+        segment = Segment(np.full(1, 1e-9), gyro_bias[None], accel_bias[None])
     nodes = np.concatenate([[0.0], np.cumsum(segment.dt)]) - before
     times = np.clip(times, nodes[0], nodes[-1])
     wanted, inverse = np.unique(np.concatenate([[0.0], times]), return_inverse=True)
