@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from oysterbench.sensors.dvl import DvlRecipe
-from oysterbench.sensors.magnetometer import HARD_IRON, SOFT_IRON, MagnetometerCalibration
+from oysterbench.sensors.magnetometer import HARD_IRON, SOFT_IRON
 from oysterbench.sensors.uncertainty import Uncertainty, axes
 from oysterbench_baselines.common.aiding.dvl import Dvl, DvlSettings
 from oysterbench_baselines.common.aiding.magnetometer import MagnetometerSettings, known_iron
@@ -25,6 +25,7 @@ def turned(sequence: dive.SensorDive) -> tuple[np.ndarray, np.ndarray]:
     trajectory = DeadReckoning().run(sequence.for_method()).trajectory
     truth = sequence.truth_from_start()
     error = Rotation.from_quat(truth.quaternions) * Rotation.from_quat(trajectory.quaternions).inv()
+    assert trajectory.covariances is not None
     return error.as_rotvec(), np.sqrt(np.diagonal(trajectory.covariances[:, 3:, 3:], axis1=1, axis2=2))
 
 
@@ -75,15 +76,15 @@ def test_what_a_calibration_states_of_a_dvl_is_its_prior_beside_what_the_maker_d
 
 def test_iron_is_that_of_the_swing_where_there_was_one():
     settings = MagnetometerSettings(mean_motor_sigma=0.0)
-    swung = MagnetometerCalibration(np.eye(4), np.array([4e-6, -7e-6, 2e-6]), np.eye(3) * 1.02)
+    swung = np.array([4e-6, -7e-6, 2e-6]), np.eye(3) * 1.02
     hard, soft, sigmas = known_iron(swung, settings, stated(0.0, 0.01, 2e-6, 0.02))
-    np.testing.assert_array_equal(hard, swung.hard_iron_t)
-    np.testing.assert_array_equal(soft, swung.soft_iron)
+    np.testing.assert_array_equal(hard, swung[0])
+    np.testing.assert_array_equal(soft, swung[1])
     np.testing.assert_allclose(sigmas[3:6], 2e-6)
     wanted = np.full((3, 3), np.hypot(0.02, 0.01))
     np.fill_diagonal(wanted, 0.02)
     np.testing.assert_allclose(sigmas[6:].reshape(3, 3), wanted)
-    hard, soft, sigmas = known_iron(MagnetometerCalibration(np.eye(4)), settings, None)
+    hard, soft, sigmas = known_iron(None, settings, None)
     assert not hard.any()
     assert sigmas[3] == settings.hard_iron_sigma
 

@@ -54,7 +54,9 @@ def aiding_sensors(sequence: Sequence, settings: AidingSettings, kinds: Collecti
         sensors.append(Pressure(mount, gravity, pressure, settings.pressure, settings.gate))
     if compass is not None:
         mount = T_imu_base @ compass.T_base_sensor
-        sensors.append(Magnetometer(mount[:3, :3], compass, settings.magnetometer, settings.gate, sequence.uncertainty))
+        swung = compass.hard_iron_t is not None and compass.soft_iron is not None
+        iron = (compass.hard_iron_t, compass.soft_iron) if swung else None
+        sensors.append(Magnetometer(mount[:3, :3], iron, settings.magnetometer, settings.gate, sequence.uncertainty))
     return sensors
 
 

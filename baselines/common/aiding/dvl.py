@@ -15,10 +15,11 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import DvlMeasurement
-from oysterbench.sensors.uncertainty import Uncertainty, axes
+from oysterbench.sequence.types import Uncertainty
 from oysterbench_baselines.common.aiding.instants import History, Instants, Record, instants
 from oysterbench_baselines.common.aiding.ping_clock import PingClock, PingClockSettings
 from oysterbench_baselines.common.aiding.sensor import (
+    ROTATION,
     AidingSensor,
     Calibration,
     GateSettings,
@@ -119,7 +120,7 @@ class Dvl(AidingSensor):
     ) -> None:
         """uncertainty: as the calibration states it, of a whole rig."""
         super().__init__(gate)
-        stated = stated_sigmas(uncertainty, "dvl", ("scale", *axes("rotation", "rad")))
+        stated = stated_sigmas(uncertainty, "dvl", ("scale", *ROTATION))
         self._sigmas = np.hypot(settings.sigmas, stated)
         self.latency = Latency(settings.latency_s, settings.latency_sigma_s)
         self._latency = -1  # its row in the filter's error
@@ -337,11 +338,11 @@ def sum_velocities(
     information = slope.T @ weight @ slope
     values, vectors = np.linalg.eigh(information)
     known = values > WEAK * values[-1]
-    seen_axes = vectors[:, known].T
-    solve = (vectors[:, known] / values[known]) @ seen_axes @ slope.T @ weight  # (3, M): the least-squares solution
+    axes = vectors[:, known].T
+    solve = (vectors[:, known] / values[known]) @ axes @ slope.T @ weight  # (3, M): the least-squares solution
     measured = np.concatenate([ping.along for ping in pings])
     return Velocity(
-        seen_axes,
+        axes,
         1.0 / np.sqrt(values[known]),
         solve @ (slope * then.time[of][:, None]),
         solve @ np.einsum("kj,kjl->kl", slope, then.accel[of]),

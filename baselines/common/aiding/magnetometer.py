@@ -14,9 +14,9 @@ import numpy as np
 
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import MagneticMeasurement
-from oysterbench.sensors.magnetometer import HARD_IRON, SOFT_IRON, MagnetometerCalibration
-from oysterbench.sensors.uncertainty import Uncertainty, axes
+from oysterbench.sequence.types import Uncertainty
 from oysterbench_baselines.common.aiding.sensor import (
+    ROTATION,
     AidingSensor,
     Calibration,
     GateSettings,
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
     from oysterbench_baselines.gtsam_vi.states import State
 
+HARD_IRON = tuple(f"hard_iron_{axis}_t" for axis in "xyz")
+SOFT_IRON = tuple(f"soft_iron_{row}{column}" for row in "xyz" for column in "xyz")
+"""Parameters of the iron, of which a calibration states sigmas."""
 COMPASS_KEY = symbol("m")
 """The Earth's field in odom (3), hard iron (3), both in FIELD_UNIT, and soft iron (9, row by row): (15,)."""
 FIELD_UNIT = 1e-5
@@ -66,15 +69,15 @@ class Magnetometer(AidingSensor):
     def __init__(
         self,
         R_imu_compass: Array,
-        calibration: MagnetometerCalibration,
+        iron: tuple[Array, Array] | None,
         settings: MagnetometerSettings,
         gate: GateSettings,
         uncertainty: Uncertainty | None = None,
     ) -> None:
-        """uncertainty: as the calibration states it, of a whole rig."""
+        """iron: see `known_iron`. uncertainty: as the calibration states it, of a whole rig."""
         super().__init__(gate)
         self.R_compass_imu, self.settings = R_imu_compass.T, settings
-        self._hard, self._soft, self._sigmas = known_iron(calibration, settings, uncertainty)
+        self._hard, self._soft, self._sigmas = known_iron(iron, settings, uncertainty)
         self._motors = np.full(3, settings.motor_sigma**2)  # T^2, variances of their field, by axis
         self._last_ns: int | None = None
         self._believed: MagneticMeasurement | None = None
@@ -167,20 +170,21 @@ class Magnetometer(AidingSensor):
 
 
 def known_iron(
-    calibration: MagnetometerCalibration, settings: MagnetometerSettings, uncertainty: Uncertainty | None
+    iron: tuple[Array, Array] | None, settings: MagnetometerSettings, uncertainty: Uncertainty | None
 ) -> tuple[Array, Array, Array]:
     """Hard (3,) T and soft iron (3, 3) as a calibration has them, and 1 sigmas (15,) of the Earth's field and of both.
 
-    A mount that errs by a small turn e makes A (1 - [e]x) of A: soft iron beside the diagonal.
+    iron: as the swing found them; None where there was none. A mount that errs by a small turn e makes A (1 - [e]x) of
+    A: soft iron beside the diagonal.
     """
     field = np.full(3, settings.field_sigma)
-    if calibration.hard_iron_t is None or calibration.soft_iron is None:
-        iron = np.r_[np.full(3, settings.hard_iron_sigma), np.full(9, settings.soft_iron_sigma)]
-        return np.zeros(3), np.eye(3), np.r_[field, iron]
+    if iron is None:
+        sigmas = np.r_[np.full(3, settings.hard_iron_sigma), np.full(9, settings.soft_iron_sigma)]
+        return np.zeros(3), np.eye(3), np.r_[field, sigmas]
     hard = np.hypot(stated_sigmas(uncertainty, "magnetometer", HARD_IRON), settings.mean_motor_sigma)
-    turn = np.abs(cross(stated_sigmas(uncertainty, "magnetometer", axes("rotation", "rad"))))
+    turn = np.abs(cross(stated_sigmas(uncertainty, "magnetometer", ROTATION)))
     soft = np.hypot(stated_sigmas(uncertainty, "magnetometer", SOFT_IRON), turn.ravel())
-    return calibration.hard_iron_t, calibration.soft_iron, np.r_[field, hard, soft]
+    return iron[0], iron[1], np.r_[field, hard, soft]
 
 
 def field_error(field: Array, R_compass_imu: Array, pose: gtsam.Pose3, iron: Array) -> tuple[Array, list[Array]]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from oysterbench.core.geometry import Array
-from oysterbench.sensors.uncertainty import Uncertainty
+from oysterbench.sequence.types import Uncertainty
 from oysterbench_baselines.common.filter import InvariantFilter
 from oysterbench_baselines.common.inertial import Segment
 
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     import gtsam
 
     from oysterbench_baselines.gtsam_vi.states import Keyframe, State
+
+
+ROTATION = tuple(f"rotation_{axis}_rad" for axis in "xyz")
+"""Parameters of a mount, of which a calibration states sigmas."""
 
 
 @dataclass(frozen=True)
