@@ -18,6 +18,7 @@ from oysterbench_baselines.common.alignment import start_filter
 from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.gtsam_full.ranges import Ranges
 from oysterbench_baselines.gtsam_full.settings import GtsamFullSettings
+from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
 from oysterbench_baselines.gtsam_vi.estimator import AidedFilter, Estimator
 from oysterbench_baselines.gtsam_vi.method import Output, check_output, estimate_of, first_camera, run_estimator
 
@@ -64,7 +65,9 @@ class GtsamFull:
             )
         stamps_ns = np.array([sample.stamp_ns for sample in inertial], dtype=np.int64)
         gyro, accel = (np.array([getattr(sample, name) for sample in inertial]) for name in ("gyro", "accel"))
-        estimator = aided_estimator(sequence, sequence.cameras[camera], self.settings, (stamps_ns, gyro, accel))
+        calibration, first = sequence.cameras[camera], (stamps_ns, gyro, accel)
+        known = CameraUncertainty.of(sequence.uncertainty, [camera], [calibration])
+        estimator = aided_estimator(sequence, calibration, self.settings, first, known)
         run_estimator(estimator, sequence, [camera], chain(head, stream), self.seed, int(stamps_ns[0]))
         info = {"camera": camera, "sensors": ["imu", *sensors, camera]}
         return estimate_of(estimator, self.output, self.settings, info)
@@ -75,10 +78,12 @@ def aided_estimator(
     camera: CameraCalibration,
     settings: GtsamFullSettings,
     first: tuple[NDArray[np.int64], Array, Array],
+    uncertainty: CameraUncertainty | None = None,
 ) -> Estimator:
     """An estimator with all aiding sensors of a rig that are to be used.
 
     first: stamps (N,), gyro and accel (N, 3) of the first moments, by which the vehicle is levelled.
+    uncertainty: of the camera.
     """
     imu, settings = sequence.imu_calibration, settings.for_rig(sequence)
     noise = InertialNoise.of(imu, settings.noise.imu_inflation)
@@ -87,6 +92,7 @@ def aided_estimator(
     dvl = next((sensor for sensor in sensors if isinstance(sensor, Dvl)), None)
     if settings.ranges.enabled and (dvl is not None or sequence.altimeters):
         sensors.append(Ranges(invert(imu.T_base_imu), sequence.altimeters, dvl, settings.ranges))
-    estimator = Estimator([camera], imu, settings, AidedFilter(filter, Aiding(sensors), settings.filter_start))
+    aided = AidedFilter(filter, Aiding(sensors), settings.filter_start)
+    estimator = Estimator([camera], imu, settings, aided, uncertainty)
     estimator.info["started_at_rest"] = at_rest
     return estimator

@@ -19,7 +19,7 @@ from oysterbench.sequence.types import CameraCalibration, Uncertainty
 from oysterbench_baselines.common.aiding.sensor import symbol
 
 CLOCK = symbol("t")
-LAST = frozenset(map(ord, "mkt"))
+LAST = frozenset(map(ord, "ckt"))
 """Letters of the variables here: they are in nearly all factors, and eliminated last."""
 
 MODELS = {
@@ -38,7 +38,7 @@ SIZE = len(LEAST)
 
 def mount_key(camera: int) -> int:
     """Key of a camera's T_imu_cam."""
-    return symbol("m", camera)
+    return symbol("c", camera)
 
 
 def lens_key(camera: int) -> int:

@@ -33,7 +33,7 @@ from oysterbench_baselines.gtsam_vi.covariance import (
     pose_covariances,
     set_state,
 )
-from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Observations
+from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Observations, Translation
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, Initialiser, Start
 from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation, is_keyframe, is_stationary
@@ -163,6 +163,16 @@ class Estimator:
             return False
         sigma = np.sqrt(np.trace(self.filter.covariance[VELOCITY, VELOCITY]))
         return bool(np.linalg.norm(self.filter.velocity) > max(limits.repeat_speed, 5 * sigma))
+
+    def moved(self, duration: float) -> Translation | None:
+        """How the first camera has moved over the last so many seconds, as far as the filter knows."""
+        if not self.navigating:
+            return None
+        f, T_imu_cam = self.filter, self.model.rig.T_imu_cam
+        arm = np.cross(f.rate, T_imu_cam[:3, 3])
+        velocity = T_imu_cam[:3, :3].T @ (f.rotation.T @ f.velocity + arm)
+        sigma = float(np.sqrt(np.trace(f.covariance[VELOCITY, VELOCITY]) / 3))
+        return Translation(velocity * duration, sigma * duration)
 
     # The parts of a step.
 

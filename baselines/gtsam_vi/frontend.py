@@ -123,6 +123,40 @@ def epipolar_inliers(
     return np.asarray(inliers[int(np.argmax(inliers.sum(axis=1)))], dtype=bool)
 
 
+@dataclass(frozen=True)
+class Translation:
+    """How a camera has moved between two frames, (3,) m in its axes at the first; sigma: m, 1 sigma per axis."""
+
+    vector: Array
+    sigma: float
+
+
+def agree_with(
+    moved: Translation, before: Array, after: Array, R_after_before: Array, tolerance: float, sigmas: float
+) -> NDArray[np.bool_]:
+    """Which pairs of rays (N, 2), (N, 2) agree with a translation that is known: all where its direction is not.
+
+    What drifts along with the water moves as one, and may be the most of what is seen: a consensus among tracks takes
+    it for the bottom. What the vehicle does it cannot imitate, but along the line that it flies on. A point at rest
+    moves along its epipolar line, away from where the camera goes, by as much as its depth says; across it by no more
+    than what the direction is uncertain by of that.
+    """
+    length = float(np.linalg.norm(moved.vector))
+    if length < sigmas * moved.sigma:
+        return np.ones(len(before), dtype=bool)
+    turned = homogeneous(before) @ R_after_before.T
+    still = turned[:, :2] / np.maximum(turned[:, 2:], 0.1)
+    flow = after - still
+    towards = R_after_before @ moved.vector / length
+    # Of a point (x, y, 1) z, a translation t gives the flow (t_z (x, y) - (t_x, t_y)) / z.
+    along = towards[2] * still - towards[:2]
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    forth = np.einsum("ni,ni->n", flow, along)
+    across = np.abs(along[:, 0] * flow[:, 1] - along[:, 1] * flow[:, 0])
+    allowed = tolerance + sigmas * moved.sigma / length * np.linalg.norm(flow, axis=1)
+    return np.asarray((across < allowed) & (forth > -allowed), dtype=bool)
+
+
 def without_veil(grey: NDArray[np.uint8], settings: FrontEndSettings) -> NDArray[np.float32]:
     """A grey picture (H, W) less the mean around each pixel: the veil of scattered light, the slower part of caustics,
     and a lamp's cone."""
@@ -188,11 +222,18 @@ class FrontEnd:
         self._pattern = FixedPattern(settings)
         self._tracks = NO_TRACKS
 
-    def track(self, pixels: NDArray[np.uint8], R_before_now: Array, elapsed_s: float = 0.0) -> FeatureTracks:
+    def track(
+        self,
+        pixels: NDArray[np.uint8],
+        R_before_now: Array,
+        elapsed_s: float = 0.0,
+        moved: Translation | None = None,
+    ) -> FeatureTracks:
         """Corners in the next frame.
 
         pixels (H, W, 3) RGB or (H, W) grey, uint8. R_before_now (3, 3): rotation of the camera since the last frame,
-        elapsed_s ago. After a long gap all corners are new: a patch that has gone far is found where one like it is.
+        elapsed_s ago; moved: its translation, where it is known. After a long gap all corners are new: a patch that has
+        gone far is found where one like it is.
         """
         self._taken = pixels
         if elapsed_s > self.settings.max_gap_s:
@@ -201,7 +242,7 @@ class FrontEnd:
         image = even_contrast(self._pattern.taken_from(detail), self.settings)
         before = self._tracks
         if self.image is not None and len(self._tracks.ids):
-            self._tracks = self._follow(self.image, image, R_before_now)
+            self._tracks = self._follow(self.image, image, R_before_now, moved)
         self.image = image
         self._pattern.add(detail, self._moved_px(before, R_before_now))
         kept, self._tracks = self._tracks, self._replenish(image)
@@ -243,7 +284,9 @@ class FrontEnd:
             return float(np.median(np.linalg.norm(self._tracks.pixels[now] - before.pixels[then], axis=1)))
         return self._focal * float(np.arccos(np.clip((np.trace(R_before_now) - 1) / 2, -1.0, 1.0)))
 
-    def _follow(self, last: NDArray[np.uint8], image: NDArray[np.uint8], R_before_now: Array) -> FeatureTracks:
+    def _follow(
+        self, last: NDArray[np.uint8], image: NDArray[np.uint8], R_before_now: Array, moved: Translation | None
+    ) -> FeatureTracks:
         """The last frame's tracks in this one: Lucas-Kanade forth and back, then the epipolar check."""
         settings, tracks = self.settings, self._tracks
         turned = homogeneous(tracks.rays) @ R_before_now  # where the rotation alone would take them
@@ -252,6 +295,9 @@ class FrontEnd:
         ids, before, now = tracks.ids[good], tracks.rays[good], end[good]
         rays = undistort(now, self.calibration)
         tolerance = settings.epipolar_error_px / self._focal
+        if moved is not None:
+            known = agree_with(moved, before, rays, R_before_now.T, tolerance, settings.motion_sigmas)
+            ids, before, now, rays = ids[known], before[known], now[known], rays[known]
         keep = epipolar_inliers(before, rays, R_before_now.T, tolerance, settings.epipolar_trials, self._generator)
         return FeatureTracks(ids[keep], now[keep], rays[keep])
 

@@ -18,7 +18,7 @@ from oysterbench_baselines.gtsam_vi.states import (
     Keyframe,
     State,
     backward,
-    predict_constant_velocity,
+    coast,
     read_state,
     state_of,
     states_of,
@@ -112,11 +112,12 @@ class Initialiser:
         return Start(stretch, bundle, window, {})
 
     def _move_anchor(self, keyframes: list[Keyframe], to: Keyframe) -> None:
-        """The search has gone on for longer than the stretch that it looks at: until `to` the velocity is constant."""
+        """The search has gone on for longer than the stretch that it looks at: until `to` it coasts."""
         assert self.anchor is not None
         start_ns, before = keyframes[self.first].stamp_ns, self.anchor
+        memory_s = self.model.settings.recovery.memory_s
         for passed in keyframes[self.first + 1 : to.index + 1]:
-            passed.state = predict_constant_velocity(before.state, (passed.stamp_ns - start_ns) * 1e-9)
+            passed.state = coast(before.state, (passed.stamp_ns - start_ns) * 1e-9, memory_s)
             passed.trusted = False
         covariance = grown_covariance(before.covariance, (to.stamp_ns - start_ns) * 1e-9, self.model.settings.recovery)
         self.model.initial_covariances.pop(self.first, None)

@@ -9,7 +9,7 @@ import numpy as np
 from oysterbench.core.geometry import Array
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.settings import RecoverySettings
-from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, predict_constant_velocity
+from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, coast
 from oysterbench_baselines.gtsam_vi.window import Window
 
 
@@ -55,7 +55,7 @@ class Recovery:
         self._bad_keyframes = 0
 
     def predict(self, keyframes: list[Keyframe], frames: list[Frame]) -> Anchor:
-        """The path goes on from the last good key frame at the velocity it had, also for the frames whose poses have
+        """The path goes on from the last good key frame, slowing down, also for the frames whose poses have
         been given since; gives what is known of the last key frame."""
         assert self._good is not None
         index, state = self._good
@@ -63,11 +63,11 @@ class Recovery:
         covariance = next(frame.covariance for frame in frames if frame.stamp_ns == stamp_ns)
         assert covariance is not None
         for keyframe in keyframes[index:]:
-            keyframe.state = predict_constant_velocity(state, (keyframe.stamp_ns - stamp_ns) * 1e-9)
+            keyframe.state = coast(state, (keyframe.stamp_ns - stamp_ns) * 1e-9, limits.memory_s)
         for frame in frames:
             if frame.stamp_ns > stamp_ns:
                 time = (frame.stamp_ns - stamp_ns) * 1e-9
-                frame.online = predict_constant_velocity(state, time).matrix
+                frame.online = coast(state, time, limits.memory_s).matrix
                 frame.covariance = grown_covariance(covariance, time, limits)
         time = (keyframes[-1].stamp_ns - stamp_ns) * 1e-9
         return Anchor(keyframes[-1].estimate, grown_covariance(covariance, time, limits))

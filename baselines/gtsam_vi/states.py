@@ -131,10 +131,16 @@ def predict_stationary(state: State) -> State:
     return State(gtsam.NavState(state.nav.pose(), np.zeros(3)), state.bias)
 
 
-def predict_constant_velocity(state: State, time: float) -> State:
-    """The state after a time (s) at the same velocity and attitude."""
-    pose = gtsam.Pose3(state.nav.attitude(), state.nav.position() + state.nav.velocity() * time)
-    return State(gtsam.NavState(pose, state.nav.velocity()), state.bias)
+def coast(state: State, time: float, memory_s: float) -> State:
+    """The state after a time (s) of which nothing is known: at the same attitude, going on as it went and ever slower.
+
+    memory_s: in which the velocity falls by 1 - 1/e: a velocity that has been lost is as good a guess for some seconds,
+    and none after that; its error would grow with the time without end.
+    """
+    left = float(np.exp(-time / memory_s))
+    position = state.nav.position() + state.nav.velocity() * memory_s * (1.0 - left)
+    pose = gtsam.Pose3(state.nav.attitude(), position)
+    return State(gtsam.NavState(pose, state.nav.velocity() * left), state.bias)
 
 
 def forward(state: State, segment: Segment, params: gtsam.PreintegrationCombinedParams) -> State:

@@ -107,8 +107,10 @@ class Window:
             return
         points = np.array([self._points[int(i)] for i in ids[known]])
         errors = self.model.rig.errors_px(keyframe.estimate.matrix, points, rays[known], cameras[known])
-        # The prediction may be off as a whole, after a long time without tracks: judge against the crowd.
-        limit = settings.landmarks.max_innovation_px + 2.0 * float(np.median(errors))
+        # The prediction may be off as a whole, after a long time without tracks: judge against the crowd. What a filter
+        # knows that measures its velocity is better than any crowd that drifts with the water.
+        crowd = 0.0 if self.model.aiding.knows_velocity else float(np.median(errors))
+        limit = settings.landmarks.max_innovation_px + 2.0 * crowd
         self.lost_share = float(np.mean(errors > settings.landmarks.max_innovation_px))
         noise = self.model.rig.pixel_noise(self.model.settings.noise, keyframe.observations.inflation)
         slid = {int(ids[n]) for n, error in zip(known, errors, strict=True) if error > limit}

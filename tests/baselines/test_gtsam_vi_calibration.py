@@ -7,6 +7,7 @@ import dataclasses
 import gtsam
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, invert
@@ -19,7 +20,14 @@ from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty, Optics
 from oysterbench_baselines.gtsam_vi.cameras import CameraRig
 from oysterbench_baselines.gtsam_vi.clock import clocked, moved_on, moved_on_slopes
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
-from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd, undistort
+from oysterbench_baselines.gtsam_vi.frontend import (
+    FeatureTracks,
+    FrontEnd,
+    Translation,
+    agree_with,
+    epipolar_inliers,
+    undistort,
+)
 from oysterbench_baselines.gtsam_vi.preintegration import inertial_factor, preintegration_params
 from oysterbench_baselines.gtsam_vi.settings import NoiseSettings
 from oysterbench_baselines.gtsam_vi.states import Rates, State, insert_state, make_state
@@ -75,7 +83,7 @@ def estimate_late(measured: dive.Dive, camera: CameraCalibration, known: CameraU
     return estimator
 
 
-def truth_at(stamps_ns: Array) -> Trajectory:
+def truth_at(stamps_ns: NDArray[np.int64]) -> Trajectory:
     poses = dive.survey_pose((stamps_ns - dive.START_NS) * 1e-9)
     return Trajectory(stamps_ns, poses[:, :3, 3].copy(), Rotation.from_matrix(poses[:, :3, :3]).as_quat())
 
@@ -271,3 +279,24 @@ def test_hot_pixels_and_spots_on_the_port_get_no_corners_once_they_are_known():
         shares.append(on_spots())
     assert np.mean(shares[5:15]) > 0.1
     assert np.mean(shares[-10:]) < 0.3 * np.mean(shares[5:15])
+
+
+def test_what_drifts_with_the_water_is_told_from_the_bottom_by_how_the_vehicle_moves():
+    """Three of four tracks are of silt that a current carries: a consensus of tracks takes it for the bottom."""
+    rng = np.random.default_rng(5)
+    bottom = np.column_stack([rng.uniform(-0.6, 0.6, (50, 2)), rng.uniform(0.8, 1.6, 50)])
+    silt = np.column_stack([rng.uniform(-0.3, 0.3, (150, 2)), rng.uniform(0.4, 0.8, 150)])
+    moved, drift = np.array([0.03, 0.0, 0.02]), np.array([0.0, 0.015, 0.0])
+    turn = Rotation.from_rotvec([0.01, -0.02, 0.005]).as_matrix()  # R_after_before
+    points = np.concatenate([bottom, silt])
+    later = (points + np.concatenate([np.zeros((50, 3)), np.tile(drift, (150, 1))]) - moved) @ turn.T
+    before, after = points[:, :2] / points[:, 2:], later[:, :2] / later[:, 2:]
+    after = after + rng.normal(0, 5e-4, after.shape)
+    kept = agree_with(Translation(moved, 0.0005), before, after, turn, 3e-3, 3.0)
+    assert kept[:50].mean() > 0.95
+    assert kept[50:].mean() < 0.1
+    of_consensus = epipolar_inliers(before, after, turn, 3e-3, 64, rng)
+    assert of_consensus[50:].mean() > 0.8
+    # Of a vehicle that hardly moves, or nobody knows how, it says nothing; nor of one that goes back against its track.
+    assert agree_with(Translation(moved, 0.05), before, after, turn, 3e-3, 3.0).all()
+    assert not agree_with(Translation(-moved, 0.0005), before, after, turn, 3e-3, 3.0)[:50].any()
