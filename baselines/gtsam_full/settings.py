@@ -9,7 +9,6 @@ from typing import ClassVar
 from oysterbench.sequence.types import Sequence
 from oysterbench_baselines.common.aiding import AidingSettings, sensors_of
 from oysterbench_baselines.common.alignment import StartSettings
-from oysterbench_baselines.common.filter import InertialNoise
 from oysterbench_baselines.gtsam_full.ranges import RangeSettings
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, renamed_options
@@ -54,14 +53,9 @@ class GtsamFullSettings(GtsamViSettings):
         return [kind for kind in sensors_of(sequence) if used[kind]]
 
     def for_rig(self, sequence: Sequence) -> GtsamFullSettings:
-        """With biases that walk as the filter's do; and with `beside_dvl` in the place of what it names, where the rig
-        has a DVL that is to be used."""
-        imu = sequence.imu_calibration
-        walks = InertialNoise.of(imu, self.noise.imu_inflation)
-        shares = walks.gyro_walk / max(imu.gyro_random_walk, 1e-6), walks.accel_walk / max(imu.accel_random_walk, 1e-5)
-        noise = replace(self.noise, bias_inflation=max(self.noise.bias_inflation, *shares))
+        """With `beside_dvl` in the place of what it names, where the rig has a DVL that is to be used."""
         if "dvl" not in self.sensors(sequence):
-            return replace(self, noise=noise)
+            return self
         b = self.beside_dvl
-        noise = replace(noise, pixel_sigma_px=b.pixel_sigma_px, huber=b.huber, correlation=b.correlation)
+        noise = replace(self.noise, pixel_sigma_px=b.pixel_sigma_px, huber=b.huber, correlation=b.correlation)
         return replace(self, noise=noise, landmarks=replace(self.landmarks, max_innovation_px=b.max_innovation_px))

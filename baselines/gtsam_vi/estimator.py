@@ -172,6 +172,8 @@ class Estimator:
         arm = np.cross(f.rate, T_imu_cam[:3, 3])
         velocity = T_imu_cam[:3, :3].T @ (f.rotation.T @ f.velocity + arm)
         sigma = float(np.sqrt(np.trace(f.covariance[VELOCITY, VELOCITY]) / 3))
+        if not self.aiding.knows_velocity:  # by the very tracks that are to be judged
+            sigma = float(np.hypot(sigma, self.settings.frontend.motion_sigma))
         return Translation(velocity * duration, sigma * duration)
 
     # The parts of a step.

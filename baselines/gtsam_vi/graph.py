@@ -82,7 +82,8 @@ class Model:
         """All that ties a key frame to the one before it, given the states of both."""
         k, settings = keyframe.index, self.settings
         if keyframe.trusted:
-            return [self.inertial(previous, keyframe, bias), *keyframe.aiding]
+            drag = [self.drag(keyframe)] if keyframe.blind else []
+            return [self.inertial(previous, keyframe, bias), *drag, *keyframe.aiding]
         time = max(keyframe.segment.duration, settings.keyframes.min_s)
         moved = np.repeat([settings.recovery.unknown_rate, settings.recovery.unknown_speed], 3) * time
         turn_on = np.array([self.accel_turn_on] * 3 + [self.gyro_turn_on] * 3)
@@ -98,6 +99,13 @@ class Model:
         return gtsam.PriorFactorVector(
             V(keyframe), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, self.settings.zero_velocity.sigma)
         )
+
+    def drag(self, keyframe: Keyframe) -> gtsam.NonlinearFactor:
+        """Of a key frame that sees next to nothing: no vehicle is fast for long in water, whatever the inertial unit
+        says. Over `memory_s` together as much as one measurement of speed zero."""
+        limits, time = self.settings.recovery, max(keyframe.segment.duration, self.settings.keyframes.min_s)
+        sigma = limits.unknown_speed * float(np.sqrt(max(limits.memory_s / time, 1.0)))
+        return gtsam.PriorFactorVector(V(keyframe.index), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
 
     def calibration_priors(self) -> list[gtsam.NonlinearFactor]:
         """What is known beforehand of the calibrations of cameras and aiding sensors."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 from scipy.spatial.transform import Rotation
 
 from oysterbench.sequence.types import ImuCalibration
+from oysterbench_baselines.common.filter import ACCEL_WARMING, GYRO_WARMING
 from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.settings import NoiseSettings
 
@@ -23,8 +26,8 @@ def preintegration_params(calibration: ImuCalibration, settings: NoiseSettings) 
     # A file may say zero; a zero variance makes the factor singular.
     gyro = max(calibration.gyro_noise_density, 1e-5) * settings.imu_inflation
     accel = max(calibration.accel_noise_density, 1e-4) * settings.imu_inflation
-    gyro_walk = max(calibration.gyro_random_walk, 1e-6) * settings.bias_inflation
-    accel_walk = max(calibration.accel_random_walk, 1e-5) * settings.bias_inflation
+    gyro_walk = math.hypot(calibration.gyro_random_walk * settings.bias_inflation, GYRO_WARMING)
+    accel_walk = math.hypot(calibration.accel_random_walk * settings.bias_inflation, ACCEL_WARMING)
     params.setGyroscopeCovariance(eye * gyro**2)
     params.setAccelerometerCovariance(eye * accel**2)
     params.setIntegrationCovariance(eye * settings.integration_sigma**2)

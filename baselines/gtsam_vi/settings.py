@@ -29,6 +29,7 @@ class FrontEndSettings:
     epipolar_error_px: float = 1.5  # of verified tracks, at a known rotation
     epipolar_trials: int = 64  # two-point hypotheses: 1e-6 chance to miss with half of the tracks wrong
     motion_sigmas: float = 3.0  # of the direction in which the vehicle moves, by which tracks may miss it
+    motion_sigma: float = 0.03  # m/s, at least, of a velocity that nothing but tracks and inertial unit knows
     max_gap_s: float = 0.5  # between pictures; beyond, corners have gone farther than the pyramid reaches
     missing_periods: float = 1.5  # of the camera, after which a frame is missing, and its pose is given without it
     max_blind_s: float = 5.0  # without a picture; then no more poses: the inertial unit alone is decimetres off
@@ -188,6 +189,7 @@ class RecoverySettings:
     max_lost_share: float = 0.7  # of the landmarks seen, farther than max_innovation_px from their prediction
     max_bad_keyframes: int = 3  # with so many lost, one after the other, before the estimator starts anew
     memory_s: float = 2.0  # for which the last velocity is a guess at the next
+    min_landmarks: int = 8  # in a key frame; with fewer it knows its velocity by the inertial unit alone
     unknown_speed: float = 0.5  # m/s, 1 sigma, that is off while the measurements are not trusted
     unknown_rate: float = 0.2  # rad/s
 

@@ -48,7 +48,8 @@ class Keyframe:
     factors of other sensors, on its states, those of the key frame before it, and what the model shares, or of
     loops, on its state and an earlier one.
 
-    trusted: False where the measurements that lead to it have led the estimator astray.
+    trusted: False where the measurements that lead to it have led the estimator astray. blind: whether it saw next to
+    nothing, and nothing else knew its velocity.
     """
 
     index: int
@@ -59,6 +60,7 @@ class Keyframe:
     state: State | None = None
     aiding: list[gtsam.NonlinearFactor] = field(default_factory=list)
     trusted: bool = True
+    blind: bool = False
 
     @cached_property
     def rates(self) -> Rates | None:

@@ -73,6 +73,8 @@ class Window:
         self._remember(keyframe)
         self._observe_landmarks(keyframe, graph, stamps)
         self._triangulate_landmarks(keyframes, graph, values, stamps)
+        if keyframe.blind:
+            graph.push_back(self.model.drag(keyframe))
         self._smoother.update(graph, values, stamps)
         self._read(keyframes, k)
         self._landmarks = {i for i in self._landmarks if self._observations[i][-1].keyframe > k - self._lag}
@@ -102,6 +104,7 @@ class Window:
         settings = self.model.settings
         ids, rays, cameras = keyframe.observations.rows()
         known = [n for n, i in enumerate(ids) if int(i) in self._landmarks]
+        keyframe.blind = not self.model.aiding.knows_velocity
         if not known:
             self.lost_share = 0.0
             return
@@ -122,6 +125,7 @@ class Window:
         for factor in self.model.rig.projection_factors(*views):
             graph.push_back(factor)
         stamps |= {L(landmark): float(keyframe.index) for landmark in landmarks}
+        keyframe.blind &= len(set(landmarks)) < settings.recovery.min_landmarks
 
     def _triangulate_landmarks(
         self,

@@ -30,7 +30,7 @@ from oysterbench_baselines.gtsam_vi.frontend import (
 )
 from oysterbench_baselines.gtsam_vi.preintegration import inertial_factor, preintegration_params
 from oysterbench_baselines.gtsam_vi.settings import NoiseSettings
-from oysterbench_baselines.gtsam_vi.states import Rates, State, insert_state, make_state
+from oysterbench_baselines.gtsam_vi.states import Rates, State, coast, insert_state, make_state
 from tests.baselines.test_gtsam_vi import position_error
 from tests.helpers import synthetic_dive as dive
 
@@ -84,7 +84,7 @@ def estimate_late(measured: dive.Dive, camera: CameraCalibration, known: CameraU
 
 
 def truth_at(stamps_ns: NDArray[np.int64]) -> Trajectory:
-    poses = dive.survey_pose((stamps_ns - dive.START_NS) * 1e-9)
+    poses = dive.survey_pose(np.asarray(stamps_ns - dive.START_NS, dtype=float) * 1e-9)
     return Trajectory(stamps_ns, poses[:, :3, 3].copy(), Rotation.from_matrix(poses[:, :3, :3]).as_quat())
 
 
@@ -300,3 +300,29 @@ def test_what_drifts_with_the_water_is_told_from_the_bottom_by_how_the_vehicle_m
     # Of a vehicle that hardly moves, or nobody knows how, it says nothing; nor of one that goes back against its track.
     assert agree_with(Translation(moved, 0.05), before, after, turn, 3e-3, 3.0).all()
     assert not agree_with(Translation(-moved, 0.0005), before, after, turn, 3e-3, 3.0)[:50].any()
+
+
+def test_a_state_of_which_nothing_is_known_slows_down():
+    rotation = Rotation.from_euler("z", 40, degrees=True).as_matrix()
+    state = make_state(rotation, np.array([1.0, 2.0, -3.0]), np.array([0.4, 0.0, 0.1]), np.zeros(3), np.zeros(3))
+    soon, later = coast(state, 0.1, 2.0), coast(state, 60.0, 2.0)
+    np.testing.assert_allclose(soon.nav.position(), [1.04, 2.0, -2.99], atol=0.002)
+    np.testing.assert_allclose(later.nav.position(), [1.8, 2.0, -2.8], atol=1e-6)  # as far as in 2 s at full speed
+    assert np.linalg.norm(later.nav.velocity()) < 1e-6
+    np.testing.assert_allclose(later.nav.attitude().matrix(), rotation)
+
+
+@pytest.mark.slow
+def test_it_does_not_run_away_while_there_is_nothing_to_see():
+    """Half a minute by a unit whose biases have moved: it ends within reach of where it is, not at sea."""
+    measured = dive.make_dive(3, duration_s=40.0, blind=(10.0, 38.0))
+    warmer = np.array([0.0, 0.0, 0.0]), np.array([0.03, -0.02, 0.0])
+    for k, sample in enumerate(measured.samples):
+        if sample.stamp_ns > dive.START_NS + 10_000_000_000:
+            gyro, accel = (a + b for a, b in zip((sample.gyro, sample.accel), warmer, strict=True))
+            measured.samples[k] = ImuMeasurement(sample.stamp_ns, gyro, accel)
+    estimator = estimate_late(measured, measured.camera, None, 0.0)
+    path = estimator.online()
+    apart = np.linalg.norm(path.positions - path.positions[0], axis=1)
+    assert apart.max() < 12.0  # by the unit alone it would be 14 m off, on top of a circle of 4.4 m
+    assert any(keyframe.blind for keyframe in estimator.keyframes)
