@@ -56,6 +56,7 @@ class Initialiser:
         self.anchor: Anchor | None = None
         self._filter_start = filter_start or FilterStartSettings()
         self._next_attempt_s = 0.0
+        self._pause_s = model.settings.initialisation.retry_s
 
     def from_observations(self, keyframes: list[Keyframe], final: bool) -> Start | None:
         """A start from tracks and inertial measurements, if its scale is well determined; `final`: the last chance."""
@@ -65,7 +66,9 @@ class Initialiser:
         too_soon = now < self._next_attempt_s and not final
         if too_soon or not is_worth_a_try(stretch, self.model.settings):
             return None
-        self._next_attempt_s = now + limits.retry_s
+        # Where nothing is found time and again, as in murk, the search itself would take most of the time there is.
+        self._next_attempt_s = now + self._pause_s
+        self._pause_s = min(self._pause_s * limits.retry_growth, limits.max_retry_s)
         if self.anchor is not None:
             if stretch[0].index > self.first:
                 self._move_anchor(keyframes, stretch[0])
@@ -83,6 +86,7 @@ class Initialiser:
             for keyframe in started:
                 keyframe.state = None
             return None
+        self._pause_s = limits.retry_s
         info = {} if is_metric(stretch, self.model.settings) else {"init_scale_sigma": scale_sigma(bundle, stretch)}
         info |= {"init_error_px": float(np.median(bundle.errors_px)), "init_s": now}
         return Start(stretch, bundle, window, info)

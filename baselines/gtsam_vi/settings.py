@@ -103,7 +103,9 @@ class InitialisationSettings:
     min_keyframes: int = 8
     min_tracks: int = 15
     gates_px: tuple[float, ...] = (30.0, 6.0, 3.0)  # of landmarks, from rough states to adjusted ones
-    retry_s: float = 0.5
+    retry_s: float = 0.5  # to the next attempt, after the first one
+    retry_growth: float = 1.25  # with each that has failed
+    max_retry_s: float = 3.0
     stereo_s: float = 0.5  # with two cameras the scale is known at once, and this much finds up
     stereo_keyframes: int = 3
     scale_sigma: float = 0.03  # accepted 1-sigma uncertainty of scale

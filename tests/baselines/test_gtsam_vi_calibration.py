@@ -316,13 +316,12 @@ def test_a_state_of_which_nothing_is_known_slows_down():
 def test_it_does_not_run_away_while_there_is_nothing_to_see():
     """Half a minute by a unit whose biases have moved: it ends within reach of where it is, not at sea."""
     measured = dive.make_dive(3, duration_s=40.0, blind=(10.0, 38.0))
-    warmer = np.array([0.0, 0.0, 0.0]), np.array([0.03, -0.02, 0.0])
+    moved_bias = np.array([0.03, -0.02, 0.0])
     for k, sample in enumerate(measured.samples):
         if sample.stamp_ns > dive.START_NS + 10_000_000_000:
-            gyro, accel = (a + b for a, b in zip((sample.gyro, sample.accel), warmer, strict=True))
-            measured.samples[k] = ImuMeasurement(sample.stamp_ns, gyro, accel)
+            measured.samples[k] = ImuMeasurement(sample.stamp_ns, sample.gyro, sample.accel + moved_bias)
     estimator = estimate_late(measured, measured.camera, None, 0.0)
     path = estimator.online()
-    apart = np.linalg.norm(path.positions - path.positions[0], axis=1)
-    assert apart.max() < 12.0  # by the unit alone it would be 14 m off, on top of a circle of 4.4 m
     assert any(keyframe.blind for keyframe in estimator.keyframes)
+    assert "restarts" not in estimator.info  # by the unit alone it is faster than any vehicle after 20 s, and given up
+    assert np.linalg.norm(path.positions - path.positions[0], axis=1).max() < 8.0
