@@ -120,9 +120,14 @@ class CameraUncertainty:
             return None
         return cls(rows @ stated.covariance @ rows.T + np.diag(np.tile(LEAST, len(cameras)) ** 2), sigma)
 
-    def prior(self, given: list[Optics]) -> list[gtsam.NonlinearFactor]:
-        """Of all mounts, lenses and the clock, about what is given."""
-        root = np.linalg.inv(np.linalg.cholesky(self.covariance))
+    def prior(self, given: list[Optics], alike: float = 1.0) -> list[gtsam.NonlinearFactor]:
+        """Of all mounts, lenses and the clock, about what is given.
+
+        alike: views of which so many say of them no more than one. What views have in common (patches that drift,
+        plants that sway, light that moves) averages out over poses and landmarks, of which each has its own, and not
+        over a lens that all views share. So the prior counts so many times as it would beside views that err at random.
+        """
+        root = np.linalg.inv(np.linalg.cholesky(self.covariance / alike))
         keys = [key for c in range(len(given)) for key in (mount_key(c), lens_key(c))]
         slopes = [root[:, SIZE * c + a : SIZE * c + b] for c in range(len(given)) for a, b in ((0, 6), (6, SIZE))]
 
@@ -139,6 +144,6 @@ class CameraUncertainty:
         unit = gtsam.noiseModel.Unit.Create(len(root))
         factors: list[gtsam.NonlinearFactor] = [gtsam.CustomFactor(unit, keys, error)]
         if self.clock_sigma:
-            clock = gtsam.noiseModel.Isotropic.Sigma(1, self.clock_sigma)
+            clock = gtsam.noiseModel.Isotropic.Sigma(1, self.clock_sigma / np.sqrt(alike))
             factors.append(gtsam.PriorFactorVector(CLOCK, np.zeros(1), clock))
         return factors

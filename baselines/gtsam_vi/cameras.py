@@ -72,9 +72,9 @@ class CameraRig:
             optics = [optics.read(values, c) for c, optics in enumerate(self._optics)]
             self._set(optics, float(values.atVector(CLOCK)[0]) if self.clock_is_free else 0.0)
 
-    def prior(self) -> list[gtsam.NonlinearFactor]:
+    def prior(self, settings: NoiseSettings) -> list[gtsam.NonlinearFactor]:
         """What is known of the variables beforehand."""
-        return [] if self.uncertainty is None else self.uncertainty.prior(self._given)
+        return [] if self.uncertainty is None else self.uncertainty.prior(self._given, settings.views_alike)
 
     def _now(self, rays: Array, camera: int | NDArray[np.intp]) -> Array:
         """Rays (N, 2) of pixels by the lens as it is thought to be, from those by the lens that is given."""

@@ -111,7 +111,7 @@ class Model:
         """What is known beforehand of the calibrations of cameras and aiding sensors."""
         diagonal = gtsam.noiseModel.Diagonal.Sigmas
         aiding = [gtsam.PriorFactorVector(c.key, c.value, diagonal(c.sigmas)) for c in self.aiding.calibrations()]
-        return [*self.rig.prior(), *aiding]
+        return [*self.rig.prior(self.settings.noise), *aiding]
 
     def calibration_keys(self) -> list[int]:
         """Of all calibrations that are variables."""

@@ -73,6 +73,7 @@ class NoiseSettings:
 
     pixel_sigma_px: float = 1.0  # of a tracked corner, drift over the track's life included
     correlation: float = 1.5  # times that sigma, in covariances of the smoothed path: views of a landmark err alike
+    views_alike: float = 10.0  # that say of a camera's calibration no more than one, as they err alike
     loss_power: float = 1.0  # of the share of tracks kept a frame: caustics that kill tracks move those they leave
     max_inflation: float = 4.0  # by lost tracks, times pixel_sigma_px
     huber: float = 1.3  # sigmas; beyond, a residual counts linearly
