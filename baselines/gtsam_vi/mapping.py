@@ -15,7 +15,7 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import LandmarkMap
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
-from oysterbench_baselines.gtsam_vi.states import Keyframe
+from oysterbench_baselines.gtsam_vi.states import Keyframe, read_state
 
 PATCH_PX = 3
 """Side of the patch whose mean is a corner's colour: a corner is an edge, and one pixel of it is either side."""
@@ -68,7 +68,8 @@ def landmark_map(model: Model, keyframes: list[Keyframe], bundle: Bundle, palett
     views = np.unique(np.column_stack([row, frame])[near], axis=0)
     observations = np.bincount(views[:, 0], minlength=len(points))
     kept = observations >= settings.landmarks.min_views
-    in_base = poses @ invert(model.imu.T_base_imu)
+    at_stamps = [model.at_stamp(keyframe, read_state(values, keyframe.index)).matrix for keyframe in keyframes]
+    in_base = np.array(at_stamps) @ invert(model.imu.T_base_imu)
     path = Trajectory(
         np.array([keyframe.stamp_ns for keyframe in keyframes], dtype=np.int64),
         in_base[:, :3, 3].copy(),
