@@ -164,15 +164,15 @@ class Estimator:
         sigma = np.sqrt(np.trace(self.filter.covariance[VELOCITY, VELOCITY]))
         return bool(np.linalg.norm(self.filter.velocity) > max(limits.repeat_speed, 5 * sigma))
 
-    def moved(self, duration: float) -> Translation | None:
-        """How the first camera has moved over the last so many seconds, as far as the filter knows."""
+    def moved(self, stamp_ns: int, duration: float) -> Translation | None:
+        """How the first camera has moved over so many seconds up to a stamp, as far as the filter knows."""
         if not self.navigating:
             return None
         f, T_imu_cam = self.filter, self.model.rig.T_imu_cam
         arm = np.cross(f.rate, T_imu_cam[:3, 3])
         velocity = T_imu_cam[:3, :3].T @ (f.rotation.T @ f.velocity + arm)
         sigma = float(np.sqrt(np.trace(f.covariance[VELOCITY, VELOCITY]) / 3))
-        if not self.aiding.knows_velocity:  # by the very tracks that are to be judged
+        if not self.aiding.measures_velocity(stamp_ns):  # it is known by the very tracks that are to be judged
             sigma = float(np.hypot(sigma, self.settings.frontend.motion_sigma))
         return Translation(velocity * duration, sigma * duration)
 

@@ -148,7 +148,7 @@ def run_estimator(
             estimator.step(stamp_ns)  # it is missing, or stale
         else:
             turn = R_imu_cam.T @ relative_rotation(since, estimator.gyro_bias) @ R_imu_cam
-            tracks = front_end.track(image.pixels, turn, since.duration, estimator.moved(since.duration))
+            tracks = front_end.track(image.pixels, turn, since.duration, estimator.moved(stamp_ns, since.duration))
             seen_ns, since_image = stamp_ns, []
             match = None
             if matcher is not None and other is not None:

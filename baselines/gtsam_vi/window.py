@@ -104,15 +104,16 @@ class Window:
         settings = self.model.settings
         ids, rays, cameras = keyframe.observations.rows()
         known = [n for n, i in enumerate(ids) if int(i) in self._landmarks]
-        keyframe.blind = not self.model.aiding.knows_velocity
+        measured = self.model.aiding.measures_velocity(keyframe.stamp_ns)
+        keyframe.blind = not measured
         if not known:
             self.lost_share = 0.0
             return
         points = np.array([self._points[int(i)] for i in ids[known]])
         errors = self.model.rig.errors_px(keyframe.estimate.matrix, points, rays[known], cameras[known])
-        # The prediction may be off as a whole, after a long time without tracks: judge against the crowd. What a filter
-        # knows that measures its velocity is better than any crowd that drifts with the water.
-        crowd = 0.0 if self.model.aiding.knows_velocity else float(np.median(errors))
+        # The prediction may be off as a whole, after a long time without tracks: judge against the crowd. A velocity
+        # that is measured is better than any crowd that drifts with the water.
+        crowd = 0.0 if measured else float(np.median(errors))
         limit = settings.landmarks.max_innovation_px + 2.0 * crowd
         self.lost_share = float(np.mean(errors > settings.landmarks.max_innovation_px))
         noise = self.model.rig.pixel_noise(self.model.settings.noise, keyframe.observations.inflation)

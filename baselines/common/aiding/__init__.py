@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from oysterbench_baselines.gtsam_vi.states import Keyframe, State
 
 KINDS = ("dvl", "pressure", "magnetometer")
+FRESH_NS = 1_000_000_000  # a velocity older than this no longer tells what an ROV does
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,12 @@ class Aiding:
     def knows_velocity(self) -> bool:
         """Whether the filter has ever been given a velocity: without one it is dead reckoning by the inertial unit."""
         return "dvl" in self.sensors and self.sensors["dvl"].rows is not None
+
+    def measures_velocity(self, stamp_ns: int) -> bool:
+        """Whether a velocity has been believed within the last second."""
+        dvl = self.sensors.get("dvl")
+        velocity_ns = dvl.velocity_ns if isinstance(dvl, Dvl) else None
+        return velocity_ns is not None and stamp_ns - velocity_ns < FRESH_NS
 
     def update(self, filter: InvariantFilter, sample: Any) -> None:
         """Correct a filter that has been propagated to the sample's stamp."""
