@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.trajectory import Trajectory
-from oysterbench.methods import LandmarkMap
+from oysterbench.methods import Health, LandmarkMap
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.common.aiding import Aiding
 from oysterbench_baselines.common.filter import CORE, FLOOR, VELOCITY, InertialNoise, InvariantFilter
@@ -95,6 +95,7 @@ class Estimator:
         self._initialiser = Initialiser(self.model, aided.start if aided else None)
         self._recovery = Recovery(self.model)
         self._association = DataAssociation(settings, self.model.rig.T_imu_cam[:3, :3])
+        self._lost_at, self._found = 0, False  # the key frame of the last loss, and whether a loop has bridged it
         self._since_frame: list[Segment] = []
         self._since_keyframe: list[Segment] = []
         self._palette = Palette()
@@ -148,9 +149,10 @@ class Estimator:
                 self._correct_filter(self.window)
             if self.loops is not None and image is not None:
                 self.loops.add_keyframe(self.keyframes, image)
+                self._found = self._lost_at > 0 and self.loops.ties(self._lost_at)
             if pixels is not None:
                 self._palette.add(pixels, replace(tracks, ids=landmarks))
-        self._add_frame(stamp_ns)
+        self._add_frame(stamp_ns, observations.ids)
 
     def has_moved(self, segment: Segment) -> bool:
         """Whether the vehicle has certainly moved or turned over a segment: what repeats a picture is then no picture
@@ -240,7 +242,8 @@ class Estimator:
         window starts from it; otherwise the velocity is that of the last good key frame."""
         self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
         self.window = None
-        self._recovery.distrust(self.keyframes)
+        self._recovery.distrust(self.keyframes, self.frames)
+        self._lost_at, self._found = self.keyframes[-1].index, False
         self._initialiser.first = self.keyframes[-1].index
         if not self.aiding.knows_velocity:
             self._initialiser.anchor = self._recovery.predict(self.keyframes, self.frames)
@@ -282,13 +285,15 @@ class Estimator:
         covariance[np.ix_(unshared, unshared)] = f.covariance[np.ix_(unshared, unshared)]
         f.covariance = covariance
 
-    def _add_frame(self, stamp_ns: int) -> None:
+    def _add_frame(self, stamp_ns: int, landmarks: NDArray[np.int64]) -> None:
         frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since_keyframe))
         if self.navigating:
             frame.online = self.filter.pose
         if self._aided or self.window is not None:
             place = (self.filter.pose @ invert(self.imu.T_base_imu))[:3, 3]
             frame.covariance = self.filter.pose_covariance(place) + FLOOR
+        if self.window is not None and self.window.sees(landmarks):
+            frame.health = Health.RELOCALISED if self._found else Health.TRACKING
         frame.correction = None if self.loops is None else self.loops.correction
         self.frames.append(frame)
 
@@ -307,6 +312,8 @@ class Estimator:
             )
         for frame in self.frames:
             if frame.online is None:
+                if self.window is not None and frame.keyframe >= index:
+                    frame.health = Health.TRACKING  # the start has seen it
                 frame.online = forward(self.keyframes[frame.keyframe].estimate, frame.since, self.model.params).matrix
 
     def _fill_covariances(self, start: Start) -> None:
@@ -382,6 +389,10 @@ class Estimator:
             self.info["covariances_failed"] = 1
             return self._trajectory(poses, [])
         return self._trajectory(poses, [known[frame.keyframe] for frame in self.frames])
+
+    def health(self) -> NDArray[np.uint8]:
+        """How the pose of each frame was had, one `Health` each."""
+        return np.array([frame.health for frame in self.frames], dtype=np.uint8)
 
     def map(self) -> LandmarkMap | None:
         """Key frames and landmarks of the smoothed path; None before there is one, and without pictures."""

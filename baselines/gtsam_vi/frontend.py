@@ -250,6 +250,18 @@ class FrontEnd:
             return self._tracks
         return replace(self._tracks, rolled=self._rolled(before, kept, elapsed_s))
 
+    # What another front end may do in a way of its own.
+
+    def find(
+        self, before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Where what is at pixels (N, 2) of the last picture (H, W), equalised, is in this one, see `follow`."""
+        return follow(before, after, pixels, guess, self.settings)
+
+    def corners(self, image: NDArray[np.uint8], taken: Array) -> Array:
+        """Pixels (N, 2) at which tracks begin in a picture (H, W), equalised, see `find_corners`."""
+        return find_corners(image, taken, self.settings)
+
     def _rolled(self, before: FeatureTracks, kept: FeatureTracks, elapsed_s: float) -> Array:
         """Of the latest tracks, see `FeatureTracks`: by the flow (a, b, c) (x, y, 1) that fits those kept for
         elapsed_s, which a track that has just begun shares, and in which their own noise averages out."""
@@ -291,7 +303,7 @@ class FrontEnd:
         settings, tracks = self.settings, self._tracks
         turned = homogeneous(tracks.rays) @ R_before_now  # where the rotation alone would take them
         guess = distort(turned[:, :2] / np.maximum(turned[:, 2:], 0.1), self.calibration)
-        end, good = follow(last, image, tracks.pixels, guess, settings)
+        end, good = self.find(last, image, tracks.pixels, guess)
         ids, before, now = tracks.ids[good], tracks.rays[good], end[good]
         rays = undistort(now, self.calibration)
         tolerance = settings.epipolar_error_px / self._focal
@@ -307,7 +319,7 @@ class FrontEnd:
         # Looking for corners costs as much as tracking them: only when it pays.
         if settings.max_tracks - len(tracks.ids) < settings.max_tracks // 8:
             return tracks
-        pixels = find_corners(image, tracks.pixels, settings)
+        pixels = self.corners(image, tracks.pixels)
         ids = np.arange(self._next_id, self._next_id + len(pixels), dtype=np.int64)
         self._next_id += len(pixels)
         return FeatureTracks(
@@ -320,7 +332,8 @@ class FrontEnd:
 def follow(
     before: NDArray[np.uint8], after: NDArray[np.uint8], pixels: Array, guess: Array, settings: FrontEndSettings
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Where the patches at pixels (N, 2) of one grey image are in another, by Lucas and Kanade, begun at guess (N, 2).
+    """Where the patches at pixels (N, 2) of one image (H, W) or (H, W, C) are in another, by Lucas and Kanade, begun at
+    guess (N, 2).
 
     Gives pixels (N, 2), and of which (N,) the way back leads where it began, all within the image.
     """
@@ -332,7 +345,7 @@ def follow(
     end, found, _ = cv2.calcOpticalFlowPyrLK(before, after, start, begun.copy(), **flow)
     # Back from where the forward pass ended, with the prediction's own error as the guess, not the answer.
     back, found_back, _ = cv2.calcOpticalFlowPyrLK(after, before, end, end - (begun - start), **flow)
-    height, width = after.shape
+    height, width = after.shape[:2]
     good = (found.ravel() == 1) & (found_back.ravel() == 1)
     good &= np.linalg.norm(back - start, axis=1) < settings.backward_error_px
     good &= (end[:, 0] >= 1) & (end[:, 0] < width - 1) & (end[:, 1] >= 1) & (end[:, 1] < height - 1)
@@ -345,13 +358,17 @@ def find_corners(image: NDArray[np.uint8], taken: Array, settings: FrontEndSetti
     Every cell of a grid has the same share of the tracks, so that one bright clump does not get them all: turbid water
     dims the far half of a picture, and it is the far half that tells rotation from translation.
     """
-    height, width = image.shape
+    return spread_out(cv2.cornerMinEigenVal(image, settings.corner_block_px), taken, settings)
+
+
+def spread_out(score: NDArray[np.floating[Any]], taken: Array, settings: FrontEndSettings) -> Array:
+    """The same of a score (H, W), greater where it is better to begin a track."""
+    height, width = score.shape
     spacing, border = round(settings.track_spacing_px), settings.flow_window_px // 2 + 1
-    score = cv2.cornerMinEigenVal(image, settings.corner_block_px)
     # A peak is the best within the spacing of it: one dilation does what a sorted search would.
     peaks = score >= cv2.dilate(score, np.ones((2 * spacing + 1, 2 * spacing + 1), dtype=np.uint8))
     peaks &= score > settings.corner_quality * score.max()
-    allowed = np.zeros(image.shape, dtype=np.uint8)
+    allowed = np.zeros(score.shape, dtype=np.uint8)
     allowed[border : height - border, border : width - border] = 1
     for x, y in taken:
         cv2.circle(allowed, (round(x), round(y)), spacing, 0, -1)

@@ -60,6 +60,10 @@ class LoopCloser:
         """T_corrected_odom (4, 4) of what the window says now."""
         return self.graph.correction
 
+    def ties(self, k: int) -> bool:
+        """Whether a loop joins what was seen from key frame k on to what was seen before."""
+        return any(self.places[loop.first].keyframe < k <= self.places[loop.second].keyframe for loop in self.loops)
+
     def add_keyframe(self, keyframes: list[Keyframe], picture: NDArray[np.uint8]) -> None:
         """The newest key frame, its state already brought up to date, and its equalised picture (H, W) uint8."""
         self._waiting.append((keyframes[-1].index, encode(picture)))

@@ -14,7 +14,7 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array
 from oysterbench.core.measurements import Image
 from oysterbench.methods import Estimate
-from oysterbench.sequence.types import ImuMeasurement, Sequence
+from oysterbench.sequence.types import CameraCalibration, ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer, Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
@@ -67,8 +67,13 @@ class GtsamVi:
         calibrations = [sequence.cameras[camera] for camera in cameras]
         uncertainty = CameraUncertainty.of(sequence.uncertainty, cameras, calibrations)
         estimator = Estimator(calibrations, sequence.imu_calibration, self.settings, uncertainty=uncertainty)
-        run_estimator(estimator, sequence, cameras, sequence.stream(*cameras), self.seed)
+        front_end = self.front_end(calibrations[0])
+        run_estimator(estimator, sequence, cameras, sequence.stream(*cameras), self.seed, front_end=front_end)
         return estimate_of(estimator, self.output, self.settings, {"cameras": cameras})
+
+    def front_end(self, calibration: CameraCalibration) -> FrontEnd:
+        """What follows corners in the pictures of a camera."""
+        return FrontEnd(calibration, self.settings.frontend, self.seed)
 
 
 class GtsamViStereo(GtsamVi):
@@ -110,14 +115,16 @@ def run_estimator(
     stream: Iterator[Any],
     seed: int,
     start_ns: int | None = None,
+    front_end: FrontEnd | None = None,
 ) -> None:
     """Feed an estimator with a stream of a sequence, from the first to the last sample.
 
     cameras: one, or two. start_ns: where every instant has a pose from then to the very end, with or without pictures;
-    None: a frame that is missing has one only within `max_blind_s` of the last picture.
+    None: a frame that is missing has one only within `max_blind_s` of the last picture. front_end: of the first
+    camera; by default that of the settings.
     """
     settings, calibration = estimator.settings, sequence.cameras[cameras[0]]
-    front_end = FrontEnd(calibration, settings.frontend, seed)
+    front_end = front_end or FrontEnd(calibration, settings.frontend, seed)
     second = cameras[1] if len(cameras) > 1 else None
     matcher = None if second is None else StereoMatcher(calibration, sequence.cameras[second], settings)
     R_imu_cam = estimator.model.rig.T_imu_cam[:3, :3]
@@ -166,7 +173,7 @@ def estimate_of(estimator: Estimator, output: Output, settings: GtsamViSettings,
     paths = estimator.paths()
     others = {name: path for name, path in paths.items() if name != output and len(path)}
     info = {"trajectory": output, **info, **estimator.info, "settings": dataclasses.asdict(settings)}
-    return Estimate(paths[output], info, output, others, estimator.map())
+    return Estimate(paths[output], info, output, others, estimator.map(), estimator.health())
 
 
 def _match(matcher: StereoMatcher, front_end: FrontEnd, tracks: FeatureTracks, other: Image) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oysterbench.core.geometry import Array
+from oysterbench.methods import Health
 from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.settings import RecoverySettings
 from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, coast
@@ -47,11 +48,15 @@ class Recovery:
             self.accept(keyframe)
         return False
 
-    def distrust(self, keyframes: list[Keyframe]) -> None:
+    def distrust(self, keyframes: list[Keyframe], frames: list[Frame]) -> None:
         """The measurements since the last good key frame take no part in the final smoothing."""
         assert self._good is not None  # since the window began
-        for keyframe in keyframes[self._good[0] + 1 :]:
+        good = self._good[0]
+        for keyframe in keyframes[good + 1 :]:
             keyframe.trusted = False
+        for frame in frames:
+            if frame.keyframe > good:
+                frame.health = Health.COASTING
         self._bad_keyframes = 0
 
     def predict(self, keyframes: list[Keyframe], frames: list[Frame]) -> Anchor:

@@ -11,6 +11,7 @@ from gtsam.symbol_shorthand import B, V, X
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array, transform
+from oysterbench.methods import Health
 from oysterbench_baselines.common.filter import InvariantFilter
 from oysterbench_baselines.common.inertial import Segment, integrate
 from oysterbench_baselines.gtsam_vi.closed_form import ClosedForm
@@ -82,7 +83,8 @@ class Keyframe:
 @dataclass
 class Frame:
     """A frame: the key frame before it (or itself), the measurements since, and the pose that was known at once, with
-    its covariance (6, 6) as of a `Trajectory`, both of the IMU; and what loops had taught by then of odom's place."""
+    its covariance (6, 6) as of a `Trajectory`, both of the IMU; what loops had taught by then of odom's place; and how
+    the pose was had."""
 
     stamp_ns: int
     keyframe: int
@@ -90,6 +92,7 @@ class Frame:
     online: Array | None = None  # T_odom_imu
     covariance: Array | None = None
     correction: Array | None = None  # T_corrected_odom (4, 4), a turn about z and a shift
+    health: Health = Health.COASTING
 
 
 def make_state(rotation: Array, position: Array, velocity: Array, gyro_bias: Array, accel_bias: Array) -> State:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, L, V, X
+from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
 from oysterbench_baselines.gtsam_vi.covariance import joint_covariance
@@ -80,6 +81,10 @@ class Window:
         self._landmarks = {i for i in self._landmarks if self._observations[i][-1].keyframe > k - self._lag}
         self._observations = {i: o for i, o in self._observations.items() if o[-1].keyframe > k - self._lag}
         self._rejected &= self._observations.keys()
+
+    def sees(self, ids: NDArray[np.int64]) -> bool:
+        """Whether enough of these landmarks (N,) are in it to hold a pose."""
+        return sum(int(i) in self._landmarks for i in ids) >= self.model.settings.recovery.min_landmarks
 
     def joint(self, keys: list[int]) -> tuple[gtsam.Values, Array]:
         """The estimate, and the joint covariance (N, N) of some of its variables, in the order of their keys."""

@@ -7,9 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from oysterbench.core.errors import MethodError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.core.trajectory.checks import checked_poses
+from oysterbench.methods.health import check_health
 from oysterbench.methods.map import LandmarkMap
 from oysterbench.sequence.types import Sequence
 
@@ -26,9 +30,10 @@ class Estimate:
     alternatives: further paths of the same run by name, such as "online", in the same frames. They are written beside
                   the scored one and measured for information; no ranking sees them.
     map:          key frames and landmarks, where the method has them
+    health:       (N,) uint8, one `Health` for each pose of the scored path, where the method knows
 
     Raises MethodError where an alternative has no name that can be part of a file's, no pose, a number that is not
-    finite, or stamps that do not increase.
+    finite, or stamps that do not increase; or where there is not one health for each pose.
     """
 
     trajectory: Trajectory
@@ -36,8 +41,11 @@ class Estimate:
     scored: str = ""
     alternatives: Mapping[str, Trajectory] = field(default_factory=dict)
     map: LandmarkMap | None = None
+    health: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
+        if self.health is not None:
+            check_health(self.health, len(self.trajectory))
         names = [*([self.scored] if self.scored else []), *self.alternatives]
         for name in names:
             if not PATH_NAME.fullmatch(name):

@@ -22,6 +22,7 @@ from oysterbench.evaluate.metric import TrackMetrics
 from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.report.cards import Card, PlotGroup
 from oysterbench.report.columns import metric_column
+from oysterbench.report.consistency import consistency_table
 from oysterbench.report.density import DensityRun, map_cards
 from oysterbench.report.images import LEGEND, DatasetRow, ImageRun, curves_group, dataset_tables, sample_pictures
 from oysterbench.report.plots import Curve, point_swatch, scatter_plot, swatch
@@ -142,6 +143,7 @@ def html_report(
         "samples": sample_pictures([run for run in runs if isinstance(run, ImageRun)]),
         "maps": map_cards([run for run in runs if isinstance(run, DensityRun)]),
         "figures": figures,
+        "trust": consistency_table(records),
         "sequences": _sequences(slam, sequences, styles),
         "not_drawn": slam and not drawn,
         "command": command,

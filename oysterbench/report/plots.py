@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from html import escape
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from oysterbench.core.geometry import Array
 
@@ -143,6 +144,39 @@ def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, s
         y_axis = Axis(0.0, top * 1.08, TOP + height, TOP, 44.0)
     thinned = [thin(curve) for curve in curves]
     return _drawing(thinned, x_axis, y_axis, title, x_label, y_label, "", "", zoom="free")
+
+
+def nees_plot(
+    curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float], freedom: int
+) -> str:
+    """Squared normalised errors over time in s, logarithmic, with the band that holds 95 % of a consistent estimate's.
+
+    freedom: of the chi-square distribution that they then have.
+    """
+    low, high = 2.0 * gammaincinv(freedom / 2.0, [0.025, 0.975])
+    top = max([100.0, *(float(np.max(_known(curve.y))) for curve in curves)])
+    x_axis = _time_axis(span)
+    y_axis = Axis(0.01, 10.0 ** math.ceil(math.log10(min(top, 1e6))), TOP + 190.0, TOP, logarithmic=True)
+    y, bottom = float(y_axis.place(high)), float(y_axis.place(low))
+    about = f"<title>{low:.2g} to {high:.2g}: 95 % of a consistent estimate's values</title>"
+    band = f'<rect class="band" x="{LEFT}" y="{y:.1f}" width="{INNER}" height="{bottom - y:.1f}">{about}</rect>'
+    return _drawing([thin(curve) for curve in curves], x_axis, y_axis, title, x_label, y_label, "", band)
+
+
+def states_plot(
+    curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float], names: Sequence[str]
+) -> str:
+    """States over time in s, whole numbers that name one of `names`: a stair for each curve, beside one another."""
+    named = tuple((float(k), name) for k, name in enumerate(names))
+    y_axis = Axis(-0.5, len(names) - 0.5, TOP + 120.0, TOP, named=named)
+    stairs = []
+    for k, curve in enumerate(curves):
+        changes = np.flatnonzero(np.diff(curve.y)) + 1
+        first = np.r_[0, changes]
+        x = np.r_[np.repeat(curve.x[first], 2)[1:], curve.x[-1]]
+        y = np.repeat(curve.y[first], 2) + 0.08 * (k - (len(curves) - 1) / 2)  # equal states of two are both seen
+        stairs.append(Curve(curve.label, x, y, curve.style))
+    return _drawing(stairs, _time_axis(span), y_axis, title, x_label, y_label, "", "")
 
 
 def recall_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str) -> str:

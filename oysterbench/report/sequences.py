@@ -14,6 +14,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds
 from oysterbench.evaluate.slam.scoring import SlamResult
 from oysterbench.report.cards import Card, Picture
+from oysterbench.report.consistency import consistency_cards, health_cards
 from oysterbench.report.plots import Curve, height_plot, map_plot, recall_plot, thin, time_plot
 from oysterbench.results.records import ResultRecord
 
@@ -24,11 +25,13 @@ MAP_POINTS = 1500  # of one path: still fine when it is looked at ten times as n
 
 @dataclass(frozen=True)
 class SlamRun:
-    """One run for the report: its record, its poses if it was scored, and camera frames as (stamp in ns, JPEG)."""
+    """One run for the report: its record, its poses if it was scored, and camera frames as (stamp in ns, JPEG); and how
+    each of its matched poses (N,) was had, where it says so."""
 
     record: ResultRecord
     result: SlamResult | None = None
     frames: Sequence[tuple[int, bytes]] = ()
+    health: NDArray[np.uint8] | None = None
 
 
 Scored = Sequence[tuple[str, SlamResult]]
@@ -66,7 +69,13 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
         f"shown where they answer, aligned by {scored[0][1].settings.align}.{several}"
     )
     legend = (("truth", 0), *((method, styles[method]) for method, _ in scored))
-    rows = (_errors(truth, end_s, scored, styles), _last(truth, scored, styles))
+    healths = {run.record.method: run.health for run in drawn if run.result is not None and run.health is not None}
+    rows = (
+        _errors(truth, end_s, scored, styles),
+        _last(truth, scored, styles),
+        consistency_cards(truth, scored, styles),
+        health_cards(truth, scored, healths, styles),
+    )
     pictures = tuple(_frame(*frame, begin_ns) for frame in frames)
     return SequencePlots(name, facts, legend, *_maps(truth, scored, styles), tuple(filter(None, rows)), pictures)
 

@@ -18,9 +18,11 @@ from oysterbench.core.trajectory.frames import with_scale
 from oysterbench.evaluate.slam.inputs import read_pair
 from oysterbench.evaluate.slam.scoring import EVALUATOR, SlamResult, SlamSettings, score
 from oysterbench.evaluate.slam.settings import SCALED
+from oysterbench.evaluate.slam.stretches import errors_by_state, states_at
 from oysterbench.methods.adapters import MethodAdapter
+from oysterbench.methods.health import HEALTH, NAMES, write_health
 from oysterbench.methods.interfaces import RunSequence
-from oysterbench.methods.interfaces.slam import SequencePath, read_alternatives, read_estimate
+from oysterbench.methods.interfaces.slam import SequencePath, read_alternatives, read_estimate, read_run_health
 from oysterbench.methods.map import MAP
 from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.recipe import SplitRecipe
@@ -123,16 +125,18 @@ class SlamTrack(Track):
         """Score the path that a run left, which `out` gets as TUM as well, with its other paths and its map.
 
         SEQUENCE-METHOD.tum, of several runs SEQUENCE-METHOD-RUN.tum; other paths of a method as
-        SEQUENCE-METHOD.NAME.tum, and its landmarks as SEQUENCE-METHOD.map.ply.
+        SEQUENCE-METHOD.NAME.tum, its landmarks as SEQUENCE-METHOD.map.ply, and how it had each pose as
+        SEQUENCE-METHOD.health.csv.
         """
         sequence = job.sequence
         assert isinstance(sequence, SlamSequence)
-        estimate, alternatives = None, dict[str, Trajectory]()
+        estimate, alternatives, health = None, dict[str, Trajectory](), None
         failure = outcome.failure
         if failure is None:
             try:
                 estimate = read_estimate(job.folder(out))
                 alternatives = read_alternatives(job.folder(out), outcome.prediction)
+                health = read_run_health(job.folder(out), outcome.prediction)
                 self._keep(job, outcome, out, estimate, alternatives)
             except (MethodError, OSError) as error:
                 failure = f"method {job.adapter.name!r} on {sequence.name}: {error}"
@@ -143,7 +147,13 @@ class SlamTrack(Track):
             carried = with_scale(estimate, result.alignment.scale)
             if carried is not estimate:  # whoever aligns the file by its scale finds what was scored
                 write_tum(out / f"{self._name(job)}.tum", carried)
-        return SlamRun(record, result, sequence.frames)
+        states = None
+        if result is not None and health is not None:
+            write_health(out / f"{self._name(job)}.{HEALTH}", *health)
+            states = states_at(*health, result.stamps_ns)
+            found = errors_by_state(result, states, NAMES)
+            record = replace(record, info={**record.info, "health": found})
+        return SlamRun(record, result, sequence.frames, states)
 
     @staticmethod
     def _name(job: Job) -> str:

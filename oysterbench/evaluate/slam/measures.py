@@ -13,7 +13,7 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.alignment import Alignment
 from oysterbench.evaluate.slam.association import Association, find_gaps
-from oysterbench.evaluate.slam.consistency import nees
+from oysterbench.evaluate.slam.consistency import Nees, nees
 from oysterbench.evaluate.slam.pairs import (
     Index,
     between,
@@ -221,10 +221,10 @@ def measure_alignment(fit: Alignment, settings: SlamSettings, measures: Measures
             measures[key] = value
 
 
-def measure_consistency(matched: Matched, settings: SlamSettings, measures: Measures) -> None:
-    """NEES, where the estimate says how sure it is."""
+def measure_consistency(matched: Matched, settings: SlamSettings, measures: Measures) -> dict[str, Nees]:
+    """NEES by part of the pose, where the estimate says how sure it is; else nothing."""
     if matched.met.estimate.covariances is None:
-        return
+        return {}
     parts = ("position", "rotation", "pose")
     try:
         found = nees(matched.met.truth, matched.met.estimate, settings.align, matched.fit.similarity)
@@ -232,13 +232,14 @@ def measure_consistency(matched: Matched, settings: SlamSettings, measures: Meas
         for part in parts:
             names = ("", "_low", "_high")
             measures.missing(str(error), *(f"nees_{part}{name}" for name in names), f"within_3sigma_{part}")
-        return
+        return {}
     for part, value in found.items():
         low, high = value.band
         measures[f"nees_{part}"] = value.mean
         measures[f"nees_{part}_low"] = low
         measures[f"nees_{part}_high"] = high
         measures[f"within_3sigma_{part}"] = value.within_3sigma
+    return found
 
 
 def _lengths(vectors: Array) -> Array:

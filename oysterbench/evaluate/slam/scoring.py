@@ -15,6 +15,7 @@ from oysterbench.evaluate.measures import Measures
 from oysterbench.evaluate.slam.alignment import Alignment, meet
 from oysterbench.evaluate.slam.association import rate_notes
 from oysterbench.evaluate.slam.clock import estimate_offset, shift
+from oysterbench.evaluate.slam.consistency import Nees
 from oysterbench.evaluate.slam.measures import (
     Matched,
     measure_alignment,
@@ -53,6 +54,7 @@ class SlamResult:
     error_m:            (N,) distance of the matched positions, m
     rotation_error_deg: (N,) angle between the matched attitudes, deg
     recall:             the recall curve, over all truth stamps; None where the truth does not move
+    nees:               by part of the pose, at the last M of the matched stamps; empty without covariances
     """
 
     metrics: Mapping[str, float]
@@ -67,6 +69,7 @@ class SlamResult:
     error_m: Array
     rotation_error_deg: Array
     recall: Recall | None
+    nees: Mapping[str, Nees]
 
     @property
     def alignment(self) -> Similarity:
@@ -130,7 +133,7 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
     measure_velocity(matched, settings, measures)
     measure_answers(matched, length_m, measures)
     measure_alignment(fit, settings, measures)
-    measure_consistency(matched, settings, measures)
+    consistency = measure_consistency(matched, settings, measures)
 
     notes += attitude_notes(met.truth.quaternions, met.estimate.quaternions, fit.similarity)
     seen = poses_of_frame(met.truth, T), poses_of_frame(met.estimate, met.estimate.T_body_estimate)
@@ -151,4 +154,5 @@ def score(truth: Trajectory, estimate: Trajectory, settings: SlamSettings | None
         absolute.translation_m,
         np.rad2deg(absolute.rotation_rad),
         curve,
+        consistency,
     )

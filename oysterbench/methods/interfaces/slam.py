@@ -3,7 +3,7 @@
     python -m oysterbench.methods.interfaces.slam SEQUENCE FORM OUT
 
 writes an input. What is left in the folder of a run: estimate.npz, the path that is scored; estimate.NAME.npz of each
-alternative; map.ply and keyframes.tum where there is a map.
+alternative; map.ply and keyframes.tum where there is a map; health.csv where it says how it had its poses.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from oysterbench.core.errors import MethodError, OysterbenchError, TrajectoryErr
 from oysterbench.core.files import link
 from oysterbench.core.geometry import Array, transform
 from oysterbench.core.trajectory import Trajectory, read_times, read_trajectory, write_npz
+from oysterbench.methods.health import HEALTH, read_health, write_health
 from oysterbench.methods.interfaces.interface import Interface, Predicted, RunSequence, Stopwatch
 from oysterbench.methods.method import Estimate
 from oysterbench.methods.processes import Processes
@@ -152,14 +153,18 @@ def keep(estimate: Estimate, folder: Path) -> Predicted:
     if estimate.map is not None:
         estimate.map.write(folder)
         counts = {"keyframes": len(estimate.map.keyframes), "landmarks": len(estimate.map.landmarks)}
-    found = described(estimate.scored, estimate.alternatives, counts)
+    if estimate.health is not None:
+        write_health(folder / HEALTH, estimate.trajectory.stamps_ns, estimate.health)
+    found = described(estimate.scored, estimate.alternatives, counts, estimate.health is not None)
     return Predicted(estimate.info, found, notes=estimate.trajectory.notes)
 
 
-def described(scored: str, alternatives: Mapping[str, Trajectory], counts: Mapping[str, int] | None) -> dict[str, Any]:
+def described(
+    scored: str, alternatives: Mapping[str, Trajectory], counts: Mapping[str, int] | None, health: bool
+) -> dict[str, Any]:
     """scored: what the method calls the path that is scored; alternatives: names of the others; map: counts of the
-    map's key frames and landmarks, None where there is none."""
-    return {"scored": scored, "alternatives": list(alternatives), "map": counts}
+    map's key frames and landmarks, None where there is none; health: whether it says how it had its poses."""
+    return {"scored": scored, "alternatives": list(alternatives), "map": counts, "health": health}
 
 
 def alternative_file(name: str) -> str:
@@ -175,6 +180,11 @@ def read_estimate(folder: Path) -> Trajectory:
 def read_alternatives(folder: Path, prediction: Mapping[str, Any]) -> dict[str, Trajectory]:
     """Its further paths by name."""
     return {name: _read_npz(folder / alternative_file(name)) for name in prediction["alternatives"]}
+
+
+def read_run_health(folder: Path, prediction: Mapping[str, Any]) -> tuple[NDArray[np.int64], NDArray[np.uint8]] | None:
+    """Stamps (N,) of its poses, and the `Health` (N,) of each; None where it does not say."""
+    return read_health(folder / HEALTH) if prediction.get("health") else None
 
 
 def _read_npz(path: Path) -> Trajectory:

@@ -1,0 +1,44 @@
+"""What an estimate errs in parts of a sequence that it tells apart, such as where it tracks and where it coasts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.evaluate.slam.pose_errors import rms
+from oysterbench.evaluate.slam.scoring import SlamResult
+
+
+def states_at(
+    stamps_ns: NDArray[np.int64], states: NDArray[np.uint8], wanted_ns: NDArray[np.int64]
+) -> NDArray[np.uint8]:
+    """Of states (N,) at increasing stamps (N,), N > 0, that of the stamp which is nearest to each wanted one (M,)."""
+    after = np.clip(np.searchsorted(stamps_ns, wanted_ns), 1, max(1, len(stamps_ns) - 1))
+    before = after - 1
+    after = np.minimum(after, len(stamps_ns) - 1)
+    nearer = wanted_ns - stamps_ns[before] <= stamps_ns[after] - wanted_ns
+    return np.asarray(states[np.where(nearer, before, after)])
+
+
+def errors_by_state(
+    result: SlamResult, states: NDArray[np.uint8], names: Sequence[str]
+) -> dict[str, dict[str, float | None]]:
+    """Of each state that occurs, by its name: share of the matched stamps, RMSE of the position (m), and mean NEES.
+
+    states: (N,) of the matched stamps, indices of `names`. NEES is None where the estimate says nothing of how sure it
+    is; position and rotation have 3 where it is right. All errors are those after the alignment of the whole path.
+    """
+    found = dict[str, dict[str, float | None]]()
+    for value, name in enumerate(names):
+        of = states == value
+        if not of.any():
+            continue
+        found[name] = {"share": float(np.mean(of)), "ate_rmse_m": rms(result.error_m[of])}
+        for part in ("position", "rotation"):
+            values = result.nees[part].values if part in result.nees else np.empty(0)
+            mean = float(np.mean(values[of[len(of) - len(values) :]])) if len(values) and of[1:].any() else math.nan
+            found[name][f"nees_{part}"] = mean if math.isfinite(mean) else None
+    return found
