@@ -80,7 +80,7 @@ class VisualOnly:
             "scale": "of the stereo base" if right else "none: the median depth at the start is taken as known",
             "frames": frames,
             "located": len(odometry.poses),
-            "key_frames": odometry.key_frames,
+            "maps": odometry.maps,
             "lost_at_ns": odometry.lost_ns,
             "settings": dataclasses.asdict(self.settings),
         }

@@ -73,6 +73,28 @@ class Start:
     error: float
 
 
+@dataclass(frozen=True)
+class Farewell:
+    """Where a map was last seen from: stamp, T_map_cam (4, 4), and the camera's velocity (3,) then, per second."""
+
+    stamp_ns: int
+    T_map_cam: Array
+    velocity: Array
+
+    def guess(self, stamp_ns: int) -> Array:
+        """T_map_cam (4, 4) of a later stamp: at the same attitude, gone on as it went."""
+        T_map_cam = self.T_map_cam.copy()
+        T_map_cam[:3, 3] += self.velocity * (stamp_ns - self.stamp_ns) * 1e-9
+        return T_map_cam
+
+    def scale_of(self, poses: dict[int, Array]) -> float:
+        """By what the unit of a new map is to be multiplied for its camera to be as fast; one where either stands."""
+        first, last = min(poses), max(poses)
+        way = float(np.linalg.norm(poses[last][:3, 3] - poses[first][:3, 3]))
+        wanted = float(np.linalg.norm(self.velocity)) * (last - first) * 1e-9
+        return wanted / way if wanted > 0 and way > 0 else 1.0
+
+
 def are_different(first: Array, second: Array) -> bool:
     """Whether two motions (4, 4) with translations of length one are more than estimates of one."""
     turn = np.arccos(np.clip((np.trace(first[:3, :3].T @ second[:3, :3]) - 1) / 2, -1, 1))
@@ -85,6 +107,10 @@ class Odometry:
 
     focal_px turns the settings' pixels into rays. T_left_right (4, 4): the other camera of a stereo pair, which gives
     the map its scale; without one the median depth at the start is taken as `start_depth_m`.
+
+    A map that is not seen for `begin_again_s` is given up for a new one, which is laid where the camera would be had it
+    gone on as it went; without a second camera, in a unit in which it is as fast as before. That is a guess, and all
+    that a camera can say of the time in which it saw nothing.
     """
 
     def __init__(self, settings: VisualOnlySettings, focal_px: float, T_left_right: Array | None = None) -> None:
@@ -93,6 +119,8 @@ class Odometry:
         self.poses: dict[int, Array] = {}  # stamp, ns -> T_map_cam
         self.lost_ns: int | None = None
         self.key_frames = 0
+        self.maps = 0
+        self._farewell: Farewell | None = None  # to the map before this one
         self._px = 1.0 / focal_px
         self._landmarks: dict[int, Landmark] = {}
         self._waiting: list[Frame] = []  # frames before there is a map
@@ -108,7 +136,11 @@ class Odometry:
         if found is None:
             if self.lost_ns is None:
                 self.lost_ns = frame.stamp_ns
-            return None
+            if frame.stamp_ns - max(self.poses) <= self.settings.begin_again_s * 1e9:
+                return None
+            self._give_up()
+            self._start(frame, match_right)
+            return self.poses.get(frame.stamp_ns)
         self.lost_ns = None
         self.poses[frame.stamp_ns] = found.T_map_cam
         if self._is_key(frame, found.landmarks):
@@ -124,11 +156,13 @@ class Odometry:
         """The first map: at once with stereo, after enough parallax without."""
         if self.T_left_right is not None:
             if match_right is not None:
-                self._add_key(frame, np.eye(4), match_right)
+                T_map_cam = np.eye(4) if self._farewell is None else self._farewell.guess(frame.stamp_ns)
+                self._add_key(frame, T_map_cam, match_right)
                 if len(self.landmarks) < self.settings.start_min_points:
                     self.key_frames, self._landmarks = 0, {}
                 else:
-                    self.poses[frame.stamp_ns] = np.eye(4)
+                    self.poses[frame.stamp_ns] = T_map_cam
+                    self._begun()
             return
         self._waiting.append(frame)
         first = self._waiting[0]
@@ -181,15 +215,39 @@ class Odometry:
 
     def _take(self, start: Start, last: Frame) -> None:
         """Go on from a map."""
-        self._landmarks = start.landmarks
-        self.poses |= start.poses
+        self._landmarks, poses = start.landmarks, start.poses
+        if self._farewell is not None:
+            factor, T_map_first = self._farewell.scale_of(poses), self._farewell.guess(min(poses))
+            self._scale(factor)
+            self._move(T_map_first)
+            poses = {stamp: T_map_first @ _scaled(T, factor) for stamp, T in poses.items()}
+        self.poses |= poses
         self.key_frames, self._key, self._waiting = 2, last, []
         self._known_at_key = len(self.landmarks)
+        self._begun()
+
+    def _begun(self) -> None:
+        self.maps, self.lost_ns = self.maps + 1, None
+
+    def _give_up(self) -> None:
+        """Look for a new map, and remember where this one was last seen from."""
+        stamps = sorted(self.poses)
+        last = stamps[-1]
+        before = next((stamp for stamp in reversed(stamps) if last - stamp > self.settings.speed_s * 1e9), stamps[0])
+        moved = self.poses[last][:3, 3] - self.poses[before][:3, 3]
+        velocity = moved / ((last - before) * 1e-9) if last > before else np.zeros(3)
+        self._farewell = Farewell(last, self.poses[last], velocity)
+        self.key_frames, self._key, self._landmarks, self._waiting = 0, None, {}, []
 
     def _scale(self, factor: float) -> None:
         for mark in self._landmarks.values():
-            mark.poses = [np.block([[T[:3, :3], factor * T[:3, 3:]], [T[3:]]]) for T in mark.poses]
+            mark.poses = [_scaled(T, factor) for T in mark.poses]
             mark.point = None if mark.point is None else factor * mark.point
+
+    def _move(self, T: Array) -> None:
+        for mark in self._landmarks.values():
+            mark.poses = [T @ pose for pose in mark.poses]
+            mark.point = None if mark.point is None else T[:3, :3] @ mark.point + T[:3, 3]
 
     def _locate(self, frame: Frame, drop: bool = True) -> Located | None:
         """The pose from the landmarks that are seen; None where too few agree on one.
@@ -270,3 +328,8 @@ class Odometry:
             else:
                 # Begun anew from its last view: the track has slid, or one of the poses was wrong.
                 self._landmarks[track] = Landmark([mark.poses[-1]], [mark.rays[-1]])
+
+
+def _scaled(T: Array, factor: float) -> Array:
+    """A pose (4, 4) in another unit."""
+    return np.block([[T[:3, :3], factor * T[:3, 3:]], [T[3:]]])

@@ -36,6 +36,10 @@ class VisualOnlySettings:
     pose_error_px: float = 2.0
     pose_trials: int = 200
 
+    # A map that is lost.
+    begin_again_s: float = 1.0  # without it; a corner that comes back after that has moved out of reach
+    speed_s: float = 1.0  # over which the last speed is taken: a stroke of the vehicle's sway
+
     # Key frames and landmarks.
     key_parallax_px: float = 20.0  # median, since the last key frame
     key_share: float = 0.7  # of the landmarks of the last key frame; fewer make a new one

@@ -134,13 +134,40 @@ def test_a_moment_without_sight_is_bridged_and_left_out_of_the_answer():
     assert scored(estimate.trajectory, sequence.truth(), "se3")["ate_percent"] < 1.0
 
 
-def test_after_a_long_time_without_sight_it_answers_no_more():
+def test_after_a_long_time_without_sight_it_begins_again_where_it_would_have_gone():
     sequence = Bottom(TWO, 4.5, blind=(1.5, 3.0))
     estimate = VisualOnly().run(sequence)
     seconds = (estimate.trajectory.stamps_ns - dive.START_NS) * 1e-9
+    assert not ((seconds > 1.5) & (seconds < 2.99)).any()
+    assert seconds[-1] == pytest.approx(4.45)
+    assert estimate.info["maps"] == 2
+    assert estimate.info["lost_at_ns"] is None
+    metrics = scored(estimate.trajectory, sequence.truth(), "se3")
+    assert metrics["coverage"] > 0.6
+    assert metrics["ate_percent"] < 5.0  # 1.5 s at half a metre a second are guessed
+
+
+def test_one_camera_begins_again_in_the_unit_that_it_had():
+    sequence = Bottom(ONE, 12.0, blind=(5.0, 6.5))
+    estimate = VisualOnly().run(sequence)
+    assert estimate.info["maps"] == 2
+    truth = sequence.truth()
+    positions = estimate.trajectory.positions
+    seconds = (estimate.trajectory.stamps_ns - dive.START_NS) * 1e-9
+    scales = []
+    for part in (seconds < 5.0, seconds > 6.5):
+        stamps = estimate.trajectory.stamps_ns[part]
+        true = truth.positions[np.searchsorted(truth.stamps_ns, stamps[[0, -1]])]
+        scales.append(np.linalg.norm(np.diff(positions[part][[0, -1]], axis=0)) / np.linalg.norm(np.diff(true, axis=0)))
+    assert scales[1] / scales[0] == pytest.approx(1.0, abs=0.3)
+
+
+def test_what_never_comes_back_is_said_to_be_lost():
+    estimate = VisualOnly().run(Bottom(TWO, 4.5, blind=(1.5, 5.0)))
+    seconds = (estimate.trajectory.stamps_ns - dive.START_NS) * 1e-9
     assert seconds[-1] < 1.5
     assert estimate.info["lost_at_ns"] is not None
-    assert scored(estimate.trajectory, sequence.truth(), "se3")["coverage"] < 0.4
+    assert estimate.info["maps"] == 1
 
 
 def test_pictures_without_a_corner_are_refused_in_one_line():
