@@ -12,7 +12,7 @@ from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import ImuMeasurement
 from oysterbench.methods import Estimate
 from oysterbench.sequence.types import CameraCalibration, Sequence
-from oysterbench_baselines.common.aiding import Aiding, aiding_sensors
+from oysterbench_baselines.common.aiding import Aiding, aiding_sensors, imaging_sonar
 from oysterbench_baselines.common.aiding.dvl import Dvl
 from oysterbench_baselines.common.alignment import start_filter
 from oysterbench_baselines.common.filter import InertialNoise
@@ -24,9 +24,9 @@ from oysterbench_baselines.gtsam_vi.method import Output, check_output, estimate
 
 
 class GtsamFull:
-    """gtsam_vi with DVL, pressure, magnetometer and altimeters, each where the rig has it.
+    """gtsam_vi with DVL, imaging sonar, pressure, magnetometer and altimeters, each where the rig has it.
 
-    It needs no pictures while it has a DVL.
+    It needs no pictures while it has a DVL or a sonar.
 
     output: "online" gives each pose and covariance as known at its frame, "smoothed" those after an adjustment of the
     whole path. camera: name of the camera; the first one by default. seed: of the random samples in the epipolar check.
@@ -45,14 +45,16 @@ class GtsamFull:
         check_output(self.name, output)
         self.output, self.camera, self.seed = output, camera, seed
         self.settings = settings or GtsamFullSettings()
-        sensors = ["mono", "imu", "dvl", "pressure", "compass", "altimeter"]
+        sensors = ["mono", "imu", "dvl", "sonar", "pressure", "compass", "altimeter"]
         self.about = {"sensors": sensors, "online": output == "online", "code": "baselines/gtsam_full"}
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of frames, missing ones too, and at the end; and the map."""
         camera = first_camera(self.name, sequence, self.camera)
-        sensors = [*self.settings.sensors(sequence), *sequence.altimeters]
-        stream = sequence.stream(*sensors, camera)
+        sonars = list(sequence.sonars)[:1] if self.settings.sonar else []
+        sensors = [*self.settings.sensors(sequence), *sequence.altimeters, *sonars]
+        sensors += [camera] if self.settings.pictures else []
+        stream = sequence.stream(*(sensors or ["imu"]))
         head = []
         for item in stream:
             head.append(item)
@@ -66,10 +68,11 @@ class GtsamFull:
         stamps_ns = np.array([sample.stamp_ns for sample in inertial], dtype=np.int64)
         gyro, accel = (np.array([getattr(sample, name) for sample in inertial]) for name in ("gyro", "accel"))
         calibration, first = sequence.cameras[camera], (stamps_ns, gyro, accel)
-        known = CameraUncertainty.of(sequence.uncertainty, [camera], [calibration])
+        stated = sequence.uncertainty if self.settings.calibration.enabled else None
+        known = CameraUncertainty.of(stated, [camera], [calibration])
         estimator = aided_estimator(sequence, calibration, self.settings, first, known)
         run_estimator(estimator, sequence, [camera], chain(head, stream), self.seed, int(stamps_ns[0]))
-        info = {"camera": camera, "sensors": ["imu", *sensors, camera]}
+        info = {"camera": camera, "sensors": ["imu", *sensors]}
         return estimate_of(estimator, self.output, self.settings, info)
 
 
@@ -92,6 +95,10 @@ def aided_estimator(
     dvl = next((sensor for sensor in sensors if isinstance(sensor, Dvl)), None)
     if settings.ranges.enabled and (dvl is not None or sequence.altimeters):
         sensors.append(Ranges(invert(imu.T_base_imu), sequence.altimeters, dvl, settings.ranges))
+    reach = settings.window.keyframes - 2  # what is to leave the window takes no more factors
+    sonar = imaging_sonar(sequence, settings.aiding, reach) if settings.sonar else None
+    if sonar is not None:
+        sensors.append(sonar)
     aided = AidedFilter(filter, Aiding(sensors), settings.filter_start)
     estimator = Estimator([camera], imu, settings, aided, uncertainty)
     estimator.info["started_at_rest"] = at_rest

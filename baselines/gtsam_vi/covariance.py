@@ -31,7 +31,7 @@ from oysterbench_baselines.common.inertial import Segment
 from oysterbench_baselines.gtsam_vi.calibration import MODELS
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
-from oysterbench_baselines.gtsam_vi.states import Keyframe, State, read_state
+from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, read_state
 
 VIEWS = gtsam.GenericProjectionFactorCal3_S2, *(factor for _, factor, *_ in MODELS.values())
 """Factors of a landmark in a picture."""
@@ -138,6 +138,17 @@ def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array, mo
         change[:3, :3] = -cross(rotation @ lever) @ rotation
         covariance = change @ marginals[X(keyframe.index)] @ change.T + FLOOR
         found.append(0.5 * (covariance + covariance.T))
+    return found
+
+
+def between_keyframes(known: list[Array], keyframes: list[Keyframe], frames: list[Frame]) -> list[Array]:
+    """Of every frame (6, 6), from those of the key frames on both sides, of which it has its share by time."""
+    found = []
+    for frame in frames:
+        before, after = known[frame.keyframe], known[min(frame.keyframe + 1, len(known) - 1)]
+        time = keyframes[min(frame.keyframe + 1, len(known) - 1)].segment.duration
+        share = min(frame.since.duration / time, 1.0) if time > 0 else 0.0
+        found.append((1.0 - share) * before + share * after)
     return found
 
 

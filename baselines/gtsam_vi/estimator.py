@@ -27,6 +27,7 @@ from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
 from oysterbench_baselines.gtsam_vi.closed_form import level_rotation
 from oysterbench_baselines.gtsam_vi.covariance import (
+    between_keyframes,
     covariances_until,
     filter_covariance,
     filter_slopes,
@@ -382,13 +383,12 @@ class Estimator:
         if len(bundle.errors_px):
             self.info["smoothed_error_px"] = float(np.median(bundle.errors_px))
         lever = invert(self.imu.T_base_imu)[:3, 3]
-        # Each frame with the covariance of the key frame before it: the one after holds it from the other side.
         try:
             known = pose_covariances(bundle, keyframes, lever, self.model)
         except RuntimeError:  # GTSAM: a landmark is too weakly known to be eliminated; the poses are none the worse
             self.info["covariances_failed"] = 1
             return self._trajectory(poses, [])
-        return self._trajectory(poses, [known[frame.keyframe] for frame in self.frames])
+        return self._trajectory(poses, between_keyframes(known, keyframes, self.frames))
 
     def health(self) -> NDArray[np.uint8]:
         """How the pose of each frame was had, one `Health` each."""

@@ -246,7 +246,7 @@ class FrontEnd:
         self.image = image
         self._pattern.add(detail, self._moved_px(before, R_before_now))
         kept, self._tracks = self._tracks, self._replenish(image)
-        if not self.calibration.readout_s or elapsed_s <= 0:
+        if not self.settings.rolling_shutter or not self.calibration.readout_s or elapsed_s <= 0:
             return self._tracks
         return replace(self._tracks, rolled=self._rolled(before, kept, elapsed_s))
 
@@ -358,10 +358,11 @@ def find_corners(image: NDArray[np.uint8], taken: Array, settings: FrontEndSetti
     Every cell of a grid has the same share of the tracks, so that one bright clump does not get them all: turbid water
     dims the far half of a picture, and it is the far half that tells rotation from translation.
     """
-    return spread_out(cv2.cornerMinEigenVal(image, settings.corner_block_px), taken, settings)
+    score = np.asarray(cv2.cornerMinEigenVal(image, settings.corner_block_px), dtype=np.float32)
+    return spread_out(score, taken, settings)
 
 
-def spread_out(score: NDArray[np.floating[Any]], taken: Array, settings: FrontEndSettings) -> Array:
+def spread_out(score: NDArray[np.float32], taken: Array, settings: FrontEndSettings) -> Array:
     """The same of a score (H, W), greater where it is better to begin a track."""
     height, width = score.shape
     spacing, border = round(settings.track_spacing_px), settings.flow_window_px // 2 + 1

@@ -74,10 +74,12 @@ class Initialiser:
                 self._move_anchor(keyframes, stretch[0])
             self.model.initial_covariances[stretch[0].index] = unlevelled(self.anchor.covariance)
         at = None if self.anchor is None else self.anchor.state
-        started = stretch if at is None else stretch[1:]
-        bundle = find_start(self.model, stretch, at, limits.relaxed_scale_sigma if final else limits.scale_sigma)
+        most = limits.relaxed_scale_sigma if final else limits.scale_sigma
+        whole = stretch[0].index
+        stretch, bundle = self._find(stretch, at, most)
         if bundle is None:
             return None
+        started = stretch if at is None else stretch[1:]
         for keyframe in started:
             keyframe.state = read_state(bundle.values, keyframe.index)
         try:
@@ -89,7 +91,33 @@ class Initialiser:
         self._pause_s = limits.retry_s
         info = {} if is_metric(stretch, self.model.settings) else {"init_scale_sigma": scale_sigma(bundle, stretch)}
         info |= {"init_error_px": float(np.median(bundle.errors_px)), "init_s": now}
+        if stretch[0].index > whole:
+            for keyframe in keyframes[: stretch[0].index]:
+                keyframe.distrust_sight()
         return Start(stretch, bundle, window, info)
+
+    def _find(
+        self, stretch: list[Keyframe], anchor: State | None, max_scale_sigma: float
+    ) -> tuple[list[Keyframe], Bundle | None]:
+        """A stretch and its adjustment, or its later half, where what the earlier one saw does not belong to the rest.
+
+        Silt drifts as one, and a start that is made of it, or in part, fits it well enough. But then the rest alone
+        fits clearly better, or says more of the scale than all of it together, which more of the same never does.
+        """
+        model, settings = self.model, self.model.settings
+        whole, half = find_start(model, stretch, anchor, max_scale_sigma), stretch[len(stretch) // 2 :]
+        if anchor is not None or not is_worth_a_try(half, settings):
+            return stretch, whole
+        later = find_start(model, half, anchor, np.inf)
+        if later is None:
+            return stretch, whole
+        known = scale_sigma(later, half)
+        if whole is not None and known >= scale_sigma(whole, stretch):
+            share = float(np.median(later.errors_px)) / max(float(np.median(whole.errors_px)), 1e-9)
+            if share >= settings.initialisation.later_error:
+                return stretch, whole
+        certain = known <= max_scale_sigma or is_metric(half, settings)
+        return half, later if certain else None
 
     def from_filter(self, keyframes: list[Keyframe], filter: InvariantFilter) -> Start | None:
         """A start from the state of a filter that knows its velocity, once it is level."""

@@ -65,7 +65,8 @@ class GtsamVi:
                 )
             cameras.append(second)
         calibrations = [sequence.cameras[camera] for camera in cameras]
-        uncertainty = CameraUncertainty.of(sequence.uncertainty, cameras, calibrations)
+        stated = sequence.uncertainty if self.settings.calibration.enabled else None
+        uncertainty = CameraUncertainty.of(stated, cameras, calibrations)
         estimator = Estimator(calibrations, sequence.imu_calibration, self.settings, uncertainty=uncertainty)
         front_end = self.front_end(calibrations[0])
         run_estimator(estimator, sequence, cameras, sequence.stream(*cameras), self.seed, front_end=front_end)

@@ -35,6 +35,7 @@ class FrontEndSettings:
     max_blind_s: float = 5.0  # without a picture; then no more poses: the inertial unit alone is decimetres off
     repeat_speed: float = 0.05  # m/s, and 5 sigmas, at which a picture that repeats the last one is not of now
     repeat_px: float = 1.0  # of flow by the gyroscope, beyond what its bias does, likewise
+    rolling_shutter: bool = True  # of a camera that has one: each row counts for when it was read
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ class NoiseSettings:
     """Noise models of observations and of inertial measurements."""
 
     pixel_sigma_px: float = 1.0  # of a tracked corner, drift over the track's life included
-    correlation: float = 1.5  # times that sigma, in covariances of the smoothed path: views of a landmark err alike
+    correlation: float = 2.5  # times that sigma, in covariances of the smoothed path: views err alike, in silt most
     views_alike: float = 10.0  # that say of a camera's calibration no more than one, as they err alike
     loss_power: float = 1.0  # of the share of tracks kept a frame: caustics that kill tracks move those they leave
     max_inflation: float = 4.0  # by lost tracks, times pixel_sigma_px
@@ -80,6 +81,13 @@ class NoiseSettings:
     imu_inflation: float = 1.25  # on the densities of the data sheet: interpolation, vibration, scale errors
     bias_inflation: float = 2.0  # on the random walks
     integration_sigma: float = 1e-4  # m/s/sqrt(s): error of the integration itself; keeps covariances regular
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """Mounts, lenses and the clock of cameras."""
+
+    enabled: bool = True  # estimated with the path, as far as their calibration does not state them; False holds them
 
 
 @dataclass(frozen=True)
@@ -112,6 +120,7 @@ class InitialisationSettings:
     scale_sigma: float = 0.03  # accepted 1-sigma uncertainty of scale
     relaxed_scale_sigma: float = 1.0  # at the end of the sequence: a rough scale beats dead reckoning
     max_error_px: float = 2.0  # median reprojection error of an accepted window
+    later_error: float = 0.75  # of it, below which the later half alone is right, and what came before it was silt
 
 
 @dataclass(frozen=True)
@@ -256,6 +265,7 @@ class GtsamViSettings:
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
     zero_velocity: ZeroVelocitySettings = field(default_factory=ZeroVelocitySettings)
     noise: NoiseSettings = field(default_factory=NoiseSettings)
+    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
     landmarks: LandmarkSettings = field(default_factory=LandmarkSettings)
     initialisation: InitialisationSettings = field(default_factory=InitialisationSettings)
     window: WindowSettings = field(default_factory=WindowSettings)

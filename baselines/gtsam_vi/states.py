@@ -40,6 +40,8 @@ class Rates:
     accel: Array
 
 
+NOTHING = Observations(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
 RATES_S = 0.1  # over which readings are averaged: several turns of a thruster that shakes the unit
 
 
@@ -62,6 +64,10 @@ class Keyframe:
     aiding: list[gtsam.NonlinearFactor] = field(default_factory=list)
     trusted: bool = True
     blind: bool = False
+
+    def distrust_sight(self) -> None:
+        """What it saw fits nothing that was seen later: it is as blind as one that saw nothing."""
+        self.observations, self.blind = NOTHING, True
 
     @cached_property
     def rates(self) -> Rates | None:

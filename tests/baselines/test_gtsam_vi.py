@@ -14,6 +14,8 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.geometry import Array, align_yaw, invert
 from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory, read_trajectory
+from oysterbench.evaluate.slam.scoring import score
+from oysterbench.methods import Health
 from oysterbench.sequence.euroc import EurocSequence
 from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer
@@ -68,6 +70,21 @@ def test_it_recovers_a_dive_that_starts_at_rest():
     measured = dive.make_dive(5, pose=dive.resting_start_pose)
     estimator = estimate(measured)
     assert position_error(measured.truth, estimator.smoothed()) < 0.003 * measured.truth.path_length
+
+
+@pytest.mark.parametrize("seed", [7, pytest.param(8, marks=pytest.mark.slow)])
+def test_silt_at_the_beginning_that_drifts_as_one_is_left_out_of_the_start(seed):
+    measured = dive.make_dive(seed, duration_s=12.0, silt_s=4.0)
+    estimator = estimate(measured)
+    trajectory = estimator.smoothed()
+    assert (
+        position_error(measured.truth, trajectory) < 0.03
+    )  # of 6 m; with what the silt showed it is four times as much
+    # What it had no sight of it has from the inertial unit, back from the start, and knows how well.
+    health = estimator.health()
+    assert (health[:70] == Health.COASTING).all()
+    assert (health[-60:] == Health.TRACKING).all()
+    assert score(measured.truth, trajectory).metrics["nees_position"] < 10.0
 
 
 def test_it_holds_its_place_when_nothing_moves():

@@ -99,9 +99,10 @@ def make_dive(
     blind: tuple[float, float] = (np.inf, np.inf),
     outliers: float = 0.01,
     most: int = 130,
+    silt_s: float = 0.0,
 ) -> Dive:
     """A dive. blind: seconds in which the camera sees nothing. outliers: share of tracks that slide over the scene.
-    most: tracks at a time.
+    most: tracks at a time. silt_s: until when all that is seen swirls as one, by 12 cm every 2.5 s.
     """
     generator = np.random.default_rng(seed)
     camera, inertial = camera_calibration(), imu_calibration()
@@ -111,7 +112,9 @@ def make_dive(
     poses = pose(times)
     points = generator.uniform([-7, -7, 0], [7, 7, 1], size=(6000, 3))
     points[:, 2] = -4.0 + 0.15 * np.sin(1.3 * points[:, 0]) * np.cos(1.7 * points[:, 1]) + 0.12 * points[:, 2] ** 2
-    seen = list(_follow(points, poses, times, camera, pixel_noise, blind, outliers, generator, most))
+    seen = list(
+        _follow(points, _beside(poses, times, silt_s), times, camera, pixel_noise, blind, outliers, generator, most)
+    )
     tracks = [(ids, pixels) for ids, pixels, _ in seen]
     noise = np.random.default_rng(seed + 1000)  # of its own: one camera sees the same with and without a second
     right = [
@@ -121,6 +124,14 @@ def make_dive(
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     truth = Trajectory(stamps, poses[:, :3, 3].copy(), quaternions)
     return Dive(camera, inertial, samples, stamps, tracks, truth, right)
+
+
+def _beside(poses: Array, times: Array, silt_s: float) -> Array:
+    """Poses from which the scene at rest looks as what swirls does from the true ones."""
+    angle = np.where(times < silt_s, 2 * np.pi * times / 2.5, 0.0)
+    beside = poses.copy()
+    beside[:, :2, 3] += 0.12 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    return beside
 
 
 def _seen_by(camera: CameraCalibration, points: Array, T_map_base: Array, noise: float, generator) -> Array:
