@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any, ClassVar
+
+from oysterbench.core.errors import MethodError
 
 
 @dataclass(frozen=True)
@@ -241,6 +243,22 @@ FLAT_NAMES = """
 """What options were called before they were nested, by part; `old:new` where the last word has changed."""
 
 
+SIGMAS = ("sigma", "sigma_px", "sigmas", "huber", "cauchy", "correlation", "views_alike", "imu_inflation", "iterations")
+"""Ends of the names of what is divided by, or done at least once."""
+
+
+def check_ranges(settings: Any, part: str = "") -> None:
+    """Raises MethodError where a number of settings, a dataclass of parts, is negative, or zero where none may be."""
+    for field_ in fields(settings):
+        name, value = f"{part}{field_.name}", getattr(settings, field_.name)
+        if is_dataclass(value):
+            check_ranges(value, f"{name}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            positive = field_.name.endswith(SIGMAS)
+            if not value >= 0 or (positive and value == 0):
+                raise MethodError(f"option {name}: expected {'more than 0' if positive else '0 or more'}, got {value}")
+
+
 def renamed_options(flat_names: str) -> dict[str, str]:
     """Nested name by flat name."""
     names, part = dict[str, str](), ""
@@ -273,3 +291,6 @@ class GtsamViSettings:
     recognition: RecognitionSettings = field(default_factory=RecognitionSettings)
     loops: LoopSettings = field(default_factory=LoopSettings)
     recovery: RecoverySettings = field(default_factory=RecoverySettings)
+
+    def __post_init__(self) -> None:
+        check_ranges(self)

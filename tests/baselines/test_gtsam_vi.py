@@ -16,6 +16,7 @@ from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory, read_trajectory
 from oysterbench.evaluate.slam.scoring import score
 from oysterbench.methods import Health
+from oysterbench.methods.options import configure
 from oysterbench.sequence.euroc import EurocSequence
 from oysterbench.sequence.types import ImuMeasurement, Sequence
 from oysterbench_baselines.common.inertial import SampleBuffer
@@ -218,6 +219,25 @@ def test_an_unknown_camera_and_an_unknown_output_are_refused():
         GtsamVi(camera="left").run(FlatBottom(0.1))
     with pytest.raises(MethodError, match="'smoothed' or 'online'"):
         GtsamVi(output="best")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"noise.views_alike": "0"}, r"option noise\.views_alike: expected more than 0, got 0"),
+        ({"frontend.max_tracks": "-3"}, r"option frontend\.max_tracks: expected 0 or more, got -3"),
+        ({"recovery.unknown_speed": "nan"}, r"option recovery\.unknown_speed: expected 0 or more, got nan"),
+    ],
+)
+def test_a_number_that_cannot_be_is_refused_by_its_name(options, message):
+    with pytest.raises(MethodError, match=message):
+        configure(GtsamVi, options, "gtsam_vi[...]")
+
+
+def test_parts_can_be_left_out():
+    method, _ = configure(GtsamVi, {"calibration.enabled": "false", "frontend.rolling_shutter": "false"}, "gtsam_vi")
+    assert not method.settings.calibration.enabled
+    assert not method.settings.frontend.rolling_shutter
 
 
 def floor_folder() -> Path:
