@@ -96,7 +96,8 @@ class Estimator:
         self._initialiser = Initialiser(self.model, aided.start if aided else None)
         self._recovery = Recovery(self.model)
         self._association = DataAssociation(settings, self.model.rig.T_imu_cam[:3, :3])
-        self._lost_at, self._found = 0, False  # the key frame of the last loss, and whether a loop has bridged it
+        self._seen_ns = 0  # when there was last enough in sight
+        self._lost_at, self._found = 0, False  # the key frame after the last loss, and whether a loop has bridged it
         self._since_frame: list[Segment] = []
         self._since_keyframe: list[Segment] = []
         self._palette = Palette()
@@ -294,6 +295,9 @@ class Estimator:
             place = (self.filter.pose @ invert(self.imu.T_base_imu))[:3, 3]
             frame.covariance = self.filter.pose_covariance(place) + FLOOR
         if self.window is not None and self.window.sees(landmarks):
+            if self._seen_ns and stamp_ns - self._seen_ns > self.settings.recovery.memory_s * 1e9:
+                self._lost_at, self._found = self.keyframes[-1].index, False
+            self._seen_ns = stamp_ns
             frame.health = Health.RELOCALISED if self._found else Health.TRACKING
         frame.correction = None if self.loops is None else self.loops.correction
         self.frames.append(frame)
