@@ -36,6 +36,7 @@ from oysterbench_baselines.gtsam_vi.covariance import (
 )
 from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Observations, Translation
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
+from oysterbench_baselines.gtsam_vi.health import HealthWatch
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, Initialiser, Start
 from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation, is_keyframe, is_stationary
 from oysterbench_baselines.gtsam_vi.loops import LoopCloser
@@ -96,8 +97,7 @@ class Estimator:
         self._initialiser = Initialiser(self.model, aided.start if aided else None)
         self._recovery = Recovery(self.model)
         self._association = DataAssociation(settings, self.model.rig.T_imu_cam[:3, :3])
-        self._seen_ns = 0  # when there was last enough in sight
-        self._lost_at, self._found = 0, False  # the key frame after the last loss, and whether a loop has bridged it
+        self._watch = HealthWatch(settings.recovery.memory_s)
         self._since_frame: list[Segment] = []
         self._since_keyframe: list[Segment] = []
         self._palette = Palette()
@@ -151,7 +151,7 @@ class Estimator:
                 self._correct_filter(self.window)
             if self.loops is not None and image is not None:
                 self.loops.add_keyframe(self.keyframes, image)
-                self._found = self._lost_at > 0 and self.loops.ties(self._lost_at)
+                self._watch.look_for_ties(self.loops)
             if pixels is not None:
                 self._palette.add(pixels, replace(tracks, ids=landmarks))
         self._add_frame(stamp_ns, observations.ids)
@@ -245,7 +245,7 @@ class Estimator:
         self.info["restarts"] = int(self.info.get("restarts", 0)) + 1
         self.window = None
         self._recovery.distrust(self.keyframes, self.frames)
-        self._lost_at, self._found = self.keyframes[-1].index, False
+        self._watch.lose(self.keyframes[-1].index)
         self._initialiser.first = self.keyframes[-1].index
         if not self.aiding.knows_velocity:
             self._initialiser.anchor = self._recovery.predict(self.keyframes, self.frames)
@@ -294,11 +294,8 @@ class Estimator:
         if self._aided or self.window is not None:
             place = (self.filter.pose @ invert(self.imu.T_base_imu))[:3, 3]
             frame.covariance = self.filter.pose_covariance(place) + FLOOR
-        if self.window is not None and self.window.sees(landmarks):
-            if self._seen_ns and stamp_ns - self._seen_ns > self.settings.recovery.memory_s * 1e9:
-                self._lost_at, self._found = self.keyframes[-1].index, False
-            self._seen_ns = stamp_ns
-            frame.health = Health.RELOCALISED if self._found else Health.TRACKING
+        sees = self.window is not None and self.window.sees(landmarks)
+        frame.health = self._watch.health(stamp_ns, frame.keyframe, sees)
         frame.correction = None if self.loops is None else self.loops.correction
         self.frames.append(frame)
 
