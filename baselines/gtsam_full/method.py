@@ -20,7 +20,16 @@ from oysterbench_baselines.gtsam_full.ranges import Ranges
 from oysterbench_baselines.gtsam_full.settings import GtsamFullSettings
 from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
 from oysterbench_baselines.gtsam_vi.estimator import AidedFilter, Estimator
-from oysterbench_baselines.gtsam_vi.method import Output, check_output, estimate_of, first_camera, run_estimator
+from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
+from oysterbench_baselines.gtsam_vi.method import (
+    Output,
+    check_output,
+    estimate_of,
+    first_camera,
+    moving_mask,
+    run_estimator,
+)
+from oysterbench_baselines.moving import weights_digest
 
 
 class GtsamFull:
@@ -30,6 +39,7 @@ class GtsamFull:
 
     output: "online" gives each pose and covariance as known at its frame, "smoothed" those after an adjustment of the
     whole path. camera: name of the camera; the first one by default. seed: of the random samples in the epipolar check.
+    mask: as of gtsam_vi.
     """
 
     name = "gtsam_full"
@@ -41,12 +51,17 @@ class GtsamFull:
         camera: str | None = None,
         settings: GtsamFullSettings | None = None,
         seed: int = 0,
+        mask: str = "",
     ) -> None:
         check_output(self.name, output)
-        self.output, self.camera, self.seed = output, camera, seed
+        self.output, self.camera, self.seed, self.mask = output, camera, seed, mask
         self.settings = settings or GtsamFullSettings()
         sensors = ["mono", "imu", "dvl", "sonar", "pressure", "compass", "altimeter"]
         self.about = {"sensors": sensors, "online": output == "online", "code": "baselines/gtsam_full"}
+
+    def as_dict(self) -> dict[str, str]:
+        """What results say of it besides its options: the weights of the mask."""
+        return weights_digest(self.mask)
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of frames, missing ones too, and at the end; and the map."""
@@ -71,7 +86,10 @@ class GtsamFull:
         stated = sequence.uncertainty if self.settings.calibration.enabled else None
         known = CameraUncertainty.of(stated, [camera], [calibration])
         estimator = aided_estimator(sequence, calibration, self.settings, first, known)
-        run_estimator(estimator, sequence, [camera], chain(head, stream), self.seed, int(stamps_ns[0]))
+        front_end = FrontEnd(calibration, self.settings.frontend, self.seed, moving_mask(self.mask))
+        run_estimator(
+            estimator, sequence, [camera], chain(head, stream), self.seed, int(stamps_ns[0]), front_end=front_end
+        )
         info = {"camera": camera, "sensors": ["imu", *sensors]}
         return estimate_of(estimator, self.output, self.settings, info)
 
@@ -96,7 +114,7 @@ def aided_estimator(
     if settings.ranges.enabled and (dvl is not None or sequence.altimeters):
         sensors.append(Ranges(invert(imu.T_base_imu), sequence.altimeters, dvl, settings.ranges))
     reach = settings.window.keyframes - 2  # what is to leave the window takes no more factors
-    sonar = imaging_sonar(sequence, settings.aiding, reach) if settings.sonar else None
+    sonar = imaging_sonar(sequence, settings.aiding, reach, dvl) if settings.sonar else None
     if sonar is not None:
         sensors.append(sonar)
     aided = AidedFilter(filter, Aiding(sensors), settings.filter_start)

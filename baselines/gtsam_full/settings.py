@@ -46,6 +46,8 @@ class GtsamFullSettings(GtsamViSettings):
     dvl: bool = True  # whether it is used where there is one; likewise depth and compass
     depth: bool = True
     compass: bool = True
+    sonar: bool = True
+    pictures: bool = True  # False leaves the camera out, as in water where it sees nothing
 
     def sensors(self, sequence: Sequence) -> list[str]:
         """The aiding sensors of a rig that are to be used, as `Sequence.stream` names them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -209,9 +210,18 @@ class FixedPattern:
 
 
 class FrontEnd:
-    """Tracks corners through the frames of one camera."""
+    """Tracks corners through the frames of one camera.
 
-    def __init__(self, calibration: CameraCalibration, settings: FrontEndSettings, seed: int = 0) -> None:
+    moving: where something moves in a picture (H, W, 3), a mask (H, W) bool; corners are neither begun nor kept there.
+    """
+
+    def __init__(
+        self,
+        calibration: CameraCalibration,
+        settings: FrontEndSettings,
+        seed: int = 0,
+        moving: Callable[[NDArray[np.uint8]], NDArray[np.bool_]] | None = None,
+    ) -> None:
         self.calibration = calibration
         self.settings = settings
         self._focal = float(calibration.matrix[0, 0] + calibration.matrix[1, 1]) / 2
@@ -221,6 +231,8 @@ class FrontEnd:
         self._taken: NDArray[np.uint8] | None = None  # the latest, as it was taken
         self._pattern = FixedPattern(settings)
         self._tracks = NO_TRACKS
+        self._find_moving = moving
+        self._moving: NDArray[np.bool_] | None = None  # (H, W), of the latest picture
 
     def track(
         self,
@@ -238,6 +250,7 @@ class FrontEnd:
         self._taken = pixels
         if elapsed_s > self.settings.max_gap_s:
             self._tracks = NO_TRACKS
+        self._moving = None if self._find_moving is None else self._find_moving(pixels)
         detail = self._without_veil(pixels)
         image = even_contrast(self._pattern.taken_from(detail), self.settings)
         before = self._tracks
@@ -304,6 +317,7 @@ class FrontEnd:
         turned = homogeneous(tracks.rays) @ R_before_now  # where the rotation alone would take them
         guess = distort(turned[:, :2] / np.maximum(turned[:, 2:], 0.1), self.calibration)
         end, good = self.find(last, image, tracks.pixels, guess)
+        good[good] = self._rests(end[good])
         ids, before, now = tracks.ids[good], tracks.rays[good], end[good]
         rays = undistort(now, self.calibration)
         tolerance = settings.epipolar_error_px / self._focal
@@ -320,6 +334,7 @@ class FrontEnd:
         if settings.max_tracks - len(tracks.ids) < settings.max_tracks // 8:
             return tracks
         pixels = self.corners(image, tracks.pixels)
+        pixels = pixels[self._rests(pixels)]
         ids = np.arange(self._next_id, self._next_id + len(pixels), dtype=np.int64)
         self._next_id += len(pixels)
         return FeatureTracks(
@@ -327,6 +342,14 @@ class FrontEnd:
             np.concatenate([tracks.pixels, pixels]),
             np.concatenate([tracks.rays, undistort(pixels, self.calibration)]),
         )
+
+    def _rests(self, pixels: Array) -> NDArray[np.bool_]:
+        """Which of pixels (N, 2) are on nothing that moves."""
+        if self._moving is None:
+            return np.ones(len(pixels), dtype=bool)
+        height, width = self._moving.shape
+        x, y = np.clip(np.round(pixels).astype(int).T, 0, [[width - 1], [height - 1]])
+        return np.asarray(~self._moving[y, x])
 
 
 def follow(

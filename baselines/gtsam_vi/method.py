@@ -21,6 +21,7 @@ from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs, second_camera
+from oysterbench_baselines.moving import MovingMask, weights_digest
 
 Output = Literal["smoothed", "online"]
 
@@ -30,7 +31,8 @@ class GtsamVi:
 
     output: "smoothed" gives the poses after an adjustment of the whole path, "online" those known at each frame.
     camera: name of the camera; the first one by default. stereo: use a second camera beside it as well.
-    seed: of the random samples in the epipolar check.
+    seed: of the random samples in the epipolar check. mask: "moving", or a file of weights: what moves in a picture,
+    as a network that `oysterbench train moving` trains sees it, is left out; empty: nothing is.
     """
 
     name = "gtsam_vi"
@@ -43,15 +45,20 @@ class GtsamVi:
         settings: GtsamViSettings | None = None,
         stereo: bool = False,
         seed: int = 0,
+        mask: str = "",
     ) -> None:
         check_output(self.name, output)
-        self.output, self.camera, self.stereo, self.seed = output, camera, stereo, seed
+        self.output, self.camera, self.stereo, self.seed, self.mask = output, camera, stereo, seed, mask
         self.settings = settings or GtsamViSettings()
         self.about = {
             "sensors": ["stereo" if stereo else "mono", "imu"],
             "online": output == "online",
             "code": "baselines/gtsam_vi",
         }
+
+    def as_dict(self) -> dict[str, str]:
+        """What results say of it besides its options: the weights of the mask."""
+        return weights_digest(self.mask)
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base at the camera's stamps, for some seconds where frames are missing too; and the map."""
@@ -74,7 +81,7 @@ class GtsamVi:
 
     def front_end(self, calibration: CameraCalibration) -> FrontEnd:
         """What follows corners in the pictures of a camera."""
-        return FrontEnd(calibration, self.settings.frontend, self.seed)
+        return FrontEnd(calibration, self.settings.frontend, self.seed, moving_mask(self.mask))
 
 
 class GtsamViStereo(GtsamVi):
@@ -88,8 +95,14 @@ class GtsamViStereo(GtsamVi):
         camera: str | None = None,
         settings: GtsamViSettings | None = None,
         seed: int = 0,
+        mask: str = "",
     ) -> None:
-        super().__init__(output, camera, settings, True, seed)
+        super().__init__(output, camera, settings, True, seed, mask)
+
+
+def moving_mask(weights: str) -> MovingMask | None:
+    """The mask of what moves; None where none is wanted."""
+    return MovingMask(weights) if weights else None
 
 
 def check_output(method: str, output: str) -> None:

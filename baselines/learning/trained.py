@@ -12,7 +12,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import MethodError
-from oysterbench.core.files import home
+from oysterbench.core.files import models
 
 if TYPE_CHECKING:
     from oysterbench_baselines.learning.checkpoint import Checkpoint
@@ -47,7 +47,7 @@ def training_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def checkpoint_path(name: str, checkpoint: str = "") -> Path:
     """Of a method's training: the one that is meant, that which OYSTERBENCH_<NAME> names, or which `oysterbench train
     NAME` leaves."""
-    return Path(checkpoint or os.environ.get(f"OYSTERBENCH_{name.upper()}") or home() / "models" / f"{name}.pt")
+    return Path(checkpoint or os.environ.get(f"OYSTERBENCH_{name.upper()}") or models() / f"{name}.pt")
 
 
 def trained(name: str, checkpoint: str, data: str) -> Path:

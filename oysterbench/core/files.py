@@ -22,6 +22,14 @@ def home() -> Path:
     return Path(platformdirs.user_data_dir("oysterbench"))
 
 
+MODELS = "OYSTERBENCH_MODELS"
+
+
+def models() -> Path:
+    """Folder of weights that were trained here: `OYSTERBENCH_MODELS`, or `models` in the home."""
+    return Path(os.environ.get(MODELS) or home() / "models").absolute()
+
+
 def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
     """Write a file so that it is there whole or not at all."""
     with appearing(path) as file:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import MachineError
-from oysterbench.core.files import free_bytes
+from oysterbench.core.files import MODELS, free_bytes, models
 from oysterbench.methods.sandbox import Sandbox, can_hide
 
 SUPERVISOR = Path(__file__).with_name("supervise.py")
@@ -24,6 +24,8 @@ LEAST_FREE = 1 << 20
 """Bytes; where a disk has less, whatever fails beside it fails for that."""
 KILLED_STATUS = 128 + signal.SIGKILL
 """By which a shell says that what it ran was killed."""
+WEIGHTS = ".pt"
+"""How files of trained weights end."""
 TAIL_BYTES, TAIL_LINES, TAIL_CHARACTERS = 8192, 10, 2000
 
 
@@ -126,8 +128,10 @@ def supervised_command(
 
 
 def environment() -> dict[str, str]:
-    """What a method is told of this process's environment: all but where data is kept, and the salts."""
-    return {key: value for key, value in os.environ.items() if not key.startswith("OYSTERBENCH_")}
+    """What a method is told of this process's environment: all but where data is kept, and the salts. Weights that were
+    trained here are part of it: OYSTERBENCH_MODELS is their folder, and other variables may name a file of them."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("OYSTERBENCH_") or v.endswith(WEIGHTS)}
+    return kept | {MODELS: str(models())}
 
 
 def _ended(report: dict[str, Any], limit_s: float, folder: Path) -> Ended:

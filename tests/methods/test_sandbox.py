@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from oysterbench.methods.processes import environment
 from oysterbench.methods.sandbox import Sandbox, can_hide
 
 hides = pytest.mark.skipif(not can_hide(), reason="needs Landlock: Linux 5.13 or later")
@@ -93,3 +94,15 @@ def test_it_ends_at_its_limits(sandbox, code, message):
 def test_the_command_keeps_its_arguments_input_and_exit_status():
     done = subprocess.run(Sandbox().command(["sh", "-c", "cat; exit 7"]), input=b"in", capture_output=True, check=False)
     assert (done.returncode, done.stdout) == (7, b"in")
+
+
+def test_a_method_is_told_where_trained_weights_are_and_neither_where_data_is_nor_any_salt(monkeypatch, tmp_path):
+    for name in ("OYSTERBENCH_MODELS", "OYSTERBENCH_UNET"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path))
+    monkeypatch.setenv("OYSTERBENCH_SALT", "secret")
+    monkeypatch.setenv("OYSTERBENCH_STEERING", "mine.pt")
+    told = {key: value for key, value in environment().items() if key.startswith("OYSTERBENCH_")}
+    assert told == {"OYSTERBENCH_MODELS": str(tmp_path / "models"), "OYSTERBENCH_STEERING": "mine.pt"}
+    monkeypatch.setenv("OYSTERBENCH_MODELS", str(tmp_path / "elsewhere"))
+    assert environment()["OYSTERBENCH_MODELS"] == str(tmp_path / "elsewhere")

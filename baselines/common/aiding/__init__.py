@@ -15,6 +15,7 @@ from oysterbench_baselines.common.aiding.dvl import Dvl, DvlSettings
 from oysterbench_baselines.common.aiding.magnetometer import Magnetometer, MagnetometerSettings
 from oysterbench_baselines.common.aiding.pressure import Pressure, PressureSettings
 from oysterbench_baselines.common.aiding.sensor import AidingSensor, Calibration, GateSettings
+from oysterbench_baselines.common.aiding.sonar import Ground, Sonar, SonarSettings
 from oysterbench_baselines.common.filter import InvariantFilter
 from oysterbench_baselines.common.inertial import Segment
 
@@ -34,6 +35,7 @@ class AidingSettings:
     dvl: DvlSettings = field(default_factory=DvlSettings)
     pressure: PressureSettings = field(default_factory=PressureSettings)
     magnetometer: MagnetometerSettings = field(default_factory=MagnetometerSettings)
+    sonar: SonarSettings = field(default_factory=SonarSettings)
     gate: GateSettings = field(default_factory=GateSettings)
 
 
@@ -61,6 +63,20 @@ def aiding_sensors(sequence: Sequence, settings: AidingSettings, kinds: Collecti
     return sensors
 
 
+def imaging_sonar(sequence: Sequence, settings: AidingSettings, reach: int, dvl: Dvl | None = None) -> Sonar | None:
+    """The first imaging sonar of a rig, with all that sounds the bottom below it; None where there is none.
+
+    reach: key frames back to which its factors may go. dvl: the log that goes before it, where one is used.
+    """
+    T_imu_base, chosen, stated = invert(sequence.imu_calibration.T_base_imu), settings.sonar, sequence.uncertainty
+    altimeters = {name: (T_imu_base @ of.T_base_sensor, of) for name, of in sequence.altimeters.items()}
+    ground = Ground(altimeters, None if dvl is None else dvl.T_imu_dvl, chosen.ground)
+    for name, calibration in sequence.sonars.items():
+        mount = T_imu_base @ calibration.T_base_sensor
+        return Sonar(name, mount, calibration, ground, reach, chosen, settings.gate, stated, dvl)
+    return None
+
+
 class Aiding:
     """All aiding sensors of an estimator; none at all is a rig of cameras and an inertial unit."""
 
@@ -70,7 +86,8 @@ class Aiding:
     @property
     def refused(self) -> dict[str, int]:
         """Samples refused, in part or as a whole, by kind."""
-        return {kind: self.sensors[kind].refused if kind in self.sensors else 0 for kind in KINDS}
+        kinds = dict.fromkeys([*KINDS, *(kind for kind in self.sensors if kind == Sonar.kind)])
+        return {kind: self.sensors[kind].refused if kind in self.sensors else 0 for kind in kinds}
 
     def found(self, filter: InvariantFilter) -> dict[str, float]:
         """What is known of the sensors by now, for the record."""
@@ -79,13 +96,17 @@ class Aiding:
     @property
     def knows_velocity(self) -> bool:
         """Whether the filter has ever been given a velocity: without one it is dead reckoning by the inertial unit."""
-        return "dvl" in self.sensors and self.sensors["dvl"].rows is not None
+        dvl = self.sensors.get("dvl")
+        return (dvl is not None and dvl.rows is not None) or bool(self._velocities())
 
     def measures_velocity(self, stamp_ns: int) -> bool:
         """Whether a velocity has been believed within the last second."""
-        dvl = self.sensors.get("dvl")
-        velocity_ns = dvl.velocity_ns if isinstance(dvl, Dvl) else None
-        return velocity_ns is not None and stamp_ns - velocity_ns < FRESH_NS
+        return any(stamp_ns - velocity_ns < FRESH_NS for velocity_ns in self._velocities())
+
+    def _velocities(self) -> list[int]:
+        """Stamps, ns, of the last velocities that were believed, of the sensors that have given any."""
+        stamps = (sensor.velocity_ns for sensor in self.sensors.values() if isinstance(sensor, Dvl | Sonar))
+        return [stamp for stamp in stamps if stamp is not None]
 
     def update(self, filter: InvariantFilter, sample: Any) -> None:
         """Correct a filter that has been propagated to the sample's stamp."""

@@ -1,0 +1,65 @@
+"""The chart: what the latest fans show of the ground, on cells that lie still, each fan where it was registered.
+
+A fan is registered against the chart instead of the fan before it: speckle averages out, and what is off in one
+registration is not handed on from ping to ping. Older fans are forgotten, since relief shifts what they showed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench_baselines.common.aiding.sonar.fan import Grid, View, sample
+from oysterbench_baselines.common.aiding.sonar.settings import ChartSettings, FanSettings
+
+STEP_CELLS = 16  # by which it is moved at a time
+
+
+class Chart:
+    """Cells of side `cell_m`, in a level frame that drifts as odometry does.
+
+    values (n, n): mean of what fans showed, float32; fans (n, n): how many of them count; both with x along the rows.
+    """
+
+    def __init__(self, settings: ChartSettings) -> None:
+        self.settings = settings
+        shape = settings.cells, settings.cells
+        self.values, self.fans = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._origin = np.zeros(2, dtype=np.int64)  # of the first cell, in cells
+
+    @property
+    def is_empty(self) -> bool:
+        return not self.fans.any()
+
+    def points(self, cells: NDArray[np.int64]) -> Array:
+        """(N, 2) m: middles of cells (N,), by their place in `values.ravel()`."""
+        n = self.settings.cells
+        return np.asarray((np.column_stack([cells // n, cells % n]) + self._origin) * self.settings.cell_m)
+
+    def add(self, picture: NDArray[np.float32], place: Array, view: View, grid: Grid, of: FanSettings) -> None:
+        """A fan's picture (bins, beams), the sonar at `place` (3,): x, y, heading."""
+        self._move(place[:2] + 0.5 * of.reach_m * np.array([np.cos(place[2]), np.sin(place[2])]))
+        cells = np.arange(self.values.size)
+        shown, seen = sample(picture, self.points(cells), place, view, grid, of)
+        there, shown = cells[seen], shown[seen]
+        values, fans = self.values.ravel(), self.fans.ravel()
+        values[there] += (shown - values[there]) / (fans[there] + 1)
+        fans[there] = np.minimum(fans[there] + 1, self.settings.memory)
+
+    def _move(self, middle: Array) -> None:
+        """By whole cells, so that nothing is interpolated."""
+        n = self.settings.cells
+        wanted = np.round(middle / self.settings.cell_m).astype(np.int64) - n // 2
+        shift = wanted - self._origin if self.fans.any() else np.full(2, n)
+        if np.abs(shift).max() < STEP_CELLS:
+            return
+        shift = np.clip(shift, -n, n)
+        (to_x, from_x), (to_y, from_y) = (
+            (slice(max(-s, 0), n - max(s, 0)), slice(max(s, 0), n + min(s, 0))) for s in shift
+        )
+        for kept in (self.values, self.fans):
+            moved = np.zeros_like(kept)
+            moved[to_x, to_y] = kept[from_x, from_y]
+            kept[:] = moved
+        self._origin = wanted

@@ -1,0 +1,234 @@
+"""Imaging sonar: each fan is registered on a chart of those before it, which says how the vehicle has moved, level.
+
+The filter is told of the way since the last ping, as of a mean velocity; the graph of the way between the pings before
+two key frames on one chart, which drifts less than the sum of the ways between. A ping that cannot be registered is
+left out, and the next one is looked for as much farther as the vehicle may have gone. While a Doppler log gives
+velocities, which know the way several times better, pings keep the chart and nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench.core.measurements import DvlMeasurement, RangeMeasurement, SonarImage
+from oysterbench.sequence.types import SonarCalibration, Uncertainty
+from oysterbench_baselines.common.aiding.dvl import Dvl
+from oysterbench_baselines.common.aiding.sensor import AidingSensor, Calibration, GateSettings, stated_sigmas
+from oysterbench_baselines.common.aiding.sonar.chart import Chart
+from oysterbench_baselines.common.aiding.sonar.factor import (
+    SONAR_KEY,
+    Motion,
+    Sighting,
+    Step,
+    step_factor,
+    turned,
+    wrapped,
+)
+from oysterbench_baselines.common.aiding.sonar.fan import Grid, View, first_echo, texture
+from oysterbench_baselines.common.aiding.sonar.ground import Ground
+from oysterbench_baselines.common.aiding.sonar.registration import Guess, Match, register
+from oysterbench_baselines.common.aiding.sonar.settings import SonarSettings
+from oysterbench_baselines.common.filter import ACCEL_BIAS, ATTITUDE, GYRO_BIAS, VELOCITY, InvariantFilter, cross
+from oysterbench_baselines.common.inertial import Segment
+
+if TYPE_CHECKING:
+    import gtsam
+
+    from oysterbench_baselines.gtsam_vi.states import State
+
+LOWEST_M = 0.1  # over the bottom: nearer, nothing of it is in the fan
+GAP_S = 0.005  # of inertial measurements, beyond which the way since the last ping is not known
+
+
+@dataclass(frozen=True)
+class Heard:
+    """The last ping that was registered: stamp, place (3,) on the chart and its covariance (3, 3)."""
+
+    stamp_ns: int
+    place: Array
+    covariance: Array
+
+
+class Sonar(AidingSensor):
+    """name: of the sonar. T_imu_sonar (4, 4): its mount. reach: key frames back to which a factor may go, as the window
+    has forgotten those before. velocity_ns: stamp of the last ping that was believed. registered: how many."""
+
+    kind = "sonar"
+    measures = (SonarImage, RangeMeasurement, DvlMeasurement)
+    suspect: ClassVar[slice] = VELOCITY
+
+    def __init__(
+        self,
+        name: str,
+        T_imu_sonar: Array,
+        calibration: SonarCalibration,
+        ground: Ground,
+        reach: int,
+        settings: SonarSettings,
+        gate: GateSettings,
+        uncertainty: Uncertainty | None = None,
+        dvl: Dvl | None = None,
+    ) -> None:
+        """uncertainty: as the calibration states it, of a whole rig. dvl: the log that goes before it, if any."""
+        super().__init__(gate)
+        self.name, self.T_imu_sonar, self.ground, self.reach = name, T_imu_sonar, ground, reach
+        self.settings, self._dvl = settings, dvl
+        self.velocity_ns: int | None = None
+        self.registered = 0
+        self._grid = Grid.of(calibration)
+        self._lower = 0.5 * calibration.vfov_rad
+        turn = stated_sigmas(uncertainty, name, ["rotation_z_rad"])[0]
+        mount = float(np.hypot(np.radians(settings.mount_sigma_deg), turn))
+        self._sigmas = np.array([settings.scale_sigma, mount])
+        self._floor = np.diag([settings.position_floor_m**2] * 2 + [settings.heading_floor**2])
+        self._chart, self._charts, self._way = Chart(settings.chart), 0, 0.0
+        self._last: Heard | None = None
+        self._since: list[Segment] = []  # the last ping that was registered
+        self._sightings: dict[int, Sighting] = {}  # by key frame
+        self._alone: set[int] = set()  # key frames at which no log gives the velocity
+        self._first: int | None = None  # key frame of the graph; None until its first factors are asked for
+
+    def update(self, filter: InvariantFilter, sample: SonarImage | RangeMeasurement | DvlMeasurement) -> bool:
+        if not isinstance(sample, SonarImage):
+            self.ground.sound(filter, sample)
+            return False
+        return sample.sensor == self.name and self._hear(filter, sample)
+
+    def _hear(self, filter: InvariantFilter, ping: SonarImage) -> bool:
+        """Register a ping, and correct the filter by the way since the last one."""
+        view, settings = self._view(filter, ping), self.settings
+        if view is None:
+            self.refused += 1
+            return False
+        picture = texture(ping.pixels, self._grid, settings.fan)
+        last = self._last
+        since = Motion.over(self._since, filter.gyro_bias, filter.accel_bias)
+        if last is not None:
+            elapsed = (ping.stamp_ns - last.stamp_ns) * 1e-9
+            if elapsed > settings.patience_s or abs(elapsed - since.time) > GAP_S:
+                last = None
+        if last is None:
+            self._begin(ping.stamp_ns, picture, view)
+            return False
+        match = self._register(filter, last, since, picture, view)
+        if match is None:
+            self.refused += 1
+            return False
+        predicted, slope = predict(filter, since, self.T_imu_sonar)
+        to_odom = turned(heading_of(filter.rotation @ since.rotation.T @ self.T_imu_sonar[:3, :3]) - last.place[2])
+        covariance = match.covariance + self._floor
+        step = to_odom @ (match.place - last.place)[:2]
+        noise = to_odom @ (covariance + last.covariance)[:2, :2] @ to_odom.T
+        noise += self._sigmas[0] ** 2 * np.outer(step, step)
+        if self._counts(ping.stamp_ns) and not self.correct(filter, step - predicted[:2], slope, noise):
+            return False
+        self._chart.add(picture, match.place, view, self._grid, settings.fan)
+        self._way += float(np.hypot(step[0], step[1]))
+        self._last, self._since = Heard(ping.stamp_ns, match.place, covariance), []
+        self.velocity_ns, self.registered = ping.stamp_ns, self.registered + 1
+        return True
+
+    def _register(
+        self, filter: InvariantFilter, last: Heard, since: Motion, picture: NDArray[np.float32], view: View
+    ) -> Match | None:
+        """On the chart, about where the filter has it. Its heading is the gyroscopes': what relief turns of a picture
+        it turns the same way for as long as the vehicle turns, and would be taken for a bias of the gyroscopes."""
+        predicted, slope = predict(filter, since, self.T_imu_sonar)
+        heading = heading_of(filter.rotation @ since.rotation.T @ self.T_imu_sonar[:3, :3])
+        there = last.place + np.append(turned(last.place[2] - heading) @ predicted[:2], predicted[2])
+        spread = slope @ filter.covariance @ slope.T + last.covariance[:2, :2]
+        drift = float(np.sqrt(filter.covariance[GYRO_BIAS, GYRO_BIAS].trace() / 3)) * since.time
+        heading_sigma = float(np.hypot(drift, self.settings.gyro_walk * np.sqrt(since.time)))
+        guess = Guess(there, float(np.sqrt(np.linalg.eigvalsh(spread)[-1])), max(heading_sigma, 1e-5))
+        of = self.settings
+        return register(self._chart, picture, view, guess, self._grid, of.fan, of.registration)
+
+    def _counts(self, stamp_ns: int) -> bool:
+        """Whether no log has given a velocity of late."""
+        velocity_ns = None if self._dvl is None else self._dvl.velocity_ns
+        return velocity_ns is None or stamp_ns - velocity_ns > self.settings.silence_s * 1e9
+
+    def _view(self, filter: InvariantFilter, ping: SonarImage) -> View | None:
+        """How the sonar hangs over the bottom; None where that is not known, or too low."""
+        rotation = filter.rotation @ self.T_imu_sonar[:3, :3]
+        back = np.eye(3)
+        back[:2, :2] = turned(-heading_of(rotation))
+        bottom = self.ground.z(ping.stamp_ns)
+        if bottom is None:
+            depression = float(np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0))) + self._lower
+            height = first_echo(ping.pixels, self._grid, self.settings.ground.near_share) * np.sin(depression)
+        else:
+            height = float(filter.position[2] + filter.rotation[2] @ self.T_imu_sonar[:3, 3]) - bottom
+        return View(float(height), back @ rotation) if height > LOWEST_M else None
+
+    def _begin(self, stamp_ns: int, picture: NDArray[np.float32], view: View) -> None:
+        """A new chart, with its origin at this ping."""
+        self._chart, self._charts = Chart(self.settings.chart), self._charts + 1
+        self._chart.add(picture, np.zeros(3), view, self._grid, self.settings.fan)
+        self._last, self._since = Heard(stamp_ns, np.zeros(3), self._floor), []
+
+    def propagate(self, segment: Segment) -> None:
+        if self._last is not None:
+            self._since.append(segment)
+
+    def add_keyframe(self, keyframe: int, stamp_ns: int, filter: InvariantFilter, interval_s: float) -> None:
+        """The last ping that was registered, if it was a moment ago."""
+        last = self._last
+        if self._counts(stamp_ns):
+            self._alone.add(keyframe)
+        if last is None or (stamp_ns - last.stamp_ns) * 1e-9 > self.settings.max_delay_s:
+            return
+        since = Motion.over(self._since, filter.gyro_bias, filter.accel_bias)
+        if abs((stamp_ns - last.stamp_ns) * 1e-9 - since.time) < GAP_S:
+            placed = last.place, last.covariance, self._charts, self._way
+            self._sightings[keyframe] = Sighting.at(*placed, since, self.T_imu_sonar)
+
+    def initialise(self, keyframe: int, state: State, filter: InvariantFilter | None) -> None:
+        self._first = None
+
+    def calibration(self) -> Calibration:
+        return Calibration(SONAR_KEY, np.zeros(2), self._sigmas)
+
+    def factors(self, keyframe: int, before: State) -> list[gtsam.NonlinearFactor]:
+        """To the earliest key frame that is in the window, on the same chart, and near."""
+        if self._first is None:
+            self._first = keyframe - 1
+        second, settings = self._sightings.get(keyframe), self.settings
+        if second is None or keyframe not in self._alone:
+            return []
+        for index in range(max(keyframe - self.reach, self._first), keyframe):
+            first = self._sightings.get(index)
+            if first is None or first.chart != second.chart or second.way - first.way > settings.longest_m:
+                continue
+            way = second.way - first.way
+            step = Step.of(first, second, way * settings.drift**2, np.sqrt(way) * settings.drift_heading)
+            return [step_factor(step, index, keyframe, settings.huber)]
+        return []
+
+
+def heading_of(rotation: Array) -> float:
+    """Of the x axis, rad."""
+    return float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+
+
+def predict(filter: InvariantFilter, since: Motion, T_imu_sonar: Array) -> tuple[Array, Array]:
+    """The sonar's way over a motion up to now, (3,): x, y (m) in odom and turn (rad); and the derivative (2, 15 + M) of
+    x, y by the filter's error, less what heading does: it turns way and picture alike.
+
+    d = v t - g t^2 / 2 - R_then lag, and what the lever arm adds. A turn of the state takes d + g t^2 / 2 along;
+    gravity stays.
+    """
+    then = filter.rotation @ since.rotation.T
+    lever, fall = T_imu_sonar[:3, 3], 0.5 * since.time**2 * filter.down
+    way = since.time * filter.velocity - fall - then @ since.lag + (filter.rotation - then) @ lever
+    turn = wrapped(heading_of(filter.rotation @ T_imu_sonar[:3, :3]) - heading_of(then @ T_imu_sonar[:3, :3]))
+    slope = np.zeros((2, len(filter.covariance)))
+    slope[:, ATTITUDE] = -cross(np.array([0.0, 0.0, way[2]]) + fall)[:2]
+    slope[:, VELOCITY] = since.time * np.eye(3)[:2]
+    slope[:, ACCEL_BIAS] = -(then @ since.by_accel)[:2]
+    return np.append(way[:2], turn), slope

@@ -1,0 +1,70 @@
+"""The method: gtsam_vi with the learned front end."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oysterbench.methods import Estimate
+from oysterbench.sequence.types import CameraCalibration, Sequence
+from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
+from oysterbench_baselines.gtsam_vi.method import GtsamVi, Output
+from oysterbench_baselines.gtsam_vi_learned.settings import GtsamViLearnedSettings
+from oysterbench_baselines.learning.trained import checkpoint_path, on_torch, trained
+
+if TYPE_CHECKING:
+    from oysterbench_baselines.gtsam_vi_learned.model import MapModel
+
+
+class GtsamViLearned(GtsamVi):
+    """Visual-inertial odometry on GTSAM, its corners chosen by how well a network expects them to be tracked.
+
+    output, camera, seed: as of gtsam_vi. checkpoint: path of the training; by default that which
+    `OYSTERBENCH_GTSAM_VI_LEARNED` names, or which `oysterbench train gtsam_vi_learned` left. threads: of the processor.
+    """
+
+    name = "gtsam_vi_learned"
+    settings: GtsamViLearnedSettings
+
+    def __init__(
+        self,
+        output: Output = "smoothed",
+        camera: str | None = None,
+        settings: GtsamViLearnedSettings | None = None,
+        seed: int = 0,
+        checkpoint: str = "",
+        threads: int = 1,
+    ) -> None:
+        super().__init__(output, camera, settings or GtsamViLearnedSettings(), False, seed)
+        self.checkpoint, self.threads = checkpoint, threads
+        self.about = {**self.about, "code": "baselines/gtsam_vi_learned"}
+
+    def as_dict(self) -> dict[str, str]:
+        """What results say of it: SHA-256 of the checkpoint; empty where there is none."""
+        path = checkpoint_path(self.name, self.checkpoint)
+        return {"checkpoint_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""}
+
+    def run(self, sequence: Sequence) -> Estimate:
+        """As of gtsam_vi. Raises MethodError, with what to type, where there are no trained weights."""
+        self._path()
+        return super().run(sequence)
+
+    def front_end(self, calibration: CameraCalibration) -> FrontEnd:
+        path = self._path()
+        with on_torch(self.name):
+            from oysterbench_baselines.gtsam_vi_learned.frontend import LearnedFrontEnd
+        return LearnedFrontEnd(calibration, self.settings, load_model(path, self.threads), self.seed)
+
+    def _path(self) -> Path:
+        return trained(self.name, self.checkpoint, "slam-train")
+
+
+def load_model(path: Path, threads: int = 1) -> MapModel:
+    """The trained network at a path."""
+    import torch
+
+    from oysterbench_baselines.gtsam_vi_learned.model import MapModel
+
+    torch.set_num_threads(threads)
+    return MapModel.read(path)

@@ -1,0 +1,48 @@
+"""`oysterbench train moving`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from oysterbench_baselines.learning.trained import checkpoint_path, device_option, tell_end, training_options
+
+
+@click.command("moving", short_help="What moves in a picture, for SLAM to look away from.")
+@training_options
+@device_option("auto")
+def command(
+    names: tuple[str, ...], out: Path | None, seed: int, steps: int, threads: int, device: str, again: bool
+) -> None:
+    """Train the network by which gtsam_vi[mask=moving] leaves out fish, crabs, plants and the tether.
+
+    \b
+    Examples:
+      oysterbench train moving --data slam-train --steps 1500
+      oysterbench train moving --data slam-train --data my-dive.mcap --out mine.pt
+
+    Data is a split, which is rendered where it is not there yet; a sequence file or a folder of them; or a labelled
+    folder. Pictures in which nothing moves are passed over. May be interrupted, even killed: the same command goes on
+    from the last checkpoint, to the same weights.
+    """
+    from oysterbench.cli.labelled import open_all
+    from oysterbench.cli.render import frames_bar
+    from oysterbench_baselines.learning.loop import pick_device
+    from oysterbench_baselines.moving.labels import moving_set
+    from oysterbench_baselines.moving.training import MovingSettings
+    from oysterbench_baselines.unet.training import train
+
+    labelled = moving_set(open_all(names, None))
+    settings = MovingSettings()
+    settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
+    path = out or checkpoint_path("moving")
+    if again:
+        path.unlink(missing_ok=True)
+    with (
+        frames_bar("reading", "images") as loading,
+        frames_bar(f"training moving on {len(labelled)} images", "steps") as progress,
+    ):
+        checkpoint = train(labelled, path, settings, seed, pick_device(device), progress, loading)
+    tell_end(checkpoint, path)

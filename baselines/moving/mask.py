@@ -1,0 +1,72 @@
+"""The mask of what moves in a picture."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import MethodError
+from oysterbench_baselines.learning.trained import checkpoint_path, on_torch
+
+if TYPE_CHECKING:
+    from oysterbench_baselines.learning.masks import MaskModel
+
+PROBABILITY = 0.3
+"""From which on a pixel counts as moving: a corner that is missed costs more than ten that are left out."""
+MARGIN_PX = 4
+"""By which a mask is grown: a patch beside a blade moves with it in part."""
+
+
+class MovingMask:
+    """Of a picture (H, W, 3) uint8 RGB, where something moves: (H, W) bool.
+
+    weights: file of a training; "moving" stands for that which `oysterbench train moving` leaves, or which
+    OYSTERBENCH_MOVING names. On one thread, so that the processor time of a method stays its own.
+    Raises MethodError, with what to type, where there are none, or no PyTorch.
+    """
+
+    def __init__(self, weights: str = "moving") -> None:
+        path = _path(weights)
+        if not path.is_file():
+            raise MethodError(
+                f"mask: no trained weights at {path}: `oysterbench train moving --data slam-train --steps 1500` trains "
+                "them on your machine; others are named by mask=PATH or by OYSTERBENCH_MOVING"
+            )
+        self._model = _read(path)
+        self._around = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), dtype=np.uint8)
+
+    def __call__(self, pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """See the class."""
+        from oysterbench_baselines.learning.masks import probability
+
+        rgb = pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB)
+        found = (probability(self._model.small_logits(np.asarray(rgb))[0]) > PROBABILITY).astype(np.uint8)
+        height, width = pixels.shape[:2]
+        whole = cv2.resize(found, (width, height), interpolation=cv2.INTER_NEAREST)
+        return np.asarray(cv2.dilate(whole, self._around) > 0)
+
+
+def weights_digest(weights: str) -> dict[str, str]:
+    """What results say of a mask: SHA-256 of its weights; nothing without a mask, empty where there are none."""
+    if not weights:
+        return {}
+    path = _path(weights)
+    return {"mask_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""}
+
+
+def _path(weights: str) -> Path:
+    return checkpoint_path("moving", "" if weights == "moving" else weights)
+
+
+def _read(path: Path) -> MaskModel:
+    with on_torch("mask"):
+        import torch
+
+        from oysterbench_baselines.unet.model import read_unet
+    torch.set_num_threads(1)
+    return read_unet(path)
