@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from oysterbench.sequence.types import Sequence
-from oysterbench_baselines.common.aiding import AidingSettings, sensors_of
+from oysterbench_baselines.common.aiding import SonarAidingSettings, sensors_of
 from oysterbench_baselines.common.alignment import StartSettings
 from oysterbench_baselines.gtsam_full.ranges import RangeSettings
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings
@@ -40,7 +40,7 @@ class GtsamFullSettings(GtsamViSettings):
     start: StartSettings = field(default_factory=StartSettings)
     # Before the filter knows how late the DVL is, its pings would be wrong together, and the window would keep that.
     filter_start: FilterStartSettings = field(default_factory=lambda: FilterStartSettings(min_s=4.0))
-    aiding: AidingSettings = field(default_factory=AidingSettings)
+    aiding: SonarAidingSettings = field(default_factory=SonarAidingSettings)
     ranges: RangeSettings = field(default_factory=RangeSettings)
     beside_dvl: BesideDvlSettings = field(default_factory=BesideDvlSettings)
     dvl: bool = True  # whether it is used where there is one; likewise depth and compass

@@ -35,8 +35,14 @@ class AidingSettings:
     dvl: DvlSettings = field(default_factory=DvlSettings)
     pressure: PressureSettings = field(default_factory=PressureSettings)
     magnetometer: MagnetometerSettings = field(default_factory=MagnetometerSettings)
-    sonar: SonarSettings = field(default_factory=SonarSettings)
     gate: GateSettings = field(default_factory=GateSettings)
+
+
+@dataclass(frozen=True)
+class SonarAidingSettings(AidingSettings):
+    """The same with an imaging sonar."""
+
+    sonar: SonarSettings = field(default_factory=SonarSettings)
 
 
 def sensors_of(sequence: Sequence) -> list[str]:
@@ -63,7 +69,9 @@ def aiding_sensors(sequence: Sequence, settings: AidingSettings, kinds: Collecti
     return sensors
 
 
-def imaging_sonar(sequence: Sequence, settings: AidingSettings, reach: int, dvl: Dvl | None = None) -> Sonar | None:
+def imaging_sonar(
+    sequence: Sequence, settings: SonarAidingSettings, reach: int, dvl: Dvl | None = None
+) -> Sonar | None:
     """The first imaging sonar of a rig, with all that sounds the bottom below it; None where there is none.
 
     reach: key frames back to which its factors may go. dvl: the log that goes before it, where one is used.
