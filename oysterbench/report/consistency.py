@@ -27,35 +27,51 @@ _COLUMNS = (
     Column("nees_rotation", "NEES\nrotation", kind="number", digits=1, about="Mean; 3 is expected."),
     Column("within_3sigma_position", "3 sigma\nposition", "%", "number", digits=1, factor=100.0),
     Column("within_3sigma_rotation", "3 sigma\nrotation", "%", "number", digits=1, factor=100.0),
-    *(
-        Column(f"{health.name.lower()}_{key}", f"{health.name.capitalize()}{heading}", unit, "number", **look)
-        for health in (Health.TRACKING, Health.RELOCALISED, Health.COASTING)
-        for key, heading, unit, look in (
-            ("share", "", "% of poses", {"digits": 1, "factor": 100.0}),
-            ("ate_rmse_m", "\nATE", "m", {"digits": 3}),
-            ("nees_position", "\nNEES", "", {"digits": 1}),
-        )
-    ),
 )
+_SHOWN = (Health.TRACKING, Health.RELOCALISED, Health.COASTING)
+_OF_STATE = ("share", "ate_rmse_m", "nees_position")
 
 
 def consistency_table(records: Sequence[ResultRecord]) -> Table | None:
-    """A row for each run that says how sure it is or how it had its poses; None where none does."""
+    """A row for each run that says how sure it is or how it had its poses; None where none does.
+
+    Of the states, those that occur have columns: their share, and error and NEES in them.
+    """
+    known = [record for record in records if record.info.get("health") or _is_sure(record)]
+    states = [one for one in _SHOWN if any(_name(one) in record.info.get("health", {}) for record in known)]
     rows = []
-    for record in records:
+    for record in known:
         by_state: Mapping[str, Mapping[str, float | None]] = record.info.get("health", {})
-        known = [record.metrics.get(key) for key in _KEYS]
-        if not by_state and not any(value is not None and math.isfinite(value) for value in known):
-            continue
-        for health in (Health.TRACKING, Health.RELOCALISED, Health.COASTING):
-            of = by_state.get(health.name.lower(), {"share": 0.0} if by_state else {})
-            known += [of.get(key) for key in ("share", "ate_rmse_m", "nees_position")]
-        rows.append(TableRow((record.sequence, record.method, *known)))
+        values = [record.metrics.get(key) for key in _KEYS]
+        for state in states:
+            of = by_state.get(_name(state), {"share": 0.0} if by_state else {})
+            values += [of.get(key) for key in _OF_STATE]
+        rows.append(TableRow((record.sequence, record.method, *values)))
     note = (
         "NEES is the squared error over its covariance: 3 where an estimate is as sure as it may be, more where it "
         "promises too much. Relocalised: it tracks after a loss, and a loop ties it to what was seen before."
     )
-    return Table("How sure, and how each pose was had", _COLUMNS, tuple(rows), (note,)) if rows else None
+    columns = (*_COLUMNS, *(column for state in states for column in _columns(_name(state))))
+    return Table("How sure, and how each pose was had", columns, tuple(rows), (note,)) if rows else None
+
+
+def _name(state: Health) -> str:
+    return state.name.lower()
+
+
+def _is_sure(record: ResultRecord) -> bool:
+    values = (record.metrics.get(key) for key in _KEYS)
+    return any(value is not None and math.isfinite(value) for value in values)
+
+
+def _columns(state: str) -> tuple[Column, ...]:
+    """Of a state, for each of `_OF_STATE`."""
+    heading = state.capitalize()
+    return (
+        Column(f"{state}_share", heading, "% of poses", "number", digits=1, factor=100.0),
+        Column(f"{state}_ate_rmse_m", f"{heading}\nATE", "m", "number", digits=3),
+        Column(f"{state}_nees_position", f"{heading}\nNEES", kind="number", digits=1),
+    )
 
 
 def consistency_cards(
