@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import stream
 from oysterbench.sequence.types import CameraCalibration
+from oysterbench_baselines.gtsam_vi.pictures import FixedPattern, even_contrast, without_veil
 from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 
 
@@ -156,57 +157,6 @@ def agree_with(
     across = np.abs(along[:, 0] * flow[:, 1] - along[:, 1] * flow[:, 0])
     allowed = tolerance + sigmas * moved.sigma / length * np.linalg.norm(flow, axis=1)
     return np.asarray((across < allowed) & (forth > -allowed), dtype=bool)
-
-
-def without_veil(grey: NDArray[np.uint8], settings: FrontEndSettings) -> NDArray[np.float32]:
-    """A grey picture (H, W) less the mean around each pixel: the veil of scattered light, the slower part of caustics,
-    and a lamp's cone."""
-    picture = grey.astype(np.float32)
-    return np.asarray(picture - cv2.blur(picture, (settings.veil_px, settings.veil_px)), dtype=np.float32)
-
-
-def even_contrast(detail: NDArray[np.float32], settings: FrontEndSettings) -> NDArray[np.uint8]:
-    """A picture (H, W) without its veil, with the same contrast everywhere: divided by its own spread in a wider
-    surrounding, and by no less than the sensor's noise."""
-    square = cv2.sqrBoxFilter(detail, cv2.CV_32F, (settings.contrast_px, settings.contrast_px))
-    spread = np.sqrt(np.maximum(square, 0.0))  # its running sums leave a little less than nothing where all is black
-    even = 128 + settings.contrast_grey * detail / (spread + settings.contrast_floor_grey)
-    return cv2.convertScaleAbs(np.maximum(even, 0.0)).astype(np.uint8, copy=False)
-
-
-class FixedPattern:
-    """What pictures share however the camera moves: hot pixels, spots on the port, its reflections.
-
-    Corners on them do not move, agree with each other, and say that the vehicle is at rest. Taken as fixed is what the
-    mean of pictures from different places has beyond its own standard error.
-    """
-
-    def __init__(self, settings: FrontEndSettings) -> None:
-        self._settings = settings
-        self._count = 0
-        self._moved_px = 0.0  # since the last picture that was added
-        self._mean = self._square = np.zeros((1, 1), dtype=np.float32)
-        self._pattern: NDArray[np.float32] | None = None  # (H, W)
-
-    def taken_from(self, detail: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A picture (H, W) without its veil, without what is fixed as well."""
-        return detail if self._pattern is None else detail - self._pattern
-
-    def add(self, detail: NDArray[np.float32], moved_px: float) -> None:
-        """A picture (H, W) without its veil, in which all has moved by so much since the last one."""
-        limits = self._settings
-        self._moved_px += moved_px
-        if self._moved_px < limits.pattern_step_px and self._count:
-            return
-        self._moved_px = 0.0
-        self._count += 1
-        share = 1.0 / min(self._count, limits.pattern_pictures)
-        self._mean = self._mean + share * (detail - self._mean)
-        self._square = self._square + share * (detail * detail - self._square)
-        if self._count < limits.pattern_pictures // 2:
-            return
-        error = np.sqrt(np.maximum(self._square - self._mean * self._mean, 0.0) * share)
-        self._pattern = np.where(np.abs(self._mean) > limits.pattern_sigmas * error, self._mean, 0.0)
 
 
 class FrontEnd:

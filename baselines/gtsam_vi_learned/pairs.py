@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import LabelError
 from oysterbench.core.geometry import Array
 from oysterbench.core.streams import Streams
-from oysterbench_baselines.gtsam_vi.frontend import even_contrast, follow, without_veil
+from oysterbench_baselines.gtsam_vi.frontend import follow
+from oysterbench_baselines.gtsam_vi.pictures import even_contrast, without_veil
 from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings
 from oysterbench_baselines.gtsam_vi_learned.correspondence import Anchor, Footage
 from oysterbench_baselines.gtsam_vi_learned.disturbances import Disturbances, disturbed

@@ -15,6 +15,7 @@ from oysterbench.core.errors import MethodError
 from oysterbench.core.files import models
 
 if TYPE_CHECKING:
+    from oysterbench.annotations import LabelledSet
     from oysterbench_baselines.learning.checkpoint import Checkpoint
 
 LAST = 50
@@ -69,6 +70,33 @@ def on_torch(name: str) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise MethodError(f"{name}: {error}; it runs on PyTorch: pip install 'oysterbench[learn]'") from None
+
+
+def run_training(
+    name: str,
+    labelled: LabelledSet,
+    settings: Any,
+    train: Callable[..., Checkpoint],
+    path: Path,
+    seed: int,
+    device: str,
+    again: bool,
+) -> None:
+    """What commands of trainings on labelled images do: a bar for the reading and one for the steps, and the end told.
+
+    train: as `unet.training.train`. again: a checkpoint that is there already is not gone on with.
+    """
+    from oysterbench.cli.render import frames_bar
+    from oysterbench_baselines.learning.loop import pick_device
+
+    if again:
+        path.unlink(missing_ok=True)
+    with (
+        frames_bar("reading", "images") as loading,
+        frames_bar(f"training {name} on {len(labelled)} images", "steps") as progress,
+    ):
+        checkpoint = train(labelled, path, settings, seed, pick_device(device), progress, loading)
+    tell_end(checkpoint, path)
 
 
 def tell_end(checkpoint: Checkpoint, path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from oysterbench_baselines.learning.trained import checkpoint_path, device_option, tell_end, training_options
+from oysterbench_baselines.learning.trained import checkpoint_path, device_option, run_training, training_options
 
 
 @click.command("moving", short_help="What moves in a picture, for SLAM to look away from.")
@@ -28,8 +28,6 @@ def command(
     from the last checkpoint, to the same weights.
     """
     from oysterbench.cli.labelled import open_all
-    from oysterbench.cli.render import frames_bar
-    from oysterbench_baselines.learning.loop import pick_device
     from oysterbench_baselines.moving.labels import moving_set
     from oysterbench_baselines.moving.training import MovingSettings
     from oysterbench_baselines.unet.training import train
@@ -38,11 +36,4 @@ def command(
     settings = MovingSettings()
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or checkpoint_path("moving")
-    if again:
-        path.unlink(missing_ok=True)
-    with (
-        frames_bar("reading", "images") as loading,
-        frames_bar(f"training moving on {len(labelled)} images", "steps") as progress,
-    ):
-        checkpoint = train(labelled, path, settings, seed, pick_device(device), progress, loading)
-    tell_end(checkpoint, path)
+    run_training("moving", labelled, settings, train, path, seed, device, again)

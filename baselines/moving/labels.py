@@ -16,6 +16,9 @@ LEAST = 0.002
 """Of a picture, that moves, for it to be learnt from: half a thousand pixels. Pictures without are most of all, and
 would teach that nothing ever moves."""
 
+SET = "moving in "
+"""How the names of such sets begin, by which a checkpoint of theirs is known."""
+
 _NUMBERS = [number for number, name in CLASSES.items() if name in MOVING]
 
 
@@ -30,7 +33,7 @@ def moving_set(labelled: LabelledSet) -> LabelledSet:
             f"{labelled.name}: of {len(labelled)} pictures, expected some with {', '.join(MOVING)}, got none; take "
             "sequences of slam-train, such as train-05"
         )
-    return LabelledSet(f"moving in {labelled.name}", [_relabelled(entry) for entry in entries])
+    return LabelledSet(SET + labelled.name, [_relabelled(entry) for entry in entries])
 
 
 def _relabelled(entry: Entry) -> Entry:

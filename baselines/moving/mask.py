@@ -67,6 +67,15 @@ def _read(path: Path) -> MaskModel:
     with on_torch("mask"):
         import torch
 
-        from oysterbench_baselines.unet.model import read_unet
+        from oysterbench_baselines.learning.checkpoint import read_checkpoint
+        from oysterbench_baselines.moving.labels import SET
+        from oysterbench_baselines.unet.model import unet_model
     torch.set_num_threads(1)
-    return read_unet(path)
+    checkpoint = read_checkpoint(path)
+    learnt = list(checkpoint.identity.get("data", {}))
+    if not learnt or not all(name.startswith(SET) for name in learnt):
+        raise MethodError(
+            f"mask: {path}: expected weights of `oysterbench train moving`, got some that have learnt from "
+            f"{', '.join(learnt) or 'nothing that they name'}"
+        )
+    return unet_model(checkpoint)

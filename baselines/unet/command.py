@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from oysterbench_baselines.learning.trained import checkpoint_path, device_option, tell_end, training_options
+from oysterbench_baselines.learning.trained import checkpoint_path, device_option, run_training, training_options
 
 
 @click.command("unet", short_help="A small U-Net, on any labelled images.")
@@ -37,19 +37,10 @@ def command(
     command goes on from the last checkpoint, to the same weights.
     """
     from oysterbench.cli.labelled import open_all
-    from oysterbench.cli.render import frames_bar
-    from oysterbench_baselines.learning.loop import pick_device
     from oysterbench_baselines.unet.training import UNetSettings, train
 
     labelled = open_all(names, side)
     settings = UNetSettings()
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or checkpoint_path("unet")
-    if again:
-        path.unlink(missing_ok=True)
-    with (
-        frames_bar("reading", "images") as loading,
-        frames_bar(f"training unet on {len(labelled)} images", "steps") as progress,
-    ):
-        checkpoint = train(labelled, path, settings, seed, pick_device(device), progress, loading)
-    tell_end(checkpoint, path)
+    run_training("unet", labelled, settings, train, path, seed, device, again)

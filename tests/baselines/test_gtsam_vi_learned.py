@@ -17,7 +17,7 @@ from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
 from oysterbench.sequence.types import CameraCalibration  # noqa: E402
-from oysterbench_baselines.gtsam_vi.frontend import even_contrast, without_veil  # noqa: E402
+from oysterbench_baselines.gtsam_vi.pictures import even_contrast, without_veil  # noqa: E402
 from oysterbench_baselines.gtsam_vi.settings import FrontEndSettings  # noqa: E402
 from oysterbench_baselines.gtsam_vi_learned import GtsamViLearned, GtsamViLearnedSettings  # noqa: E402
 from oysterbench_baselines.gtsam_vi_learned.command import command  # noqa: E402

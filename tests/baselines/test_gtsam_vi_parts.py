@@ -22,14 +22,13 @@ from oysterbench_baselines.gtsam_vi.frontend import (
     FrontEnd,
     Observations,
     epipolar_inliers,
-    even_contrast,
     find_corners,
     homogeneous,
     undistort,
-    without_veil,
 )
 from oysterbench_baselines.gtsam_vi.graph import nested_dissection
 from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
+from oysterbench_baselines.gtsam_vi.pictures import even_contrast, without_veil
 from oysterbench_baselines.gtsam_vi.preintegration import (
     preintegrate,
     preintegration_params,

@@ -109,6 +109,14 @@ def test_without_weights_it_says_what_to_type(method, tmp_path, monkeypatch):
         MovingMask("moving")
 
 
+def test_weights_that_have_learnt_something_else_are_refused(tmp_path):
+    settings = MovingSettings(network=UNetworkSettings(depth=3, base=4, scale=0.5))
+    settings = dataclasses.replace(settings, batch=2, fit=dataclasses.replace(settings.fit, steps=1, threads=1))
+    train(pictures("fish", "fish"), tmp_path / "unet.pt", settings, 0, torch.device("cpu"))
+    with pytest.raises(MethodError, match=r"weights of `oysterbench train moving`, got some .* learnt from some"):
+        MovingMask(str(tmp_path / "unet.pt"))
+
+
 def test_results_know_the_weights_by_their_content(weights, tmp_path):
     digest = GtsamVi(mask=str(weights)).as_dict()["mask_sha256"]
     assert len(digest) == 64

@@ -11,7 +11,7 @@ import click
 
 from oysterbench.core.files import home
 from oysterbench.methods.systems import find_system
-from oysterbench_baselines.learning.trained import device_option, tell_end, training_options
+from oysterbench_baselines.learning.trained import device_option, run_training, training_options
 
 
 @click.command("segformer", short_help="SegFormer, of the package transformers, on any labelled images.")
@@ -50,20 +50,11 @@ def command(
         os.execv(python, [str(python), "-m", "oysterbench", *sys.argv[1:]])
 
     from oysterbench.cli.labelled import open_all
-    from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.external.segformer.network import SegFormerSettings
     from oysterbench_baselines.external.segformer.training import TrainingSettings, train
-    from oysterbench_baselines.learning.loop import pick_device
 
     labelled = open_all(names, side)
     settings = TrainingSettings(network=SegFormerSettings(size=size))
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or home() / system.description.options["weights"].default
-    if again:
-        path.unlink(missing_ok=True)
-    with (
-        frames_bar("reading", "images") as loading,
-        frames_bar(f"training segformer on {len(labelled)} images", "steps") as progress,
-    ):
-        checkpoint = train(labelled, path, settings, seed, pick_device(device), progress, loading)
-    tell_end(checkpoint, path)
+    run_training("segformer", labelled, settings, train, path, seed, device, again)
