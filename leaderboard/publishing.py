@@ -23,8 +23,9 @@ from oysterbench_leaderboard.hidden import discreet, is_hidden
 from oysterbench_leaderboard.record import Record, Tier
 from oysterbench_leaderboard.store import RecordStore
 
-SAME = 1e-6
-"""Of a value: how near a score that is computed again must be to the one in the results."""
+SAME, SAME_SCALED = 1e-6, 5e-3
+"""Of values: how near a score that is computed again must be to the one in the results. A path in a unit of its own has
+had its scale fitted to the frame that was estimated, which a file of the body's poses no longer tells."""
 
 _FOLDERS = re.compile(r"(?<![^\s=,'\"])(?:~|\.{1,2})?/(?:[^/\s=:,'\"]+/)*")
 """Of a path, all but its last part, wherever in an argument it begins."""
@@ -251,10 +252,12 @@ def _curves(folder: Path, method: str, group: Sequence[ResultRecord], notify: No
 def _curve(truth: Path, estimate: Path, result: ResultRecord) -> dict[str, Any]:
     from oysterbench.core.trajectory import read_trajectory
     from oysterbench.evaluate.slam.scoring import score
+    from oysterbench.evaluate.slam.settings import SCALED
 
     found = score(read_trajectory(truth), read_trajectory(estimate), slam_settings(result.settings))
+    same = SAME_SCALED if result.settings["align"] in SCALED else SAME
     for key in FAILED[result.track]:
-        if abs(found.metrics[key] - result.metrics[key]) > SAME:
+        if abs(found.metrics[key] - result.metrics[key]) > same:
             raise TrajectoryError(
                 f"its {key} is {found.metrics[key]:.6g}, and that of the results {result.metrics[key]:.6g}: it is of "
                 "another run or another evaluator"

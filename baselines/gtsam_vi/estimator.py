@@ -38,7 +38,7 @@ from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Ob
 from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
 from oysterbench_baselines.gtsam_vi.health import HealthWatch
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, Initialiser, Start
-from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation, is_keyframe, is_stationary
+from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation, is_keyframe, is_stationary, is_under_way
 from oysterbench_baselines.gtsam_vi.loops import LoopCloser
 from oysterbench_baselines.gtsam_vi.mapping import Palette, landmark_map
 from oysterbench_baselines.gtsam_vi.recovery import Recovery
@@ -201,7 +201,8 @@ class Estimator:
         if not self.keyframes and "dvl" in self.aiding.sensors:
             self._hold_start()
         self.aiding.add_keyframe(len(self.keyframes), stamp_ns, self.filter, segment.duration)
-        stationary = bool(self.keyframes) and is_stationary(
+        rests = bool(self.keyframes) and not (self.navigating and is_under_way(self.filter, self.settings))
+        stationary = rests and is_stationary(
             self.keyframes[-1].observations, observations, segment.duration, self.model.rig, self.settings
         )
         self.keyframes.append(Keyframe(len(self.keyframes), stamp_ns, observations, segment, stationary))

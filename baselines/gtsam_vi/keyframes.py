@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
+from oysterbench_baselines.common.filter import VELOCITY, InvariantFilter
 from oysterbench_baselines.common.inertial import Segment, relative_rotation
 from oysterbench_baselines.gtsam_vi.cameras import CameraRig
 from oysterbench_baselines.gtsam_vi.frontend import Observations, homogeneous
@@ -98,3 +99,11 @@ def is_stationary(
     places = homogeneous(before.rays[in_before][calm])
     fit = places @ np.linalg.lstsq(places, flow[calm], rcond=None)[0]
     return float(np.sqrt(np.mean(np.sum(fit**2, axis=1)))) < settings.zero_velocity.flow_px
+
+
+def is_under_way(filter: InvariantFilter, settings: GtsamViSettings) -> bool:
+    """Whether a speed is known beyond doubt. Where a veil, silt or the port is all there is to see, a picture stands
+    still while the vehicle moves."""
+    of = settings.zero_velocity
+    sigma = np.hypot(np.sqrt(np.trace(filter.covariance[VELOCITY, VELOCITY])), of.sigma)
+    return bool(np.linalg.norm(filter.velocity) > of.speed_sigmas * sigma)

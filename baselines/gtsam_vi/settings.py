@@ -68,6 +68,7 @@ class ZeroVelocitySettings:
     flow_px: float = 0.35  # flow between key frames below this means: not moving
     min_s: float = 0.2  # between the key frames; over less, slow motion looks like rest
     sigma: float = 0.01  # m/s, 1 sigma of the velocity at rest: 0.35 px in 0.2 s at 3 m
+    speed_sigmas: float = 4.0  # of a velocity that is known, beyond which a picture that stands still is no rest
 
 
 @dataclass(frozen=True)
@@ -216,7 +217,7 @@ FLAT_NAMES = """
         stereo_depths_m:depths_m stereo_error_px:epipolar_error_px
     keyframes = keyframe_parallax_px:parallax_px keyframe_shared:shared keyframe_min_s:min_s
         keyframe_max_s:max_s
-    zero_velocity = rest_px:flow_px rest_s:min_s rest_speed:sigma
+    zero_velocity = rest_px:flow_px rest_s:min_s rest_speed:sigma rest_sigmas:speed_sigmas
     noise = pixel_sigma_px alike:correlation spread_power:loss_power max_spread:max_inflation huber
         imu_inflation bias_inflation integration_sigma
     landmarks = max_turn_deg min_ray_angle_deg max_landmark_error_px:max_error_px min_views

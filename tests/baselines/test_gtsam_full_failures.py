@@ -129,6 +129,20 @@ def test_neither_pictures_nor_a_dvl_for_five_seconds_leave_it_unsure_and_not_los
     assert np.linalg.norm(off[-1] - off[145]) < 0.05  # what is lost is lost, and no more
 
 
+def test_a_picture_that_stands_still_is_no_rest_while_the_vehicle_is_known_to_move():
+    """A veil, or spots on the port: from 6 s to 12 s forty points stay where they are in the picture."""
+    sequence, generator = make(6, 16.0), np.random.default_rng(6)
+    pixels = generator.uniform([40, 40], [600, 440], size=(40, 2))
+    frames = tracks(sequence, 6, (6.0, 12.0))
+    for n, (stamp, ids, _) in enumerate(frames):
+        if not len(ids) and 6.0 <= (stamp - dive.START_NS) * 1e-9 < 12.0:
+            frames[n] = stamp, np.arange(40) + 10**6, pixels + generator.normal(0, 0.1, pixels.shape)
+    estimator = estimate(sequence, frames)
+    assert answered(sequence, estimator.online())
+    for trajectory in estimator.paths().values():
+        assert off_m(sequence, trajectory).max() < 0.01 * sequence.truth().path_length
+
+
 def test_spikes_of_pressure_and_a_wreck_beside_the_compass_are_refused():
     generator = np.random.default_rng(0)
     sequence = make(4, 16.0)
