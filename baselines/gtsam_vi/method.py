@@ -161,12 +161,16 @@ def run_estimator(
         segment = samples.cut(stamp_ns)
         estimator.propagate(segment)
         since_image.append(segment)
-        since = Segment.join(since_image)
-        if image is None and not isinstance(item, ImuMeasurement):
-            estimator.update(item)
+        if image is None:
+            if isinstance(item, ImuMeasurement):  # a picture is missing
+                estimator.step(stamp_ns)
+                last_ns = stamp_ns
+            else:
+                estimator.update(item)
             continue
-        if image is None or (front_end.repeats(image.pixels) and estimator.has_moved(since)):
-            estimator.step(stamp_ns)  # it is missing, or stale
+        since = Segment.join(since_image)  # not for each sample: without pictures it is all there is of the dive
+        if front_end.repeats(image.pixels) and estimator.has_moved(since):
+            estimator.step(stamp_ns)  # it is stale
         else:
             turn = R_imu_cam.T @ relative_rotation(since, estimator.gyro_bias) @ R_imu_cam
             tracks = front_end.track(image.pixels, turn, since.duration, estimator.moved(stamp_ns, since.duration))
