@@ -201,8 +201,8 @@ class Estimator:
         if not self.keyframes and "dvl" in self.aiding.sensors:
             self._hold_start()
         self.aiding.add_keyframe(len(self.keyframes), stamp_ns, self.filter, segment.duration)
-        rests = bool(self.keyframes) and not (self.navigating and is_under_way(self.filter, self.settings))
-        stationary = rests and is_stationary(
+        may_rest = bool(self.keyframes) and not (self.navigating and is_under_way(self.filter, self.settings))
+        stationary = may_rest and is_stationary(
             self.keyframes[-1].observations, observations, segment.duration, self.model.rig, self.settings
         )
         self.keyframes.append(Keyframe(len(self.keyframes), stamp_ns, observations, segment, stationary))
