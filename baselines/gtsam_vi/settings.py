@@ -217,7 +217,7 @@ FLAT_NAMES = """
         stereo_depths_m:depths_m stereo_error_px:epipolar_error_px
     keyframes = keyframe_parallax_px:parallax_px keyframe_shared:shared keyframe_min_s:min_s
         keyframe_max_s:max_s
-    zero_velocity = rest_px:flow_px rest_s:min_s rest_speed:sigma rest_sigmas:speed_sigmas
+    zero_velocity = rest_px:flow_px rest_s:min_s rest_speed:sigma
     noise = pixel_sigma_px alike:correlation spread_power:loss_power max_spread:max_inflation huber
         imu_inflation bias_inflation integration_sigma
     landmarks = max_turn_deg min_ray_angle_deg max_landmark_error_px:max_error_px min_views
