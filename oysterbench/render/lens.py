@@ -15,6 +15,7 @@ from oysterbench.scene.rig import PORT_INDEX, camera_matrix
 
 NEWTON_STEPS = 30
 RESIDUAL = 1e-9
+STILL = 1e-13  # a step of it is far below what rays are rounded to
 PORT_STEPS = 8  # of Newton's method, through a port: within 1e-12 then, even for what all but touches the glass
 NEARBY = 1e-6  # step of differences
 RAY_STEP = 2.0**-24  # rays are rounded to it, so that the last bits of a processor's mathematics do not show
@@ -65,7 +66,10 @@ def undistort(images: Array, camera: CameraRecipe) -> Array:
         determinant = dx[:, 0] * dy[:, 1] - dy[:, 0] * dx[:, 1]
         safe = np.where(np.abs(determinant) > 1e-12, determinant, 1e-12)
         step = np.stack([dy[:, 1] * miss[:, 0] - dy[:, 0] * miss[:, 1], dx[:, 0] * miss[:, 1] - dx[:, 1] * miss[:, 0]])
-        points = points - (step / safe).T
+        step /= safe
+        points = points - step.T
+        if np.abs(step).max() < STILL:
+            break
     miss = np.abs(distort(points, camera) - images).max(axis=1)
     if not np.all((miss < RESIDUAL) & (determinant > 0)):
         raise RecipeError(
