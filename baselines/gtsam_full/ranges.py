@@ -94,7 +94,7 @@ class Ranges(AidingSensor):
     def calibration(self) -> Calibration:
         return Calibration(ECHO_KEY, np.zeros(2), np.full(2, self.settings.offset_sigma))
 
-    def landmark_factors(
+    def stretch_factors(
         self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
     ) -> list[gtsam.NonlinearFactor]:
         if len(ids) < self.settings.fewest:

@@ -382,6 +382,7 @@ class Estimator:
             self.info["smoothing_failed"] = 1
             return self.online()
         self._smoothed = keyframes, bundle
+        self.info |= self.aiding.counts()
         if len(bundle.errors_px):
             self.info["smoothed_error_px"] = float(np.median(bundle.errors_px))
         lever = invert(self.imu.T_base_imu)[:3, 3]

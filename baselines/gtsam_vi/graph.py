@@ -190,7 +190,7 @@ def adjust(
         views = (first + row[seen]).tolist(), track[seen].tolist(), rays[seen], camera[seen]
         for factor in rig.projection_factors(*views, [noises[n] for n in row[seen]]):
             graph.push_back(factor)
-        for factor in model.aiding.landmark_factors(keyframes, states, ids, points):
+        for factor in model.aiding.stretch_factors(keyframes, states, ids, points):
             graph.push_back(factor)
         values = _optimise(graph, values, settings.smoothing.iterations)
         states = [read_state(values, k.index) for k in keyframes]

@@ -101,6 +101,10 @@ class Aiding:
         """What is known of the sensors by now, for the record."""
         return {name: value for sensor in self.sensors.values() for name, value in sensor.found(filter).items()}
 
+    def counts(self) -> dict[str, int]:
+        """See `AidingSensor`."""
+        return {name: count for sensor in self.sensors.values() for name, count in sensor.counts().items()}
+
     @property
     def knows_velocity(self) -> bool:
         """Whether the filter has ever been given a velocity: without one it is dead reckoning by the inertial unit."""
@@ -157,8 +161,8 @@ class Aiding:
     def factors(self, keyframe: int, before: State) -> list[gtsam.NonlinearFactor]:
         return [factor for sensor in self.sensors.values() for factor in sensor.factors(keyframe, before)]
 
-    def landmark_factors(
+    def stretch_factors(
         self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
     ) -> list[gtsam.NonlinearFactor]:
         sensors = self.sensors.values()
-        return [f for sensor in sensors for f in sensor.landmark_factors(keyframes, states, ids, points)]
+        return [f for sensor in sensors for f in sensor.stretch_factors(keyframes, states, ids, points)]

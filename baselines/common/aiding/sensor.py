@@ -95,6 +95,10 @@ class AidingSensor:
         """What the filter has found of the sensor's constants, by names with units."""
         return {}
 
+    def counts(self) -> dict[str, int]:
+        """What a run has done with it, for the record, by names."""
+        return {}
+
     def propagate(self, segment: Segment) -> None:
         """Inertial measurements since the last sample of any sensor."""
 
@@ -115,10 +119,11 @@ class AidingSensor:
         """Of a key frame and the interval that leads to it; before: the state one key frame earlier, roughly."""
         return []
 
-    def landmark_factors(
+    def stretch_factors(
         self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
     ) -> list[gtsam.NonlinearFactor]:
-        """Between key frames and landmarks: ids (L,) and points (L, 3) in odom."""
+        """What counts only where a stretch is adjusted as a whole, at the start and in the final smoothing. ids (L,)
+        and points (L, 3) in odom: of its landmarks."""
         return []
 
 

@@ -6,6 +6,8 @@ registration is not handed on from ping to ping. Older fans are forgotten, since
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,6 +16,8 @@ from oysterbench_baselines.common.aiding.sonar.fan import Grid, View, sample
 from oysterbench_baselines.common.aiding.sonar.settings import ChartSettings, FanSettings
 
 STEP_CELLS = 16  # by which it is moved at a time
+STEPS_PER_DB = 8  # in which echoes are kept: a byte holds 32 dB
+UNKNOWN = 255
 
 
 class Chart:
@@ -63,3 +67,35 @@ class Chart:
             moved[to_x, to_y] = kept[from_x, from_y]
             kept[:] = moved
         self._origin = wanted
+
+    def packed(self) -> PackedChart:
+        """A copy as it is now, of a seventh of the size."""
+        return PackedChart(
+            self.settings, np.where(self.fans > 0, packed(self.values), UNKNOWN).astype(np.uint8), self._origin.copy()
+        )
+
+
+@dataclass(frozen=True)
+class PackedChart:
+    """shown (n, n): of a chart, see `packed`; origin (2,) as its own."""
+
+    settings: ChartSettings
+    shown: NDArray[np.uint8]
+    origin: NDArray[np.int64]
+
+    def chart(self) -> Chart:
+        """It again; how many fans a cell counts is forgotten."""
+        chart, known = Chart(self.settings), self.shown != UNKNOWN
+        chart.values = np.where(known, unpacked(self.shown), np.float32(0))
+        chart.fans, chart._origin = known.astype(np.float32), self.origin
+        return chart
+
+
+def packed(echoes: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Echoes over their surroundings, in steps of dB."""
+    return np.asarray(np.clip(np.rint(echoes * STEPS_PER_DB), 0, UNKNOWN - 1), dtype=np.uint8)
+
+
+def unpacked(steps: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """dB, of `packed`."""
+    return np.asarray(steps, dtype=np.float32) / STEPS_PER_DB

@@ -20,6 +20,8 @@ from oysterbench_baselines.common.inertial import Segment, integrate
 if TYPE_CHECKING:
     import gtsam
 
+    from oysterbench_baselines.gtsam_vi.states import State
+
 SONAR_KEY = symbol("s")
 """Scale of what registration measures, less 1, and turn (rad) of the sonar's mount about the vertical; (2,)."""
 
@@ -130,6 +132,12 @@ def step_error(
     return step.root @ (moved - step.measured), [step.root @ slope for slope in slopes]
 
 
+def sonar_at(sighting: Sighting, state: State) -> tuple[Array, float]:
+    """Place (2,) m in odom, level, and heading (rad) of the sonar at the ping of a key frame whose state is given."""
+    place, heading, *_ = _end(sighting, state.nav.pose(), state.nav.velocity())
+    return place, heading
+
+
 def _end(sighting: Sighting, pose: gtsam.Pose3, velocity: Array) -> tuple[Array, float, Array, Array, Array]:
     """Place (2,) and heading of the sonar at its ping; derivatives of the place by pose (2, 6) and velocity (2, 3), and
     of the heading by pose (6,)."""
@@ -142,7 +150,7 @@ def _end(sighting: Sighting, pose: gtsam.Pose3, velocity: Array) -> tuple[Array,
     return place, float(np.arctan2(axis[1], axis[0])), by_pose, -sighting.time * np.eye(3)[:2], turn
 
 
-def step_factor(step: Step, first: int, second: int, huber: float) -> gtsam.NonlinearFactor:
-    """On poses and velocities of two key frames, and the sonar's calibration."""
+def step_factor(step: Step, first: int, second: int, **loss: float) -> gtsam.NonlinearFactor:
+    """On poses and velocities of two key frames, and the sonar's calibration; loss: as of `python_factor`."""
     keys = [symbol("x", first), symbol("v", first), symbol("x", second), symbol("v", second), SONAR_KEY]
-    return python_factor(keys, 1.0, 2, partial(step_error, step), huber=huber)
+    return python_factor(keys, 1.0, 2, partial(step_error, step), **loss)

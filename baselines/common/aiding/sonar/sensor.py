@@ -31,6 +31,7 @@ from oysterbench_baselines.common.aiding.sonar.factor import (
 )
 from oysterbench_baselines.common.aiding.sonar.fan import Grid, View, first_echo, texture
 from oysterbench_baselines.common.aiding.sonar.ground import Ground
+from oysterbench_baselines.common.aiding.sonar.loops import Loops
 from oysterbench_baselines.common.aiding.sonar.registration import Guess, Match, register
 from oysterbench_baselines.common.aiding.sonar.settings import SonarSettings
 from oysterbench_baselines.common.filter import ACCEL_BIAS, ATTITUDE, GYRO_BIAS, VELOCITY, InvariantFilter, cross
@@ -39,7 +40,7 @@ from oysterbench_baselines.common.inertial import Segment
 if TYPE_CHECKING:
     import gtsam
 
-    from oysterbench_baselines.gtsam_vi.states import State
+    from oysterbench_baselines.gtsam_vi.states import Keyframe, State
 
 LOWEST_M = 0.1  # over the bottom: nearer, nothing of it is in the fan
 GAP_S = 0.005  # of inertial measurements, beyond which the way since the last ping is not known
@@ -47,11 +48,13 @@ GAP_S = 0.005  # of inertial measurements, beyond which the way since the last p
 
 @dataclass(frozen=True)
 class Heard:
-    """The last ping that was registered: stamp, place (3,) on the chart and its covariance (3, 3)."""
+    """The last ping that was registered: stamp, place (3,) on the chart with covariance (3, 3), and what it showed."""
 
     stamp_ns: int
     place: Array
     covariance: Array
+    picture: NDArray[np.float32]
+    view: View
 
 
 class Sonar(AidingSensor):
@@ -86,6 +89,7 @@ class Sonar(AidingSensor):
         mount = float(np.hypot(np.radians(settings.mount_sigma_deg), turn))
         self._sigmas = np.array([settings.scale_sigma, mount])
         self._floor = np.diag([settings.position_floor_m**2] * 2 + [settings.heading_floor**2])
+        self.loops = Loops(self._grid, settings)
         self._chart, self._charts, self._way = Chart(settings.chart), 0, 0.0
         self._last: Heard | None = None
         self._since: list[Segment] = []  # the last ping that was registered
@@ -129,7 +133,7 @@ class Sonar(AidingSensor):
             return False
         self._chart.add(picture, match.place, view, self._grid, settings.fan)
         self._way += float(np.hypot(step[0], step[1]))
-        self._last, self._since = Heard(ping.stamp_ns, match.place, covariance), []
+        self._last, self._since = Heard(ping.stamp_ns, match.place, covariance, picture, view), []
         self.velocity_ns, self.registered = ping.stamp_ns, self.registered + 1
         return True
 
@@ -170,7 +174,10 @@ class Sonar(AidingSensor):
         """A new chart, with its origin at this ping."""
         self._chart, self._charts = Chart(self.settings.chart), self._charts + 1
         self._chart.add(picture, np.zeros(3), view, self._grid, self.settings.fan)
-        self._last, self._since = Heard(stamp_ns, np.zeros(3), self._floor), []
+        self._last, self._since = Heard(stamp_ns, np.zeros(3), self._floor, picture, view), []
+
+    def counts(self) -> dict[str, int]:
+        return {"sonar_loops": self.loops.count} if self.loops.places else {}
 
     def propagate(self, segment: Segment) -> None:
         if self._last is not None:
@@ -186,7 +193,10 @@ class Sonar(AidingSensor):
         since = Motion.over(self._since, filter.gyro_bias, filter.accel_bias)
         if abs((stamp_ns - last.stamp_ns) * 1e-9 - since.time) < GAP_S:
             placed = last.place, last.covariance, self._charts, self._way
-            self._sightings[keyframe] = Sighting.at(*placed, since, self.T_imu_sonar)
+            sighting = Sighting.at(*placed, since, self.T_imu_sonar)
+            self._sightings[keyframe] = sighting
+            if keyframe in self._alone and self.settings.loops.enabled:
+                self.loops.keep(keyframe, sighting, self._chart, last.picture, last.view)
 
     def initialise(self, keyframe: int, state: State, filter: InvariantFilter | None) -> None:
         self._first = None
@@ -207,8 +217,14 @@ class Sonar(AidingSensor):
                 continue
             way = second.way - first.way
             step = Step.of(first, second, way * settings.drift**2, np.sqrt(way) * settings.drift_heading)
-            return [step_factor(step, index, keyframe, settings.huber)]
+            return [step_factor(step, index, keyframe, huber=settings.huber)]
         return []
+
+    def stretch_factors(
+        self, keyframes: list[Keyframe], states: list[State], ids: NDArray[np.int64], points: Array
+    ) -> list[gtsam.NonlinearFactor]:
+        """Of the loops among them."""
+        return self.loops.factors({k.index: state for k, state in zip(keyframes, states, strict=True)})
 
 
 def heading_of(rotation: Array) -> float:

@@ -57,6 +57,24 @@ class GroundSettings:
 
 
 @dataclass(frozen=True)
+class SonarLoopSettings:
+    """Ground that is heard again."""
+
+    enabled: bool = True
+    step_m: float = 0.8  # of the way, between places that are kept
+    least_way_m: float = 6.0  # between the places of a loop: nearer ones are on one chart
+    apart_m: float = 2.5  # of the middles of what was heard, at most
+    candidates: int = 3  # charts on which a place is looked for
+    drift: float = 0.01  # 1 sigma of the path, by the way in between
+    turn_sigma: float = 0.02  # rad, of the heading in between
+    neighbours: int = 3  # places that lie so near know of each other's loops
+    agree_m: float = 0.1  # by which they may say something else of the path
+    sigma_m: float = 0.03  # of a loop, at least: what relief shifts from one side to the other
+    cauchy: float = 1.0  # sigmas; a loop that all others contradict loses its weight
+    registration: RegistrationSettings = field(default_factory=lambda: RegistrationSettings(most_search_m=2.0))
+
+
+@dataclass(frozen=True)
 class SonarSettings:
     """An imaging sonar as odometry."""
 
@@ -64,6 +82,7 @@ class SonarSettings:
     chart: ChartSettings = field(default_factory=ChartSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     ground: GroundSettings = field(default_factory=GroundSettings)
+    loops: SonarLoopSettings = field(default_factory=SonarLoopSettings)
     scale_sigma: float = 0.02  # of 1: what the bottom's height is off by in the mean; slam-train has 0 to 2.7 %
     mount_sigma_deg: float = 0.5  # of its heading, beside what the calibration states
     position_floor_m: float = 0.002  # 1 sigma of a registration, at least
