@@ -64,12 +64,13 @@ train = Installed(
 experiment = Installed(
     "experiment",
     "oysterbench.experiment",
-    short_help="Run an experiment over many trainings.",
-    help="""Run an experiment: many trainings and their table, resumed where it was interrupted.
+    short_help="Run an experiment: what rendered images add to real ones, and how far they are from them.",
+    help="""Run an experiment, and print its table; what takes long is resumed where it was interrupted.
 
     \b
     Examples:
       oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train
+      oysterbench experiment realism --real real-oysters --synthetic closeup=seg-closeup
       oysterbench experiment sim2real --help
 
     Experiments are brought by the entry-point group oysterbench.experiment.

@@ -98,4 +98,4 @@ def packed(echoes: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 def unpacked(steps: NDArray[np.uint8]) -> NDArray[np.float32]:
     """dB, of `packed`."""
-    return np.asarray(steps, dtype=np.float32) / STEPS_PER_DB
+    return np.asarray(steps, dtype=np.float32) / np.float32(STEPS_PER_DB)

