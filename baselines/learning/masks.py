@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics
+from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics, working_scale
 
 LARGEST_TILE = 768
 """px at the working scale: larger pictures are looked at in parts, so that memory does not grow with them."""
@@ -22,17 +22,18 @@ MARGIN = 64
 class MaskModel:
     """A network with its weights, ready to predict: (1, 3, h, w) standardised pixels to (1, 2, h, w) logits.
 
-    scale: of a picture, at which it is looked at; multiple: of pixels, that h and w must be
+    scale, side: of a picture, at which it is looked at, see `working_scale`; multiple: of pixels, that h and w must be
     """
 
     network: torch.nn.Module
     scale: float
     multiple: int
     device: torch.device
+    side: int = 0
 
     def small_logits(self, pixels: NDArray[np.uint8]) -> Floats:
         """(2, h, w) float32 logits of oyster and core at the working scale, of a picture (H, W, 3) uint8 RGB."""
-        small = shrink(pixels, self.scale)
+        small = shrink(pixels, working_scale(pixels.shape, self.scale, self.side))
         values = standardised(small, *statistics(small))
         prediction = np.empty((2, *small.shape[:2]), dtype=np.float32)
         for rows, inner_rows in _parts(small.shape[0]):

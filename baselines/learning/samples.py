@@ -41,8 +41,15 @@ class Sample:
     known: NDArray[np.uint8]
 
 
-def make_sample(image: LabelledImage, scale: float) -> Sample:
+def working_scale(shape: tuple[int, ...], scale: float, side: int) -> float:
+    """At which a picture (H, W, ...) is looked at: `scale`, or where side is not 0, that which makes its longer side so
+    many px."""
+    return side / max(shape[:2]) if side else scale
+
+
+def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
     """A labelled image, reduced. Every small pixel is the mean of those that it covers, in picture and truth alike."""
+    scale = working_scale(image.pixels.shape, scale, side)
     pixels = shrink(image.pixels, scale)
     truth = np.stack([image.oysters, cores(image.instances * image.oysters)], axis=-1).astype(np.uint8) * 255
     known = shrink(np.where(image.ignore, 0, 255).astype(np.uint8), scale)
@@ -59,12 +66,13 @@ def make_sample(image: LabelledImage, scale: float) -> Sample:
 
 
 def shrink(values: NDArray[np.uint8], scale: float) -> NDArray[np.uint8]:
-    """(H, W, ...) to the working scale, by areas."""
+    """(H, W, ...) to the working scale, by areas; enlarged linearly."""
     if scale == 1.0:
         return values
     height, width = values.shape[:2]
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(values, size, interpolation=how), dtype=np.uint8)
 
 
 def statistics(pixels: NDArray[np.uint8]) -> tuple[Floats, Floats]:
@@ -103,8 +111,9 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
     when they are first asked for, and kept at the working scale.
     """
 
-    def __init__(self, labelled: LabelledSet, scale: float = 1.0) -> None:
-        self.labelled, self.scale = labelled, scale
+    def __init__(self, labelled: LabelledSet, scale: float = 1.0, side: int = 0) -> None:
+        """scale, side: see `working_scale`."""
+        self.labelled, self.scale, self.side = labelled, scale, side
         self._samples: dict[int, Sample] = {}
 
     def __len__(self) -> int:
@@ -113,7 +122,7 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
     def sample(self, index: int) -> Sample:
         """An image as it is kept."""
         if index not in self._samples:
-            self._samples[index] = make_sample(self.labelled[index], self.scale)
+            self._samples[index] = make_sample(self.labelled[index], self.scale, self.side)
         return self._samples[index]
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -44,10 +44,9 @@ class Bench:
     device: str = "auto"
 
     def __post_init__(self) -> None:
-        self._datasets = {
-            name: LabelledDataset(labelled, self.settings.network.scale) for name, labelled in self.synthetic.items()
-        }
-        self._train = LabelledDataset(self.real.train, self.settings.network.scale)
+        scale, side = self.settings.network.scale, self.settings.network.side
+        self._datasets = {name: LabelledDataset(labelled, scale, side) for name, labelled in self.synthetic.items()}
+        self._train = LabelledDataset(self.real.train, scale, side)
         self._place = {entry.name: k for k, entry in enumerate(self.real.train.entries)}
         self._digests = {name: labelled.digest() for name, labelled in self.synthetic.items()}
         self.test_digest = self.real.test.digest()
@@ -146,7 +145,7 @@ class Subset(LabelledDataset):
     """Some images of a dataset, which keeps them."""
 
     def __init__(self, whole: LabelledDataset, places: list[int], labelled: LabelledSet) -> None:
-        super().__init__(labelled, whole.scale)
+        super().__init__(labelled, whole.scale, whole.side)
         self._whole, self._places = whole, places
 
     def sample(self, index: int) -> Any:

@@ -1,4 +1,5 @@
-"""The network: a U-Net (Ronneberger et al. 2015), small, with group normalisation."""
+"""The networks: U-Nets (Ronneberger et al. 2015) with group normalisation; a small one, and one whose way down has
+learnt on ImageNet."""
 
 from __future__ import annotations
 
@@ -6,6 +7,9 @@ from dataclasses import dataclass
 
 import torch
 from torch import nn
+from torch.nn import functional
+
+from oysterbench_baselines.learning.efficientnet import EfficientNetLite, pretrained
 
 OUTPUTS = ("oyster", "core")
 """What the channels of the prediction are logits of."""
@@ -14,17 +18,21 @@ OUTPUTS = ("oyster", "core")
 @dataclass(frozen=True)
 class UNetworkSettings:
     """depth: levels, each half the size of the one before; base: channels of the first, doubled from level to level;
-    groups: of channels that are normalised together. scale: of an image, at which it is looked at."""
+    groups: of channels that are normalised together. scale: of an image, at which it is looked at; side: px, to which
+    its longer side is brought instead, where it is not 0. encoder: in `efficientnet.VARIANTS`, which takes the place of
+    depth and base."""
 
     depth: int = 4
     base: int = 16
     groups: int = 4
     scale: float = 0.5
+    side: int = 0
+    encoder: str = ""
 
     @property
     def multiple(self) -> int:
         """Of pixels, that width and height of what the network is given must be."""
-        return 1 << (self.depth - 1)
+        return 32 if self.encoder else 1 << (self.depth - 1)
 
 
 class Block(nn.Sequential):
@@ -65,3 +73,37 @@ class UNetwork(nn.Module):
             found = block(torch.cat([beside, grow(found)], dim=1))
         prediction: torch.Tensor = self.head(found)
         return prediction
+
+
+WIDTHS = (96, 64, 48, 32)
+"""Channels on the way up, at strides 16, 8, 4 and 2."""
+CONTRAST = 0.45
+"""Deviation of the pixels that the encoder has learnt from, in its units; those of standardised pictures have 1."""
+
+
+class PretrainedUNetwork(nn.Module):
+    """The same answers, at strides down to 2 and enlarged; h and w are multiples of 32. begun: with ImageNet's weights,
+    and not with random ones that others are to take the place of."""
+
+    def __init__(self, settings: UNetworkSettings, begun: bool = False) -> None:
+        super().__init__()
+        self.encoder = pretrained(settings.encoder) if begun else EfficientNetLite(settings.encoder)
+        deep, beside = self.encoder.channels[-1], reversed(self.encoder.channels[:-1])
+        self.up = nn.ModuleList()
+        for channels, width in zip(beside, WIDTHS, strict=True):
+            self.up.append(Block(deep + channels, width, settings.groups))
+            deep = width
+        self.head = nn.Conv2d(deep, len(OUTPUTS), 1)
+
+    def forward(self, pixels: torch.Tensor) -> torch.Tensor:
+        """See the class."""
+        *levels, found = self.encoder.features(CONTRAST * pixels)
+        for block, beside in zip(self.up, reversed(levels), strict=True):
+            found = functional.interpolate(found, size=beside.shape[-2:], mode="nearest")
+            found = block(torch.cat([beside, found], dim=1))
+        return functional.interpolate(self.head(found), size=pixels.shape[-2:], mode="bilinear", align_corners=False)
+
+
+def build_network(settings: UNetworkSettings, begun: bool = False) -> nn.Module:
+    """Of either kind; begun: see `PretrainedUNetwork`."""
+    return PretrainedUNetwork(settings, begun) if settings.encoder else UNetwork(settings)

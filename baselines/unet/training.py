@@ -20,7 +20,7 @@ from oysterbench_baselines.learning.loop import FitSettings, Progress, channels_
 from oysterbench_baselines.learning.losses import mask_loss
 from oysterbench_baselines.learning.samples import LabelledDataset
 from oysterbench_baselines.unet.model import described
-from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings
+from oysterbench_baselines.unet.network import UNetworkSettings, build_network
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,15 @@ class UNetSettings:
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=2000))
 
 
+def pretrained_settings(encoder: str) -> UNetSettings:
+    """Of a network on a pretrained encoder: larger crops of larger pictures, smaller steps."""
+    return UNetSettings(
+        network=UNetworkSettings(groups=8, side=320, encoder=encoder),
+        augmentation=Augmentation(crop=224),
+        fit=FitSettings(steps=1000, learning_rate=1e-3),
+    )
+
+
 def identity(settings: UNetSettings, data: Mapping[str, Any], seed: int, device: torch.device) -> dict[str, Any]:
     """What decides the weights, as plain values. data: digests of the data, by what they are for."""
     plain = dataclasses.asdict(settings)
@@ -40,9 +49,10 @@ def identity(settings: UNetSettings, data: Mapping[str, Any], seed: int, device:
     return {"method": "unet", "settings": plain, "data": dict(data), "seed": seed, "device": device.type}
 
 
-def new_network(settings: UNetworkSettings, begun: Checkpoint | None = None) -> UNetwork:
-    """With weights drawn from torch's generator, or with those of a training that it goes on from."""
-    network = channels_last(UNetwork(settings))
+def new_network(settings: UNetworkSettings, begun: Checkpoint | None = None) -> torch.nn.Module:
+    """With weights drawn from torch's generator, those of ImageNet in a pretrained encoder, or with those of a training
+    that it goes on from."""
+    network = channels_last(build_network(settings, begun is None))
     if begun is not None:
         network.load_state_dict(begun.weights)
     return network
@@ -60,7 +70,7 @@ def train(
     """Train on a set, or go on where `path` was left. loading: is told how many images have been read."""
     if not len(labelled):
         raise LabelError(f"{labelled.name}: expected images to train on, got none")
-    dataset = LabelledDataset(labelled, settings.network.scale).load(loading)
+    dataset = LabelledDataset(labelled, settings.network.scale, settings.network.side).load(loading)
     streams = Streams(seed).at("unet")
     mixture = Mixture([dataset], [settings.batch])
     return fit(

@@ -15,13 +15,14 @@ from oysterbench.core.errors import MethodError  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
 from oysterbench.methods.images import Picture  # noqa: E402
 from oysterbench_baselines.learning import masks  # noqa: E402
-from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402
+from oysterbench_baselines.learning.efficientnet import weights_file  # noqa: E402
 from oysterbench_baselines.learning.masks import enlarged  # noqa: E402
-from oysterbench_baselines.unet import UNet, UNetInstances  # noqa: E402
+from oysterbench_baselines.unet import UNet, UNetInstances, network  # noqa: E402
 from oysterbench_baselines.unet.instances import find_instances  # noqa: E402
 from oysterbench_baselines.unet.model import read_unet  # noqa: E402
-from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings  # noqa: E402
-from oysterbench_baselines.unet.training import train  # noqa: E402
+from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings, build_network  # noqa: E402
+from oysterbench_baselines.unet.training import new_network, train  # noqa: E402
 from tests.helpers.labelled_folders import image  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
 
@@ -56,9 +57,49 @@ def test_oysters_one_by_one_have_scores_and_lie_apart(checkpoint):
 
 
 def test_the_network_keeps_the_size_and_has_two_answers():
-    network = UNetwork(UNetworkSettings(depth=4, base=4))
-    assert network(torch.zeros(2, 3, 32, 48)).shape == (2, 2, 32, 48)
+    small = UNetwork(UNetworkSettings(depth=4, base=4))
+    assert small(torch.zeros(2, 3, 32, 48)).shape == (2, 2, 32, 48)
     assert sum(p.numel() for p in UNetwork(UNetworkSettings()).parameters()) == 482_754
+
+
+def test_a_network_on_an_encoder_keeps_the_size_and_has_two_answers():
+    settings = UNetworkSettings(groups=8, encoder="lite0", side=320)
+    network = build_network(settings).eval()
+    with torch.inference_mode():
+        assert network(torch.zeros(2, 3, 64, 96)).shape == (2, 2, 64, 96)
+    assert settings.multiple == 32
+
+
+def test_an_encoder_begins_with_what_it_has_learnt_and_goes_on_with_what_it_was_taught():
+    try:
+        file = weights_file("lite0")
+    except MethodError as error:
+        pytest.skip(str(error))
+    settings = UNetworkSettings(groups=8, encoder="lite0")
+    begun = new_network(settings)
+    first = next(iter(torch.load(file, weights_only=True).values()))
+    assert torch.equal(begun.encoder.stem[0].weight, first)
+    with torch.no_grad():
+        begun.encoder.stem[0].weight += 1.0
+    gone_on = new_network(settings, Checkpoint({}, {}, begun.state_dict(), {}, {}, 0, False, [], 0.0, {}))
+    assert torch.equal(gone_on.encoder.stem[0].weight, first + 1.0)
+
+
+def test_a_network_on_an_encoder_learns_and_is_read_again(tmp_path, monkeypatch):
+    """From random weights: none need be installed."""
+    monkeypatch.setattr(network, "pretrained", network.EfficientNetLite)
+    labelled = small_set(tmp_path / "small", {"one": ("train", 6)})
+    settings = dataclasses.replace(
+        SMALL,
+        network=UNetworkSettings(groups=8, encoder="lite0", side=64),
+        augmentation=dataclasses.replace(SMALL.augmentation, crop=64),
+        fit=dataclasses.replace(SMALL.fit, steps=10, learning_rate=1e-3),
+    )
+    found = train(labelled, tmp_path / "unet.pt", settings, 0, torch.device("cpu"))
+    assert np.mean(found.losses[-3:]) < np.mean(found.losses[:3])
+    model = read_unet(tmp_path / "unet.pt")
+    assert model.small_logits(np.zeros((100, 200, 3), np.uint8)).shape == (2, 32, 64)
+    assert model.logits(np.zeros((100, 200, 3), np.uint8)).shape == (2, 100, 200)
 
 
 @pytest.mark.parametrize("size", [(64, 80), (61, 83), (5, 7)])
