@@ -36,7 +36,7 @@ def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> N
 
     from oysterbench.annotations import LabelledSet
     from oysterbench.cli.echo import message
-    from oysterbench.cli.labelled import open_all, open_data
+    from oysterbench.cli.labelled import named_places, open_all, open_data
     from oysterbench.cli.outputs import print_rich
     from oysterbench.cli.render import frames_bar
     from oysterbench.core.files import home, write_atomically
@@ -47,15 +47,9 @@ def command(real: str, names: tuple[str, ...], out: Path | None, most: int) -> N
         from oysterbench_baselines.realism.features import feature_set
         from oysterbench_baselines.realism.report import distances, neighbours, table_of
 
-    parts: dict[str, list[str]] = {}
-    for text in names:
-        name, equals, place = text.partition("=")
-        if not equals or not name.replace("-", "").replace("_", "").isalnum():
-            raise click.UsageError(f"--synthetic: expected NAME=SPLIT or NAME=PATH, got {text!r}")
-        parts.setdefault(name, []).append(place)
     labelled = open_data(real)
     clips = {clip: LabelledSet(clip, (e for e in labelled.entries if e.clip == clip)) for clip in labelled.clips}
-    found = {}
+    parts, found = named_places(names, list(clips)), {}
     sets = {name: open_all(places, name=name) for name, places in parts.items()} | clips
     for name, one in sets.items():
         if len(one) < 2:

@@ -62,7 +62,7 @@ def command(
     left out.
     """
     from oysterbench.cli.echo import message
-    from oysterbench.cli.labelled import open_all, open_data
+    from oysterbench.cli.labelled import named_places, open_all, open_data
     from oysterbench.cli.outputs import print_rich
     from oysterbench.cli.render import frames_bar
     from oysterbench.core.files import home
@@ -70,12 +70,7 @@ def command(
     from oysterbench_baselines.sim2real.experiment import run
     from oysterbench_baselines.sim2real.settings import SCHEDULES, ExperimentSettings
 
-    parts: dict[str, list[str]] = {}
-    for text in names:
-        name, equals, place = text.partition("=")
-        if not equals or not name.replace("-", "").replace("_", "").isalnum() or name == "real":
-            raise click.UsageError(f"--synthetic: expected NAME=SPLIT or NAME=PATH, and a name but real, got {text!r}")
-        parts.setdefault(name, []).append(place)
+    parts = named_places(names, ["real"])
     sets = {name: open_all(places, name=name) for name, places in parts.items()}
     if schedule not in SCHEDULES:
         raise click.UsageError(f"--schedule: expected one of {', '.join(SCHEDULES)}, got {schedule!r}")

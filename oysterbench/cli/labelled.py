@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import click
 
 from oysterbench.core.errors import LabelError
 
@@ -28,6 +30,19 @@ def open_data(name: str) -> LabelledSet:
     split = load_split(name)
     files = render_files(split)
     return sequence_set(split.name, files.values(), {key: conditions(split, key) for key in files})
+
+
+def named_places(texts: Sequence[str], taken: Collection[str]) -> dict[str, list[str]]:
+    """Name -> splits or paths, of options --synthetic NAME=SPLIT|PATH. taken: names that mean something else."""
+    found: dict[str, list[str]] = {}
+    for text in texts:
+        name, equals, place = text.partition("=")
+        if not equals or not name.replace("-", "").replace("_", "").isalnum() or name in taken:
+            raise click.UsageError(
+                f"--synthetic: expected NAME=SPLIT or NAME=PATH, and a name but {', '.join(taken)}, got {text!r}"
+            )
+        found.setdefault(name, []).append(place)
+    return found
 
 
 def open_all(names: Sequence[str], side: str | None = None, name: str = "") -> LabelledSet:

@@ -139,11 +139,14 @@ def test_the_command_leaves_distances_and_a_sheet(tmp_path):
 
 
 @pytest.mark.usefixtures("installed")
-def test_a_set_of_one_picture_and_a_name_without_a_place_are_refused(tmp_path):
+def test_a_set_of_one_picture_a_name_without_a_place_and_that_of_a_clip_are_refused(tmp_path):
     real = pictures(tmp_path / "real", 1, 90)
     refused = CliRunner().invoke(main, ["experiment", "realism", "--real", str(real), "--synthetic", "noise"])
     assert refused.exit_code == 2
     assert "NAME=SPLIT" in refused.output
+    refused = CliRunner().invoke(main, ["experiment", "realism", "--real", str(real), "--synthetic", f"one={real}"])
+    assert refused.exit_code == 2
+    assert "a name but one, two" in refused.output
     one = pictures(tmp_path / "one", 1, 90, count=1)
     refused = CliRunner().invoke(main, ["experiment", "realism", "--real", str(real), "--synthetic", f"a={one}"])
     assert refused.exit_code == 2
