@@ -153,7 +153,7 @@ def test_a_checkpoint_says_all_that_is_needed_to_repeat_it(labelled, tmp_path):
     assert known.identity["seed"] == 3
     assert known.identity["data"] == {"small": labelled.digest()}
     assert known.identity["settings"]["fit"]["threads"] == 1
-    assert known.network == {"kind": "unet", "depth": 3, "base": 4, "groups": 2, "scale": 0.5}
+    assert known.network == {"kind": "unet", **dataclasses.asdict(SMALL.network)}
     assert set(known.versions) == {"oysterbench", "torch", "numpy", "python"}
     assert known.optimiser["state"]
     assert known.random["cpu"].dtype == torch.uint8
