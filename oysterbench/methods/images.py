@@ -37,12 +37,14 @@ class Segmentation:
     oyster:      (H, W) bool, where there is an oyster
     probability: (H, W) float from 0 to 1, that there is one; bring logits to the picture's size before the sigmoid
     classes:     (H, W) uint8, numbers of `recipe.CLASSES`
+    novelty:     how unlike the pictures are that the method has learnt from; above 1 it should not be relied upon
     """
 
     name: str
     oyster: NDArray[np.bool_] | None = None
     probability: NDArray[np.floating[Any]] | None = None
     classes: NDArray[np.uint8] | None = None
+    novelty: float | None = None
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,8 @@ class Detections:
     numbers: (H, W) integers, k + 1 where oyster k is seen, 0 for none
     masks:   (N, H, W) bool, which may overlap
     boxes:   (N, 4) x, y, width, height in px, where there are no masks
+    live:    (N,) probability that the oyster is alive, where the method can tell
+    novelty: as of a `Segmentation`
     """
 
     name: str
@@ -59,6 +63,8 @@ class Detections:
     numbers: NDArray[np.integer[Any]] | None = None
     masks: NDArray[np.bool_] | None = None
     boxes: NDArray[np.floating[Any]] | None = None
+    live: NDArray[np.floating[Any]] | None = None
+    novelty: float | None = None
 
 
 class SegmentationMethod(Protocol):
