@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -273,9 +274,19 @@ def _instance(item: CocoItem, height: int, width: int, scored: bool) -> Instance
         given = values["bbox"] if "bbox" in values else tools.toBbox(runs).tolist()
         box = _box(item.where, given, height, width)
         area = float(tools.area(runs)) if runs is not None else box[2] * box[3]
+    live = _live(item)
     if scored:
-        return Instance(box, runs, area, item.score())
-    return Instance(box, runs, item.number("area", area), crowd=bool(values.get("iscrowd")))
+        return Instance(box, runs, area, item.score(), live=live)
+    return Instance(box, runs, item.number("area", area), crowd=bool(values.get("iscrowd")), live=live)
+
+
+def _live(item: CocoItem) -> float:
+    """Probability that it is alive, by the key `live`; or by `state`, live or dead; NaN where it says neither."""
+    if "live" in item.values:
+        if not _is_number(item.values["live"], 0, 1):
+            raise LabelError(f"{item.where}: expected 'live', a probability, got {item.values['live']!s:.60}")
+        return float(item.values["live"])
+    return {"live": 1.0, "dead": 0.0}.get(str(item.values.get("state")), math.nan)
 
 
 def _box(where: str, box: Any, height: int, width: int) -> tuple[float, float, float, float]:

@@ -61,7 +61,7 @@ class LabelledSequence:
                 "annotations, YOLO polygons, masks with instances/, or sequences"
             )
         numbers = np.where(truth.oyster, truth.instances, 0)
-        return from_planes(truth.name, numbers, truth.ignore, truth.footprint_m2)
+        return from_planes(truth.name, numbers, truth.ignore, truth.footprint_m2, live=truth.live)
 
     def single(self) -> Iterator[tuple[ImageInstances, Seen | None]]:
         """The single oysters of each image, and its truth and picture; None where the truth has boxes alone."""
@@ -92,7 +92,7 @@ def labelled_sequence(path: Path, conditions: Mapping[str, float | str] | None =
 
 
 def _frames(sequence: Sequence, cameras: Mapping[str, list[str]]) -> Iterator[Seen]:
-    heights = _heights_mm(sequence)
+    heights, live = _heights_mm(sequence), {number: float(alive) for number, alive in sequence.living().items()}
     trajectory, true = sequence.truth(), sequence.truly_calibrated()
     for camera, layers in cameras.items():
         calibration = true.cameras[camera]
@@ -111,6 +111,7 @@ def _frames(sequence: Sequence, cameras: Mapping[str, list[str]]) -> Iterator[Se
                     instances=instances,
                     heights_mm=heights,
                     footprint_m2=None if depth is None else footprint_m2(depth, rays, poses[k]),
+                    live=live,
                 ),
                 image.pixels,
             )

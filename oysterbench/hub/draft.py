@@ -16,7 +16,7 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-from oysterbench.hub.manifest import FileEntry
+from oysterbench.hub.pieces import Pieced
 
 HEADER = struct.Struct("<qq")
 """Number of the piece, bytes of it that follow."""
@@ -25,7 +25,7 @@ HEADER = struct.Struct("<qq")
 class Draft:
     """The piece that one connection fetches."""
 
-    def __init__(self, part: Path, entry: FileEntry) -> None:
+    def __init__(self, part: Path, entry: Pieced) -> None:
         self._entry = entry
         self._path = part.with_name(f"{part.name}.{secrets.token_hex(4)}.draft")
         self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)

@@ -1,12 +1,14 @@
-"""The index: the one mutable document of a hub, signed; it names the manifest of each version of each split."""
+"""The index: the one mutable document of a hub, signed; it names the manifest of each version of each split, and the card
+of each version of each model."""
 
 from __future__ import annotations
 
 import contextlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import msgspec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -15,6 +17,7 @@ from oysterbench.core.errors import IntegrityError
 from oysterbench.core.files import home, locked, write_atomically
 from oysterbench.hub.canonical import Sha256, canonical, decode, sha256
 from oysterbench.hub.manifest import SplitName, SplitVersion
+from oysterbench.hub.model import ModelName, ModelVersion
 from oysterbench.hub.sign import is_signed, public_hex, sign
 
 LARGEST = 8 << 20
@@ -38,12 +41,30 @@ class Release(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pictures: tuple[Sha256, ...] = ()
 
 
-class IndexBody(msgspec.Struct, kw_only=True):
-    """What is signed. splits: a list, because the order of the versions matters and that of a table's keys does not."""
+class ModelRelease(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A version of a model, as the index names it; `size` is that of its weights, `card_size` its card's.
 
-    format: Literal["oysterbench-index/1"] = "oysterbench-index/1"
+    page: the card for people, HTML
+    """
+
+    model: ModelName
+    version: ModelVersion
+    card: Sha256
+    card_size: int
+    size: int
+    methods: tuple[str, ...]
+    summary: str
+    published: str  # date, UTC
+    page: Sha256
+
+
+class IndexBody(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """What is signed. Lists, because the order of the versions matters and that of a table's keys does not."""
+
+    format: Literal["oysterbench-index/1"]
     counter: int
     splits: list[Release]
+    models: list[ModelRelease] = []
 
 
 class Signature(msgspec.Struct):
@@ -67,28 +88,52 @@ class SeenIndex(msgspec.Struct):
     sha256: str = ""
 
 
+R = TypeVar("R", Release, ModelRelease)
+
+
 @dataclass(frozen=True)
 class Index:
     """counter: raised by each change, so that an older index is known for one.
 
-    splits: name -> version -> release, versions in the order of their release.
+    splits, models: name -> version -> release, versions in the order of their release.
     """
 
     counter: int = 0
     splits: dict[str, dict[str, Release]] = field(default_factory=dict)
+    models: dict[str, dict[str, ModelRelease]] = field(default_factory=dict)
 
     def with_release(self, release: Release) -> Index:
         """The next index: this one with a release more."""
-        splits = {name: dict(versions) for name, versions in self.splits.items()}
-        splits.setdefault(release.split, {})[release.version] = release
-        return Index(self.counter + 1, splits)
+        return Index(self.counter + 1, _with(self.splits, release.split, release), self.models)
+
+    def with_model(self, release: ModelRelease) -> Index:
+        """The next index: this one with a release of a model more."""
+        return Index(self.counter + 1, self.splits, _with(self.models, release.model, release))
 
     def signed_with(self, *keys: Ed25519PrivateKey) -> bytes:
         """The index as a document with its signatures: of one key or, while users change keys, of several."""
-        releases = [release for _, versions in sorted(self.splits.items()) for release in versions.values()]
-        body = msgspec.to_builtins(IndexBody(counter=self.counter, splits=releases))
+        body = msgspec.to_builtins(
+            IndexBody(
+                format="oysterbench-index/1",
+                counter=self.counter,
+                splits=in_order(self.splits),
+                models=in_order(self.models),
+            )
+        )
         signatures = [{"key": public_hex(key), "signature": sign(key, canonical(body))} for key in keys]
         return json.dumps({"signed": body, "signatures": signatures}, indent=1).encode() + b"\n"
+
+
+def in_order(releases: Mapping[str, Mapping[str, R]]) -> list[R]:
+    """All releases: by name, versions in the order of their release."""
+    return [release for _, versions in sorted(releases.items()) for release in versions.values()]
+
+
+def _with(releases: Mapping[str, Mapping[str, R]], name: str, release: R) -> dict[str, dict[str, R]]:
+    """The releases, and one more."""
+    found = {known: dict(versions) for known, versions in releases.items()}
+    found.setdefault(name, {})[release.version] = release
+    return found
 
 
 def read_index(data: bytes, public: str, what: str) -> Index:
@@ -108,7 +153,10 @@ def read_index(data: bytes, public: str, what: str) -> Index:
     splits: dict[str, dict[str, Release]] = {}
     for release in body.splits:
         splits.setdefault(release.split, {})[release.version] = release
-    return Index(body.counter, splits)
+    models: dict[str, dict[str, ModelRelease]] = {}
+    for one in body.models:
+        models.setdefault(one.model, {})[one.version] = one
+    return Index(body.counter, splits, models)
 
 
 def check_not_older(index: Index, data: bytes, public: str, what: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from functools import cached_property
@@ -14,11 +13,10 @@ import msgspec
 
 from oysterbench.core.errors import IntegrityError
 from oysterbench.hub.canonical import Sha256, canonical, decode, sha256
+from oysterbench.hub.pieces import PIECE, Pieced, PieceSize, hashed
 from oysterbench.version import VERSION
 
 LICENCE = "https://creativecommons.org/licenses/by/4.0/"
-PIECE = 4 * 1024 * 1024
-"""Bytes of a piece, the unit of verification, resumption and parallel transfer (the last of a file is shorter)."""
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 VERSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
@@ -26,11 +24,10 @@ VERSION_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 SplitName = Annotated[str, msgspec.Meta(pattern=rf"^{NAME.pattern}\Z")]
 SplitVersion = Annotated[str, msgspec.Meta(pattern=rf"^{VERSION_NAME.pattern}\Z")]
 FileName = Annotated[str, msgspec.Meta(pattern=rf"^{NAME.pattern}\.mcap\Z")]
-PieceSize = Annotated[int, msgspec.Meta(ge=1 << 10, le=1 << 26)]
-"""Names that lead out of no folder, and 1 KiB to 64 MiB."""
+"""Names that lead out of no folder."""
 
 
-class FileEntry(msgspec.Struct, frozen=True):
+class FileEntry(Pieced, msgspec.Struct, frozen=True):
     """One file: its name in the split's folder, size in bytes, SHA-256 of the whole and of each piece.
 
     content, attachments: what the file says, however it is compressed; see `content_of`. piece_size: the manifest's.
@@ -49,15 +46,6 @@ class FileEntry(msgspec.Struct, frozen=True):
     def sequence(self) -> str:
         """Name of the sequence that the file holds."""
         return self.name.removesuffix(".mcap")
-
-    def span(self, piece: int) -> tuple[int, int]:
-        """First byte of a piece, and the byte behind its last."""
-        return piece * self.piece_size, min((piece + 1) * self.piece_size, self.size)
-
-    def length(self, piece: int) -> int:
-        """Bytes of a piece."""
-        start, end = self.span(piece)
-        return end - start
 
 
 class Manifest(msgspec.Struct, frozen=True, dict=True):
@@ -109,19 +97,13 @@ def describe_file(path: Path, name: str | None = None, piece_size: int = PIECE) 
     """Hash a sequence file: the whole, its pieces and its content."""
     from oysterbench.hub.content import content_of  # what reads messages is loaded only when needed
 
-    whole = hashlib.sha256()
-    pieces = []
-    with open(path, "rb") as file:
-        while piece := file.read(piece_size):
-            whole.update(piece)
-            pieces.append(sha256(piece))
-        size = file.tell()
+    size, whole, pieces = hashed(path, piece_size)
     found = content_of(path)
     return FileEntry(
         name=name or path.name,
         size=size,
-        sha256=whole.hexdigest(),
-        pieces=tuple(pieces),
+        sha256=whole,
+        pieces=pieces,
         content=found.topics,
         attachments=found.attachments,
         duration_ns=found.duration_ns,
@@ -148,15 +130,11 @@ def read_manifest(data: bytes, what: str) -> Manifest:
     Raises IntegrityError that names `what` and the first key that is wrong.
     """
     manifest = decode(data, Manifest, what)
-    size = manifest.piece_size
-    for entry in manifest.files:
-        if len(entry.pieces) != -(-entry.size // size):
-            raise IntegrityError(
-                f"{what}: {entry.name}: {len(entry.pieces)} pieces do not make {entry.size} bytes; it was not used"
-            )
-    if len({entry.name for entry in manifest.files}) != len(manifest.files):
+    files = tuple(msgspec.structs.replace(entry, piece_size=manifest.piece_size) for entry in manifest.files)
+    for entry in files:
+        entry.check(what)
+    if len({entry.name for entry in files}) != len(files):
         raise IntegrityError(f"{what}: key 'files': a name occurs twice; it was not used")
-    files = tuple(msgspec.structs.replace(entry, piece_size=size) for entry in manifest.files)
     return msgspec.structs.replace(manifest, files=files)
 
 

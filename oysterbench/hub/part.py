@@ -15,13 +15,13 @@ from pathlib import Path
 
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import remove_drafts, write_all
-from oysterbench.hub.manifest import FileEntry
+from oysterbench.hub.pieces import Pieced
 
 
 class Part:
     """A file that is not whole yet."""
 
-    def __init__(self, path: Path, entry: FileEntry) -> None:
+    def __init__(self, path: Path, entry: Pieced) -> None:
         self.path, self.entry = path, entry
         self._writing = threading.Lock()  # the system lets one write to a file at a time, and waits less well
         path.parent.mkdir(parents=True, exist_ok=True)

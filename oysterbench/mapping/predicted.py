@@ -42,9 +42,8 @@ def true_seen(sequence: Sequence, camera: str) -> Iterator[Seen]:
 
 
 def true_states(sequence: Sequence) -> dict[int, str]:
-    """live or dead by number; boxes and single valves are dead."""
-    table = sequence.oysters()
-    return {int(k): "live" if state == "live" else "dead" for k, state in zip(table["id"], table["state"], strict=True)}
+    """live or dead by number."""
+    return {number: "live" if alive else "dead" for number, alive in sequence.living().items()}
 
 
 def read_seen(place: Path, sequence: Sequence, camera: str, kind: str, threshold: float) -> Iterator[Seen]:

@@ -198,6 +198,10 @@ class McapSequence(Sequence):
             raise SequenceError(f"{self.path} has no truth about oysters: no attachment {OYSTERS}")
         return self._decoded(_oysters, self.attachments[OYSTERS])
 
+    def living(self) -> dict[int, bool]:
+        """The same; empty without truth about oysters."""
+        return super().living() if OYSTERS in self.attachments else {}
+
     def faults(self) -> pd.DataFrame:
         """Where faults of the sensors struck, a row each: start_ns and end_ns (true times), sensor, fault, and value,
         its largest size in the unit that the fault's name has. No row where they have none."""

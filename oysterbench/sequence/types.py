@@ -54,6 +54,9 @@ __all__ = [
     "imu_arrays",
 ]
 
+LIVE = "live"
+"""State of an oyster that is alive, in the table of the truth."""
+
 
 class Sequence(ABC):
     """Sensors of one run of a vehicle, in time order, and the truth if the file holds it.
@@ -155,6 +158,11 @@ class Sequence(ABC):
     def oysters(self) -> pd.DataFrame:
         """The truth about each oyster, a row each."""
         self._lacks("truth about oysters")
+
+    def living(self) -> dict[int, bool]:
+        """Whether an oyster is alive, by its id; boxes and single valves are dead."""
+        table = self.oysters()
+        return {int(k): state == LIVE for k, state in zip(table["id"], table["state"], strict=True)}
 
     def faults(self) -> pd.DataFrame:
         """Where faults of the sensors struck, a row each."""

@@ -253,6 +253,7 @@ def _detections(prediction: Detections, where: str, shape: tuple[int, int]) -> I
     name, scores = prediction.name, np.asarray(prediction.scores).ravel()
     if scores.dtype.kind not in "iuf" or not np.isfinite(scores := scores.astype(float)).all():
         raise MethodError(f"{where}: expected scores (N,), finite numbers, got {scores.dtype} {scores[:4]}")
+    live = _live(prediction, where, len(scores))
     given = [np.asarray(one) for one in (prediction.numbers, prediction.masks, prediction.boxes) if one is not None]
     if len(given) != 1:
         raise MethodError(f"{where}: expected one of numbers, masks and boxes, got {len(given)}")
@@ -260,7 +261,8 @@ def _detections(prediction: Detections, where: str, shape: tuple[int, int]) -> I
         numbers = instance_numbers(given[0], where)
         _check_shape(numbers.shape, name, shape)
         _check_count(int(numbers.max(initial=0)), scores, where, at_most=True)
-        return from_planes(name, numbers, scores=dict(enumerate(scores.tolist(), start=1)))
+        by_number = (dict(enumerate(values, start=1)) for values in (scores.tolist(), live))
+        return from_planes(name, numbers, None, None, *by_number)
     _check_count(len(given[0]) if given[0].ndim else 0, scores, where)
     found: list[Instance] = []
     if prediction.masks is not None:
@@ -268,16 +270,30 @@ def _detections(prediction: Detections, where: str, shape: tuple[int, int]) -> I
             raise MethodError(f"{where}: expected masks (N, H, W), got an array of shape {given[0].shape}")
         _check_shape(given[0].shape[1:], name, shape)
         masks = truth_values(given[0], where)
-        found = [from_mask(m, s) for m, s in zip(masks, scores.tolist(), strict=True) if m.any()]
+        found = [from_mask(m, s, live=a) for m, s, a in zip(masks, scores.tolist(), live, strict=True) if m.any()]
     else:
         boxes = given[0].reshape(0, 4) if not given[0].size else given[0]
         if boxes.ndim != 2 or boxes.shape[1] != 4 or boxes.dtype.kind not in "iuf":
             raise MethodError(
                 f"{where}: expected boxes (N, 4), x, y, width, height in px, got {boxes.dtype} of shape {boxes.shape}"
             )
-        pairs = zip(boxes.astype(float).tolist(), scores.tolist(), strict=True)
-        found = [Instance((x, y, w, h), None, w * h, score) for (x, y, w, h), score in pairs]
+        each = zip(boxes.astype(float).tolist(), scores.tolist(), live, strict=True)
+        found = [Instance((x, y, w, h), None, w * h, score, live=alive) for (x, y, w, h), score, alive in each]
     return ImageInstances(name, *shape, tuple(found))
+
+
+def _live(prediction: Detections, where: str, count: int) -> list[float]:
+    """(N,) probabilities that an oyster is alive, NaN where the prediction does not say."""
+    if prediction.live is None:
+        return [np.nan] * count
+    live = np.asarray(prediction.live).ravel()
+    known = live.dtype.kind in "biuf"
+    if not known or len(live) != count or not ((live >= 0) & (live <= 1) | np.isnan(live.astype(float))).all():
+        raise MethodError(
+            f"{where}: expected live ({count},), a probability of each oyster or NaN, got {live.dtype} {live[:4]} of "
+            f"{len(live)}"
+        )
+    return [float(value) for value in live]
 
 
 def _check_count(count: int, scores: NDArray[Any], where: str, at_most: bool = False) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import oysterbench
 from oysterbench.annotations import open_labelled, open_truth
 from oysterbench.annotations.truth import footprint_m2, footprint_rays
 from oysterbench.core.geometry import transform
@@ -51,7 +52,7 @@ def test_empty_water_has_no_seabed():
 
 def test_a_sequence_is_a_clip_with_the_truth_that_training_has(tiny_file):
     (clip,) = open_truth(tiny_file)
-    labelled = open_labelled(tiny_file)
+    labelled, living = open_labelled(tiny_file), oysterbench.open(tiny_file).living()
     assert clip.names == tuple(entry.name for entry in labelled.entries)
     assert clip.name == "tiny-01"
     for (truth, pixels), image in zip(clip.images(), labelled, strict=True):
@@ -64,4 +65,6 @@ def test_a_sequence_is_a_clip_with_the_truth_that_training_has(tiny_file):
         assert len(singles) == len(np.unique(image.instances[(image.instances > 0) & image.oysters]))
         numbers = np.unique(truth.instances[truth.oyster & (truth.instances > 0)])
         assert np.isfinite(truth.heights_mm[numbers]).all()
+        assert {number: truth.live[number] == 1 for number in numbers.tolist()}.items() <= living.items()
+        assert [one.live for one in singles] == [float(living[number]) for number in numbers.tolist()]
         assert truth.footprint_m2 > 0.1  # a camera that looks ahead sees far

@@ -17,7 +17,7 @@ from oysterbench.evaluate.detection import DetectionScorer, DetectionSettings, I
 from oysterbench.evaluate.detection.clip import over_clips
 from oysterbench.evaluate.detection.instances import from_mask, from_planes, numpy_2
 from oysterbench.evaluate.detection.matching import match
-from oysterbench.evaluate.detection.panoptic import panoptic
+from oysterbench.evaluate.detection.panoptic import pair
 from oysterbench.evaluate.detection.precision import PrecisionCurve, average_precision
 from oysterbench.evaluate.metrics import find_metric
 
@@ -40,8 +40,8 @@ def image(*instances, name="a", footprint_m2=None):
 def scored(*pairs, **options):
     """The result of images, (truth, estimate) each."""
     scorer = DetectionScorer(DetectionSettings(**options))
-    for pair in pairs:
-        scorer.add(*pair)
+    for one in pairs:
+        scorer.add(*one)
     return scorer.result()
 
 
@@ -186,7 +186,7 @@ def test_panoptic_quality_agrees_with_sets_of_pixels(seed):
     void = (np.kron(rng.random((8, 8)) < 0.2, np.ones((5, 5))) > 0) & (true == 0)
     truth = from_planes("a", true, void)
     estimate = from_planes("a", predicted, scores=dict.fromkeys(range(7), 0.9))
-    found = panoptic(truth, estimate, 0.5)
+    found = pair(truth, estimate, 0.5).counts
     planes = [{*np.flatnonzero(plane == k)} for plane in (true, predicted) for k in range(1, 7) if (plane == k).any()]
     n = len(np.unique(true[true > 0]))
     overlap, matched, extra, missed = slow_panoptic(planes[:n], planes[n:], {*np.flatnonzero(void)})
@@ -250,3 +250,55 @@ def test_scores_that_are_no_numbers_and_other_sizes_are_refused():
         DetectionScorer().add(image(), image(square(5, 5, 20)))
     with pytest.raises(LabelError, match="truth's size, 120 x 120, got 4 x 3"):
         DetectionScorer().add(image(), ImageInstances("a", 3, 4, ()))
+
+
+def states(truth, estimate):
+    """Metrics of states of one picture: (x, live) of squares side by side."""
+    true, said = (
+        image(*(replace(square(x, 0, 10, score), live=live) for x, live in side))
+        for side, score in ((truth, NAN), (estimate, 0.9))
+    )
+    return scored((true, said))
+
+
+def test_each_state_is_a_class_and_the_states_of_what_was_found_are_scored():
+    # Live: at 0 found, at 20 taken for dead, at 40 missed. Dead: at 60 found, at 80 taken for alive. At 100 there is
+    # nothing.
+    found = states(
+        [(0, 1.0), (20, 1.0), (40, 1.0), (60, 0.0), (80, 0.0)],
+        [(0, 0.9), (20, 0.1), (60, 0.4), (80, 0.5), (100, 0.8)],
+    )
+    assert found.metrics["f1_live"] == pytest.approx(2 * 1 / (3 + 3))
+    assert found.metrics["f1_dead"] == pytest.approx(2 * 1 / (2 + 2))
+    assert found.metrics["state_accuracy"] == pytest.approx((1 / 2 + 1 / 2) / 2)
+    assert found.metrics["live_error"] == 0
+    assert found.metrics["pq"] == pytest.approx(4 / (4 + 0.5 * 2))  # for which states do not matter
+
+
+def test_who_calls_all_alive_has_the_accuracy_of_a_guess():
+    found = states([(0, 1.0), (20, 1.0), (40, 0.0)], [(0, 1.0), (20, 1.0), (40, 1.0)])
+    assert found.metrics["state_accuracy"] == 0.5
+    assert found.metrics["f1_dead"] == 0
+    assert found.metrics["live_error"] == 1
+
+
+def test_oysters_of_unknown_state_are_in_no_metric_of_states():
+    known = states([(0, 1.0), (20, 0.0)], [(0, 1.0), (20, 0.0)])
+    more = states([(0, 1.0), (20, 0.0), (40, NAN)], [(0, 1.0), (20, 0.0), (40, 1.0)])
+    assert more.states == known.states
+
+
+def test_without_states_in_truth_or_estimate_there_is_a_reason():
+    for truth, estimate, why in (((0, NAN), (0, 1.0), "truth"), ((0, 1.0), (0, NAN), "estimate")):
+        found = states([truth], [estimate])
+        for key in ("f1_live", "f1_dead", "state_accuracy", "live_error"):
+            assert math.isnan(found.metrics[key])
+            assert found.reasons[key] == f"the {why} does not tell live oysters from dead ones"
+
+
+def test_states_of_a_clip_are_those_of_its_pictures_together():
+    one = (image(replace(square(0, 0, 10), live=1.0)), image(replace(square(0, 0, 10, 0.9), live=1.0)))
+    other = (image(replace(square(0, 0, 10), live=0.0)), image(replace(square(0, 0, 10, 0.9), live=1.0)))
+    whole, _ = over_clips([scored(one), scored(other)])
+    assert whole.metrics["state_accuracy"] == 0.5
+    assert whole.metrics["f1_live"] == pytest.approx(2 / 3)

@@ -133,11 +133,22 @@ ONE[10:22, 8:20] = 1
         ([0.9], {"boxes": np.array([[1, 2, 1e200, 1e200]])}, "expected a box .* in or near the image of 64 x 48"),
         ([0.9], {"boxes": np.array([[1, 2, np.nan, 1]])}, "expected a box"),
         ([0.9], {"boxes": np.array([[1, 2, -3, 1]])}, "expected a box"),
+        ([0.9], {"numbers": ONE, "live": np.array([1.5])}, r"expected live \(1,\), a probability"),
+        ([0.9], {"numbers": ONE, "live": np.array([0.5, 0.5])}, r"expected live \(1,\), a probability .* of 2"),
+        ([0.9], {"numbers": ONE, "live": np.array(["yes"])}, r"expected live \(1,\), a probability"),
     ],
 )
 def test_detections_of_other_shapes_types_and_ranges_are_refused_in_a_line(scores, given, message):
     with pytest.raises((MethodError, LabelError), match=message):
         instances_of(Detections("a", np.array(scores), **given), "x", (48, 64), 0.5)
+
+
+@pytest.mark.parametrize("given", [{"numbers": ONE}, {"masks": ONE[None] == 1}, {"boxes": np.array([[8, 10, 12, 12]])}])
+def test_a_detection_may_say_whether_the_oyster_is_alive(given):
+    for live in (0.25, np.nan):
+        prediction = Detections("a", np.array([0.9]), live=np.array([live]), **given)
+        (one,) = instances_of(prediction, "x", (48, 64), 0.5).instances
+        assert one.live == pytest.approx(live, nan_ok=True)
 
 
 def test_bytes_that_no_bool_has_are_taken_for_true_in_masks_of_single_oysters():

@@ -13,9 +13,10 @@ from oysterbench.core.geometry import Array
 from oysterbench.evaluate.detection.counting import ImageCount, count, count_metrics
 from oysterbench.evaluate.detection.instances import ImageInstances
 from oysterbench.evaluate.detection.matching import Kind, Matches, match
-from oysterbench.evaluate.detection.panoptic import PanopticCounts, panoptic
+from oysterbench.evaluate.detection.panoptic import PanopticCounts, pair
 from oysterbench.evaluate.detection.precision import PrecisionCurve, average_precision, join
 from oysterbench.evaluate.detection.settings import DetectionSettings
+from oysterbench.evaluate.detection.states import STATE_METRICS, StateCounts, state_metrics, states_of
 from oysterbench.evaluate.statistics import Interval, resample_counts, resampled_interval, too_few
 
 NO_TRUTH = "there is no such oyster in the truth"
@@ -38,6 +39,7 @@ class DetectionClip:
     matches: Mapping[str, Mapping[str, Matches]]
     counts: tuple[ImageCount, ...]
     panoptic: PanopticCounts | None
+    states: StateCounts | None
     curve: Array
     settings: DetectionSettings
 
@@ -78,16 +80,23 @@ class DetectionScorer:
         matches: dict[str, Mapping[str, Matches]] = {
             kind: match(self._truths, self._estimates, kind, most) for kind in kinds
         }
-        pairs = list(zip(self._truths, self._estimates, strict=True))
+        images = list(zip(self._truths, self._estimates, strict=True))
         threshold = self.settings.threshold
-        quality = sum((panoptic(*pair, threshold) for pair in pairs), PanopticCounts()) if masks else None
-        return finish(matches, tuple(count(*pair, threshold) for pair in pairs), quality, self.settings)
+        pairings = [pair(*image, threshold) for image in images] if masks else None
+        return finish(
+            matches,
+            tuple(count(*image, threshold) for image in images),
+            None if pairings is None else sum((one.counts for one in pairings), PanopticCounts()),
+            None if pairings is None else sum(map(states_of, pairings), StateCounts()),
+            self.settings,
+        )
 
 
 def finish(
     matches: Mapping[str, Mapping[str, Matches]],
     counts: tuple[ImageCount, ...],
     quality: PanopticCounts | None,
+    states: StateCounts | None,
     settings: DetectionSettings,
 ) -> DetectionClip:
     """The result of matches and counts."""
@@ -119,8 +128,12 @@ def finish(
     for key, value in zip(names, values, strict=True):
         if math.isnan(value):
             why[key] = NO_MASKS if quality is None else NO_MATCH if key == "sq" and values[0] == 0 else NOTHING
-    metrics |= {**dict(zip(names, values, strict=True)), **of_counts, "images": float(len(counts))}
-    return DetectionClip(metrics, {**reasons, **why}, matches, counts, quality, curve, settings)
+    if states is None:
+        of_states, untold = dict.fromkeys(STATE_METRICS, math.nan), dict.fromkeys(STATE_METRICS, NO_MASKS)
+    else:
+        of_states, untold = state_metrics(states)
+    metrics |= {**dict(zip(names, values, strict=True)), **of_counts, **of_states, "images": float(len(counts))}
+    return DetectionClip(metrics, {**reasons, **why, **untold}, matches, counts, quality, states, curve, settings)
 
 
 def over_clips(clips: Sequence[DetectionClip]) -> tuple[DetectionClip, dict[str, Interval]]:
@@ -132,8 +145,10 @@ def over_clips(clips: Sequence[DetectionClip]) -> tuple[DetectionClip, dict[str,
     }
     parts = [clip.panoptic for clip in clips if clip.panoptic is not None]
     quality = sum(parts, PanopticCounts()) if len(parts) == len(clips) else None
+    told = [clip.states for clip in clips if clip.states is not None]
+    states = sum(told, StateCounts()) if len(told) == len(clips) else None
     counts = tuple(one for clip in clips for one in clip.counts)
-    whole = finish(matches, counts, quality, clips[0].settings)
+    whole = finish(matches, counts, quality, states, clips[0].settings)
     return whole, {f"ap_{kind}": _interval([clip.matches[kind]["all"] for clip in clips]) for kind in kinds}
 
 

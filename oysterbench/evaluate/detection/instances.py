@@ -51,6 +51,7 @@ class Instance:
     area:  px, by which COCO calls it small, medium or large
     score: of an estimate, greater is surer; NaN of the truth
     crowd: of the truth: a region that is to be ignored
+    live:  probability that it is alive, 1 or 0 of the truth; NaN where that is not known
     """
 
     box: tuple[float, float, float, float]
@@ -58,6 +59,7 @@ class Instance:
     area: float
     score: float = math.nan
     crowd: bool = False
+    live: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -95,13 +97,15 @@ def instance_numbers(values: NDArray[Any], where: str) -> NDArray[np.integer]:
     )
 
 
-def from_mask(mask: NDArray[np.bool_], score: float = math.nan, crowd: bool = False) -> Instance:
+def from_mask(
+    mask: NDArray[np.bool_], score: float = math.nan, crowd: bool = False, live: float = math.nan
+) -> Instance:
     """An instance of a mask (H, W) that has at least a pixel."""
     tools = mask_tools()
     with numpy_2():
         runs = tools.encode(np.asfortranarray(truth_values(mask, "mask").view(np.uint8)))
         x, y, width, height = (float(value) for value in tools.toBbox(runs))
-    return Instance((x, y, width, height), runs, float(tools.area(runs)), score, crowd)
+    return Instance((x, y, width, height), runs, float(tools.area(runs)), score, crowd, live)
 
 
 def from_planes(
@@ -110,8 +114,10 @@ def from_planes(
     ignore: NDArray[np.bool_] | None = None,
     footprint_m2: float | None = None,
     scores: Mapping[int, float] | None = None,
+    live: Mapping[int, float] | None = None,
 ) -> ImageInstances:
-    """The instances of a plane (H, W) of numbers, 0 for none; scores: by number; ignore (H, W) becomes a crowd region.
+    """The instances of a plane (H, W) of numbers, 0 for none; scores, live: by number, the latter where it is known;
+    ignore (H, W) becomes a crowd region.
 
     Each is cut out of its box before it is encoded, as encoding the whole plane for each takes most of the time.
     """
@@ -120,7 +126,8 @@ def from_planes(
     for number, (top, left, part) in pieces(numbers).items():
         whole = np.zeros((height, width), dtype=bool)
         whole[top : top + part.shape[0], left : left + part.shape[1]] = part
-        found.append(from_mask(whole, math.nan if scores is None else scores[number]))
+        alive = (live or {}).get(number, math.nan)
+        found.append(from_mask(whole, math.nan if scores is None else scores[number], live=alive))
     if ignore is not None and ignore.any():
         found.append(from_mask(ignore, crowd=True))
     return ImageInstances(name, height, width, tuple(found), footprint_m2)

@@ -32,6 +32,16 @@ DETECTION: dict[str, Metric] = {
     ),
     "sq": higher("SQ")("Segmentation quality: mean overlap of the matches, those above 0.5."),
     "rq": higher("RQ")("Recognition quality: matches by the mean number of truths and estimates (F1)."),
+    "f1_live": higher("F1 live")(
+        "Live oysters as a class: twice the matches that are alive and said to be, by the live ones of the truth and "
+        "those of the estimate."
+    ),
+    "f1_dead": higher("F1 dead")("The same of dead ones: boxes and single valves."),
+    "state_accuracy": higher("State")(
+        "Of the oysters that were found, the mean over live and dead ones of the share of which the state is said "
+        "right: 0.5 by a guess."
+    ),
+    "live_error": neutral("Live count")("Estimated less true number of live oysters over all images of the clip."),
     "count_mae": lower("Count MAE", "oysters", column=Column("count", "MAE", 1))(
         "Mean over images of the absolute error of the number of oysters."
     ),

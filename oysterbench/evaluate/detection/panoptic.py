@@ -52,8 +52,30 @@ def paint(image: ImageInstances, chosen: list[Instance]) -> NDArray[np.int32]:
     return plane
 
 
-def panoptic(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> PanopticCounts:
-    """Counts of an image. Segments may not overlap: a pixel is of the surest estimate, and of the smallest truth.
+@dataclass(frozen=True)
+class Pairing:
+    """Which estimates of an image are which truths, of N and M that are asked about.
+
+    truths (N,), estimates (M,): the instances; overlap (N, M): where they match, else 0; missed (N,) and extra (M,)
+    bool: without a match, and wrong for it
+    """
+
+    truths: tuple[Instance, ...]
+    estimates: tuple[Instance, ...]
+    overlap: NDArray[np.float64]
+    missed: NDArray[np.bool_]
+    extra: NDArray[np.bool_]
+
+    @property
+    def counts(self) -> PanopticCounts:
+        """Summed up."""
+        matches = self.overlap > 0
+        total = float(self.overlap[matches].sum())
+        return PanopticCounts(int(matches.sum()), total, int(self.extra.sum()), int(self.missed.sum()))
+
+
+def pair(truth: ImageInstances, estimate: ImageInstances, threshold: float) -> Pairing:
+    """Matches of an image. Segments may not overlap: a pixel is of the surest estimate, and of the smallest truth.
 
     Pixels of crowd regions are void: out of the union, and an unmatched estimate that lies on them by more than half
     is no error (section 4.2).
@@ -69,13 +91,10 @@ def panoptic(truth: ImageInstances, estimate: ImageInstances, threshold: float) 
     of_truth, of_estimate = pairs.sum(axis=1)[:, None], pairs.sum(axis=0)
     union = of_truth + of_estimate - pairs - on_void
     overlap = np.where(union > 0, pairs / np.maximum(union, 1), 0.0)[1:, 1:]
-    matches = overlap > OVERLAP
+    overlap[overlap <= OVERLAP] = 0.0
     hidden = of_estimate[1:] == 0  # behind surer ones: it says nothing of its own
     excused = (on_void[1:] > 0.5 * of_estimate[1:]) | hidden
     seen = of_truth[1:, 0] > 0
-    return PanopticCounts(
-        int(matches.sum()),
-        float(overlap[matches].sum()),
-        int((~matches.any(axis=0) & ~excused).sum()),
-        int((~matches.any(axis=1) & seen).sum()),
-    )
+    matches = overlap > 0
+    missed, extra = ~matches.any(axis=1) & seen, ~matches.any(axis=0) & ~excused
+    return Pairing(tuple(true), tuple(detections), overlap, missed, extra)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,7 @@ class TruthImage:
     instances:  (H, W) uint16, which oyster (or other thing) a pixel shows, 0 = none; None where it is not known
     heights_mm: shell height of each instance by its number (N,), NaN where it has none; None where it is not known
     footprint_m2: how much of the seabed, seen from above, is in the image; None where it is not known
+    live:       1 of live oysters, 0 of dead ones, by number; None where it is not known
     """
 
     name: str
@@ -38,6 +40,7 @@ class TruthImage:
     instances: NDArray[np.uint16] | None = None
     heights_mm: NDArray[np.float64] | None = None
     footprint_m2: float | None = None
+    live: Mapping[int, float] | None = None
 
     @property
     def oyster(self) -> NDArray[np.bool_]:

@@ -142,7 +142,7 @@ def read_predictions(folder: Path, names: Sequence[str]) -> Iterator[Prediction]
         path = folder / PREDICTIONS / f"{k:06d}.npz"
         try:
             with np.load(path, allow_pickle=False) as held:
-                arrays = {key: held[key] for key in held.files}
+                arrays = {key: held[key] if held[key].ndim else held[key].item() for key in held.files}
             yield KINDS[str(arrays.pop("kind"))](name, **arrays)
         except Exception as error:  # numpy and zipfile each have their own, for bytes that a stranger may have made
             raise MethodError(f"{path}: no prediction can be read: {type(error).__name__}: {error}") from None

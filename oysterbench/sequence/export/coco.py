@@ -30,6 +30,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     (folder / "images").mkdir()
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
+    living = sequence.living()
     for camera, layers in cameras.items():
         for image, found in frames_with_layers(sequence, camera, layers):
             file = f"{camera}_{image.stamp_ns}.png"
@@ -48,7 +49,9 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
                 }
             )
             for annotation in annotate(found["class"], found["instance"], found.get("visibility")):
-                annotations.append({"id": len(annotations) + 1, "image_id": image_id, **annotation})
+                alive = living.get(annotation["instance"])
+                state = {} if alive is None else {"state": "live" if alive else "dead"}
+                annotations.append({"id": len(annotations) + 1, "image_id": image_id, **annotation, **state})
     document = {
         "info": {"description": f"oysterbench {sequence.name}", "version": sequence.metadata.get("split_version", "")},
         "licenses": [LICENCE],

@@ -281,6 +281,14 @@ def test_coco_polygons_give_back_each_mask(coco, sequence):
         assert len(found[0]["segmentation"]) == 2, "two pieces"
 
 
+def test_coco_says_which_oysters_are_alive(coco, sequence):
+    living = sequence.living()
+    found = [one for one in coco.loadAnns(coco.getAnnIds()) if one["instance"] in living]
+    assert {one["state"] for one in found} <= {"live", "dead"}
+    assert all((one["state"] == "live") == living[one["instance"]] for one in found)
+    assert len(found) == (0 if not living else len(coco.getAnnIds()))
+
+
 def test_coco_images_are_the_frames_of_the_layers(coco, folders, sequence):
     frames = {image.stamp_ns: image.pixels for image in sequence.images("cam_left")}
     for image in coco.loadImgs(coco.getImgIds()):

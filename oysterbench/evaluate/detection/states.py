@@ -1,0 +1,83 @@
+"""Live oysters told from dead ones: each state as a class of its own, and the states of those that were found."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass
+from operator import add
+
+import numpy as np
+
+from oysterbench.evaluate.detection.panoptic import Pairing
+
+STATE_METRICS = ("f1_live", "f1_dead", "state_accuracy", "live_error")
+
+NO_STATES = "the truth does not tell live oysters from dead ones"
+NOT_TOLD = "the estimate does not tell live oysters from dead ones"
+
+
+@dataclass(frozen=True)
+class StateCounts:
+    """Sums over images.
+
+    live, dead:         true ones, of those that an image shows
+    said_live, said_dead: estimated ones, without those that are no error and those of truths of unknown state
+    live_as_live ...:   matches, by the true state and the one that is said; `_untold` where none is
+    """
+
+    live: int = 0
+    dead: int = 0
+    said_live: int = 0
+    said_dead: int = 0
+    live_as_live: int = 0
+    live_as_dead: int = 0
+    live_untold: int = 0
+    dead_as_live: int = 0
+    dead_as_dead: int = 0
+    dead_untold: int = 0
+
+    def __add__(self, other: StateCounts) -> StateCounts:
+        return StateCounts(*map(add, astuple(self), astuple(other)))
+
+
+def states_of(pairing: Pairing) -> StateCounts:
+    """Counts of an image. An estimate is said to be alive from a probability of 0.5 on."""
+    true = np.array([one.live for one in pairing.truths], dtype=float)
+    said = np.array([one.live for one in pairing.estimates], dtype=float)
+    live, dead = true >= 0.5, true < 0.5  # neither, where it is NaN
+    said_live, said_dead = said >= 0.5, said < 0.5
+    matches = pairing.overlap > 0
+    seen = matches.any(axis=1) | pairing.missed
+    asked = matches[live | dead].any(axis=0) | pairing.extra
+    untold = ~(said_live | said_dead)
+    by_truth = [
+        int((matches & rows[:, None] & columns[None, :]).sum())
+        for rows in (live, dead)
+        for columns in (said_live, said_dead, untold)
+    ]
+    totals = [int(part.sum()) for part in (live & seen, dead & seen, said_live & asked, said_dead & asked)]
+    return StateCounts(*totals, *by_truth)
+
+
+def state_metrics(counts: StateCounts) -> tuple[dict[str, float], dict[str, str]]:
+    """Values of `STATE_METRICS`, and reasons for those that are NaN."""
+    if counts.live + counts.dead == 0 or counts.said_live + counts.said_dead == 0:
+        why = NO_STATES if counts.live + counts.dead == 0 else NOT_TOLD
+        return dict.fromkeys(STATE_METRICS, math.nan), dict.fromkeys(STATE_METRICS, why)
+    found_live = counts.live_as_live + counts.live_as_dead
+    found_dead = counts.dead_as_live + counts.dead_as_dead
+    metrics, reasons = {}, {}
+    for key, value, over, why in (
+        ("f1_live", 2 * counts.live_as_live, counts.live + counts.said_live, "nothing is alive, nor said to be"),
+        ("f1_dead", 2 * counts.dead_as_dead, counts.dead + counts.said_dead, "nothing is dead, nor said to be"),
+    ):
+        metrics[key] = value / over if over else math.nan
+        if not over:
+            reasons[key] = why
+    if found_live and found_dead:
+        metrics["state_accuracy"] = (counts.live_as_live / found_live + counts.dead_as_dead / found_dead) / 2
+    else:
+        metrics["state_accuracy"] = math.nan
+        reasons["state_accuracy"] = "no match of a live oyster and one of a dead one, of which the estimate tells"
+    metrics["live_error"] = float(counts.said_live - counts.live)
+    return metrics, reasons
