@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -30,6 +31,14 @@ from oysterbench_baselines.learning.trained import device_option
     help="Of real + synthetic: tuned (synthetic images, then a sixth of the steps real ones) or mixed (half of the "
     "steps, a quarter of each batch stays synthetic).",
 )
+@click.option(
+    "--encoder",
+    type=click.Choice(["none", "lite0", "lite1", "lite2"]),
+    default="none",
+    show_default=True,
+    help="Pretrained encoder of the networks.",
+)
+@click.option("--leave-site-out", is_flag=True, help="Test on each site in turn, trained on all others.")
 @click.option("--hold-out", multiple=True, metavar="CLIP", help="Test on this training clip instead; repeatable.")
 @device_option("auto")
 @click.option("--only-table", is_flag=True, help="Train nothing; sum up what is finished.")
@@ -41,6 +50,8 @@ def command(
     seeds: int,
     steps: int | None,
     schedule: str,
+    encoder: str,
+    leave_site_out: bool,
     hold_out: tuple[str, ...],
     device: str,
     only_table: bool,
@@ -54,10 +65,13 @@ def command(
         --synthetic colour=translated/colour --synthetic cut=translated/cut --out sim2real
       oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train \\
         --hold-out closeup-b --hold-out closeup-c --sizes 10    to choose settings: no look at the test clips
+      oysterbench experiment sim2real --real real-oysters --synthetic rendered=seg-train --encoder lite0 \\
+        --leave-site-out
 
     For each number of real images and each seed: real only, and real + each synthetic set; and each synthetic set
     alone. Translated images are a folder with images/ and masks/, and instances/ where they are known. Each training
-    is a folder with its checkpoint, its predictions and results.json. May be interrupted, even killed: the same command
+    is a folder with its checkpoint, its predictions and results.json. Sites are clips that show one place, as their
+    images tell; --leave-site-out takes all real images of the others. May be interrupted, even killed: the same command
     goes on from there; started twice, both share the work. Training images that nearly are test images are named, and
     left out.
     """
@@ -67,28 +81,32 @@ def command(
     from oysterbench.cli.render import frames_bar
     from oysterbench.core.files import home
     from oysterbench.report.renderers import terminal_table
-    from oysterbench_baselines.sim2real.experiment import run
+    from oysterbench_baselines.sim2real.experiment import run, run_sites
     from oysterbench_baselines.sim2real.settings import SCHEDULES, ExperimentSettings
 
     parts = named_places(names, ["real"])
     sets = {name: open_all(places, name=name) for name, places in parts.items()}
     if schedule not in SCHEDULES:
         raise click.UsageError(f"--schedule: expected one of {', '.join(SCHEDULES)}, got {schedule!r}")
+    if leave_site_out and hold_out:
+        raise click.UsageError("--leave-site-out holds out each site in turn: expected no --hold-out beside it")
     settings = ExperimentSettings(sizes=_sizes(sizes), seeds=seeds, schedule=SCHEDULES[schedule])
+    if encoder != "none":
+        settings = settings.with_encoder(encoder)
     if steps is not None:
         settings = dataclasses.replace(settings, fit=dataclasses.replace(settings.fit, steps=steps))
-    run(
-        open_data(real),
-        sets,
-        settings,
-        out or home() / "experiments" / "sim2real",
-        hold_out=hold_out,
-        device=device,
-        train=not only_table,
-        bar=frames_bar,
-        echo=message,
-        show=lambda table: print_rich(terminal_table(table)),
-    )
+    how: dict[str, Any] = {
+        "device": device,
+        "train": not only_table,
+        "bar": frames_bar,
+        "echo": message,
+        "show": lambda table: print_rich(terminal_table(table)),
+    }
+    experiments = home() / "experiments"
+    if leave_site_out:
+        run_sites(open_data(real), sets, settings, out or experiments / "sim2real-sites", **how)
+    else:
+        run(open_data(real), sets, settings, out or experiments / "sim2real", hold_out=hold_out, **how)
 
 
 def _sizes(text: str) -> tuple[int, ...]:

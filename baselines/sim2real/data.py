@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import takewhile
 
 from oysterbench.annotations import Duplicate, LabelledSet, near_duplicates
 from oysterbench.core.errors import LabelError
@@ -38,11 +39,68 @@ def real_data(
     if hold_out:
         test = train.where(lambda entry: entry.clip in hold_out, f"{labelled.name} held out")
         train = train.where(lambda entry: entry.clip not in hold_out)
+    return _apart(labelled.name, train, test, min_correlation, progress)
+
+
+def sites_of(
+    labelled: LabelledSet, min_correlation: float, progress: Callable[[int, int], None] = lambda done, total: None
+) -> dict[str, tuple[str, ...]]:
+    """Clips by the place that they show, named by what the clips' names begin with in common: those of which two images
+    correlate by `min_correlation` show one place, and so do those that are linked by others."""
+    clips = labelled.clips
+    site = {clip: {clip} for clip in clips}
+    for k, clip in enumerate(clips):
+        progress(k, len(clips))
+        own = labelled.where(lambda entry, clip=clip: entry.clip == clip)  # type: ignore[misc]
+        for other in clips[k + 1 :]:
+            theirs = labelled.where(lambda entry, other=other: entry.clip == other)  # type: ignore[misc]
+            if site[clip] is not site[other] and near_duplicates(own, theirs, min_correlation):
+                site[clip] |= site[other]
+                for member in site[other]:
+                    site[member] = site[clip]
+    progress(len(clips), len(clips))
+    places = {id(members): tuple(one for one in clips if one in members) for members in site.values()}
+    names = [_common(members) for members in places.values()]
+    return {
+        name if names.count(name) == 1 else "+".join(members): members
+        for name, members in zip(names, places.values(), strict=True)
+    }
+
+
+def _common(names: tuple[str, ...]) -> str:
+    """What they begin with in common, without what separates it; of one the whole; of none the first."""
+    alike = takewhile(lambda letters: len(set(letters)) == 1, zip(*names, strict=False))
+    return "".join(letters[0] for letters in alike).rstrip("-_ ") or names[0]
+
+
+def site_data(
+    labelled: LabelledSet,
+    clips: tuple[str, ...],
+    min_correlation: float,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Real:
+    """One site to test on, all others to train on, whatever the manifest says of sides. Raises LabelError for a clip
+    that there is not."""
+    for clip in clips:
+        if clip not in labelled.clips:
+            raise LabelError(f"{labelled.name}: expected clips of {', '.join(labelled.clips)}, got {clip!r}")
+    test = labelled.where(lambda entry: entry.clip in clips)
+    train = labelled.where(lambda entry: entry.clip not in clips)
+    return _apart(labelled.name, train, test, min_correlation, progress)
+
+
+def _apart(
+    name: str,
+    train: LabelledSet,
+    test: LabelledSet,
+    min_correlation: float,
+    progress: Callable[[int, int], None],
+) -> Real:
     leaks = near_duplicates(train, test, min_correlation, lambda done: progress(done, len(train)))
     leaking = {leak.one for leak in leaks}
     kept = train.where(lambda entry: entry.name not in leaking)
     if not len(kept):
-        raise LabelError(f"{labelled.name}: every training image nearly is a test image; is it split by clip?")
+        raise LabelError(f"{name}: every training image nearly is a test image; is it split by clip?")
     return Real(kept, test, tuple(leaks))
 
 

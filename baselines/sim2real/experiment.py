@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from oysterbench.annotations import LabelledSet
+from oysterbench.core.errors import LabelError
 from oysterbench.core.files import locked, write_atomically
 from oysterbench.report.renderers import markdown_table
 from oysterbench.report.table import Table
 from oysterbench.results.records import ResultRecord, write_results
-from oysterbench_baselines.sim2real.data import Real, real_data
+from oysterbench_baselines.sim2real.data import Real, real_data, site_data, sites_of
 from oysterbench_baselines.sim2real.report import report, table_of
 from oysterbench_baselines.sim2real.scoring import WHOLE, score
-from oysterbench_baselines.sim2real.settings import ExperimentSettings, cells_of
+from oysterbench_baselines.sim2real.settings import ALL, Cell, ExperimentSettings, cells_of
+from oysterbench_baselines.sim2real.sites import SiteRow, site_rows, sites_table
 from oysterbench_baselines.sim2real.table import VariantRow, variants
 from oysterbench_baselines.sim2real.trivial import TRIVIAL, predictions, settings_of
 from oysterbench_baselines.sim2real.work import LOCK, RESULT, Bench, finished, known_records, records_of, run_cell
@@ -44,34 +47,87 @@ def run(
         echo(remark)
     bench = Bench(real, synthetic, settings, device)
     cells = [cell for cell in cells_of(tuple(synthetic), settings) if (cell.size or 0) <= len(real.train)]
-    records = _trivial(bench, out / "cells")
-    left = [cell for cell in cells if finished(bench, cell, out / "cells" / cell.folder) is None]
-    if train and left:
-        total, before = sum(settings.fit_of(cell).steps for cell in left), 0
-        with bar(f"{len(left)} of {len(cells)} trainings", "steps") as progress:
-            progress(0, total)
-            for cell in left:
-                folder = out / "cells" / cell.folder
-                with locked(folder / LOCK, wait=False) as mine:
-                    if mine:
-                        found = run_cell(bench, cell, folder, partial(_told, progress, before, total))
-                        echo(f"{folder.name}: {_summary(found)}")
-                before += settings.fit_of(cell).steps
-                progress(before, total)
-    for cell in cells:  # also what others have finished meanwhile
-        records += finished(bench, cell, out / "cells" / cell.folder) or []
+    records = _records(bench, cells, out / "cells", train, bar, echo)
     rows = variants(records, settings.block)
     write_results(out / RESULT, records)
     write_atomically(out / "table.md", markdown_table(table_of(rows)).encode())
     write_atomically(out / "report.html", report(rows, remarks).encode())
     show(table_of(rows))
-    missing = sum(not (out / "cells" / cell.folder / RESULT).is_file() for cell in cells)
+    _tell_end([out / "cells" / cell.folder for cell in cells], out / "report.html", echo)
+    return rows
+
+
+def run_sites(
+    labelled: LabelledSet,
+    synthetic: Mapping[str, LabelledSet],
+    settings: ExperimentSettings,
+    out: Path,
+    device: str,
+    train: bool,
+    bar: Bar,
+    echo: Callable[[str], None],
+    show: Callable[[Table], None],
+) -> list[SiteRow]:
+    """The same with each site in turn as what is tested on, and all real images of the others to train on; table.md and
+    results.json in `out`, the cells of a site in a folder of its name."""
+    with bar("looking for clips of one site", "clips") as progress:
+        sites = sites_of(labelled, settings.similarity, progress)
+    if len(sites) < 2:
+        raise LabelError(f"{labelled.name}: expected clips of two sites at least, got {', '.join(sites)}")
+    settings = replace(settings, sizes=(ALL,))
+    records: dict[str, list[ResultRecord]] = {}
+    folders: list[Path] = []
+    remarks = []
+    for site, clips in sites.items():
+        with bar(f"{site}: looking for near duplicates", "images") as progress:
+            real = site_data(labelled, clips, settings.similarity, progress)
+        remarks.append(
+            f"{site}: {len(real.test)} images of {', '.join(clips)}, {len(real.train)} of others to train on"
+        )
+        echo(remarks[-1])
+        bench = Bench(real, synthetic, settings, device, out / "synthetic")
+        cells = cells_of(tuple(synthetic), settings)
+        records[site] = _records(bench, cells, out / site, train, bar, echo)
+        folders += [out / site / cell.folder for cell in cells]
+    rows = site_rows(records, settings.block)
+    table = sites_table(rows, remarks)
+    write_results(out / RESULT, [record for found in records.values() for record in found])
+    write_atomically(out / "table.md", markdown_table(table).encode())
+    show(table)
+    _tell_end(folders, out / "table.md", echo)
+    return rows
+
+
+def _records(
+    bench: Bench, cells: list[Cell], place: Path, train: bool, bar: Bar, echo: Callable[[str], None]
+) -> list[ResultRecord]:
+    """Of the cells in a folder; those that are not finished are trained first."""
+    records = _trivial(bench, place)
+    left = [cell for cell in cells if finished(bench, cell, place / cell.folder) is None]
+    if train and left:
+        total, before = sum(bench.settings.fit_of(cell).steps for cell in left), 0
+        with bar(f"{len(left)} of {len(cells)} trainings", "steps") as progress:
+            progress(0, total)
+            for cell in left:
+                folder = place / cell.folder
+                with locked(folder / LOCK, wait=False) as mine:
+                    if mine:
+                        found = run_cell(bench, cell, folder, partial(_told, progress, before, total))
+                        echo(f"{folder.name}: {_summary(found)}")
+                before += bench.settings.fit_of(cell).steps
+                progress(before, total)
+    for cell in cells:  # also what others have finished meanwhile
+        records += finished(bench, cell, place / cell.folder) or []
+    return records
+
+
+def _tell_end(folders: list[Path], written: Path, echo: Callable[[str], None]) -> None:
+    missing = sum(not (folder / RESULT).is_file() for folder in folders)
     echo(
-        f"{len(cells) - missing} of {len(cells)} trainings are finished"
+        f"{len(folders) - missing} of {len(folders)} trainings are finished"
         + ("; the same command goes on" * bool(missing))
     )
-    echo(f"written: {out / 'report.html'}")
-    return rows
+    echo(f"written: {written}")
 
 
 def _told(progress: Callable[[int, int], None], before: int, total: int, done: int, _: int) -> None:

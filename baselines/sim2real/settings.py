@@ -8,6 +8,7 @@ from oysterbench.annotations.duplicates import MIN_CORRELATION
 from oysterbench_baselines.learning.augment import Augmentation
 from oysterbench_baselines.learning.loop import FitSettings
 from oysterbench_baselines.unet.network import UNetworkSettings
+from oysterbench_baselines.unet.training import pretrained_settings
 
 ALL = 0
 """Size that stands for all real training images."""
@@ -31,6 +32,10 @@ class Schedule:
 
 SCHEDULES = {"tuned": Schedule(1 / 6, 2e-3, 0), "mixed": Schedule(1 / 2, 5e-3, 2)}
 
+PRETRAINED_STEPS = 350
+PRETRAINED_SCHEDULES = {"tuned": Schedule(3 / 7, 1e-3, 0), "mixed": Schedule(3 / 7, 1e-3, 2)}
+"""Of networks on a pretrained encoder, which need fewer steps, and smaller ones."""
+
 
 @dataclass(frozen=True)
 class ExperimentSettings:
@@ -51,6 +56,18 @@ class ExperimentSettings:
     network: UNetworkSettings = field(default_factory=lambda: UNetworkSettings(base=8, scale=0.2))
     augmentation: Augmentation = field(default_factory=lambda: Augmentation(crop=56))
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1200, warm_up=20, threads=1))
+
+    def with_encoder(self, encoder: str) -> ExperimentSettings:
+        """The same experiment with networks on a pretrained encoder (`unet.training.pretrained_settings`)."""
+        strong = pretrained_settings(encoder)
+        return replace(
+            self,
+            batch=strong.batch,
+            schedule=PRETRAINED_SCHEDULES[next(name for name, one in SCHEDULES.items() if one == self.schedule)],
+            network=strong.network,
+            augmentation=strong.augmentation,
+            fit=replace(strong.fit, steps=PRETRAINED_STEPS, warm_up=20, threads=1),
+        )
 
     def fit_of(self, cell: Cell) -> FitSettings:
         """Of the training of a cell itself, without what it begins from (`Cell.begun`)."""

@@ -75,8 +75,8 @@ def _row(
     block: int,
     gain: tuple[float, Interval] | None,
 ) -> VariantRow:
-    sums = np.array([_sums(record, block) for _, record in sorted(whole.items())])
-    each = _ratios(sums.sum(axis=1))
+    sums = np.array([block_sums(record, block) for _, record in sorted(whole.items())])
+    each = ratios(sums.sum(axis=1))
     clips = dict.fromkeys(record.sequence for record in group if record.sequence != WHOLE)
     first = next(iter(whole.values()))
     return VariantRow(
@@ -99,13 +99,13 @@ def _gain(
     shared = sorted(set(one) & set(base))
     if not shared:
         return None
-    mine, other = (np.array([_sums(group[seed], block) for seed in shared]) for group in (one, base))
-    difference = _ratios(mine.sum(axis=1)) - _ratios(other.sum(axis=1))
+    mine, other = (np.array([block_sums(group[seed], block) for seed in shared]) for group in (one, base))
+    difference = ratios(mine.sum(axis=1)) - ratios(other.sum(axis=1))
     return float(difference.mean()), _interval(mine, other)
 
 
-def _sums(record: ResultRecord, block: int) -> Array:
-    """(B, 2) true positive px and px of the union, of blocks of neighbouring images of a clip."""
+def block_sums(record: ResultRecord, block: int) -> Array:
+    """(B, 2) of a record: true positive px and px of the union, of blocks of neighbouring images of a clip."""
     lines: Sequence[Mapping[str, Any]] = record.info["images"]
     rows = []
     for clip in dict.fromkeys(line["clip"] for line in lines):
@@ -122,7 +122,7 @@ def _sums(record: ResultRecord, block: int) -> Array:
     return np.array(rows)
 
 
-def _ratios(sums: Array) -> Array:
+def ratios(sums: Array) -> Array:
     """IoU of (..., 2) sums; 1 where there is nothing to find and nothing was found."""
     return np.where(sums[..., 1] > 0, sums[..., 0] / np.maximum(sums[..., 1], 1), 1.0)
 
@@ -133,7 +133,7 @@ def _interval(sums: Array, other: Array | None) -> Interval:
     drawn = resample_counts(blocks)
     if drawn is None:
         return Interval(np.nan, np.nan, too_few(blocks, "block"))
-    values = _ratios(np.einsum("rb,sbk->rsk", drawn, sums)).mean(axis=1)
+    values = ratios(np.einsum("rb,sbk->rsk", drawn, sums)).mean(axis=1)
     if other is not None:
-        values = values - _ratios(np.einsum("rb,sbk->rsk", drawn, other)).mean(axis=1)
+        values = values - ratios(np.einsum("rb,sbk->rsk", drawn, other)).mean(axis=1)
     return resampled_interval(values, blocks)

@@ -36,12 +36,17 @@ STEP = 0.1
 
 @dataclasses.dataclass
 class Bench:
-    """What all cells share. datasets: by name; images that several cells see are read once."""
+    """What all cells share; images that several cells see are read once.
+
+    begun: folder of the trainings on synthetic images alone, which know nothing of the real ones, where several
+    benches share them; None: among the cells
+    """
 
     real: Real
     synthetic: Mapping[str, LabelledSet]
     settings: ExperimentSettings
     device: str = "auto"
+    begun: Path | None = None
 
     def __post_init__(self) -> None:
         scale, side = self.settings.network.scale, self.settings.network.side
@@ -61,7 +66,7 @@ class Bench:
         return self._truth
 
     def identity(self, cell: Cell) -> dict[str, Any]:
-        """What decides the weights of a cell, as plain values."""
+        """What decides the weights of a cell and what they are tested on, as plain values."""
         settings = self.settings
         parts: dict[str, Any] = {
             "network": settings.network,
@@ -100,11 +105,11 @@ class Bench:
     def _trained(self, cell: Cell, folder: Path, progress: Progress) -> Checkpoint:
         settings = self.settings
         streams = Streams(cell.seed).at("sim2real")
+        if cell.size is None and self.begun is not None and folder.parent != self.begun:
+            return self._waited(cell, self.begun, progress)
         begun = None
         if cell.begun is not None:
-            beside = folder.parent / cell.begun.folder
-            with locked(beside / LOCK):  # another process may be at it
-                begun = self._trained(cell.begun, beside, lambda done, total: None)
+            begun = self._waited(cell.begun, self.begun or folder.parent, lambda done, total: None)
         images = self._images(cell)
         return fit(
             lambda: new_network(settings.network, begun),
@@ -112,12 +117,22 @@ class Bench:
             lambda step: make_batch(images, settings.augmentation, streams, step),
             mask_loss,
             settings.fit_of(cell),
-            self.identity(cell),
+            self._trained_on(cell),
             folder / CHECKPOINT,
             pick_device(self.device),
             initial_seed(streams),
             progress,
         )
+
+    def _waited(self, cell: Cell, cells: Path, progress: Progress) -> Checkpoint:
+        folder = cells / cell.folder
+        with locked(folder / LOCK):  # another process may be at it
+            return self._trained(cell, folder, progress)
+
+    def _trained_on(self, cell: Cell) -> dict[str, Any]:
+        """The identity of a cell without what it is tested on."""
+        identity = self.identity(cell)
+        return {**identity, "data": {key: value for key, value in identity["data"].items() if key != "test"}}
 
     def _images(self, cell: Cell) -> Mixture:
         """What a cell itself is trained on, without what was before it (`Cell.begun`)."""
