@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ from oysterbench_baselines.gtsam_vi.method import (
     moving_mask,
     run_estimator,
 )
-from oysterbench_baselines.moving import weights_digest
+from oysterbench_baselines.moving import mask_weights
 
 
 class GtsamFull:
@@ -59,9 +60,10 @@ class GtsamFull:
         sensors = ["mono", "imu", "dvl", "sonar", "pressure", "compass", "altimeter"]
         self.about = {"sensors": sensors, "online": output == "online", "code": "baselines/gtsam_full"}
 
-    def as_dict(self) -> dict[str, str]:
-        """What results say of it besides its options: the weights of the mask."""
-        return weights_digest(self.mask)
+    @property
+    def weights(self) -> dict[str, Path]:
+        """Files of trained weights that it runs on: those of the mask."""
+        return mask_weights(self.mask)
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base with covariances at the stamps of frames, missing ones too, and at the end; and the map."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 from oysterbench.core.errors import MethodError
@@ -21,7 +22,7 @@ from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, FrontEnd
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher, pairs, second_camera
-from oysterbench_baselines.moving import MovingMask, weights_digest
+from oysterbench_baselines.moving import MovingMask, mask_weights
 
 Output = Literal["smoothed", "online"]
 
@@ -56,9 +57,10 @@ class GtsamVi:
             "code": "baselines/gtsam_vi",
         }
 
-    def as_dict(self) -> dict[str, str]:
-        """What results say of it besides its options: the weights of the mask."""
-        return weights_digest(self.mask)
+    @property
+    def weights(self) -> dict[str, Path]:
+        """Files of trained weights that it runs on: those of the mask."""
+        return mask_weights(self.mask)
 
     def run(self, sequence: Sequence) -> Estimate:
         """Poses T_odom_base at the camera's stamps, for some seconds where frames are missing too; and the map."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from oysterbench_baselines.learning.trained import checkpoint_path, tell_end, training_options
+from oysterbench_baselines.learning.trained import checkpoint_path, start_training, tell_end, training_options
 
 
 @click.command("gtsam_vi_learned", short_help="Where and in what gtsam_vi tracks, on rendered dives.")
@@ -42,8 +42,7 @@ def command(
     settings = MapTrainingSettings()
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or checkpoint_path(NAME)
-    if again:
-        path.unlink(missing_ok=True)
+    start_training(path, again)
     files = [file for name in names for file in files_of(name, wanted)]
     with frames_bar("reading", "sequences") as loading:
         footages = read_footage(files, loading)

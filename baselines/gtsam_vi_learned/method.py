@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +20,8 @@ class GtsamViLearned(GtsamVi):
     """Visual-inertial odometry on GTSAM, its corners chosen by how well a network expects them to be tracked.
 
     output, camera, seed: as of gtsam_vi. checkpoint: path of the training; by default that which
-    `OYSTERBENCH_GTSAM_VI_LEARNED` names, or which `oysterbench train gtsam_vi_learned` left. threads: of the processor.
+    `OYSTERBENCH_GTSAM_VI_LEARNED` names, or which `oysterbench train gtsam_vi_learned` or `oysterbench download
+    gtsam_vi_learned` left. threads: of the processor.
     """
 
     name = "gtsam_vi_learned"
@@ -40,10 +40,10 @@ class GtsamViLearned(GtsamVi):
         self.checkpoint, self.threads = checkpoint, threads
         self.about = {**self.about, "code": "baselines/gtsam_vi_learned"}
 
-    def as_dict(self) -> dict[str, str]:
-        """What results say of it: SHA-256 of the checkpoint; empty where there is none."""
-        path = checkpoint_path(self.name, self.checkpoint)
-        return {"checkpoint_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""}
+    @property
+    def weights(self) -> dict[str, Path]:
+        """Files of trained weights that it runs on."""
+        return {"gtsam_vi_learned": checkpoint_path("gtsam_vi_learned", self.checkpoint)}
 
     def run(self, sequence: Sequence) -> Estimate:
         """As of gtsam_vi. Raises MethodError, with what to type, where there are no trained weights."""
@@ -57,7 +57,7 @@ class GtsamViLearned(GtsamVi):
         return LearnedFrontEnd(calibration, self.settings, load_model(path, self.threads), self.seed)
 
     def _path(self) -> Path:
-        return trained(self.name, self.checkpoint, "slam-train")
+        return trained("gtsam_vi_learned", self.checkpoint)
 
 
 def load_model(path: Path, threads: int = 1) -> MapModel:

@@ -12,7 +12,7 @@ import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import MethodError
-from oysterbench.core.files import models
+from oysterbench.methods.weights import existing, weights_path
 
 if TYPE_CHECKING:
     from oysterbench.annotations import LabelledSet
@@ -48,19 +48,21 @@ def training_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def checkpoint_path(name: str, checkpoint: str = "") -> Path:
     """Of a method's training: the one that is meant, that which OYSTERBENCH_<NAME> names, or which `oysterbench train
     NAME` leaves."""
-    return Path(checkpoint or os.environ.get(f"OYSTERBENCH_{name.upper()}") or models() / f"{name}.pt")
+    return Path(checkpoint or os.environ.get(f"OYSTERBENCH_{name.upper()}") or weights_path(name))
 
 
-def trained(name: str, checkpoint: str, data: str) -> Path:
-    """The same, where it is there. Raises MethodError, with what to type, where it is not. data: a split to train
-    on."""
-    path = checkpoint_path(name, checkpoint)
+def trained(name: str, checkpoint: str = "") -> Path:
+    """The same, where it is there. Raises MethodError, with what to type, where it is not."""
+    return existing(name, checkpoint_path(name, checkpoint))
+
+
+def start_training(path: Path, again: bool) -> None:
+    """Before a training: with `again`, what is at its path is not gone on with. The card of weights that were fetched
+    and are no more says nothing of those that will be there."""
+    if again:
+        path.unlink(missing_ok=True)
     if not path.is_file():
-        raise MethodError(
-            f"{name}: no trained weights at {path}: `oysterbench train {name} --data {data}` trains it on your "
-            f"machine; others are named by {name}[checkpoint=PATH] or by OYSTERBENCH_{name.upper()}"
-        )
-    return path
+        path.with_suffix(".json").unlink(missing_ok=True)
 
 
 @contextmanager
@@ -89,8 +91,7 @@ def run_training(
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.learning.loop import pick_device
 
-    if again:
-        path.unlink(missing_ok=True)
+    start_training(path, again)
     with (
         frames_bar("reading", "images") as loading,
         frames_bar(f"training {name} on {len(labelled)} images", "steps") as progress,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
+from oysterbench.methods.weights import existing
 from oysterbench_baselines.learning.trained import checkpoint_path, on_torch
 
 if TYPE_CHECKING:
@@ -25,19 +25,14 @@ MARGIN_PX = 4
 class MovingMask:
     """Of a picture (H, W, 3) uint8 RGB, where something moves: (H, W) bool.
 
-    weights: file of a training; "moving" stands for that which `oysterbench train moving` leaves, or which
-    OYSTERBENCH_MOVING names. On one thread, so that the processor time of a method stays its own.
+    weights: file of a training; "moving" stands for that which `oysterbench train moving` or `oysterbench download
+    moving` leaves, or which OYSTERBENCH_MOVING names. On one thread, so that the processor time of a method stays its
+    own.
     Raises MethodError, with what to type, where there are none, or no PyTorch.
     """
 
     def __init__(self, weights: str = "moving") -> None:
-        path = _path(weights)
-        if not path.is_file():
-            raise MethodError(
-                f"mask: no trained weights at {path}: `oysterbench train moving --data slam-train --steps 1500` trains "
-                "them on your machine; others are named by mask=PATH or by OYSTERBENCH_MOVING"
-            )
-        self._model = _read(path)
+        self._model = _read(existing("moving", _path(weights)))
         self._around = np.ones((2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1), dtype=np.uint8)
 
     def __call__(self, pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -51,12 +46,9 @@ class MovingMask:
         return np.asarray(cv2.dilate(whole, self._around) > 0)
 
 
-def weights_digest(weights: str) -> dict[str, str]:
-    """What results say of a mask: SHA-256 of its weights; nothing without a mask, empty where there are none."""
-    if not weights:
-        return {}
-    path = _path(weights)
-    return {"mask_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""}
+def mask_weights(weights: str) -> dict[str, Path]:
+    """Files of trained weights that a mask needs: nothing without a mask."""
+    return {"moving": _path(weights)} if weights else {}
 
 
 def _path(weights: str) -> Path:

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from oysterbench.cli.echo import message
-from oysterbench_baselines.learning.trained import checkpoint_path, tell_end, training_options
+from oysterbench_baselines.learning.trained import checkpoint_path, start_training, tell_end, training_options
 
 
 def _renamed(context: click.Context, parameter: click.Parameter, value: float | None) -> None:
@@ -60,8 +60,8 @@ def command(
     settings = SteeringSettings()
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
     path = out or checkpoint_path("steering")
+    start_training(path, again)
     if again:
-        path.unlink(missing_ok=True)
         shutil.rmtree(path.with_suffix(".rounds"), ignore_errors=True)
     files = [file for name in names for file in files_of(name)]
     with frames_bar("reading", "sequences") as loading:

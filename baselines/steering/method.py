@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from oysterbench.methods.steering import Steering, Views
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class SteeringNet:
-    """Steers by a network that learnt on this machine what an expert would do.
+    """Steers by a network that has learnt what an expert would do.
 
     checkpoint: path of the training; by default that which `OYSTERBENCH_STEERING` names, or which `oysterbench train
-    steering` left. threads: of the processor.
+    steering` or `oysterbench download steering` left. threads: of the processor.
     """
 
     name, track = "steering", "steering"
@@ -26,11 +26,10 @@ class SteeringNet:
     def __init__(self, checkpoint: str = "", threads: int = 1) -> None:
         self.checkpoint, self.threads = checkpoint, threads
 
-    def as_dict(self) -> dict[str, str]:
-        """What results say of it, and what tells its rollouts from those of another training: SHA-256 of the
-        checkpoint; empty where there is none."""
-        path = checkpoint_path("steering", self.checkpoint)
-        return {"checkpoint_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""}
+    @property
+    def weights(self) -> dict[str, Path]:
+        """Files of trained weights that it runs on."""
+        return {"steering": checkpoint_path("steering", self.checkpoint)}
 
     def run(self, views: Views) -> Iterator[Steering]:
         """A command at each view, before the next one is taken."""
@@ -45,7 +44,7 @@ class SteeringNet:
 
 def load_model(checkpoint: str, threads: int) -> SteeringModel:
     """The trained network. Raises MethodError, with what to type, where there is none."""
-    path = trained("steering", checkpoint, "steer-train")
+    path = trained("steering", checkpoint)
     with on_torch("steering"):
         import torch
 

@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from oysterbench.methods.images import Detections, Picture, Segmentation
-from oysterbench_baselines.learning.trained import on_torch, trained
+from oysterbench_baselines.learning.trained import checkpoint_path, on_torch, trained
 
 if TYPE_CHECKING:
     from oysterbench_baselines.learning.masks import MaskModel
 
 
 class UNet:
-    """Where oysters are, as probabilities, by a network that was trained on this machine.
+    """Where oysters are, as probabilities, by a trained network.
 
     checkpoint: path of the training; by default that which `OYSTERBENCH_UNET` names, or which `oysterbench train unet`
-    left. device: auto, cpu, cuda or cuda:N.
+    or `oysterbench download unet` left. device: auto, cpu, cuda or cuda:N.
     """
 
     name, track = "unet", "segmentation"
 
     def __init__(self, checkpoint: str = "", device: str = "auto") -> None:
         self.checkpoint, self.device = checkpoint, device
+
+    @property
+    def weights(self) -> dict[str, Path]:
+        """Files of trained weights that it runs on."""
+        return {"unet": checkpoint_path("unet", self.checkpoint)}
 
     def run(self, images: Iterable[Picture]) -> Iterator[Segmentation]:
         """Probabilities at the pictures' own size."""
@@ -51,7 +57,7 @@ class UNetInstances(UNet):
 
 def load_model(checkpoint: str, device: str) -> MaskModel:
     """The trained network. Raises MethodError, with what to type, where there is none."""
-    path = trained("unet", checkpoint, "seg-train")
+    path = trained("unet", checkpoint)
     with on_torch("unet"):
         from oysterbench_baselines.learning.loop import pick_device
         from oysterbench_baselines.unet.model import read_unet

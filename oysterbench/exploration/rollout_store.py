@@ -18,6 +18,7 @@ import numpy as np
 from oysterbench.core.errors import OysterbenchError, ResultError
 from oysterbench.evaluate.steering import RolloutLog
 from oysterbench.methods.finding import find_method, versions_of
+from oysterbench.methods.weights import weights_digests, weights_of
 
 FORMAT = "oysterbench-rollout/1"
 ARRAYS = ("states", "altitude", "commands", "seen", "contact", "turned", "covered", "oysters", "found")
@@ -56,15 +57,16 @@ def rollout_file(folder: Path, reef: str, policy: str, identity: Mapping[str, An
 
 def method_identity(reference: str) -> dict[str, Any]:
     """What decides how a method steers, as far as it can be told: settings, seed, package version and the text of the
-    file that its class is in. What that file imports, and weights that the settings do not name, are not known."""
+    file that its class is in, and its trained weights. What that file imports is not known."""
     method = find_method(reference)
     try:
         source = Path(inspect.getfile(type(method))).read_bytes()
     except (OSError, TypeError):  # of no file
         source = b""
+    weights = weights_digests(weights_of(method))
     return {
         "reference": reference,
-        "settings": getattr(method, "as_dict", dict)(),
+        "settings": {**getattr(method, "as_dict", dict)(), **({"weights": weights} if weights else {})},
         "seed": getattr(method, "seed", None),
         "versions": versions_of(reference),
         "source": hashlib.sha256(source).hexdigest(),

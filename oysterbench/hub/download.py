@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,9 +16,11 @@ from oysterbench.core.files import free_bytes, home, locked, write_atomically
 from oysterbench.core.names import instead
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.draft import remove_drafts
-from oysterbench.hub.index import LARGEST, Index, Release, check_not_older, read_index
+from oysterbench.hub.index import LARGEST, Index, R, check_not_older, read_index
 from oysterbench.hub.manifest import FileEntry, Manifest, read_manifest, released_manifest
+from oysterbench.hub.model import Model, read_model
 from oysterbench.hub.part import Part
+from oysterbench.hub.pieces import Pieced
 from oysterbench.hub.sources import Patience, Refusal, Setback, is_offline, open_source
 from oysterbench.hub.transfer import Mirror, Transfer, no_mirror_left, pause_s
 from oysterbench.hub.verify import MANIFEST, RIGHT, check_file, kept_manifest
@@ -77,7 +79,9 @@ class Hub:
         """The manifest of a split: that which came with oysterbench, or that which the signed index names."""
         if version is not None and (released := released_manifest(split, version)) is not None:
             return released
-        release, version = find_release(self.index(), split, version)
+        index = self.index()
+        release = find_release(index, index.splits, split, version)
+        version = release.version
 
         def check(data: bytes, what: str) -> Manifest:
             if sha256(data) != release.manifest:
@@ -90,6 +94,34 @@ class Hub:
         return self._document(
             f"manifests/{release.manifest}.json", release.manifest_size, f"the manifest of {split} {version}", check
         )
+
+    def model(self, name: str, version: str | None = None) -> Model:
+        """The card of trained weights, which the signed index names."""
+        index = self.index()
+        release = find_release(index, index.models, name, version)
+
+        def check(data: bytes, what: str) -> Model:
+            if sha256(data) != release.card:
+                raise IntegrityError(f"{what}: expected a card with SHA-256 {release.card}, got another")
+            model = read_model(data, what)
+            if (model.name, model.version) != (name, release.version):
+                raise IntegrityError(
+                    f"{what}: it is of {model.name} {model.version}, not of {name} {release.version}; it was not used"
+                )
+            return model
+
+        what = f"the card of {name} {release.version}"
+        return self._document(f"models/{release.card}.json", release.card_size, what, check)
+
+    def described(self, model: Model) -> str:
+        """What would be fetched of a model, and from where, in words."""
+        places = " and ".join(mirror.source.name for mirror in self.mirrors if mirror.failure is None)
+        file = model.file
+        return f"{model.name} {model.version} from {places}, {file.size / 1e6:.1f} MB, SHA-256 {file.sha256}"
+
+    def has_model(self, name: str) -> bool:
+        """Whether the signed index names a model so; never where no key is known."""
+        return self.public is not None and name in self.index().models
 
     def _document(self, path: str, largest: int, what: str, check: Callable[[bytes, str], T]) -> T:
         """A small file of at most `largest` bytes, from the first mirror that gives one which passes the check."""
@@ -122,16 +154,16 @@ class Hub:
         return bytes(data)
 
 
-def find_release(index: Index, split: str, version: str | None) -> tuple[Release, str]:
-    """A release and its version: the one asked for, or the newest."""
-    versions = index.splits.get(split)
+def find_release(index: Index, releases: Mapping[str, Mapping[str, R]], name: str, version: str | None) -> R:
+    """A release: of the version asked for, or the newest. releases: splits or models of the index. Raises HubError
+    where there is none, with the names and versions that there are."""
+    versions = releases.get(name)
     if not versions:
-        other = instead(split, sorted(index.splits), "oysterbench splits --hub")
-        raise HubError(f"the hub has no split {split!r}; {other}")
-    version = version or list(versions)[-1]
-    if version not in versions:
-        raise HubError(f"the hub has no version {version!r} of {split}; it has {', '.join(versions)}")
-    return versions[version], version
+        other = instead(name, sorted([*index.splits, *index.models]), "oysterbench splits --hub")
+        raise HubError(f"the hub has no split or model {name!r}; {other}")
+    if version is not None and version not in versions:
+        raise HubError(f"the hub has no version {version!r} of {name}; it has {', '.join(versions)}")
+    return versions[version or list(versions)[-1]]
 
 
 def choose(manifest: Manifest, patterns: Sequence[str]) -> list[FileEntry]:
@@ -207,7 +239,7 @@ def find_here(
     return found[-1] if found else None
 
 
-def part_path(folder: Path, entry: FileEntry) -> Path:
+def part_path(folder: Path, entry: Pieced) -> Path:
     """Where a file grows; bound to its hash, so that no other version goes on from it."""
     return folder / f".{entry.name}.{entry.sha256[:16]}.part"
 
@@ -255,24 +287,29 @@ def download(
 def _fetch(hub: Hub, step: Step, verify: bool, count: Callable[[int], None]) -> None:
     """Have one file, whole. Several processes may be at it: they wait for one another where the disk knows locks."""
     entry, target, path = step.entry, step.path, part_path(step.path.parent, step.entry)
-    with _locked_if_possible(path.with_suffix(".lock")):
+    with locked_if_possible(path.with_suffix(".lock")):
         if target.is_file() and _is_good(hub, target, entry, verify or step.state != "here", path):
             count(entry.size)
             path.unlink(missing_ok=True)
             remove_drafts(path)
             return
-        part = Part(path, entry)
-        try:
-            Transfer(part, hub.mirrors, hub.connections, hub.patience, count).fetch(range(len(entry.pieces)))
-            part.install(target)
-        finally:
-            part.close()
+        fetch_file(hub, entry, path, target, count)
         if verify and (found := check_file(target, entry)).state != RIGHT:
             os.replace(target, path)
             raise IntegrityError(
                 f"{target}: read back from the disk, it is {found.state} ({found.detail}); it was taken away again: "
                 "the disk may be failing"
             )
+
+
+def fetch_file(hub: Hub, entry: Pieced, path: Path, target: Path, count: Callable[[int], None]) -> None:
+    """Fetch what is missing of a part, and give it its name, in the place of what had it before."""
+    part = Part(path, entry)
+    try:
+        Transfer(part, hub.mirrors, hub.connections, hub.patience, count).fetch(range(len(entry.pieces)))
+        part.install(target)
+    finally:
+        part.close()
 
 
 def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -> bool:
@@ -289,7 +326,7 @@ def _is_good(hub: Hub, target: Path, entry: FileEntry, read: bool, part: Path) -
 
 
 @contextlib.contextmanager
-def _locked_if_possible(path: Path) -> Iterator[None]:
+def locked_if_possible(path: Path) -> Iterator[None]:
     """A lock saves work; nothing goes wrong without it, as on network disks that know none."""
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(OSError):

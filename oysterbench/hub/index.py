@@ -1,5 +1,5 @@
-"""The index: the one mutable document of a hub, signed; it names the manifest of each version of each split, and the card
-of each version of each model."""
+"""The index: the one mutable document of a hub, signed; it names the manifest of each version of each split, and the
+card of each version of each model."""
 
 from __future__ import annotations
 

@@ -42,9 +42,15 @@ def index_page(index: Index, public: str) -> str:
     """The page of an index, signed with the key whose public half is given; links and pictures are relative, so that it
     works from any address and from a folder."""
     releases = [release for _, versions in sorted(index.splits.items()) for release in reversed(versions.values())]
-    sizes = {release.manifest: human(release.size) for release in releases}
-    total = human(sum(release.size for release in releases))
-    context = {"releases": releases, "splits": len(index.splits), "sizes": sizes, "total": total, "key": public}
+    models = [release for _, versions in sorted(index.models.items()) for release in reversed(versions.values())]
+    context = {
+        "releases": releases,
+        "models": models,
+        "splits": len(index.splits),
+        "total": human(sum(release.size for release in releases)),
+        "human": human,
+        "key": public,
+    }
     return render("hub.html", context, "oysterbench.hub")
 
 

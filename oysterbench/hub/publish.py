@@ -47,7 +47,7 @@ def publish(
     what may be seen is published. Raises HubError where the version was released with other bytes.
     """
     keys = (key, *old_keys)
-    with _writing(tree, *keys) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
+    with writing(tree, *keys) as index, tempfile.TemporaryDirectory(dir=tree, prefix=TEMPORARY) as scratch:
         commitment = None
         if truth is not None:
             files, commitment = _without_truth(tree, truth, facts, files, Path(scratch), announce)
@@ -108,7 +108,7 @@ def check_made_by(files: Mapping[str, Path], split: str, version: str, digest: s
 
 
 @contextmanager
-def _writing(tree: Path, *keys: Ed25519PrivateKey) -> Iterator[Index]:
+def writing(tree: Path, *keys: Ed25519PrivateKey) -> Iterator[Index]:
     """Be the only one who writes to a tree, without what an interrupted publisher left."""
     tree.mkdir(parents=True, exist_ok=True)
     with locked(tree / ".lock"):
@@ -132,6 +132,8 @@ def _release(
     announce: Announce,
 ) -> None:
     """Put everything into the tree that is not there yet, and name it in the index."""
+    if manifest.split in index.models:
+        raise HubError(f"{manifest.split}: a model has this name in {tree}, and `download` knows both by their names")
     known = index.splits.get(manifest.split, {}).get(manifest.version)
     if known is not None and known.manifest != manifest.sha256:
         raise HubError(
@@ -142,14 +144,14 @@ def _release(
     for entry in manifest.files:
         new = put_blob(tree, files[entry.sequence], entry.sha256)
         announce(f"{entry.name}, {entry.size / 1e6:.1f} MB: {'published' if new else 'was there already'}")
-    _put(tree / "manifests" / f"{manifest.sha256}.json", manifest.data)
+    put(tree / "manifests" / f"{manifest.sha256}.json", manifest.data)
     if known is None:
         published = datetime.now(UTC).date().isoformat()
         described = croissant(manifest, published, url)
-        _put(tree / "croissant" / f"{sha256(described)}.json", described)
+        put(tree / "croissant" / f"{sha256(described)}.json", described)
         pictures = pictures_of(list(files.values()))
         for picture in pictures:
-            _put(tree / "pictures" / f"{sha256(picture)}.jpg", picture)
+            put(tree / "pictures" / f"{sha256(picture)}.jpg", picture)
         release = Release(
             split=manifest.split,
             version=manifest.version,
@@ -165,8 +167,13 @@ def _release(
             pictures=tuple(sha256(picture) for picture in pictures),
         )
         index = index.with_release(release)
-    _put(tree / "index.json", index.signed_with(*keys))
-    _put(tree / "index.html", index_page(index, public_hex(keys[0])).encode())
+    put_index(tree, index, keys)
+
+
+def put_index(tree: Path, index: Index, keys: Sequence[Ed25519PrivateKey]) -> None:
+    """Sign the index, by which all that was put before becomes visible, and make the page of it."""
+    put(tree / "index.json", index.signed_with(*keys))
+    put(tree / "index.html", index_page(index, public_hex(keys[0])).encode())
 
 
 def put_blob(tree: Path, source: Path, digest: str) -> bool:
@@ -187,7 +194,7 @@ def put_blob(tree: Path, source: Path, digest: str) -> bool:
     return True
 
 
-def _put(path: Path, data: bytes) -> None:
+def put(path: Path, data: bytes) -> None:
     """Write a file unless it says the same already."""
     if not path.is_file() or path.read_bytes() != data:
         write_atomically(path, data)

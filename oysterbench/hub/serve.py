@@ -30,6 +30,8 @@ CHANGING = "no-cache"
 KINDS = {
     "blobs": ("", "application/octet-stream"),
     "manifests": (".json", "application/json"),
+    "models": (".json", "application/json"),
+    "cards": (".html", "text/html"),
     "croissant": (".json", "application/ld+json"),
     "pictures": (".jpg", "image/jpeg"),
 }
@@ -65,7 +67,7 @@ def application(tree: Path) -> Starlette:
         async def get(request: Request) -> Response:
             digest = request.path_params["digest"]
             path = tree / folder / f"{digest}{suffix}"
-            headers = tagged(digest, FOREVER)
+            headers = tagged(digest, FOREVER) | (PAGE_HEADERS if media == "text/html" else {})
             try:
                 found = await anyio.to_thread.run_sync(os.lstat, path)
             except FileNotFoundError:

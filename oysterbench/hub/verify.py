@@ -10,13 +10,17 @@ from pathlib import Path
 import msgspec
 
 from oysterbench.core.errors import HubError, SequenceError
-from oysterbench.core.files import home
+from oysterbench.core.files import home, models
 from oysterbench.hub.canonical import decode, sha256
 from oysterbench.hub.index import IndexBody, SignedIndex
 from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest
+from oysterbench.hub.model import Model, read_model
 
 MANIFEST = "manifest.json"
 """Name of the manifest beside the files of a split."""
+
+FOLDERS = ("blobs", "cards", "croissant", "manifests", "models", "pictures")
+"""Of a tree, whose files are named by their hash."""
 
 RIGHT, REPACKED, DAMAGED, ABSENT, UNKNOWN = "right", "same content, other bytes", "damaged", "absent", "no manifest"
 
@@ -84,14 +88,38 @@ def kept_manifest(folder: Path) -> Manifest | None:
     return read_manifest(path.read_bytes(), str(path)) if path.is_file() else None
 
 
+def kept_card(path: Path) -> Model | None:
+    """The card that a download left beside a file of weights; it may be damaged since, or others."""
+    card = path.with_suffix(".json")
+    return read_model(card.read_bytes(), str(card)) if card.is_file() else None
+
+
+def check_weights(path: Path) -> Check:
+    """Check a file of weights by the card beside it."""
+    card = kept_card(path)
+    if not path.is_file():
+        return Check(path, ABSENT)
+    if card is None:
+        return Check(path, UNKNOWN, "trained here")
+    with open(path, "rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    if digest == card.file.sha256:
+        return Check(path, RIGHT)
+    again = f"`oysterbench download {card.name} --again` fetches it anew"
+    return Check(path, DAMAGED, f"expected {card.name} {card.version}, SHA-256 {card.file.sha256[:12]}…; {again}")
+
+
 def checks(name: str = "") -> Iterator[Check]:
-    """Check a file, the tree of a hub, the splits of a name (NAME or NAME@VERSION) that are here, a folder, or all that
-    is here.
+    """Check a file, the tree of a hub, the splits of a name (NAME or NAME@VERSION) that are here, trained weights, a
+    folder, or all that is here.
 
     Raises HubError where nothing has that name.
     """
     if name and (Path(name) / "index.json").is_file():
         yield from check_tree(Path(name))
+        return
+    if name.endswith(".pt"):
+        yield check_weights(Path(name))
         return
     if name.endswith(".mcap") or Path(name).is_file():
         yield _check_alone(Path(name))
@@ -104,6 +132,7 @@ def checks(name: str = "") -> Iterator[Check]:
         raise HubError(f"{name}: expected a split, a sequence file or a folder, got none of them")
     folders = sorted((home() / "splits").glob(f"{split or '*'}/{version}-*" if version else f"{split or '*'}/*"))
     found = [path for folder in folders if folder.is_dir() for path in _check_folder(folder)]
+    found += [check_weights(path) for path in sorted(models().glob(f"{split or '*'}.pt"))]
     if not found and name:
         raise HubError(f"{name}: nothing of it is here; `oysterbench download {name}` fetches it")
     yield from found
@@ -124,14 +153,19 @@ def check_tree(tree: Path) -> Iterator[Check]:
         if path.is_file():
             manifest = read_manifest(path.read_bytes(), str(path))
             named |= {tree / "blobs" / entry.sha256 for entry in manifest.files}
-    found = {path for folder in ("blobs", "croissant", "manifests", "pictures") for path in (tree / folder).glob("*")}
+    for model in index.models:
+        path = tree / "models" / f"{model.card}.json"
+        named |= {path, tree / "cards" / f"{model.page}.html"}
+        if path.is_file():
+            named.add(tree / "blobs" / read_model(path.read_bytes(), str(path)).file.sha256)
+    found = {path for folder in FOLDERS for path in (tree / folder).glob("*")}
     for path in sorted(named | found):
         if not path.is_file():
-            yield Check(path, ABSENT, "the index names it: publish its split again")
+            yield Check(path, ABSENT, "the index names it: publish its split or model again")
             continue
         with open(path, "rb") as file:
             right = hashlib.file_digest(file, "sha256").hexdigest() == path.stem
-        yield Check(path, RIGHT) if right else Check(path, DAMAGED, "delete it and publish its split again")
+        yield Check(path, RIGHT) if right else Check(path, DAMAGED, "delete it and publish its split or model again")
 
 
 def _check_folder(folder: Path) -> Iterator[Check]:

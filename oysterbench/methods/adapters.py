@@ -16,9 +16,10 @@ from string import Formatter
 from typing import Any
 
 from oysterbench.core.errors import MethodError
-from oysterbench.methods.finding import find_variant, versions_of
+from oysterbench.methods.finding import find_method, find_variant, versions_of
 from oysterbench.methods.interfaces import Interface, Predicted, RunSequence, interface_of
 from oysterbench.methods.method import seed_of
+from oysterbench.methods.weights import weights_digests, weights_of
 from oysterbench.methods.worker import read_predicted
 from oysterbench.version import VERSION
 
@@ -52,6 +53,11 @@ class MethodAdapter(ABC):
     @property
     def evaluation(self) -> Mapping[str, Any]:
         """Options of its track, by key, that it is scored by where the user gives no others."""
+        return {}
+
+    @property
+    def weights(self) -> dict[str, Path]:
+        """Files of trained weights that it runs on, by name."""
         return {}
 
     @property
@@ -100,18 +106,30 @@ class PythonMethod(MethodAdapter):
         self._about = dict(getattr(method, "about", {}))
         described = getattr(method, "as_dict", None)
         self._described = dict(described()) if described is not None else {}
+        self._weighs = bool(weights_of(method))
 
     @property
     def about(self) -> Mapping[str, Any]:
         return self._about
 
     @property
+    def weights(self) -> dict[str, Path]:
+        # Asked for anew: on another machine its files lie elsewhere.
+        return weights_of(find_method(self.reference)) if self._weighs else {}
+
+    @property
     def identity(self) -> dict[str, Any]:
-        return {"method": self.reference, "versions": versions_of(self.reference)}
+        files = {f"weights of {name}": digest for name, digest in weights_digests(self.weights).items()}
+        known = {"method": self.reference, "versions": versions_of(self.reference)}
+        return {**known, "files": files} if files else known
 
     @property
     def settings(self) -> dict[str, Any]:
-        return self._described or dict(self._options)
+        needed = self.weights
+        places = {str(path) for path in needed.values()}
+        # Of weights it says what they are, and not where they lie.
+        options = {key: value for key, value in self._options.items() if str(value) not in places}
+        return {**(self._described or options), **({"weights": weights_digests(needed)} if needed else {})}
 
     def versions(self) -> dict[str, str]:
         found = {"python": sys.version.split()[0], "oysterbench": VERSION, **versions_of(self.reference)}

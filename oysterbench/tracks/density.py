@@ -82,6 +82,7 @@ class DensityTrack(Track):
         if "masks" in options and images:
             raise MethodError(f"--masks and {images[0].name}: expected masks from one of them")
         self.check(request)
+        self.have_weights(methods, request)
         again = replace(request, again=bool(options.get("again")), runs=1)
         runs: list[DensityRun] = []
         sequences = self.run_sequences(request.split, self.rendered(request), options)

@@ -167,7 +167,7 @@ class SteeringTrack(Track):
             raise MethodError("--closed-loop: expected policies of Python, each once over each reef; its seed decides")
         policies = [name for name in dict.fromkeys(request.methods) if name not in REFERENCES]
         for name in policies:
-            self.adapters(Request(request.out, split, methods=[name]))
+            self.have_weights(self.adapters(Request(request.out, split, methods=[name])), request)
         reefs = list(request.sequences) or [one.name for one in split.sequence]
         count = options.get("reefs", len(reefs))
         if not 1 <= count <= len(reefs):

@@ -210,12 +210,21 @@ class Track(ABC):
             for name in names
         ]
 
+    def have_weights(self, adapters: Sequence[MethodAdapter], request: Request) -> None:
+        """Fetch trained weights that methods run on and that are not here, where a hub is set. Raises OysterbenchError
+        where they cannot be had."""
+        from oysterbench.methods.weights import have_weights
+
+        for adapter in adapters:
+            have_weights(adapter.weights, request.announce, request.bar)
+
     def evaluate(self, request: Request) -> Evaluation:
         """Run methods on sequences, score and show what they predict."""
         # Everything that can be wrong with the request is found before the rendering begins.
         settings = self.settings(request.options)
         adapters = self.adapters(request)
         self.check(request)
+        self.have_weights(adapters, request)
         sequences = self.run_sequences(request.split, self.rendered(request), request.options)
         runs: list[Any] = []
         unscored = []

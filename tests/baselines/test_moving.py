@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from functools import partial
 
 import numpy as np
@@ -12,6 +13,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 
 from oysterbench.annotations import OYSTER, Entry, LabelledImage, LabelledSet  # noqa: E402
 from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
+from oysterbench.methods.adapters import PythonMethod  # noqa: E402
 from oysterbench.recipe import CLASSES  # noqa: E402
 from oysterbench_baselines.gtsam_full import GtsamFull  # noqa: E402
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings  # noqa: E402
@@ -101,10 +103,10 @@ def test_no_track_begins_or_is_kept_on_what_moves():
 def test_without_weights_it_says_what_to_type(method, tmp_path, monkeypatch):
     monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path))
     monkeypatch.delenv("OYSTERBENCH_MOVING", raising=False)
-    assert method(mask="moving").as_dict() == {"mask_sha256": ""}
-    assert method().as_dict() == {}
+    assert method(mask="moving").weights == {"moving": tmp_path / "models" / "moving.pt"}
+    assert method().weights == {}
     with pytest.raises(
-        MethodError, match=r"mask: no trained weights at .*moving\.pt: `oysterbench train moving --data"
+        MethodError, match=r"moving: no trained weights at .*moving\.pt: `oysterbench train moving --data"
     ):
         MovingMask("moving")
 
@@ -118,8 +120,9 @@ def test_weights_that_have_learnt_something_else_are_refused(tmp_path):
 
 
 def test_results_know_the_weights_by_their_content(weights, tmp_path):
-    digest = GtsamVi(mask=str(weights)).as_dict()["mask_sha256"]
-    assert len(digest) == 64
     other = tmp_path / "same.pt"
     other.write_bytes(weights.read_bytes())
-    assert GtsamVi(mask=str(other)).as_dict()["mask_sha256"] == digest
+    digest = hashlib.sha256(weights.read_bytes()).hexdigest()
+    for path in (weights, other):
+        assert PythonMethod(f"gtsam_vi[mask={path}]").settings == {"weights": {"moving": digest}}
+    assert PythonMethod("gtsam_vi").settings == {}

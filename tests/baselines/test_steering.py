@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 from oysterbench.core.errors import LabelError, MethodError  # noqa: E402
 from oysterbench.core.streams import Streams, stream  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
+from oysterbench.methods.adapters import PythonMethod  # noqa: E402
 from oysterbench.methods.steering import VehicleState, View  # noqa: E402
 from oysterbench.recipe import SteeringRecipe  # noqa: E402
 from oysterbench_baselines import steering  # noqa: E402
@@ -315,10 +317,11 @@ def test_the_checkpoint_is_an_option_of_the_method_that_is_found_by_its_name(che
 
 def test_two_trainings_are_told_apart_in_results(checkpoint, tmp_path, home):
     train(toy(4), tmp_path / "a.pt", SMALL, 0)
-    one, other = (SteeringNet(str(path)).as_dict()["checkpoint_sha256"] for path in (checkpoint, tmp_path / "a.pt"))
-    assert len(one) == len(other) == 64
+    paths = (checkpoint, tmp_path / "a.pt")
+    one, other = (PythonMethod(f"steering[checkpoint={path}]", ["steering"]).settings for path in paths)
+    assert one == {"weights": {"steering": hashlib.sha256(checkpoint.read_bytes()).hexdigest()}}  # and not where it is
     assert one != other
-    assert SteeringNet().as_dict() == {"checkpoint_sha256": ""}
+    assert PythonMethod("steering", ["steering"]).settings == {"weights": {"steering": ""}}
 
 
 def test_a_task_with_other_classes_is_refused(checkpoint):

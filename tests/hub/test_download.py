@@ -241,7 +241,7 @@ def test_a_released_manifest_needs_no_key_and_no_index(published, tmp_path, monk
 
 def test_splits_and_versions_that_are_not_there_are_named_with_those_that_are(published):
     hub = hub_at(published, published.tree)
-    with pytest.raises(HubError, match="no split 'slam-max'; it has fake-val"):
+    with pytest.raises(HubError, match="no split or model 'slam-max'; it has fake-val"):
         hub.manifest("slam-max")
     with pytest.raises(HubError, match=r"no version '3.0' of fake-val; it has 1.0"):
         hub.manifest("fake-val", "3.0")

@@ -114,7 +114,7 @@ def test_errors_are_one_line_with_their_code(place, tmp_path):
     assert "no answer" in line(4, "download", "tiny", "--from", "http://127.0.0.1:9/", *key)
     assert "not signed" in line(3, "download", "tiny", "--from", place.tree, "--key", "ab" * 32)
     assert "no key of this hub" in line(1, "download", "tiny", "--from", place.tree)
-    assert "no split 'slam-max'; it has tiny" in line(1, "download", "slam-max", "--from", place.tree, *key)
+    assert "no split or model 'slam-max'; it has tiny" in line(1, "download", "slam-max", "--from", place.tree, *key)
     assert "no hub is set" in line(1, "download", "slam-max")
     assert "no such key" in line(1, "publish", place.recipe, tmp_path / "x", "--key", tmp_path / "no.pem")
     assert "oysterbench render" in line(1, "publish", place.recipe, tmp_path / "x", "--key", place.folder / "key.pem")

@@ -1,0 +1,82 @@
+"""What a checkpoint says of its training, for the card of a release."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from oysterbench.core.errors import MethodError
+from oysterbench.hub.model import Origin, Training
+from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.moving.labels import SET as MOVING
+
+LAST = 50
+"""Steps over which the loss is averaged."""
+ENCODER_LICENCE = "Apache License 2.0; learnt from ImageNet, whose pictures are for research and teaching"
+ENCODER_SOURCE = "https://github.com/tensorflow/tpu/tree/master/models/official/efficientnet/lite"
+
+
+def describe(name: str, path: Path) -> Training:
+    """How the weights of that name in a checkpoint were found.
+
+    Raises MethodError where the file is no checkpoint, of another training, or of one that is not finished.
+    """
+    checkpoint = read_checkpoint(path)
+    if (found := kind_of(checkpoint)) != name:
+        raise MethodError(f"{path}: expected weights of {name}, got those of {found or 'a training that is not known'}")
+    if not checkpoint.finished:
+        raise MethodError(
+            f"{path}: the training is not finished, it has done {checkpoint.step} steps; the `oysterbench train` that "
+            "began it goes on where it was left"
+        )
+    identity = checkpoint.identity
+    encoder = str(checkpoint.network.get("encoder") or "")
+    return Training(
+        data=data_of(identity),
+        steps=checkpoint.step,
+        seed=int(identity["seed"]),
+        settings={"network": plain(checkpoint.network), **plain(identity["settings"])},
+        device=str(identity.get("device", "cpu")),
+        parameters=sum(_numbers(checkpoint.weights)),
+        loss=float(np.mean(checkpoint.losses[-LAST:])),
+        cpu_s=round(checkpoint.seconds, 1),
+        versions=dict(checkpoint.versions),
+        begun=Origin(f"EfficientNet-{encoder} trained on ImageNet", ENCODER_LICENCE, ENCODER_SOURCE)
+        if encoder
+        else None,
+    )
+
+
+def kind_of(checkpoint: Checkpoint) -> str:
+    """Name of the weights that a checkpoint holds; empty where it is of no known training."""
+    identity = checkpoint.identity
+    if {"source", "target"} <= set(identity):
+        return "cut"
+    method = str(identity.get("method", ""))
+    data = data_of(identity)
+    return "moving" if method == "unet" and data and all(name.startswith(MOVING) for name in data) else method
+
+
+def data_of(identity: Mapping[str, Any]) -> dict[str, str]:
+    """What was learnt from: name -> digest."""
+    known = identity.get("data") or {key: identity[key] for key in ("source", "target") if key in identity}
+    return {str(name): str(digest) for name, digest in known.items()}
+
+
+def plain(value: Any) -> Any:
+    """Settings as JSON has them."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(part) for key, part in value.items()}
+    return [plain(part) for part in value] if isinstance(value, tuple | list) else value
+
+
+def _numbers(weights: Any) -> list[int]:
+    """Sizes of all tensors in a state, which may be of several networks."""
+    if isinstance(weights, torch.Tensor):
+        return [weights.numel()]
+    count: Callable[[Any], list[int]] = _numbers
+    return [n for part in weights.values() for n in count(part)] if isinstance(weights, Mapping) else []

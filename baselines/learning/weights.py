@@ -1,0 +1,70 @@
+"""What is known of the weights that these methods learn, before there are any."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from oysterbench.hub.model import Training
+from oysterbench.methods.weights import Weights
+
+
+def _describe(name: str, path: Path) -> Training:
+    from oysterbench_baselines.learning.card import describe  # torch is loaded only when needed
+
+    return describe(name, path)
+
+
+def _weights(name: str, **known: object) -> Weights:
+    return Weights(name=name, describe=partial(_describe, name), **known)  # type: ignore[arg-type]
+
+
+UNET = _weights(
+    "unet",
+    methods=("unet", "unet_instances"),
+    train="unet --data seg-train",
+    takes="about 20 minutes on one core once seg-train is rendered",
+    option="unet[checkpoint=PATH]",
+    summary="Where oysters are in pictures from below water, and which",
+    limits="Counting oysters for decisions without a check against pictures of the same site that a person has "
+    "labelled. Pictures above water, aquaria, other kinds of shells, and cameras unlike those that it has learnt from "
+    "were not looked at.",
+)
+STEERING = _weights(
+    "steering",
+    methods=("steering",),
+    train="steering --data steer-train",
+    takes="about 4 minutes on one core once steer-train is rendered; with rollouts, --dagger 1, some hours",
+    option="steering[checkpoint=PATH]",
+    summary="Steers a vehicle over a reef as an expert would who sees where oysters are",
+    limits="Driving a real vehicle without a guard that keeps it off the ground: it was never tried outside of "
+    "rendered reefs.",
+)
+GTSAM_VI_LEARNED = _weights(
+    "gtsam_vi_learned",
+    methods=("gtsam_vi_learned",),
+    train="gtsam_vi_learned --data slam-train",
+    takes="about 5 minutes on one core once slam-train is rendered",
+    option="gtsam_vi_learned[checkpoint=PATH]",
+    summary="Where in a picture a corner will be tracked, for visual-inertial odometry",
+    limits="Pictures from above water: it has learnt from rendered dives alone.",
+)
+MOVING = _weights(
+    "moving",
+    methods=("gtsam_vi[mask=moving]", "gtsam_vi_stereo[mask=moving]", "gtsam_full[mask=moving]"),
+    train="moving --data slam-train --steps 1500",
+    takes="about 6 minutes on one core once slam-train is rendered",
+    option="mask=PATH",
+    summary="What moves in a picture from below water: fish, crabs, plants, a tether",
+    limits="Finding animals: it is made to leave out too much rather than too little, and knows no kinds.",
+)
+CUT = _weights(
+    "cut",
+    methods=(),
+    train="cut --source seg-closeup --target PATH --out cut",
+    takes="about an hour on two cores",
+    option="oysterbench translate cut CHECKPOINT",
+    summary="Makes rendered pictures of oysters look like real ones",
+    limits="Pictures that are shown as real ones. Labels may drift by some pixels: `oysterbench translate` says by how "
+    "many.",
+)

@@ -1,0 +1,96 @@
+"""Publishing trained weights: their file, their card and its page into a static tree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+from oysterbench.core.errors import HubError
+from oysterbench.hub.canonical import sha256
+from oysterbench.hub.card import card_page
+from oysterbench.hub.index import ModelRelease
+from oysterbench.hub.model import Figure, Model, Training, WeightsFile
+from oysterbench.hub.pieces import hashed
+from oysterbench.hub.publish import Announce, put, put_blob, put_index, writing
+from oysterbench.version import VERSION
+
+
+def describe_weights(name: str, path: Path) -> WeightsFile:
+    """Hash a file of weights: the whole and its pieces. name: of the model."""
+    size, whole, pieces = hashed(path)
+    return WeightsFile(name=f"{name}.pt", size=size, sha256=whole, pieces=pieces)
+
+
+def build_model(
+    name: str,
+    version: str,
+    methods: Sequence[str],
+    words: tuple[str, str, str],
+    file: WeightsFile,
+    training: Training,
+    figures: Sequence[Figure] = (),
+) -> Model:
+    """The card of weights. words: summary, limits and licence."""
+    summary, limits, licence = words
+    return Model(
+        name=name,
+        version=version,
+        methods=tuple(methods),
+        summary=summary,
+        limits=limits,
+        licence=licence,
+        file=file,
+        training=training,
+        figures=tuple(figures),
+        oysterbench=VERSION,
+    )
+
+
+def publish_model(
+    tree: Path,
+    model: Model,
+    weights: Path,
+    key: Ed25519PrivateKey,
+    announce: Announce = lambda text: None,
+    old_keys: Sequence[Ed25519PrivateKey] = (),
+) -> Model:
+    """Publish a model with its weights. As of a split, what is named goes first and the signed index last, and
+    publishing twice adds nothing.
+
+    Raises HubError where the version was released with another card or other weights, a split has the name, or the file
+    changed on the way.
+    """
+    keys = (key, *old_keys)
+    with writing(tree, *keys) as index:
+        if model.name in index.splits:
+            raise HubError(f"{model.name}: a split has this name in {tree}, and `download` knows both by their names")
+        known = index.models.get(model.name, {}).get(model.version)
+        if known is not None and known.card != model.sha256:
+            raise HubError(
+                f"{model.name} {model.version} was released with other weights or another card ({known.card[:12]}…, "
+                f"now {model.sha256[:12]}…) and a release never changes; the tree was left as it is: give another "
+                "--version"
+            )
+        new = put_blob(tree, weights, model.file.sha256)
+        announce(f"{model.file.name}, {model.file.size / 1e6:.1f} MB: {'published' if new else 'was there already'}")
+        put(tree / "models" / f"{model.sha256}.json", model.data)
+        if known is None:
+            page = card_page(model).encode()
+            put(tree / "cards" / f"{sha256(page)}.html", page)
+            release = ModelRelease(
+                model=model.name,
+                version=model.version,
+                card=model.sha256,
+                card_size=len(model.data),
+                size=model.file.size,
+                methods=model.methods,
+                summary=model.summary,
+                published=datetime.now(UTC).date().isoformat(),
+                page=sha256(page),
+            )
+            index = index.with_model(release)
+        put_index(tree, index, keys)
+    return model

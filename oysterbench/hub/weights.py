@@ -1,0 +1,108 @@
+"""Trained weights on this machine: what is known of them, and fetching them from a hub.
+
+```
+<models>/NAME.pt      weights, whether they were trained here or fetched
+<models>/NAME.json    the card of those that were fetched (`model`)
+```
+
+A card is believed of a file whose hash it names, and of no other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from oysterbench.core.errors import HubError
+from oysterbench.core.files import models, write_atomically
+from oysterbench.hub.download import Hub, Progress, check_space, fetch_file, locked_if_possible, part_path
+from oysterbench.hub.model import Model
+from oysterbench.hub.pieces import Pieced
+from oysterbench.hub.verify import kept_card
+
+
+@dataclass(frozen=True)
+class Here:
+    """A file of weights on this machine. card: beside it; model: the same, where it is of this very file."""
+
+    path: Path
+    sha256: str
+    card: Model | None
+    model: Model | None
+
+    @property
+    def described(self) -> str:
+        """What it is, in words."""
+        state, what = self.path.stat(), "weights that were trained here"
+        if self.model is not None:
+            what = f"{self.model.name} {self.model.version} of a hub"
+        elif self.card is not None:
+            what = f"weights that are not {self.card.name} {self.card.version}, whose card lies beside them"
+        day = datetime.fromtimestamp(state.st_mtime).date().isoformat()
+        return f"{what} ({state.st_size / 1e6:.1f} MB of {day}, SHA-256 {self.sha256[:12]}…)"
+
+
+def weights_path(name: str, folder: Path | None = None) -> Path:
+    """Where weights of that name are kept: a file of the folder, by default of that of models."""
+    return (folder or models()) / f"{name}.pt"
+
+
+def weights_here(path: Path) -> Here | None:
+    """What is known of a file of weights; None where there is none."""
+    if not path.is_file():
+        return None
+    with open(path, "rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    card = kept_card(path)
+    return Here(path, digest, card, card if card is not None and card.file.sha256 == digest else None)
+
+
+def there_bytes(path: Path, entry: Pieced) -> int:
+    """Bytes of a file that an interrupted download has left, about."""
+    part = part_path(path.parent, entry)
+    return min(part.stat().st_blocks * 512, entry.size) if part.is_file() else 0
+
+
+def check_replaced(path: Path, model: Model, again: bool = False) -> bool:
+    """Whether this model is at a path already. Raises HubError where weights are that no hub has given, which only
+    `again` lets a download replace."""
+    here = weights_here(path)
+    if here is None:
+        return False
+    if here.sha256 == model.file.sha256:
+        return True
+    if here.model is None and not again:
+        raise HubError(
+            f"{path}: there are {here.described}; they were left as they are: --again replaces them by {model.name} "
+            f"{model.version}, --out fetches it into another folder"
+        )
+    return False
+
+
+def fetch_weights(
+    hub: Hub, model: Model, path: Path, again: bool = False, progress: Progress = lambda done, total: None
+) -> Path:
+    """Have a model's weights at a path, whole, with their card beside them.
+
+    Weights of another version that a hub gave are replaced at the moment when the new ones are whole; one's own only
+    with `again`, and else HubError is raised. Raises IntegrityError or NetworkError where it fails; what was fetched is
+    kept, and the same call goes on from there.
+    """
+    entry, part, done = model.file, part_path(path.parent, model.file), 0
+
+    def count(n: int) -> None:
+        nonlocal done
+        done += n
+        progress(done, entry.size)
+
+    with locked_if_possible(part.with_suffix(".lock")):
+        if check_replaced(path, model, again):
+            count(entry.size)
+        else:
+            check_space(path.parent, entry.size - there_bytes(path, entry))
+            count(0)
+            fetch_file(hub, entry, part, path, count)
+        write_atomically(path.with_suffix(".json"), model.data)
+    return path

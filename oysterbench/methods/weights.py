@@ -1,0 +1,155 @@
+"""Trained weights that methods run on: which they are, how to have them, and having them before a method is run.
+
+A method that runs on weights says which by an attribute `weights`, name -> file:
+
+    @property
+    def weights(self):
+        return {"my_net": Path(self.checkpoint) if self.checkpoint else weights_path("my_net")}
+
+What is known of weights by their name is brought by the entry-point group `oysterbench.weights`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from oysterbench.core.errors import HubError, MethodError
+from oysterbench.core.files import models
+from oysterbench.core.names import instead
+from oysterbench.hub.manifest import LICENCE
+from oysterbench.hub.model import Training
+
+ENTRY_POINTS = "oysterbench.weights"
+
+Announce = Callable[[str], None]
+Bar = Callable[[str, str], AbstractContextManager[Callable[[int, int], None]]]
+"""Called with a title and a unit: shows progress."""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What is known of trained weights before there are any.
+
+    name:     as `oysterbench train` and `oysterbench download` have it
+    methods:  that run on them
+    train:    arguments of the `oysterbench train` that makes them
+    takes:    how long that is, and on what, in words
+    option:   how a user names a file of others
+    summary:  what they are, in a line; limits: what they are not for, in sentences; licence: an address
+    describe: reads how a file of them was trained; raises MethodError where it is none, or not finished
+    """
+
+    name: str
+    methods: tuple[str, ...]
+    train: str
+    takes: str
+    option: str
+    summary: str
+    limits: str
+    describe: Callable[[Path], Training]
+    licence: str = LICENCE
+
+
+def weights_path(name: str) -> Path:
+    """Where `oysterbench train NAME` and `oysterbench download NAME` leave weights."""
+    return models() / f"{name}.pt"
+
+
+def weights_names() -> list[str]:
+    """Names of weights that something is known of."""
+    return sorted(point.name for point in entry_points(group=ENTRY_POINTS))
+
+
+def find_weights(name: str) -> Weights:
+    """What is known of weights. Raises MethodError where nothing is."""
+    found = entry_points(group=ENTRY_POINTS, name=name)
+    if not found:
+        raise MethodError(
+            f"no trained weights are called {name!r}; {instead(name, weights_names(), 'oysterbench models')}"
+        )
+    point = next(iter(found))
+    try:
+        weights = point.load()
+    except ImportError as error:
+        raise MethodError(f"weights {name!r}: {error}; install what they need") from None
+    if not isinstance(weights, Weights):
+        raise MethodError(f"weights {name!r}: expected {Weights.__qualname__}, got {type(weights)}")
+    return weights
+
+
+def weights_of(method: Any) -> dict[str, Path]:
+    """Files of trained weights that a method runs on, by name; nothing of most."""
+    return {str(name): Path(path) for name, path in dict(getattr(method, "weights", {})).items()}
+
+
+def weights_digests(needed: Mapping[str, Path]) -> dict[str, str]:
+    """SHA-256 of each file; empty where it is absent."""
+    from oysterbench.methods.adapters import file_digest
+
+    return {name: file_digest(path) if path.is_file() else "" for name, path in needed.items()}
+
+
+def existing(name: str, path: Path) -> Path:
+    """The file, where it is there. Raises MethodError, with what to type, where it is not."""
+    if not path.is_file():
+        raise no_weights(name, path)
+    return path
+
+
+def no_weights(name: str, path: Path) -> MethodError:
+    """What is said where weights are absent."""
+    try:
+        known = find_weights(name)
+    except MethodError:
+        return MethodError(f"{name}: no trained weights at {path}")
+    return MethodError(
+        f"{name}: no trained weights at {path}: `oysterbench train {known.train}` trains them on your machine "
+        f"({known.takes}), `oysterbench download {name}` fetches them where a hub is set; others are named by "
+        f"{known.option} or by OYSTERBENCH_{name.upper()}"
+    )
+
+
+def have_weights(
+    needed: Mapping[str, Path],
+    announce: Announce = lambda text: None,
+    bar: Bar = lambda title, unit: nullcontext(lambda done, total: None),
+) -> None:
+    """Have weights here before a method runs on them: those that are absent are fetched where a hub is set.
+
+    Raises MethodError, with what to type, where there are none and no hub is set, or the user named a file of his own;
+    HubError with the same and the reason where the hub does not give them.
+    """
+    for name, path in needed.items():
+        if path.is_file():
+            continue
+        absent = no_weights(name, path)
+        if path.absolute() != weights_path(name):
+            raise absent
+        try:
+            fetched = _fetched(name, path, announce, bar)
+        except HubError as error:
+            raise type(error)(f"{absent}; from the hub: {error}") from None
+        if not fetched:
+            raise absent
+
+
+def _fetched(name: str, path: Path, announce: Announce, bar: Bar) -> bool:
+    """Fetch weights; False where no hub is set."""
+    from oysterbench.hub.download import Hub
+    from oysterbench.hub.settings import hub_key, hub_places
+    from oysterbench.hub.weights import fetch_weights
+
+    places = hub_places()
+    if not places:
+        return False
+    hub = Hub.at(places, hub_key(), announce)
+    model = hub.model(name)
+    announce(f"{name}: no trained weights here; fetching {hub.described(model)}")
+    with bar(f"fetching {name}", "kB") as progress:
+        fetch_weights(hub, model, path, progress=lambda done, total: progress(done // 1000, total // 1000))
+    return True
