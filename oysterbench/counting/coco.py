@@ -1,0 +1,51 @@
+"""Counts as COCO annotations, to be corrected by hand in a program for labelling, or scored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from oysterbench.annotations.image import read_plane
+from oysterbench.core.polygons import mask_polygons
+from oysterbench.counting.measure import OysterRow, PictureCount
+from oysterbench.counting.store import Store
+
+CATEGORY = {"id": 1, "name": "oyster", "supercategory": "reef"}
+
+
+def coco_document(store: Store, pictures: Sequence[PictureCount]) -> dict[str, Any]:
+    """A document of all oysters that are counted, with `score`, and `live` where the method tells; polygons give back
+    each mask, where there are masks."""
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for k, one in enumerate(pictures, start=1):
+        suffix = ".png" if one.video else Path(one.file).suffix
+        file = one.name if one.name.endswith(suffix) else one.name + suffix
+        images.append({"id": k, "file_name": file, "width": one.width, "height": one.height})
+        for annotation in _annotations(store, one):
+            annotations.append({"id": len(annotations) + 1, "image_id": k, "category_id": 1, **annotation})
+    return {"categories": [CATEGORY], "images": images, "annotations": annotations}
+
+
+def _annotations(store: Store, picture: PictureCount) -> Iterator[dict[str, Any]]:
+    path = store.mask(picture.name)
+    numbers = read_plane(path) if path.is_file() else None
+    for row in store.oysters(picture.name):
+        if not row.counted:
+            continue
+        polygons = [] if numbers is None else _polygons(numbers, row)
+        yield {
+            "bbox": list(row.box),
+            "area": row.area_px if row.area_px is not None else row.box[2] * row.box[3],
+            "iscrowd": 0,
+            **({"segmentation": polygons} if polygons else {}),
+            **({"score": row.score} if row.score is not None else {}),
+            **({"live": row.live} if row.live is not None else {}),
+        }
+
+
+def _polygons(numbers: Any, row: OysterRow) -> list[list[float]]:
+    left, top, wide, tall = map(int, row.box)
+    found = mask_polygons(numbers[top : top + tall, left : left + wide] == row.number)
+    return [[value + (top if k % 2 else left) for k, value in enumerate(polygon)] for polygon in found]

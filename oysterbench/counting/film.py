@@ -1,0 +1,60 @@
+"""Overlays of a video's frames as a video of their own."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from oysterbench.core.errors import OysterbenchError
+
+LEAST_HZ = 4.0
+"""Frames a second at which overlays are shown, at least: one a second is no film."""
+
+CODEC = "mp4v"
+"""MPEG-4 Part 2, which OpenCV's wheels encode in 10 ms a frame, and which desktop players know; browsers do not. VP9,
+which these know, takes half a second a frame."""
+
+
+def film_rate(times_s: Sequence[float]) -> float:
+    """Frames a second of a film of frames of a video at these times: as they were taken, or `LEAST_HZ`."""
+    if len(times_s) < 2 or times_s[-1] <= times_s[0]:
+        return LEAST_HZ
+    return max(LEAST_HZ, (len(times_s) - 1) / (times_s[-1] - times_s[0]))
+
+
+def write_film(path: Path, frames: Sequence[Path], rate_hz: float) -> None:
+    """JPEGs of one size as an MP4 file, which appears whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=".mp4")
+    os.close(handle)
+    try:
+        _encode(temporary, frames, rate_hz)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def _encode(path: str, frames: Sequence[Path], rate_hz: float) -> None:
+    writer: cv2.VideoWriter | None = None
+    for frame in frames:
+        pixels = cv2.imdecode(np.frombuffer(frame.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
+        if pixels is None:
+            raise OysterbenchError(f"{frame}: cannot be read; `oysterbench segment --again` makes it anew")
+        pixels = pixels[: pixels.shape[0] // 2 * 2, : pixels.shape[1] // 2 * 2]  # as colour is halved
+        if writer is None:
+            size = (pixels.shape[1], pixels.shape[0])
+            writer = cv2.VideoWriter(path, cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*CODEC), rate_hz, size)
+            if not writer.isOpened():
+                raise OysterbenchError(
+                    f"a film of {size[0]} x {size[1]} px could not be written by OpenCV {cv2.__version__}"
+                )
+        writer.write(np.ascontiguousarray(pixels))
+    if writer is not None:
+        writer.release()

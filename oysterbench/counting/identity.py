@@ -1,0 +1,53 @@
+"""What a count is known by, so that it is made once and made anew where anything that it depends on has changed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from oysterbench.core.files import models
+from oysterbench.methods.finding import versions_of
+from oysterbench.methods.options import split_variant
+from oysterbench.version import VERSION
+
+FORMAT = "oysterbench-count/1"
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, read in pieces."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def method_identity(reference: str, method: object, options: Mapping[str, Any]) -> dict[str, Any]:
+    """A method as far as its answers depend on it: reference, versions, its own file, its weights.
+
+    Weights lie by convention where OYSTERBENCH_<NAME> says, or at models/<name>.pt, for `a_b` those of `a_b` and of
+    `a`; and every file that an option names is taken for one.
+    """
+    module = getattr(sys.modules.get(type(method).__module__), "__file__", None)
+    files = [Path(module)] if module else []
+    files += _weights(split_variant(reference)[0])
+    files += [Path(value) for value in options.values() if isinstance(value, str) and value and Path(value).is_file()]
+    return {
+        "method": reference,
+        "versions": {"oysterbench": VERSION, **versions_of(reference)},
+        "files": {path.name: file_digest(path) for path in dict.fromkeys(files)},
+    }
+
+
+def _weights(name: str) -> list[Path]:
+    words = name.rpartition(":")[2].split("_")
+    stems = ["_".join(words[:k]) for k in range(1, len(words) + 1)]
+    places = [os.environ.get(f"OYSTERBENCH_{stem.upper()}") or models() / f"{stem}.pt" for stem in stems]
+    return [path for path in map(Path, places) if path.is_file()]
+
+
+def key_of(values: Mapping[str, Any]) -> str:
+    """SHA-256 of what a count depends on."""
+    return hashlib.sha256(json.dumps({"format": FORMAT, **values}, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,100 @@
+"""What is known of the mean over many pictures: ratios of sums with intervals, by resampling blocks of neighbours.
+
+Pictures are a sample of a bottom. What they have in common with their neighbours is no further evidence: frames of a
+video follow each other over the same ground, and so blocks of time are resampled, each as a whole (Carlstein 1986),
+with the mean of the blocks weighed by what they hold (`evaluate.statistics.bootstrap_interval`). An interval holds the
+scatter of sampling. It does not hold what the method itself counts too many or too few.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench.counting.measure import PictureCount
+from oysterbench.evaluate.statistics import LEAST_SEQUENCES, Interval, bootstrap_interval, mean_of, too_few
+
+BLOCK_S = 10.0
+"""Of a video: at the 0.1 to 0.3 m/s of a survey a camera then sees other ground."""
+
+LEAST_FOR_LIKENESS = 12
+"""Blocks from which on it is asked whether neighbours are alike."""
+ALIKE = 0.4
+"""Correlation of neighbouring blocks from which on it is said that they are alike, if it is also twice what chance
+gives, 2 / sqrt(n)."""
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A sum over pictures by another; NaN where there is nothing to divide by. blocks: that were resampled."""
+
+    value: float
+    interval: Interval
+    blocks: int
+
+
+def block_labels(pictures: Sequence[PictureCount], neighbours: int | None = None) -> NDArray[np.intp]:
+    """(n,) number of the block of each picture, which stand in the order of their names.
+
+    neighbours: how many pictures of a folder, or frames of a video, are a block; by default a picture is one, and of a
+    video what falls into the same `BLOCK_S`.
+    """
+    keys = []
+    counted: dict[str, int] = {}
+    for one in pictures:
+        place = one.name.rpartition("/")[0]
+        counted[place] = counted.get(place, -1) + 1
+        if neighbours is None and one.video:
+            keys.append((place, int((one.time_s or 0.0) // BLOCK_S)))
+        else:
+            keys.append((place, counted[place] // (neighbours or 1)))
+    known = {key: k for k, key in enumerate(dict.fromkeys(keys))}
+    return np.array([known[key] for key in keys], dtype=np.intp)
+
+
+def ratio(above: Sequence[float], below: Sequence[float], labels: NDArray[np.intp], noun: str = "block") -> Ratio:
+    """The sum of `above` by that of `below`, each (n,), over pictures of blocks `labels` (n,)."""
+    sums, weights = _by_block(above, labels), _by_block(below, labels)
+    held = weights > 0
+    values, weights = sums[held] / weights[held], weights[held]
+    n = len(values)
+    if n == 0:
+        return Ratio(math.nan, Interval(math.nan, math.nan, "there is nothing to count"), 0)
+    if n < LEAST_SEQUENCES:
+        return Ratio(mean_of(values, weights), Interval(math.nan, math.nan, too_few(n, noun)), n)
+    return Ratio(mean_of(values, weights), bootstrap_interval(values, weights), n)
+
+
+def ratio_of(
+    pictures: Sequence[PictureCount],
+    labels: NDArray[np.intp],
+    above: Callable[[PictureCount], float | None],
+    below: Callable[[PictureCount], float] = lambda one: 1.0,
+    noun: str = "block",
+) -> Ratio:
+    """The same of what is known of each picture; those of which `above` is None are left out."""
+    known = [
+        (value, below(one), k) for one, k in zip(pictures, labels, strict=True) if (value := above(one)) is not None
+    ]
+    sums, weights, own = zip(*known, strict=True) if known else ((), (), ())
+    return ratio(sums, weights, np.array(own, dtype=np.intp), noun)
+
+
+def likeness(values: Sequence[float], labels: NDArray[np.intp]) -> float:
+    """Correlation of the means of neighbouring blocks; NaN where there are too few, or it may be chance."""
+    sizes = np.bincount(labels) if len(labels) else np.zeros(0)
+    means = _by_block(values, labels) / np.maximum(sizes, 1)
+    n = len(means)
+    if n < LEAST_FOR_LIKENESS or means[:-1].std() == 0 or means[1:].std() == 0:
+        return math.nan
+    found = float(np.corrcoef(means[:-1], means[1:])[0, 1])
+    return found if found >= max(ALIKE, 2 / math.sqrt(n)) else math.nan
+
+
+def _by_block(values: Sequence[float], labels: NDArray[np.intp]) -> Array:
+    return np.bincount(labels, np.asarray(values, dtype=float)).astype(float) if len(labels) else np.zeros(0)

@@ -1,0 +1,148 @@
+"""The lens of a camera that somebody calibrated: from its pixels to rays, read from the usual files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.geometry import Array
+from oysterbench.sequence import open_sequence
+
+EXPECTED = (
+    "Kalibr's camchain.yaml, EuRoC's sensor.yaml, ROS's camera_info as YAML (camera_calibration writes it), or a "
+    "sequence (.mcap, EuRoC folder)"
+)
+UNDONE_PX = 0.5
+"""By how much a point may miss its pixel after the lens was undone and done again; more, and undoing it failed."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """matrix: (3, 3) in px; distortion as in sensor_msgs/CameraInfo: of plumb_bob k1, k2, p1, p2[, k3], of equidistant
+    k1 to k4. width, height: px, of the pictures that it was calibrated with."""
+
+    width: int
+    height: int
+    matrix: Array
+    distortion: Array
+    model: str = "plumb_bob"
+
+    def rays(self, points: Array) -> Array:
+        """(N, 2) x, y at a distance of 1 along the axis, of pixels (N, 2) x, y, where a pixel's middle is at whole
+        numbers. Raises SequenceError where the lens cannot be undone, as beyond what it was calibrated on."""
+        given = np.asarray(points, dtype=float).reshape(-1, 1, 2)
+        lens = cv2.fisheye if self.model == "equidistant" else cv2
+        found = np.asarray(lens.undistortPoints(given, self.matrix, self.distortion)).reshape(-1, 2)
+        again = self._pixels(found)
+        with np.errstate(invalid="ignore"):
+            missed = float(np.abs(again - given.reshape(-1, 2)).max(initial=0.0))
+        if not missed < UNDONE_PX:  # NaN fails as well
+            raise SequenceError(
+                f"calibration: its distortion cannot be undone at the border of a picture of {self.width} x "
+                f"{self.height} px: calibrate with the target in the corners of the picture, too"
+            )
+        return found
+
+    def _pixels(self, rays: Array) -> Array:
+        ahead = np.concatenate([rays, np.ones((len(rays), 1))], axis=1).reshape(-1, 1, 3)
+        still = np.zeros(3)
+        if self.model == "equidistant":
+            found = cv2.fisheye.projectPoints(ahead, still, still, self.matrix, self.distortion)[0]
+        else:
+            found = cv2.projectPoints(ahead, still, still, self.matrix, self.distortion)[0]
+        return np.asarray(found, dtype=float).reshape(-1, 2)
+
+    def resized(self, width: int, height: int) -> Lens:
+        """Of the same pictures at another size. Raises SequenceError where that has other proportions."""
+        if (width, height) == (self.width, self.height):
+            return self
+        if abs(width * self.height - height * self.width) > max(width, height):  # a pixel of rounding
+            raise SequenceError(
+                f"calibration: of pictures of {self.width} x {self.height} px, got one of {width} x {height}: expected "
+                "its proportions, as a camera crops differently in other modes"
+            )
+        across, down = width / self.width, height / self.height
+        matrix = self.matrix.copy()
+        matrix[0, 0], matrix[1, 1] = matrix[0, 0] * across, matrix[1, 1] * down
+        matrix[0, 2], matrix[1, 2] = (matrix[0, 2] + 0.5) * across - 0.5, (matrix[1, 2] + 0.5) * down - 0.5
+        return replace(self, width=width, height=height, matrix=matrix)
+
+
+def read_lens(path: Path, camera: str | None = None) -> Lens:
+    """The lens of a calibration; camera: which of several, by default the first. Raises SequenceError naming the
+    file."""
+    lenses = _of_sequence(path) if path.is_dir() or path.suffix == ".mcap" else _of_yaml(path)
+    name = camera or next(iter(lenses))
+    if name not in lenses:
+        raise SequenceError(f"{path}: no camera {name!r}; its cameras: {', '.join(lenses)}")
+    return lenses[name]
+
+
+def _of_sequence(path: Path) -> dict[str, Lens]:
+    found = {}
+    for name, one in open_sequence(path).cameras.items():
+        if one.port_m is not None:
+            raise SequenceError(f"{path}: {name} looks through a flat port: expected a camera calibrated in water")
+        found[name] = Lens(one.width, one.height, one.matrix, one.distortion, one.distortion_model)
+    if not found:
+        raise SequenceError(f"{path}: has no camera")
+    return found
+
+
+def _of_yaml(path: Path) -> dict[str, Lens]:
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        content = YAML(typ="safe", pure=True).load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, YAMLError, ValueError) as error:
+        why = error.strerror if isinstance(error, OSError) else "not YAML"
+        raise SequenceError(f"{path}: {why}; expected a calibration: {EXPECTED}") from None
+    if not isinstance(content, Mapping):
+        raise SequenceError(f"{path}: expected a calibration: {EXPECTED}")
+    chain = {key: one for key, one in content.items() if re.fullmatch(r"cam\d+", str(key))} or {"cam0": content}
+    try:
+        return {str(key): _camera(one) for key, one in chain.items()}
+    except (KeyError, TypeError, ValueError) as error:
+        raise SequenceError(f"{path}: {_why(error)}; expected a calibration: {EXPECTED}") from None
+
+
+def _why(error: Exception) -> str:
+    return f"key {error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
+
+
+def _camera(values: Mapping[str, Any]) -> Lens:
+    """Of Kalibr, EuRoC (`intrinsics`), or ROS (`camera_matrix`)."""
+    if values.get("camera_model", "pinhole") != "pinhole":
+        raise ValueError(f"camera_model: expected pinhole, got {values['camera_model']}")
+    said = str(values.get("distortion_model", "plumb_bob"))
+    if said not in ("plumb_bob", "radtan", "radial-tangential", "equidistant", "fisheye", "none"):
+        raise ValueError(f"distortion_model: expected plumb_bob, radtan or equidistant, got {said}")
+    model = "equidistant" if said in ("equidistant", "fisheye") else "plumb_bob"
+    if "camera_matrix" in values:
+        matrix = _numbers(values["camera_matrix"]["data"], (9,)).reshape(3, 3)
+        distortion = _numbers(values["distortion_coefficients"]["data"], (4, 5))
+        width, height = values["image_width"], values["image_height"]
+    else:
+        fx, fy, cx, cy = _numbers(values["intrinsics"], (4,))
+        matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        key = "distortion_coeffs" if "distortion_coeffs" in values else "distortion_coefficients"
+        distortion = _numbers(values[key], (4, 5))
+        width, height = values["resolution"]
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and int(width) > 0 and int(height) > 0):
+        raise ValueError("expected focal lengths and a resolution above zero")
+    return Lens(int(width), int(height), matrix, distortion, model)
+
+
+def _numbers(values: Any, counts: tuple[int, ...]) -> Array:
+    found = np.asarray(values, dtype=float).ravel()
+    if len(found) not in counts or not np.isfinite(found).all():
+        raise ValueError(f"expected {' or '.join(map(str, counts))} numbers, got {str(values)[:60]}")
+    return found

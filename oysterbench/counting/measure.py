@@ -1,0 +1,156 @@
+"""What is counted and measured of the oysters of a picture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench.counting.oysters import Oyster, Oysters
+from oysterbench.counting.scale import QuadratScale, Scale, area_m2, border, length_and_width_mm, polygon_area
+
+UNLIKE = 1.0
+"""Novelty above which a picture is unlike all that a method has learnt from (`methods.images.Segmentation`)."""
+
+CUT_WEIGHT = 0.5
+"""Of an oyster that the picture's edge cuts, in a density: of those, half have their middle inside."""
+
+
+@dataclass(frozen=True)
+class OysterRow:
+    """One oyster, for a table; None where something is not known.
+
+    counted: whether its centre lies in what is counted; cut: by the edge of the picture, so that its sizes are those of
+    a part. Boxes and areas in px, sizes in mm.
+    """
+
+    number: int
+    counted: bool
+    cut: bool
+    box: tuple[float, float, float, float]
+    area_px: float | None
+    score: float | None
+    live: float | None
+    state: str
+    length_mm: float | None = None
+    width_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class PictureCount:
+    """What is counted of a picture, or of a frame of a video.
+
+    name, file:  of the picture; path of its file
+    width, height: px; index, time_s: of a frame of a video
+    oysters:     with their centre in what is counted; cut: how many of these the edge of the picture cuts
+    live, dead:  of these; the method does not tell of the rest
+    cover:       share of what is counted that oysters cover, on the ground in a quadrat, else of the pixels; None for
+                 boxes alone
+    area_m2:     of what is counted; None without a scale
+    measured:    how many of them have sizes and are not cut; length_mm: the mean of theirs
+    novelty:     as of a `Segmentation`
+    """
+
+    name: str
+    file: str
+    width: int
+    height: int
+    oysters: int
+    cut: int
+    live: int
+    dead: int
+    cover: float | None
+    area_m2: float | None
+    novelty: float | None
+    measured: int = 0
+    length_mm: float | None = None
+    index: int | None = None
+    time_s: float | None = None
+
+    @property
+    def unlike(self) -> bool:
+        """Whether it is unlike all that the method has learnt from."""
+        return self.novelty is not None and self.novelty > UNLIKE
+
+    @property
+    def weighed(self) -> float:
+        """Oysters, those that the edge cuts a half each."""
+        return self.oysters - (1 - CUT_WEIGHT) * self.cut
+
+    @property
+    def per_m2(self) -> float | None:
+        """Oysters per square metre."""
+        return self.weighed / self.area_m2 if self.area_m2 else None
+
+    @property
+    def video(self) -> bool:
+        """Whether it is a frame of one."""
+        return self.index is not None
+
+
+def measure(
+    found: Oysters, name: str, file: str, shape: tuple[int, int], scale: Scale | None
+) -> tuple[PictureCount, list[OysterRow]]:
+    """Count and measure the oysters of a picture (H, W)."""
+    region = border(shape) if scale is None else scale.region(shape)
+    rows = [_row(one, region, scale) for one in found.each]
+    counted = [row for row in rows if row.counted]
+    lengths = [row.length_mm for row in counted if row.length_mm is not None and not row.cut]
+    picture = PictureCount(
+        name,
+        file,
+        shape[1],
+        shape[0],
+        oysters=len(counted),
+        cut=sum(row.cut for row in counted),
+        live=sum(row.state == "live" for row in counted),
+        dead=sum(row.state == "dead" for row in counted),
+        cover=None if found.numbers is None else _cover(found.numbers > 0, scale, region),
+        area_m2=None if scale is None else area_m2(scale, shape),
+        novelty=_known(found.novelty),
+        measured=len(lengths),
+        length_mm=math.fsum(lengths) / len(lengths) if lengths else None,
+    )
+    return picture, rows
+
+
+def _row(one: Oyster, region: Array, scale: Scale | None) -> OysterRow:
+    counted = len(region) > 2 and polygon_holds(region, one.centre)
+    # Beyond the quadrat the homography may lie near the horizon.
+    sizes = (None, None) if scale is None or not counted else length_and_width_mm(scale, one.hull)
+    return OysterRow(
+        one.number,
+        counted,
+        one.cut,
+        one.box,
+        _known(one.area_px),
+        _known(one.score),
+        _known(one.live),
+        one.state,
+        *sizes,
+    )
+
+
+def polygon_holds(region: Array, point: Array) -> bool:
+    """Whether a point (2,) lies in a polygon (K, 2), or on its border."""
+    x, y = (float(value) for value in point)
+    return cv2.pointPolygonTest(region.astype(np.float32).reshape(-1, 1, 2), (x, y), measureDist=False) >= 0
+
+
+def _cover(mask: NDArray[np.bool_], scale: Scale | None, region: Array) -> float | None:
+    if not isinstance(scale, QuadratScale):
+        return float(mask.mean())
+    inside = np.zeros(mask.shape, np.uint8)
+    if polygon_area(region) == 0:
+        return None
+    cv2.fillConvexPoly(inside, np.round(region - 0.5).astype(np.int32), 1)
+    ground, oysters = scale.flattened(inside), scale.flattened(inside & mask)
+    return float(oysters.sum() / ground.sum()) if ground.any() else None
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else float(value)

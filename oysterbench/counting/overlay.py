@@ -1,0 +1,110 @@
+"""A picture with the outlines of its oysters, to be looked at."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import OysterbenchError
+from oysterbench.core.geometry import Array
+from oysterbench.counting.measure import OysterRow, PictureCount
+
+LONGEST_PX = 2048
+"""Of a picture with outlines: larger ones are reduced to it, with lines as strong as they look in it."""
+
+COLOURS = {"unknown": (240, 228, 66), "live": (86, 180, 233), "dead": (213, 94, 0), "left out": (190, 190, 190)}
+"""RGB of outlines: yellow, sky blue, vermilion and grey, which all kinds of colour vision tell apart (Okabe & Ito
+2008)."""
+
+CASING = (0, 0, 0)
+QUADRAT = (255, 255, 255)
+WARNING = "unlike what was learnt from"
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+FIXED = 4  # bits behind the point of the places of lines
+
+Pixels = NDArray[np.uint8]
+
+
+def overlay(
+    pixels: Pixels,
+    numbers: NDArray[np.uint16] | None,
+    rows: list[OysterRow],
+    picture: PictureCount,
+    region: Array | None,
+) -> Pixels:
+    """(h, w, 3) uint8 RGB of a picture (H, W, 3): outlines by state, each on a dark casing; those that are not counted
+    thin and grey; region (K, 2) px, of a quadrat, in white; the count and any warning in a strip above it."""
+    height, width = pixels.shape[:2]
+    factor = min(1.0, LONGEST_PX / max(height, width))
+    size = (max(1, round(width * factor)), max(1, round(height * factor)))
+    resized = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA) if factor < 1 else pixels.copy()
+    drawn = np.asarray(resized, dtype=np.uint8)
+    line = max(1, round(max(size) / 400))
+    outlines = {row.number: _outline(row, numbers) for row in rows}
+    for casing in (True, False):
+        for row in rows:
+            kind = row.state if row.counted else "left out"
+            thickness = line if row.counted else max(1, line // 2)
+            colour = CASING if casing else COLOURS[kind]
+            _lines(drawn, outlines[row.number], factor, colour, thickness + 2 * line * casing)
+        if region is not None and len(region):
+            _lines(drawn, [region], factor, CASING if casing else QUADRAT, line + 2 * line * casing)
+    return _with_strip(drawn, _said(picture), picture.unlike)
+
+
+def jpeg(pixels: Pixels, quality: int = 88, widest: int | None = None) -> bytes:
+    """(H, W, 3) uint8 RGB as JPEG, reduced to a width in px where it is wider."""
+    height, width = pixels.shape[:2]
+    if widest is not None and width > widest:
+        size = (widest, max(1, round(height * widest / width)))
+        pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise OysterbenchError(f"a picture of {width} x {height} px could not be encoded as JPEG")
+    return data.tobytes()
+
+
+def _outline(row: OysterRow, numbers: NDArray[np.uint16] | None) -> list[Array]:
+    """Polygons (K, 2) px around an oyster, from the corner of the first pixel."""
+    x, y, w, h = row.box
+    if numbers is None:
+        return [np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])]
+    left, top = int(x), int(y)
+    mask = numbers[top : top + int(h), left : left + int(w)] == row.number
+    found, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    return [contour.reshape(-1, 2) + np.array([left + 0.5, top + 0.5]) for contour in found]
+
+
+def _lines(drawn: Pixels, outlines: list[Array], factor: float, colour: tuple[int, int, int], thickness: int) -> None:
+    scaled = [np.round((points * factor - 0.5) * 2**FIXED).astype(np.int32) for points in outlines]
+    cv2.polylines(drawn, scaled, True, colour, thickness, cv2.LINE_AA, FIXED)
+
+
+def _said(picture: PictureCount) -> str:
+    text = f"{picture.oysters} oyster{'' if picture.oysters == 1 else 's'}"
+    if picture.live or picture.dead:
+        text += f", {picture.live} live, {picture.dead} dead"
+    if picture.per_m2 is not None:
+        text += f", {picture.per_m2:.1f} per m2"
+    if picture.time_s is not None:
+        minutes, seconds = divmod(int(picture.time_s), 60)
+        text = f"{minutes}:{seconds:02d}  {text}"
+    return text
+
+
+def _with_strip(drawn: Pixels, text: str, unlike: bool) -> Pixels:
+    """The picture below a dark strip with the text; of one that is warned of, orange, and a frame around it."""
+    height, width = drawn.shape[:2]
+    tall = max(22, round(max(height, width) / 26))
+    ground, ink = ((213, 94, 0), (255, 255, 255)) if unlike else ((20, 32, 43), (255, 255, 255))
+    strip = np.full((tall, width, 3), ground, np.uint8)
+    text = f"! {text}, {WARNING}" if unlike else text
+    (wide, _), _ = cv2.getTextSize(text, FONT, 1.0, 2)
+    scale = min(tall / 40, (width - 8) / max(wide, 1))
+    if scale > 0.2:  # less is no writing
+        place = (4 + tall // 6, round(tall / 2 + 11 * scale))
+        cv2.putText(strip, text, place, FONT, scale * 0.94, ink, max(1, round(2 * scale)), cv2.LINE_AA)
+    if unlike:
+        cv2.rectangle(drawn, (0, 0), (width - 1, height - 1), ground, max(1, round(max(height, width) / 160)))
+    return np.concatenate([strip, drawn])

@@ -1,0 +1,215 @@
+"""The single oysters of a picture, of whatever a method of images predicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.arrays import truth_values
+from oysterbench.core.errors import MethodError
+from oysterbench.core.geometry import Array
+from oysterbench.evaluate.detection.instances import instance_numbers, pieces
+from oysterbench.evaluate.segmentation import EstimateImage
+from oysterbench.methods.images import Detections, Segmentation
+
+MOST = 65535
+"""Oysters of a picture, as their numbers are kept in 16 bits."""
+
+ALIVE = 0.5
+"""Probability from which on an oyster is called live, and below which dead."""
+
+
+@dataclass(frozen=True)
+class Oyster:
+    """One oyster in a picture.
+
+    number:  of its pixels in the plane of numbers, from 1
+    box:     x, y, width, height in px; area_px: of its mask, NaN where there is none
+    centre:  (2,) x, y in px, of its mask, or else of its box
+    hull:    (N, 2) x, y in px: the corners of the convex hull of its pixels, or of its box
+    score:   how sure the method is; NaN where it does not say
+    live:    probability that it is alive; NaN where the method cannot tell
+    cut:     whether the edge of the picture cuts it
+    """
+
+    number: int
+    box: tuple[float, float, float, float]
+    area_px: float
+    centre: Array
+    hull: Array
+    score: float
+    live: float
+    cut: bool
+
+    @property
+    def state(self) -> str:
+        """live, dead, or unknown."""
+        return "unknown" if math.isnan(self.live) else "live" if self.live >= ALIVE else "dead"
+
+
+@dataclass(frozen=True)
+class Oysters:
+    """What is found in a picture.
+
+    numbers: (H, W) uint16, 0 for none, the surest on top where oysters overlap; None where there are boxes alone
+    novelty: as of a `Segmentation`; NaN where the method does not say
+    """
+
+    each: tuple[Oyster, ...]
+    numbers: NDArray[np.uint16] | None
+    novelty: float
+
+
+def oysters_of(prediction: Segmentation | Detections, method: str, shape: tuple[int, int], threshold: float) -> Oysters:
+    """The oysters of a picture (H, W) whose score is at least `threshold`.
+
+    Of masks and classes, and of probabilities from `threshold` on, what hangs together, by edges and corners, is one;
+    its score is its mean probability. A stranger's arrays are checked: raises MethodError or LabelError.
+    """
+    where = f"method {method!r} on {prediction.name}"
+    novelty = _novelty(prediction.novelty, where)
+    if isinstance(prediction, Segmentation):
+        found = _connected(prediction, where, shape, threshold)
+    elif prediction.boxes is not None:
+        return Oysters(tuple(_boxes(prediction, where, shape, threshold)), None, novelty)
+    elif prediction.masks is not None:
+        found = _masked(prediction, where, shape, threshold)
+    else:
+        found = _numbered(prediction, where, shape, threshold)
+    if len(found.scores) > MOST:
+        raise MethodError(f"{where}: expected at most {MOST} oysters in a picture, got {len(found.scores)}")
+    return Oysters(tuple(_measured(found, shape)), found.numbers.astype(np.uint16), novelty)
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Numbers (H, W); top, left and mask of each that has any; scores and live of numbers 1, 2, ..."""
+
+    numbers: NDArray[np.integer[Any]]
+    pieces: Mapping[int, tuple[int, int, NDArray[np.bool_]]]
+    scores: Sequence[float]
+    live: Sequence[float]
+
+
+def _connected(prediction: Segmentation, where: str, shape: tuple[int, int], threshold: float) -> _Parts:
+    said = EstimateImage(where, prediction.oyster, prediction.probability, prediction.classes)
+    _check_shape(said.shape, where, shape)
+    mask = np.ascontiguousarray(said.mask(threshold))
+    count, labels = cv2.connectedComponents(mask.view(np.uint8), connectivity=8)
+    numbers = np.asarray(labels, np.int32)
+    scores = np.full(count, math.nan)
+    if said.probability is not None:
+        flat = numbers.ravel()
+        scores = np.bincount(flat, said.probability.ravel(), count) / np.maximum(np.bincount(flat, minlength=count), 1)
+    return _Parts(numbers, pieces(numbers), scores[1:].tolist(), [math.nan] * (count - 1))
+
+
+def _masked(prediction: Detections, where: str, shape: tuple[int, int], threshold: float) -> _Parts:
+    """Masks that may overlap: the surest is on top in the plane, and each is measured by the whole of its own."""
+    scores, live = _scores(prediction, where)
+    masks = np.asarray(prediction.masks)
+    _check_shape(masks.shape[1:] if masks.ndim == 3 else masks.shape, where, shape)
+    _check_count(len(masks), len(scores), where)
+    kept = np.flatnonzero(scores >= threshold)
+    order = kept[np.argsort(scores[kept], kind="stable")]
+    numbers = np.zeros(shape, np.int32)
+    found = {}
+    for number, k in enumerate(order, start=1):
+        mask = truth_values(masks[k], where)
+        numbers[mask] = number
+        if whole := pieces(mask.view(np.uint8)):
+            found[number] = whole[1]
+    return _Parts(numbers, found, scores[order].tolist(), live[order].tolist())
+
+
+def _numbered(prediction: Detections, where: str, shape: tuple[int, int], threshold: float) -> _Parts:
+    scores, live = _scores(prediction, where)
+    if prediction.numbers is None:
+        raise MethodError(f"{where}: expected numbers, masks or boxes of oysters, got none of them")
+    plane = instance_numbers(np.asarray(prediction.numbers), where)
+    _check_shape(plane.shape, where, shape)
+    most = int(plane.max(initial=0))
+    if most > len(scores):
+        raise MethodError(f"{where}: expected a score for each of {most} oysters, got {len(scores)}")
+    kept = np.flatnonzero(scores >= threshold)
+    dense = np.zeros(len(scores) + 1, np.int32)
+    dense[kept + 1] = np.arange(1, len(kept) + 1)
+    numbers = dense[plane]
+    return _Parts(numbers, pieces(numbers), scores[kept].tolist(), live[kept].tolist())
+
+
+def _boxes(prediction: Detections, where: str, shape: tuple[int, int], threshold: float) -> Iterator[Oyster]:
+    scores, live = _scores(prediction, where)
+    boxes = np.asarray(prediction.boxes)
+    boxes = boxes.reshape(0, 4) if not boxes.size else boxes
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or boxes.dtype.kind not in "iuf" or not np.isfinite(boxes).all():
+        raise MethodError(f"{where}: expected boxes (N, 4), x, y, width, height in px, got shape {boxes.shape}")
+    _check_count(len(boxes), len(scores), where)
+    height, width = shape
+    for number, k in enumerate(np.flatnonzero(scores >= threshold), start=1):
+        x, y, w, h = boxes[k].astype(float).tolist()
+        corners = np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])
+        cut = x <= 0 or y <= 0 or x + w >= width or y + h >= height
+        middle = np.array([x + w / 2, y + h / 2])
+        yield Oyster(number, (x, y, w, h), math.nan, middle, corners, float(scores[k]), float(live[k]), cut)
+
+
+def _measured(found: _Parts, shape: tuple[int, int]) -> Iterator[Oyster]:
+    height, width = shape
+    for number, (top, left, mask) in found.pieces.items():
+        rows, columns = np.nonzero(mask)
+        tall, wide = mask.shape
+        yield Oyster(
+            number,
+            (float(left), float(top), float(wide), float(tall)),
+            float(len(rows)),
+            np.array([left + columns.mean() + 0.5, top + rows.mean() + 0.5]),
+            _hull(rows, columns) + np.array([left, top]),
+            found.scores[number - 1],
+            found.live[number - 1],
+            top == 0 or left == 0 or top + tall == height or left + wide == width,
+        )
+
+
+def _hull(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Array:
+    """(N, 2) x, y: the convex hull of whole pixels, each of which covers [column, column + 1)."""
+    first = cv2.convexHull(np.stack([columns, rows], axis=1).astype(np.int32)).reshape(-1, 2)
+    corners = np.concatenate([first + step for step in ((0, 0), (1, 0), (0, 1), (1, 1))])
+    return cv2.convexHull(corners.astype(np.int32)).reshape(-1, 2).astype(float)
+
+
+def _scores(prediction: Detections, where: str) -> tuple[Array, Array]:
+    scores = np.asarray(prediction.scores).ravel()
+    if scores.dtype.kind not in "iuf" or not np.isfinite(scores.astype(float)).all():
+        raise MethodError(f"{where}: expected scores (N,), finite numbers, got {scores.dtype} {scores[:4]}")
+    if prediction.live is None:
+        return scores.astype(float), np.full(len(scores), math.nan)
+    live = np.asarray(prediction.live, dtype=float).ravel()
+    if len(live) != len(scores) or not ((live >= 0) & (live <= 1) | np.isnan(live)).all():
+        raise MethodError(f"{where}: expected live ({len(scores)},), probabilities or NaN, got {len(live)}: {live[:4]}")
+    return scores.astype(float), live
+
+
+def _novelty(value: float | None, where: str) -> float:
+    if value is None:
+        return math.nan
+    if not float(value) >= 0:  # NaN fails as well
+        raise MethodError(f"{where}: expected a novelty from 0, got {value}")
+    return float(value)
+
+
+def _check_count(count: int, scores: int, where: str) -> None:
+    if count != scores:
+        raise MethodError(f"{where}: expected a score for each of {count} oysters, got {scores}")
+
+
+def _check_shape(found: tuple[int, ...], where: str, shape: tuple[int, int]) -> None:
+    if tuple(found) != shape:
+        size, got = (" x ".join(str(n) for n in one[::-1]) for one in (shape, found))
+        raise MethodError(f"{where}: expected an answer of the picture's size, {size}, got {got}")

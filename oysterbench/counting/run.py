@@ -1,0 +1,279 @@
+"""Counting the oysters of pictures and videos with a method, each picture once."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import LabelError, MethodError, OysterbenchError, SequenceError
+from oysterbench.core.text import in_one_line
+from oysterbench.counting.film import film_rate, write_film
+from oysterbench.counting.identity import file_digest, key_of
+from oysterbench.counting.measure import PictureCount, measure
+from oysterbench.counting.overlay import jpeg, overlay
+from oysterbench.counting.oysters import oysters_of
+from oysterbench.counting.reading import Sampling, Video, VideoFrame, decode
+from oysterbench.counting.scale import QuadratScale, Scale
+from oysterbench.counting.sources import Source
+from oysterbench.counting.store import Store
+from oysterbench.methods.images import Picture
+from oysterbench.methods.interfaces import Stopwatch
+from oysterbench.methods.interfaces.images import Prediction, predictions
+
+Pixels = NDArray[np.uint8]
+
+ScaleOf = Callable[[Source, str], Scale | None]
+"""Of a source and the name of its picture or frame: the scale there, None where none is asked for. Raises LabelError
+where there should be one and is none."""
+
+FAILURES = 3
+"""Of a method, one after the other, after which it is not tried on further pictures."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """threshold: score from which on an oyster counts; sampling: of videos; scale: of each picture."""
+
+    threshold: float = 0.5
+    sampling: Sampling = field(default_factory=Sampling)
+    scale: ScaleOf = lambda source, name: None
+
+
+@dataclass
+class Counted:
+    """What came of it. pictures: in the order of their names; made: how many of them in this run; failures: by name of
+    a picture or video; films: by name of a video; cpu_s: of the method, in this run."""
+
+    pictures: list[PictureCount] = field(default_factory=list)
+    made: int = 0
+    failures: dict[str, str] = field(default_factory=dict)
+    films: dict[str, Path] = field(default_factory=dict)
+    cpu_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Work:
+    """A picture that is to be counted. place: of its source."""
+
+    place: int
+    name: str
+    key: str
+    pixels: Pixels
+    scale: Scale | None
+    index: int | None = None
+    time_s: float | None = None
+
+
+class Counting:
+    """One run over sources. identity: of the method (`identity.method_identity`); progress: is told how many pictures
+    are done, of how many."""
+
+    def __init__(
+        self,
+        sources: Sequence[Source],
+        method: Any,
+        identity: Mapping[str, Any],
+        store: Store,
+        settings: Settings,
+        progress: Callable[[int, int], None] = lambda done, total: None,
+    ) -> None:
+        self.sources, self.method, self.identity = sources, method, identity
+        self.store, self.settings, self.progress = store, settings, progress
+        self.result = Counted()
+        self._found: dict[str, tuple[int, PictureCount]] = {}
+        self._made: set[str] = set()
+        self._expected = {source.name: 1 for source in sources}
+
+    def run(self) -> Counted:
+        """Count what is not finished yet.
+
+        What cannot be read, and what a method fails on, is told of in `failures`, and the rest goes on. Raises
+        MethodError where the method cannot be run, or does not answer as agreed.
+        """
+        works, watch = self._works(), Stopwatch()
+        first = next(works, None)  # where nothing is left to do, nothing that a method needs is loaded
+        works = works if first is None else itertools.chain([first], works)
+        in_row = 0
+        while first is not None:
+            waiting: dict[str, _Work] = {}
+            before = len(self._made)
+            error = self._answers(works, waiting, watch)
+            if error is None:
+                break
+            in_row = 1 if len(self._made) > before else in_row + 1
+            if not waiting or in_row >= FAILURES:
+                where = next(iter(waiting), "its first picture")
+                raise MethodError(f"method {self.method.name!r} failed on {where}: {error}")
+            self.result.failures.update(dict.fromkeys(waiting, f"the method failed on it: {error}"))
+            self._tell()
+        self.result.made, self.result.cpu_s = len(self._made), watch.cpu_s
+        in_order = sorted(self._found.values(), key=lambda found: (found[0], found[1].index or 0))
+        self.result.pictures = [picture for _, picture in in_order]
+        self._films()
+        return self.result
+
+    def _answers(self, works: Iterator[_Work], waiting: dict[str, _Work], watch: Stopwatch) -> str | None:
+        """Take what the method answers, until all is done (None), or an exception of its own, which is returned."""
+
+        def given() -> Iterator[Picture]:
+            for work in works:
+                waiting[work.name] = work
+                yield Picture(work.name, work.pixels)
+
+        answers = predictions(self.method, given(), "these pictures", 0, watch)
+        while True:
+            try:
+                answer = next(answers, None)
+            except OysterbenchError:
+                raise
+            except Exception as error:
+                return f"{type(error).__name__}: {in_one_line(error)}"
+            if answer is None:
+                if waiting:
+                    raise MethodError(f"method {self.method.name!r} ended without an answer for {next(iter(waiting))}")
+                return None
+            self._finish(waiting.pop(answer.name), answer)
+
+    def _finish(self, work: _Work, answer: Prediction) -> None:
+        height, width = work.pixels.shape[:2]
+        found = oysters_of(answer, self.method.name, (height, width), self.settings.threshold)
+        file = str(self.sources[work.place].path)
+        picture, rows = measure(found, work.name, file, (height, width), work.scale)
+        picture = replace(picture, index=work.index, time_s=work.time_s)
+        region = work.scale.region((height, width)) if isinstance(work.scale, QuadratScale) else None
+        drawn = overlay(work.pixels, found.numbers, rows, picture, region)
+        self.store.write(work.key, picture, rows, found.numbers, jpeg(drawn))
+        self._made.add(work.name)
+        self._keep(work.place, picture)
+
+    def _works(self) -> Iterator[_Work]:
+        """What is to be counted, read one by one; what is finished already is kept on the way."""
+        for place, source in enumerate(self.sources):
+            try:
+                yield from self._frames(place, source) if source.video else self._picture(place, source)
+            except (LabelError, SequenceError) as error:
+                self._fail(source.name, str(error))
+            except OSError as error:
+                self._fail(source.name, f"{source.path}: cannot be read: {error.strerror or error}")
+
+    def _picture(self, place: int, source: Source) -> Iterator[_Work]:
+        data = source.path.read_bytes()
+        key, scale = self._key(source, source.name, hashlib.sha256(data).hexdigest())
+        done = self.store.finished(source.name, key)
+        if done is not None:
+            self._keep(place, done)
+            return
+        pixels = decode(data, str(source.path))
+        yield self._work(place, source.name, key, pixels, scale)
+
+    def _frames(self, place: int, source: Source) -> Iterator[_Work]:
+        sampling, digest = self.settings.sampling, file_digest(source.path)
+        whole = key_of({"video": digest, "every": sampling.every, "per_second": sampling.per_second})
+        known = self.store.frames(source.name, whole)
+        if known is not None and self._all_kept(place, source, digest, *known):
+            return
+        video = Video(source.path)
+        self._expected[source.name] = video.estimate(sampling)
+        taken: list[tuple[int, float]] = []
+        why = ""
+        try:
+            for frame in video.frames(sampling, lambda index: self._done(source, digest, index) is not None):
+                taken.append((frame.index, frame.time_s))
+                yield from self._frame(place, source, digest, frame)
+        except LabelError as error:
+            why = str(error)
+            self._fail(source.name, why)
+        self._expected[source.name] = len(taken)
+        self.store.write_frames(source.name, whole, taken, why)
+
+    def _frame(self, place: int, source: Source, digest: str, frame: VideoFrame) -> Iterator[_Work]:
+        """A frame, unless it is finished, or cannot be counted."""
+        name = frame_name(source, frame.index)
+        if frame.pixels is None:
+            done = self._done(source, digest, frame.index)
+            assert done is not None
+            self._keep(place, done)
+            return
+        try:
+            key, scale = self._key(source, name, digest, frame.index)
+            work = self._work(place, name, key, frame.pixels, scale)
+        except (LabelError, SequenceError) as error:
+            self._fail(name, str(error))
+            return
+        yield replace(work, index=frame.index, time_s=frame.time_s)
+
+    def _all_kept(self, place: int, source: Source, digest: str, frames: Sequence[tuple[int, float]], why: str) -> bool:
+        """Keep all frames of a video, if each is finished: then it need not be decoded."""
+        held = [self._done(source, digest, index) for index, _ in frames]
+        done = [one for one in held if one is not None]
+        if len(done) < len(held):
+            return False
+        self._expected[source.name] = len(done)
+        for one in done:
+            self._keep(place, one)
+        if why:
+            self._fail(source.name, why)
+        return True
+
+    def _done(self, source: Source, digest: str, index: int) -> PictureCount | None:
+        name = frame_name(source, index)
+        try:
+            return self.store.finished(name, self._key(source, name, digest, index)[0])
+        except LabelError:  # it has no scale
+            return None
+
+    def _key(self, source: Source, name: str, digest: str, index: int | None = None) -> tuple[str, Scale | None]:
+        scale = self.settings.scale(source, name)
+        values = {
+            "method": self.identity,
+            "threshold": self.settings.threshold,
+            "scale": None if scale is None else scale.as_dict(),
+            "picture": digest,
+            "frame": index,
+        }
+        return key_of(values), scale
+
+    def _work(self, place: int, name: str, key: str, pixels: Pixels, scale: Scale | None) -> _Work:
+        height, width = pixels.shape[:2]
+        return _Work(place, name, key, pixels, None if scale is None else scale.fitted((height, width)))
+
+    def _fail(self, name: str, why: str) -> None:
+        self.result.failures[name] = why
+        self._tell()
+
+    def _keep(self, place: int, picture: PictureCount) -> None:
+        self._found[picture.name] = place, picture
+        self._tell()
+
+    def _tell(self) -> None:
+        done = len(self._found) + len(self.result.failures)
+        self.progress(done, max(done, sum(self._expected.values())))
+
+    def _films(self) -> None:
+        """Of videos of which a frame was made anew, or whose film is not there."""
+        for source in self.sources:
+            if not source.video:
+                continue
+            frames = [one for one in self.result.pictures if one.file == str(source.path)]
+            path = self.store.film(source.name)
+            if frames and (not path.is_file() or any(one.name in self._made for one in frames)):
+                rate_hz = film_rate([one.time_s or 0.0 for one in frames])
+                write_film(path, [self.store.overlay(one.name) for one in frames], rate_hz)
+            if frames:
+                self.result.films[source.name] = path
+
+
+def frame_name(source: Source, index: int) -> str:
+    """Of a frame of a video: VIDEO/NUMBER.
+
+    >>> frame_name(Source("dive 1.mp4", Path("dive 1.mp4"), True), 30)
+    'dive 1.mp4/000030'
+    """
+    return f"{source.name}/{index:06d}"

@@ -1,0 +1,114 @@
+"""What lies at the paths that somebody gives: pictures, videos, and what is neither."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from oysterbench.core.errors import LabelError
+
+PICTURES = (".jpg", ".jpeg", ".jpe", ".png", ".tif", ".tiff", ".bmp", ".webp", ".jp2", ".ppm", ".pgm")
+VIDEOS = (".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".mpeg", ".wmv")
+CONVERT = (".heic", ".heif", ".dng", ".gpr", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2")
+"""Pictures that OpenCV cannot decode: said apart from what is no picture, so that nobody misses them."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file of a picture or a video.
+
+    name: unlike that of any other: its path below the folder that all have in common. Pictures go without their
+    suffix, where that leaves them apart; a video keeps it, since its frames are named VIDEO/NUMBER.
+    """
+
+    name: str
+    path: Path
+    video: bool
+
+
+@dataclass(frozen=True)
+class Found:
+    """Sources in the order of their names; others: files that are neither picture nor video; to_convert: pictures in
+    formats that cannot be read."""
+
+    sources: tuple[Source, ...]
+    others: tuple[Path, ...] = ()
+    to_convert: tuple[Path, ...] = ()
+
+
+def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
+    """All pictures and videos at the paths: files, and folders with all that lies below them, by their suffix.
+
+    leave_out: a folder that is not looked into, as that of the results. Raises LabelError where a path is not there,
+    and where nothing is a picture or a video.
+    """
+    files: dict[Path, None] = {}  # in order, each once
+    roots = []
+    for path in paths:
+        if not path.exists():
+            raise LabelError(f"{path}: no such file or folder; expected pictures, a folder of them, or a video")
+        path = path.absolute()
+        roots.append(path if path.is_dir() else path.parent)
+        files.update(dict.fromkeys(_below(path, leave_out) if path.is_dir() else [path]))
+    kinds: dict[str, list[Path]] = {"pictures": [], "videos": [], "convert": [], "others": []}
+    for file in files:
+        kinds[_kind(file)].append(file)
+    if not kinds["pictures"] and not kinds["videos"]:
+        raise LabelError(_nothing(paths, kinds["convert"], kinds["others"]))
+    root = Path(os.path.commonpath(roots))
+    sources = [*_pictures(kinds["pictures"], root), *(Source(_name(p, root), p, True) for p in kinds["videos"])]
+    sources.sort(key=lambda source: source.name)
+    return Found(tuple(sources), tuple(kinds["others"]), tuple(kinds["convert"]))
+
+
+def _below(folder: Path, leave_out: Path | None) -> list[Path]:
+    found: list[Path] = []
+    skipped = None if leave_out is None else leave_out.absolute()
+    for at, folders, names in os.walk(folder):
+        folders[:] = sorted(name for name in folders if Path(at, name) != skipped)
+        found += [Path(at, name) for name in sorted(names)]
+    return found
+
+
+def _kind(path: Path) -> str:
+    suffix = path.suffix.lower()
+    if path.name.startswith("."):  # such as ._IMG.JPG, by which macOS keeps what other disks cannot
+        return "others"
+    kinds = {"pictures": PICTURES, "videos": VIDEOS, "convert": CONVERT}
+    return next((kind for kind, suffixes in kinds.items() if suffix in suffixes), "others")
+
+
+def _name(path: Path, root: Path) -> str:
+    return path.relative_to(root).as_posix()
+
+
+def _pictures(files: Sequence[Path], root: Path) -> list[Source]:
+    bare = Counter(_name(path.with_suffix(""), root) for path in files)
+    named = ((path, _name(path.with_suffix(""), root)) for path in files)
+    return [Source(name if bare[name] == 1 else _name(path, root), path, False) for path, name in named]
+
+
+def _nothing(paths: Sequence[Path], to_convert: Sequence[Path], others: Sequence[Path]) -> str:
+    where = ", ".join(map(str, paths))
+    if to_convert:
+        return (
+            f"{where}: expected pictures or videos, got {listed(to_convert)}, of a format that cannot be read: save "
+            "them as JPEG, PNG or TIFF first"
+        )
+    got = f"only {listed(others)}" if others else "an empty folder"
+    return (
+        f"{where}: expected pictures ({' '.join(PICTURES[:6])} ...) or videos ({' '.join(VIDEOS[:5])} ...), got {got}"
+    )
+
+
+def listed(paths: Sequence[Path], most: int = 3) -> str:
+    """Names of some files, and how many more there are.
+
+    >>> listed([Path("a.txt"), Path("b.txt")], most=1)
+    'a.txt and 1 more'
+    """
+    names = ", ".join(path.name for path in paths[:most])
+    return names + (f" and {len(paths) - most} more" if len(paths) > most else "")

@@ -1,0 +1,116 @@
+"""The folder of counts: what is finished is kept picture by picture, so that the same command goes on from there.
+
+```
+masks/NAME.png        16 bits: numbers of oysters, 0 for none; none where a method gives boxes alone
+overlays/NAME.jpg     the picture with outlines
+videos/NAME.mp4       overlays of the frames of a video
+finished/NAME.json    what is counted, and the digest of what it depends on; written last
+finished/VIDEO/.frames.json    which frames of a video are looked at, once all have been
+```
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.annotations.folders import write_picture
+from oysterbench.core.files import write_atomically
+from oysterbench.counting.measure import OysterRow, PictureCount
+
+
+class _Finished(msgspec.Struct, frozen=True):
+    """A picture that is counted."""
+
+    key: str
+    picture: PictureCount
+    oysters: list[OysterRow]
+
+
+class _Frames(msgspec.Struct, frozen=True):
+    """The frames of a video that are looked at, as index and time in s, and why it may have ended before its time."""
+
+    key: str
+    frames: list[tuple[int, float]]
+    failure: str = ""
+
+
+class Store:
+    """A folder of counts. again: nothing in it counts as finished."""
+
+    def __init__(self, folder: Path, again: bool = False) -> None:
+        self.folder, self.again = folder, again
+
+    def mask(self, name: str) -> Path:
+        """Where the numbers of a picture's oysters are."""
+        return self.folder / "masks" / f"{name}.png"
+
+    def overlay(self, name: str) -> Path:
+        """Where a picture with outlines is."""
+        return self.folder / "overlays" / f"{name}.jpg"
+
+    def film(self, video: str) -> Path:
+        """Where the overlays of a video are."""
+        return self.folder / "videos" / (video if video.lower().endswith(".mp4") else f"{video}.mp4")
+
+    def write(
+        self,
+        key: str,
+        picture: PictureCount,
+        oysters: Sequence[OysterRow],
+        numbers: NDArray[np.uint16] | None,
+        overlay: bytes,
+    ) -> None:
+        """Keep a picture; what says that it is finished comes last."""
+        self._record(picture.name).unlink(missing_ok=True)
+        if numbers is not None:
+            write_picture(self.mask(picture.name), numbers)
+        write_atomically(self.overlay(picture.name), overlay)
+        content = msgspec.json.encode(_Finished(key, picture, list(oysters)))
+        write_atomically(self._record(picture.name), content)
+
+    def finished(self, name: str, key: str) -> PictureCount | None:
+        """The count of a picture, if it is there with that key, and the overlay, too."""
+        held = None if self.again else self._read(name)
+        there = held is not None and held.key == key and self.overlay(name).is_file()
+        return held.picture if held is not None and there else None
+
+    def oysters(self, name: str) -> list[OysterRow]:
+        """Of a picture that is finished."""
+        held = self._read(name)
+        return [] if held is None else held.oysters
+
+    def write_frames(self, video: str, key: str, frames: Sequence[tuple[int, float]], failure: str) -> None:
+        """Keep which frames of a video are looked at."""
+        write_atomically(self._frames(video), msgspec.json.encode(_Frames(key, list(frames), failure)))
+
+    def frames(self, video: str, key: str) -> tuple[list[tuple[int, float]], str] | None:
+        """Frames of a video that was read to its end, and why that came early, if it did."""
+        if self.again:
+            return None
+        try:
+            held = msgspec.json.decode(self._frames(video).read_bytes(), type=_Frames)
+        except (OSError, msgspec.DecodeError):
+            return None
+        return (held.frames, held.failure) if held.key == key else None
+
+    def overlays(self, pictures: Sequence[PictureCount]) -> Iterator[tuple[PictureCount, bytes]]:
+        """JPEGs of pictures with outlines."""
+        for one in pictures:
+            yield one, self.overlay(one.name).read_bytes()
+
+    def _record(self, name: str) -> Path:
+        return self.folder / "finished" / f"{name}.json"
+
+    def _frames(self, video: str) -> Path:
+        return self.folder / "finished" / video / ".frames.json"
+
+    def _read(self, name: str) -> _Finished | None:
+        try:
+            return msgspec.json.decode(self._record(name).read_bytes(), type=_Finished)
+        except (OSError, msgspec.DecodeError):  # not there, or another version's
+            return None
