@@ -68,7 +68,7 @@ def command(
     """
     if publish and not wait:
         raise click.UsageError("--publish waits until the submission is scored: --no-wait does not go with it")
-    from oysterbench.cli.hub import bytes_bar
+    from oysterbench.cli.progress import bytes_bar
     from oysterbench_leaderboard.submissions.catalogue import why
     from oysterbench_leaderboard.submissions.client import Client
     from oysterbench_leaderboard.submissions.package import find_package, packed, split_in, wanted_of

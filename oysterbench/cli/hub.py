@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.models import download_model
 from oysterbench.core.errors import HubError, IntegrityError
 
 if TYPE_CHECKING:
-    from oysterbench.hub.download import Progress
+    from oysterbench.hub.download import Hub
     from oysterbench.hub.manifest import Manifest
+    from oysterbench.hub.model import Model
     from oysterbench.recipe import SplitRecipe
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 FILE = click.Path(path_type=Path, dir_okay=False)
 
-
-"""A message to the user, on stderr."""
+NO_HUB = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
 
 
 @click.command("hub-key", short_help="Make the key that a hub's index is signed with.")
@@ -137,8 +136,8 @@ def serve(tree: Path, host: str, port: int, proxies: tuple[str, ...]) -> None:
     serve(tree, host, port, proxies)
 
 
-@click.command(short_help="Fetch a split from a hub, or render it where there is none.")
-@click.argument("name", metavar="SPLIT")
+@click.command(short_help="Fetch a split or trained weights from a hub; without one, a split is rendered.")
+@click.argument("name", metavar="SPLIT|MODEL")
 @click.option("--from", "places", multiple=True, metavar="URL", help="Address or folder of a hub; repeat for mirrors.")
 @click.option("--key", help="Public key of the hub.  [default: OYSTERBENCH_HUB_KEY]")
 @click.option("--sequence", "patterns", multiple=True, metavar="GLOB", help="Only these sequences; repeatable.")
@@ -147,6 +146,7 @@ def serve(tree: Path, host: str, port: int, proxies: tuple[str, ...]) -> None:
 @click.option("--connections", type=click.IntRange(1, 32), default=4, show_default=True, help="At once.")
 @click.option("--dry-run", is_flag=True, help="Only say what would be fetched.")
 @click.option("--verify", "check", is_flag=True, help="Read every file again afterwards, and repair what is damaged.")
+@click.option("--again", is_flag=True, help="Replace weights that were trained here.")
 @click.option("--json", "as_json", is_flag=True, help="Print the files as JSON.")
 @click.pass_context
 def download(
@@ -160,9 +160,10 @@ def download(
     connections: int,
     dry_run: bool,
     check: bool,
+    again: bool,
     as_json: bool,
 ) -> None:
-    """Fetch a split: SPLIT or SPLIT@VERSION. Every byte is checked; a file appears when it is whole.
+    """Fetch a split or trained weights: NAME or NAME@VERSION. Every byte is checked; a file appears when it is whole.
 
     \b
     Examples:
@@ -170,9 +171,11 @@ def download(
       oysterbench download slam-val --from /mnt/hub --sequence 'val-0*'
       oysterbench download slam-val --topics /imu --topics '/cam_front/*' --out small
       oysterbench download slam-val --dry-run
+      oysterbench download unet                   trained weights; `oysterbench models --hub` lists them
 
     May be interrupted at any time, even killed; the same command goes on from there. Without a hub (--from,
-    OYSTERBENCH_HUB or hub.toml in the home folder) the split is rendered instead: the same bytes.
+    OYSTERBENCH_HUB or hub.toml in the home folder) a split is rendered instead: the same bytes. Weights that were
+    trained here are replaced with --again alone.
     """
     from oysterbench.hub.download import Hub, choose, download, find_here, plan
     from oysterbench.hub.settings import hub_key, hub_places
@@ -184,6 +187,11 @@ def download(
     hub_at = hub_places(places)
     # What is here needs no network: a released version never changes.
     here = None if check else find_here(split_name, version or None, patterns, out)
+    if here is None and split is None and (model := _model(name, version, hub_at, key, connections)):
+        if patterns or topics:
+            raise click.UsageError(f"--sequence and --topics choose from a split; {name} is trained weights")
+        download_model(*model, out, dry_run, again, as_json)
+        return
     if here is None and not hub_at:
         _render_instead(context, split, name, patterns, topics, out, dry_run, as_json)
         return
@@ -194,6 +202,8 @@ def download(
     if dry_run:
         _print_plan(manifest, plan(manifest, entries, folder), as_json)
         return
+    from oysterbench.cli.progress import bytes_bar
+
     with bytes_bar(f"downloading {split_name}") as progress:
         if topics:
             from oysterbench.hub.topics import fetch_topics
@@ -202,6 +212,32 @@ def download(
         else:
             files = download(hub, manifest, folder, entries, check, progress)
     _print_files(files, manifest.split, as_json)
+
+
+def _model(name: str, version: str, hub_at: list[str], key: str | None, connections: int) -> tuple[Hub, Model] | None:
+    """The trained weights of a name that is no split's, and the hub that has them; None where it may be a split's.
+
+    Raises MethodError, with what to type, where the name is that of weights, and no hub is set.
+    """
+    from oysterbench.hub.download import Hub
+    from oysterbench.hub.settings import hub_key
+    from oysterbench.methods.weights import no_weights, weights_names, weights_path
+    from oysterbench.recipe import split_names
+
+    if name in split_names():
+        return None
+    known = name in weights_names()
+    if not hub_at:
+        if not known:
+            return None
+        here = weights_path(name)
+        if not here.is_file():
+            raise no_weights(name, here)
+        raise HubError(
+            f"{name}: no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder); {here} is here"
+        )
+    hub = Hub.at(hub_at, hub_key(key), message, connections=connections)
+    return (hub, hub.model(name, version or None)) if known or hub.has_model(name) else None
 
 
 def _known_split(name: str, version: str) -> SplitRecipe | None:
@@ -241,26 +277,25 @@ def _render_instead(
     """Without a hub the same bytes come out of the renderer."""
     from oysterbench.hub.download import choose_names
 
-    no_hub = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
     if split is None:
-        raise HubError(f"{name}: {no_hub}, and no split of this name and version can be rendered here")
+        raise HubError(f"{name}: {NO_HUB}, and no split of this name and version can be rendered here")
     if split.hidden:
-        raise HubError(f"{name}: {no_hub}, and a hidden split cannot be rendered by who has not its salt")
+        raise HubError(f"{name}: {NO_HUB}, and a hidden split cannot be rendered by who has not its salt")
     if topics:
-        raise HubError(f"{name}: {no_hub}, and --topics needs one; `oysterbench render {name}` makes all topics")
+        raise HubError(f"{name}: {NO_HUB}, and --topics needs one; `oysterbench render {name}` makes all topics")
     known = [sequence.name for sequence in split.sequence]
     names = choose_names(known, patterns, f"{split.name} {split.version}", f"oysterbench splits {name}")
     if dry_run:
-        message(f"{no_hub}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
+        message(f"{NO_HUB}: of {split.name} {split.version} would be rendered: {', '.join(names)}")
         return
-    message(f"{no_hub}: {split.name} {split.version} is rendered instead, which gives the same bytes")
+    message(f"{NO_HUB}: {split.name} {split.version} is rendered instead, which gives the same bytes")
     group = context.find_root().command
     assert isinstance(group, click.Group)
     context.invoke(group.commands["render"], split_name=name, names=tuple(names), out=out, as_json=as_json)
 
 
 @click.command(short_help="Check what is on disk against its manifest.")
-@click.argument("what", nargs=-1, metavar="[SPLIT|FILE|FOLDER]...")
+@click.argument("what", nargs=-1, metavar="[SPLIT|MODEL|FILE|FOLDER]...")
 @click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
 def verify(what: tuple[str, ...], as_json: bool) -> None:
     """Read files again and compare them with the manifest of their split; all that is here by default.
@@ -327,30 +362,6 @@ def _print_plan(manifest: Manifest, steps: list[Any], as_json: bool) -> None:
         f"{manifest.split} {manifest.version}: {wanted / 1e6:.1f} of {sum(r['size_bytes'] for r in rows) / 1e6:.1f} MB "
         "to fetch"
     )
-
-
-@contextmanager
-def bytes_bar(title: str) -> Iterator[Progress]:
-    """A progress bar on a terminal, a line at every tenth elsewhere; both on stderr."""
-    from rich.console import Console
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        told = -1
-
-        def tell(done: int, total: int) -> None:
-            nonlocal told
-            if (tenth := 10 * done // max(total, 1)) > told:
-                told = tenth
-                message(f"{title}: {done / 1e6:.1f} of {total / 1e6:.1f} MB")
-
-        yield tell
-        return
-    columns = (TextColumn(title), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task(title, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 COMMANDS = (publish, serve, download, verify, hub_key)

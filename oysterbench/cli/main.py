@@ -16,6 +16,7 @@ from oysterbench.cli.eval import eval_command
 from oysterbench.cli.hub import COMMANDS as HUB_COMMANDS
 from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
+from oysterbench.cli.models import COMMANDS as MODEL_COMMANDS
 from oysterbench.cli.outputs import print_rich
 from oysterbench.cli.render import frames_bar, render
 from oysterbench.cli.run import run_command
@@ -81,6 +82,7 @@ def main() -> None:
       oysterbench splits                            what can be rendered, and what is here
       oysterbench render slam-mini --workers 2
       oysterbench download slam-mini                from a hub, or rendered where none is set
+      oysterbench download unet                     trained weights, from a hub; `oysterbench models` lists them
       oysterbench info mini-01.mcap
       oysterbench export mini-01.mcap --format euroc --out mini-01
       oysterbench map val-01.mcap --trajectory poses.tum --masks masks --out map    oysters per m2
@@ -104,6 +106,7 @@ for _command in (
     systems_command,
     tune_command,
     *HUB_COMMANDS,
+    *MODEL_COMMANDS,
 ):
     main.add_command(_command)
 

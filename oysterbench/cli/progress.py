@@ -79,3 +79,27 @@ def plain_runs() -> Told:
                 message(f"{name}: {one.line}")
 
     return tell
+
+
+@contextmanager
+def bytes_bar(title: str) -> Iterator[Progress]:
+    """A progress bar on a terminal, a line at every tenth elsewhere; both on stderr."""
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        told = -1
+
+        def tell(done: int, total: int) -> None:
+            nonlocal told
+            if (tenth := 10 * done // max(total, 1)) > told:
+                told = tenth
+                message(f"{title}: {done / 1e6:.1f} of {total / 1e6:.1f} MB")
+
+        yield tell
+        return
+    columns = (TextColumn(title), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -1,0 +1,232 @@
+"""Commands of trained weights: what there is, publishing them, and fetching them, which `download` calls."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from oysterbench.cli.echo import echo, message
+from oysterbench.core.errors import HubError, MethodError
+
+if TYPE_CHECKING:
+    from oysterbench.hub.download import Hub
+    from oysterbench.hub.model import Model
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.command("publish-model", short_help="Write trained weights into a tree that any web server can serve.")
+@click.argument("name", metavar="MODEL")
+@click.argument("tree", type=FOLDER, metavar="DIR")
+@click.option("--key", "key_file", type=FILE, required=True, help="Private key, from `oysterbench hub-key`.")
+@click.option("--old-key", "old_files", type=FILE, multiple=True, help="Key that came before; signs, too. Repeatable.")
+@click.option("--weights", "path", type=FILE, help="File of them.  [default: that of `oysterbench train MODEL`]")
+@click.option("--version", default="1.0", show_default=True, help="Of the release; a release never changes.")
+@click.option(
+    "--results",
+    "results",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    metavar="PATH",
+    help="What they reached: results.json of `run` or `eval`, or its folder; repeatable.",
+)
+@click.option("--summary", help="What they are, in a line.  [default: what is known of MODEL]")
+@click.option("--limits", help="What they are not for.  [default: what is known of MODEL]")
+@click.option("--licence", metavar="URL", help="Of the weights.  [default: CC BY 4.0]")
+@click.option("--json", "as_json", is_flag=True, help="Print the card as JSON.")
+def publish_model(
+    name: str,
+    tree: Path,
+    key_file: Path,
+    old_files: tuple[Path, ...],
+    path: Path | None,
+    version: str,
+    results: tuple[Path, ...],
+    summary: str | None,
+    limits: str | None,
+    licence: str | None,
+    as_json: bool,
+) -> None:
+    """Publish trained weights into a static tree, beside its splits: the file, and a card that says what it was trained
+    on, how, and what it reaches.
+
+    \b
+    Examples:
+      oysterbench run unet unet_instances --split seg-val --out val
+      oysterbench publish-model unet hub --key my-hub.pem --results val
+      oysterbench publish-model unet hub --key my-hub.pem --results val --version 1.1 --weights better.pt
+
+    Refused are weights of another kind or of a training that is not finished, and results of other weights than these:
+    each result says by their hash with which it was made.
+    """
+    from oysterbench.hub.manifest import VERSION_NAME
+    from oysterbench.hub.publish_model import build_model, describe_weights
+    from oysterbench.hub.publish_model import publish_model as release
+    from oysterbench.hub.sign import load_key, public_hex
+    from oysterbench.methods.weights import find_weights, weights_path
+    from oysterbench.results.reached import figures_of
+
+    if not VERSION_NAME.fullmatch(version):
+        raise click.UsageError(f"--version: expected letters, digits and . _ -, such as 1.0, got {version!r}")
+    known = find_weights(name)
+    key, old_keys = load_key(key_file), [load_key(file) for file in old_files]
+    path = path or weights_path(name)
+    training = known.describe(path)
+    file = describe_weights(name, path)
+    figures = [figure for place in results for figure in figures_of(place, name, file.sha256)]
+    words = (summary or known.summary, limits or known.limits, licence or known.licence)
+    model = release(
+        tree, build_model(name, version, known.methods, words, file, training, figures), path, key, message, old_keys
+    )
+    if not figures:
+        message("no --results: the card says that nothing was measured with these weights")
+    if as_json:
+        echo(model.data.decode(), nl=False)
+        return
+    message(f"{model.name} {model.version}: {model.file.size / 1e6:.1f} MB, {len(figures)} figures, in {tree}")
+    message(f"public key: {public_hex(key)}")
+    echo(model.sha256)
+
+
+def download_model(hub: Hub, model: Model, out: Path | None, dry_run: bool, again: bool, as_json: bool) -> None:
+    """Fetch trained weights, or only say what would be fetched."""
+    from oysterbench.cli.progress import bytes_bar
+    from oysterbench.hub.weights import check_replaced, fetch_weights, there_bytes
+    from oysterbench.methods.weights import weights_path
+
+    path = weights_path(model.name) if out is None else out / f"{model.name}.pt"
+    row = {"model": model.name, "version": model.version, "file": str(path), "sha256": model.file.sha256}
+    size = model.file.size
+    if dry_run:
+        here = check_replaced(path, model, again)
+        state, there = ("here", size) if here else ("to fetch", there_bytes(path, model.file))
+        if as_json:
+            echo(json.dumps({**row, "state": state, "size_bytes": size, "there_bytes": there}, indent=2))
+        else:
+            echo(f"{path}: {state}, {size / 1e6:.1f} MB")
+            message(f"{model.name} {model.version}: {(size - there) / 1e6:.1f} of {size / 1e6:.1f} MB to fetch")
+        return
+    if not check_replaced(path, model, again):
+        message(f"fetching {hub.described(model)}")
+    with bytes_bar(f"downloading {model.name}") as progress:
+        fetch_weights(hub, model, path, again, progress)
+    if as_json:
+        echo(json.dumps(row, indent=2))
+    else:
+        echo(path)
+
+
+@click.command(short_help="Trained weights: what there is, what is here, and how good it is.")
+@click.argument("name", metavar="[MODEL]", required=False)
+@click.option("--hub", "ask_hub", is_flag=True, help="Ask the hub, too.")
+@click.option("--from", "places", multiple=True, metavar="URL", help="Address or folder of a hub; implies --hub.")
+@click.option("--key", help="Public key of the hub.  [default: OYSTERBENCH_HUB_KEY]")
+@click.option("--json", "as_json", is_flag=True, help="Print as JSON.")
+def models(name: str | None, ask_hub: bool, places: tuple[str, ...], key: str | None, as_json: bool) -> None:
+    """List trained weights: what is known of, which are on this machine, and how long training them takes.
+
+    With a MODEL: the card of those that are here, or with --hub of the newest that the hub has.
+
+    \b
+    Examples:
+      oysterbench models
+      oysterbench models --hub
+      oysterbench models unet
+
+    Without --hub no network is touched.
+    """
+    hub = _hub(places, key) if ask_hub or places else None
+    if name is not None:
+        _print_card(name, hub, as_json)
+        return
+    rows = _rows(hub)
+    if as_json:
+        echo(json.dumps({"models": rows}, indent=2))
+        return
+    from rich.table import Table
+    from rich.text import Text
+
+    from oysterbench.cli.outputs import print_rich
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("model", "here", *(("hub",) if hub else ()), "runs in", "training takes"):
+        table.add_column(heading)
+    for row in rows:
+        of_hub = (", ".join(row["hub"]) or "no",) if hub else ()
+        cells = (row["model"], row["here"], *of_hub, ", ".join(row["methods"]), row["takes"])
+        table.add_row(*(Text(cell) for cell in cells))
+    print_rich(table)
+
+
+def _hub(places: tuple[str, ...], key: str | None) -> Hub:
+    from oysterbench.hub.download import Hub
+    from oysterbench.hub.settings import hub_key, hub_places
+
+    hub_at = hub_places(places)
+    if not hub_at:
+        raise HubError("no hub is set: give its address with --from, OYSTERBENCH_HUB or hub.toml in the home folder")
+    return Hub.at(hub_at, hub_key(key), message)
+
+
+def _rows(hub: Hub | None) -> list[dict[str, Any]]:
+    """What is known of each model, here and on a hub."""
+    from oysterbench.hub.weights import weights_here
+    from oysterbench.methods.weights import find_weights, weights_names, weights_path
+
+    released = hub.index().models if hub else {}
+    rows = []
+    for name in sorted({*weights_names(), *released}):
+        known = find_weights(name) if name in weights_names() else None
+        here = weights_here(weights_path(name))
+        of_hub = released.get(name, {})
+        methods = known.methods if known else list(of_hub.values())[-1].methods
+        rows.append(
+            {
+                "model": name,
+                "here": here.described if here else "no",
+                "file": str(here.path) if here else None,
+                "sha256": here.sha256 if here else None,
+                "hub": [f"{version} ({release.size / 1e6:.1f} MB)" for version, release in of_hub.items()],
+                "methods": list(methods),
+                "takes": known.takes if known else "",
+            }
+        )
+    return rows
+
+
+def _print_card(name: str, hub: Hub | None, as_json: bool) -> None:
+    """The card of a model that the hub has, that was fetched, or what a training here says."""
+    from oysterbench.hub.card import facts, reached
+    from oysterbench.hub.publish_model import build_model, describe_weights
+    from oysterbench.hub.weights import weights_here
+    from oysterbench.methods.weights import existing, find_weights, weights_path
+
+    name, _, version = name.partition("@")
+    path = weights_path(name)
+    here = weights_here(path) if hub is None else None
+    if hub is not None:
+        model = hub.model(name, version or None)
+    elif version:
+        raise MethodError(f"{name}@{version}: of weights that are here there is one; a version is of a hub, with --hub")
+    elif here is not None and here.model is not None:
+        model = here.model
+    else:
+        known = find_weights(name)
+        training = known.describe(existing(name, path))
+        words = (known.summary, known.limits, known.licence)
+        model = build_model(name, "trained here", known.methods, words, describe_weights(name, path), training)
+    if as_json:
+        echo(model.data.decode(), nl=False)
+        return
+    echo(f"{model.name} {model.version}")
+    for key, value in facts(model).items():
+        echo(f"  {key}: {value}")
+    for figure in model.figures:
+        echo(f"  {figure.method} on {figure.split or 'own data'}: {figure.heading} {reached(figure)}")
+
+
+COMMANDS = (publish_model, models)
