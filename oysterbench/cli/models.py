@@ -187,7 +187,7 @@ def _rows(hub: Hub | None) -> list[dict[str, Any]]:
         rows.append(
             {
                 "model": name,
-                "here": here.described if here else "no",
+                "here": f"{here.brief}, {here.path.stat().st_size / 1e6:.1f} MB" if here else "no",
                 "file": str(here.path) if here else None,
                 "sha256": here.sha256 if here else None,
                 "hub": [f"{version} ({release.size / 1e6:.1f} MB)" for version, release in of_hub.items()],

@@ -13,15 +13,15 @@ from oysterbench.hub.canonical import sha256
 from oysterbench.hub.card import card_page
 from oysterbench.hub.index import ModelRelease
 from oysterbench.hub.model import Figure, Model, Training, WeightsFile
-from oysterbench.hub.pieces import hashed
+from oysterbench.hub.pieces import PIECE, hashed
 from oysterbench.hub.publish import Announce, put, put_blob, put_index, writing
 from oysterbench.version import VERSION
 
 
-def describe_weights(name: str, path: Path) -> WeightsFile:
+def describe_weights(name: str, path: Path, piece_size: int = PIECE) -> WeightsFile:
     """Hash a file of weights: the whole and its pieces. name: of the model."""
-    size, whole, pieces = hashed(path)
-    return WeightsFile(name=f"{name}.pt", size=size, sha256=whole, pieces=pieces)
+    size, whole, pieces = hashed(path, piece_size)
+    return WeightsFile(name=f"{name}.pt", size=size, sha256=whole, pieces=pieces, piece_size=piece_size)
 
 
 def build_model(

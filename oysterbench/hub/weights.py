@@ -33,6 +33,13 @@ class Here:
     model: Model | None
 
     @property
+    def brief(self) -> str:
+        """The version that a hub gave, or where else it is from."""
+        if self.model is not None:
+            return self.model.version
+        return "trained here" if self.card is None else f"not {self.card.version}"
+
+    @property
     def described(self) -> str:
         """What it is, in words."""
         state, what = self.path.stat(), "weights that were trained here"
