@@ -20,6 +20,7 @@ from oysterbench.cli.models import COMMANDS as MODEL_COMMANDS
 from oysterbench.cli.outputs import print_rich
 from oysterbench.cli.render import frames_bar, render
 from oysterbench.cli.run import run_command
+from oysterbench.cli.segment import segment_command
 from oysterbench.cli.splits import splits
 from oysterbench.cli.systems import systems_command
 from oysterbench.cli.tune import tune_command
@@ -87,6 +88,7 @@ def main() -> None:
       oysterbench export mini-01.mcap --format euroc --out mini-01
       oysterbench map val-01.mcap --trajectory poses.tum --masks masks --out map    oysters per m2
       oysterbench map mini-01.mcap --trajectory poses.tum --out mini-01.ply
+      oysterbench segment dive.mp4 --out counted    oysters in your own pictures and videos
       oysterbench view mini-01.mcap                 one page to look through it
       oysterbench gallery                           every effect of a recipe on one sheet
       oysterbench oyster --seed 7 --out oyster.glb
@@ -98,6 +100,7 @@ for _command in (
     run_command,
     compare_command,
     map_command,
+    segment_command,
     train,
     translate,
     experiment,

@@ -1,0 +1,238 @@
+"""The command that counts oysters in people's own pictures and videos: parse, call, print."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from oysterbench.cli.echo import echo, message
+from oysterbench.core.errors import LabelError, MethodError
+
+if TYPE_CHECKING:
+    from oysterbench.counting import Survey
+    from oysterbench.counting.run import ScaleOf
+    from oysterbench.counting.sources import Found, Source
+
+METHOD = "unet_instances"
+TRACKS = ("detection", "segmentation")
+FILE = click.Path(path_type=Path, dir_okay=False)
+TOLD = 5
+"""Lines of one kind on stderr, at most."""
+
+
+@click.command("segment", short_help="Oysters in your own pictures and videos: masks, counts, cover, a page.")
+@click.argument("paths", metavar="PATH...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--method", default=METHOD, show_default=True, help="Of the tracks detection or segmentation.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder.  [default: NAME-oysters]")
+@click.option("--threshold", type=click.FloatRange(0, 1), default=0.5, show_default=True, help="Least score.")
+@click.option("--rate", type=click.FloatRange(min=0, min_open=True), help="Frames a second of videos.  [default: 1]")
+@click.option("--every", type=click.IntRange(min=1), metavar="N", help="Every N-th frame of videos instead.")
+@click.option("--quadrat", type=float, metavar="M", help="Side of a square quadrat; with --corners.")
+@click.option("--corners", type=FILE, help="CSV: picture,x1,y1,...,x4,y4 in px, of each quadrat.")
+@click.option(
+    "--altitude", metavar="M|FILE", help="Above a flat bottom, or CSV: picture,altitude_m; with --calibration."
+)
+@click.option("--calibration", type=click.Path(path_type=Path), help="Kalibr, EuRoC or ROS YAML, or a sequence.")
+@click.option("--camera", metavar="NAME", help="Of several in the calibration.  [default: the first]")
+@click.option("--mm-per-px", type=float, help="A plain scale, of pictures straight down.")
+@click.option("--block", type=click.IntRange(min=1), metavar="N", help="Neighbours resampled together; see below.")
+@click.option("--checked", type=click.Path(path_type=Path), help="Results of `run --on` your labels, for the page.")
+@click.option("--coco", is_flag=True, help="Write instances.json as well, to be corrected by hand.")
+@click.option("--again", is_flag=True, help="Count what is finished once more.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+def segment_command(
+    paths: tuple[Path, ...],
+    method: str,
+    out: Path | None,
+    threshold: float,
+    rate: float | None,
+    every: int | None,
+    block: int | None,
+    checked: Path | None,
+    coco: bool,
+    again: bool,
+    as_json: bool,
+    **scaling: Any,
+) -> None:
+    """Find, outline, count and measure the oysters in pictures and videos of your own.
+
+    PATH is a picture, a folder with all that lies below it, or a video; several may be given.
+
+    \b
+    Examples:
+      oysterbench segment dive/ --out counted
+      oysterbench segment GX010023.MP4 --rate 0.5
+      oysterbench segment photos/ --quadrat 0.5 --corners corners.csv       oysters per square metre
+      oysterbench segment survey/ --altitude 1.2 --calibration camchain.yaml
+      oysterbench segment photos/ --mm-per-px 0.8 --method "unet_instances[checkpoint=mine.pt]"
+      oysterbench segment photos/ --method my_net:MyNet --threshold 0.6 --coco
+
+    \b
+    The folder gets
+      index.html      one page: counts and cover with intervals, outlines, warnings, how to check it
+      pictures.csv    oysters, cover, live and dead, novelty of each picture    summary.json  the whole
+      oysters.csv     box, area, score, state, length and width of each oyster
+      masks/          PNG of 16 bits, a number for each oyster   overlays/, videos/  outlines
+
+    Pictures are JPEG, PNG, TIFF, BMP or WebP, upright by their EXIF orientation. Corners are in px of the upright
+    picture, in any order; of a video, one line for all its frames, or VIDEO/NUMBER for one. In a quadrat counts what
+    has its middle inside. Without one, each oyster that the picture's edge cuts is a half in oysters per square metre.
+
+    Intervals resample pictures, and of a video what falls into 10 s, since neighbouring frames show the same ground;
+    --block N resamples N neighbours together. They hold the chance of sampling, and not what the method itself counts
+    too many or too few. Pairs of cameras, and oysters that several pictures show counted once: `oysterbench map`.
+
+    What is finished is not done again, unless --again is given, or picture, method, weights or settings have changed.
+    Exit code 1: some picture or video could not be counted; the rest was.
+    """
+    from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey
+    from oysterbench.counting.accuracy import read_accuracy
+    from oysterbench.counting.identity import method_identity
+    from oysterbench.methods.finding import find_variant
+    from oysterbench.report.counting import Making, write_counts
+
+    if rate is not None and every is not None:
+        raise click.UsageError("--rate, --every: expected one of them")
+    _check_scaling(scaling)
+    title = paths[0].absolute().name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
+    out = out or Path(f"{paths[0].absolute().stem or 'pictures'}-oysters")
+    found = find_sources(paths, leave_out=out)
+    _tell_others(found)
+    scale, about_scale = _scale(scaling, found.sources)
+    chosen, options = find_variant(method)
+    if chosen.track not in TRACKS:
+        raise MethodError(f"{method}: expected a method of {' or '.join(TRACKS)}, got one of {chosen.track}")
+    accuracy = None if checked is None else read_accuracy(checked, chosen.name)
+    settings = Settings(threshold, Sampling(rate or 1.0, every), scale)
+    identity = method_identity(method, chosen, options)
+    store = Store(out, again)
+    with _progress() as progress:
+        counted = Counting(found.sources, chosen, identity, store, settings, progress).run()
+    result = survey(title, chosen.name, counted.pictures, counted.failures, block, accuracy)
+    videos = any(source.video for source in found.sources)
+    said = {
+        "threshold": threshold,
+        "frames_per_s": (rate or 1.0) if videos and every is None else None,
+        "every": every,
+        "scale": about_scale,
+        "block": block,
+    }
+    command = shlex.join(["oysterbench", *sys.argv[1:]])
+    written = write_counts(result, counted, store, Making(command, identity, said), coco)
+    if as_json:
+        echo(json.dumps({**result.as_plain(), "files": [str(path) for path in written]}, indent=2))
+    else:
+        _tell(result, written[0], counted.made, counted.cpu_s)
+    _warn(result)
+    if result.failures:
+        raise LabelError(_failed(result))
+
+
+def _check_scaling(given: dict[str, Any]) -> None:
+    """Refuse options of scales that do not belong together."""
+    names = {"quadrat": "--quadrat", "altitude": "--altitude", "mm_per_px": "--mm-per-px"}
+    kinds = [option for key, option in names.items() if given[key] is not None]
+    if len(kinds) > 1:
+        raise click.UsageError(f"{', '.join(kinds)}: expected one scale at most")
+    for key, needed, what in (
+        ("quadrat", "corners", "--quadrat: expected --corners FILE as well, with picture,x1,y1,x2,y2,x3,y3,x4,y4"),
+        ("corners", "quadrat", "--corners: expected --quadrat M as well, the side of the square in metres"),
+        ("altitude", "calibration", "--altitude: expected --calibration FILE as well: a lens tells px from metres"),
+        ("calibration", "altitude", "--calibration: expected --altitude M as well, in metres above the bottom"),
+        ("camera", "calibration", "--camera: expected --calibration FILE as well"),
+    ):
+        if given[key] is not None and given[needed] is None:
+            raise click.UsageError(what)
+
+
+def _scale(given: dict[str, Any], sources: tuple[Source, ...]) -> tuple[ScaleOf, dict[str, Any] | None]:
+    """The scale of each picture, and what it is, for records."""
+    from oysterbench.counting.lens import read_lens
+    from oysterbench.counting.per_picture import ALTITUDE, CORNERS, altitudes, plain, quadrats
+    from oysterbench.counting.tables import read_table
+
+    if given["mm_per_px"] is not None:
+        return plain(given["mm_per_px"]), {"kind": "plain", "mm_per_px": given["mm_per_px"]}
+    if given["quadrat"] is not None:
+        table = read_table(given["corners"], CORNERS, sources)
+        _tell_unused(table.path, table.unused)
+        return quadrats(given["quadrat"], table), {"kind": "quadrat", "size_m": given["quadrat"]}
+    if given["altitude"] is not None:
+        lens = read_lens(given["calibration"], given["camera"])
+        about = {"kind": "altitude", "altitude": given["altitude"], "calibration": given["calibration"].name}
+        try:
+            return altitudes(lens, float(given["altitude"])), about
+        except ValueError:
+            altitude = read_table(Path(given["altitude"]), ALTITUDE, sources)
+            _tell_unused(altitude.path, altitude.unused)
+            return altitudes(lens, altitude), about
+    return (lambda source, name: None), None
+
+
+def _progress() -> Any:
+    from oysterbench.cli.render import frames_bar
+
+    return frames_bar("counting oysters", "pictures")
+
+
+def _tell_others(found: Found) -> None:
+    from oysterbench.counting.sources import listed
+
+    if found.to_convert:
+        message(f"left out, as their format cannot be read (save them as JPEG or PNG): {listed(found.to_convert)}")
+    if found.others:
+        message(f"left out, as neither picture nor video: {listed(found.others)}")
+
+
+def _tell_unused(path: Path, names: tuple[str, ...]) -> None:
+    if names:
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        message(f"{path}: no picture is called {', '.join(names[:3])}{more}; these lines are not used")
+
+
+def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:
+    """The page, and the numbers in a line each."""
+    from oysterbench.report.table import Column
+
+    echo(page)
+    each = f" ({made} counted now, {cpu_s / made:.2f} CPU-s each)" if made else " (all finished before)"
+    noun = "picture" if len(found.pictures) == 1 else "pictures"
+    echo(f"{found.oysters} oysters in {len(found.pictures)} {noun}{each}")
+    for one in found.measures:
+        column = Column("", kind="interval", digits=one.digits)
+        interval = one.ratio.interval
+        span = f" [{column.text(interval)}]" if interval.known else ""
+        heading = one.heading.replace("\N{SUPERSCRIPT TWO}", "2")
+        echo(f"{heading}: {Column('', digits=one.digits).text(one.ratio.value)}{span} {one.unit}".rstrip())
+
+
+def _warn(found: Survey) -> None:
+    """What is to be known before any number is believed."""
+    unlike = found.unlike
+    if unlike:
+        names = ", ".join(one.name for one in unlike[:3])
+        more = f" and {len(unlike) - 3} more" if len(unlike) > 3 else ""
+        message(
+            f"{len(unlike)} of {len(found.pictures)} pictures are unlike anything that {found.method} has learnt from, "
+            f"and its counts there are not to be relied upon: {names}{more}"
+        )
+    if not math.isnan(found.alike):
+        message(
+            f"neighbouring pictures have like counts (correlation {found.alike:.2f}), so that intervals may be too "
+            "narrow: --block N resamples N neighbours together"
+        )
+
+
+def _failed(found: Survey) -> str:
+    """The last line of a run that could not count everything."""
+    failures = found.failures
+    for name, why in list(failures.items())[:TOLD]:
+        message(why if name in why else f"{name}: {why}")
+    more = f", {len(failures) - TOLD} more are in pictures.csv" if len(failures) > TOLD else ""
+    return f"{len(failures)} of {len(failures) + len(found.pictures)} could not be counted{more}; the rest was"

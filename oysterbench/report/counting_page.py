@@ -1,0 +1,200 @@
+"""The page of counts: what was counted, how sure that is, and what it looks like."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import cv2
+import numpy as np
+
+from oysterbench.core.html import environment
+from oysterbench.counting.film import film_rate
+from oysterbench.counting.measure import PictureCount
+from oysterbench.counting.overlay import COLOURS, jpeg
+from oysterbench.counting.store import Store
+from oysterbench.counting.survey import Survey
+from oysterbench.evaluate.statistics import LEVEL
+from oysterbench.report.bars import histogram_plot
+from oysterbench.report.cards import Card, Picture
+from oysterbench.report.plots import Curve, time_plot
+from oysterbench.report.renderers.html import FOLDER
+from oysterbench.report.table import Column, Table, TableRow
+
+SHOWN = 36  # pictures in the grid, evenly over all; those of thousands would make a page of many megabytes
+SHOWN_UNLIKE = 12  # of those that are warned of, the most unlike
+LISTED = 60  # lines of a list
+SHOWN_FILMS = 6  # videos of which counts over time are drawn
+THUMBNAIL_PX = 480
+
+SCALES = {
+    "plain": "a length of {mm_per_px:g} mm for each pixel, which holds for pictures straight down without distortion",
+    "altitude": "a camera that looks straight down from the altitude given onto a flat bottom, by its calibration",
+    "quadrat": "the corners of a quadrat of {size_m:g} m that lies flat on the bottom",
+}
+"""Kind of a scale -> what metres come from."""
+
+
+def counting_page(
+    found: Survey,
+    films: Mapping[str, Path],
+    store: Store,
+    command: str,
+    identity: Mapping[str, Any],
+    settings: Mapping[str, Any],
+) -> str:
+    """One HTML page; pictures and films lie beside it, in the folder of `store`, and small copies of pictures in it."""
+    unlike = found.unlike
+    warned = {one.name for one in unlike}
+    shown = evenly([one for one in found.pictures if one.name not in warned], SHOWN)
+    context = {
+        "title": f"Oysters in {found.title}",
+        "found": found,
+        "lead": _lead(found),
+        "measures": _measures(found),
+        "level": f"{100 * LEVEL:.0f} %",
+        "charts": _charts(found),
+        "unlike": unlike,
+        "unlike_table": _unlike_table(unlike[:LISTED]),
+        "unlike_pictures": [_picture(store, one) for one in unlike[:SHOWN_UNLIKE]],
+        "pictures": [_picture(store, one) for one in shown],
+        "failures": list(found.failures.items())[:LISTED],
+        "films": [_film(found, store, name, path) for name, path in films.items()],
+        "colours": _colours(found),
+        "scale": _scale(settings),
+        "accuracy": _accuracy(found),
+        "settings": settings,
+        "command": command,
+        "making": _making(identity, settings),
+    }
+    return environment(FOLDER).get_template("counting.html").render(**context)
+
+
+def evenly(pictures: Sequence[PictureCount], most: int) -> list[PictureCount]:
+    """So many of them at most, evenly over all, in their order."""
+    places = np.unique(np.linspace(0, len(pictures) - 1, min(most, len(pictures))).round().astype(int))
+    return [pictures[k] for k in places]
+
+
+def _lead(found: Survey) -> str:
+    frames = sum(one.video for one in found.pictures)
+    videos = len({one.file for one in found.pictures if one.video})
+    parts = []
+    if pictures := len(found.pictures) - frames:
+        parts.append(f"{pictures} picture{'s' * (pictures != 1)}")
+    if frames:
+        parts.append(f"{frames} frame{'s' * (frames != 1)} of {videos} video{'s' * (videos != 1)}")
+    what = " and ".join(parts) or "no picture"
+    return f"{found.oysters} oysters in {what}, by {found.method}."
+
+
+def _measures(found: Survey) -> Table:
+    columns = (
+        Column("quantity", "Mean"),
+        Column("value", "Value", kind="number"),
+        Column("interval", f"{100 * LEVEL:.0f} % interval", "of sampling", kind="number"),
+        Column("blocks", "Over", found.block, kind="number"),
+        Column("about", "What it is"),
+    )
+    rows, reasons = [], []
+    for one in found.measures:
+        number = Column("", digits=one.digits)
+        interval = one.ratio.interval
+        unit = f" {one.unit}" if one.unit else ""
+        text = Column("", kind="interval", digits=one.digits).text(interval)
+        rows.append(TableRow((one.heading, number.text(one.ratio.value) + unit, text, one.ratio.blocks, one.about)))
+        reasons += [] if interval.known else [interval.reason]
+    return Table("Means", columns, tuple(rows), tuple(dict.fromkeys(f"{reason}." for reason in reasons)))
+
+
+def _charts(found: Survey) -> list[Card]:
+    """How counts are spread, and how they go over the time of each video."""
+    if not found.pictures:
+        return []
+    title = "How many pictures have how many oysters"
+    charts = [
+        Card(title, histogram_plot([one.oysters for one in found.pictures], title, "oysters in a picture", "pictures"))
+    ]
+    videos: dict[str, list[PictureCount]] = {}
+    for one in found.pictures:
+        if one.time_s is not None:
+            videos.setdefault(one.name.rpartition("/")[0], []).append(one)
+    for name, frames in list(videos.items())[:SHOWN_FILMS]:
+        times = np.array([one.time_s for one in frames], dtype=float)
+        counts = np.array([one.oysters for one in frames], dtype=float)
+        if len(frames) > 1:
+            title = f"{name}: oysters over time"
+            curve = Curve("oysters", times, counts, 1)
+            span = (float(times[0]), float(times[-1]))
+            charts.append(Card(title, time_plot([curve], title, "time [s]", "oysters in a frame", span)))
+    return charts
+
+
+def _unlike_table(unlike: Sequence[PictureCount]) -> Table:
+    columns = (
+        Column("picture", "Picture"),
+        Column("novelty", "Novelty", "above 1: unlike", kind="number", digits=2),
+        Column("oysters", "Oysters", kind="number"),
+    )
+    return Table("Unlike", columns, tuple(TableRow((one.name, one.novelty, one.oysters)) for one in unlike))
+
+
+def _picture(store: Store, one: PictureCount) -> Picture:
+    data = np.frombuffer(store.overlay(one.name).read_bytes(), np.uint8)
+    pixels = np.asarray(cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB), np.uint8)
+    small = f"{one.oysters} oysters" if one.oysters != 1 else "1 oyster"
+    if one.cover is not None:
+        small += f", {100 * one.cover:.0f} % covered"
+    return Picture(jpeg(pixels, 80, THUMBNAIL_PX), one.name, small, f"{one.name} with outlines of {small}")
+
+
+def _film(found: Survey, store: Store, name: str, path: Path) -> dict[str, str]:
+    times = [one.time_s or 0.0 for one in found.pictures if one.video and one.name.rpartition("/")[0] == name]
+    span_s = times[-1] - times[0] if len(times) > 1 else 0.0
+    fast = film_rate(times) * span_s / max(len(times) - 1, 1)
+    speed = f", {fast:.0f} times as fast as taken" if fast >= 1.5 else ""
+    return {"name": name, "address": quote(path.relative_to(store.folder).as_posix()), "speed": speed}
+
+
+def _colours(found: Survey) -> list[tuple[str, str]]:
+    """What outlines there are, with their colours."""
+    told = any(one.live or one.dead for one in found.pictures)
+    kinds = {"live": "live", "dead": "dead", "unknown": "not told"} if told else {"unknown": "oyster"}
+    if any(one.area_m2 is not None for one in found.pictures):
+        kinds["left out"] = "not counted, as its middle lies outside"
+    return [(f"rgb{COLOURS[kind]}", text) for kind, text in kinds.items()]
+
+
+def _scale(settings: Mapping[str, Any]) -> str:
+    scale = settings.get("scale") or {}
+    return SCALES[scale["kind"]].format(**scale) if scale else ""
+
+
+def _accuracy(found: Survey) -> str:
+    """How far the method counts off on labelled pictures, in words; empty where that is not known."""
+    one = found.accuracy
+    if one is None or math.isnan(one.percent):
+        return ""
+    direction = "too many" if one.percent > 0 else "too few"
+    return (
+        f"On labelled pictures ({one.where}), {found.method} counted {one.counted:.0f} oysters where "
+        f"{one.labelled:.0f} are labelled: {abs(one.percent):.0f} % {direction}."
+    )
+
+
+def _making(identity: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[str, str]:
+    """Versions, files and settings, in a line each."""
+    versions = ", ".join(f"{name} {version}" for name, version in identity.get("versions", {}).items())
+    files = ", ".join(f"{name} {digest[:16]}" for name, digest in identity.get("files", {}).items())
+    values = ", ".join(f"{key} = {json.dumps(value)}" for key, value in settings.items() if value is not None)
+    lines = {
+        "Method": str(identity.get("method", "")),
+        "Versions": versions,
+        "Files, SHA-256": files,
+        "Settings": values,
+    }
+    return {key: value for key, value in lines.items() if value}
