@@ -201,9 +201,12 @@ def _tell(found: Survey, page: Path, made: int, cpu_s: float) -> None:
     from oysterbench.report.table import Column
 
     echo(page)
-    each = f" ({made} counted now, {cpu_s / made:.2f} CPU-s each)" if made else " (all finished before)"
+    each = f" ({made} counted now, {cpu_s / made:.2f} CPU-s each)" if made else ""
+    each = " (all finished before)" if found.pictures and not made else each
     noun = "picture" if len(found.pictures) == 1 else "pictures"
     echo(f"{found.oysters} oysters in {len(found.pictures)} {noun}{each}")
+    for reason in dict.fromkeys(one.ratio.interval.reason for one in found.measures if not one.ratio.interval.known):
+        echo(reason)
     for one in found.measures:
         column = Column("", kind="interval", digits=one.digits)
         interval = one.ratio.interval
@@ -219,8 +222,8 @@ def _warn(found: Survey) -> None:
         names = ", ".join(one.name for one in unlike[:3])
         more = f" and {len(unlike) - 3} more" if len(unlike) > 3 else ""
         message(
-            f"{len(unlike)} of {len(found.pictures)} pictures are unlike anything that {found.method} has learnt from, "
-            f"and its counts there are not to be relied upon: {names}{more}"
+            f"unlike anything that {found.method} has learnt from, so that its counts are not to be relied upon: "
+            f"{len(unlike)} of {len(found.pictures)} pictures: {names}{more}"
         )
     if not math.isnan(found.alike):
         message(
@@ -235,4 +238,5 @@ def _failed(found: Survey) -> str:
     for name, why in list(failures.items())[:TOLD]:
         message(why if name in why else f"{name}: {why}")
     more = f", {len(failures) - TOLD} more are in pictures.csv" if len(failures) > TOLD else ""
-    return f"{len(failures)} of {len(failures) + len(found.pictures)} could not be counted{more}; the rest was"
+    rest = "; the rest was" if found.pictures else ""
+    return f"{len(failures)} of {len(failures) + len(found.pictures)} could not be counted{more}{rest}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,10 @@ from oysterbench.counting.measure import OysterRow, PictureCount
 
 LONGEST_PX = 2048
 """Of a picture with outlines: larger ones are reduced to it, with lines as strong as they look in it."""
+
+SHORTEST_PX = 640
+"""Smaller ones are enlarged to about it, by whole steps, at most by `MOST_ENLARGED`: lines and writing need room."""
+MOST_ENLARGED = 8
 
 COLOURS = {"unknown": (240, 228, 66), "live": (86, 180, 233), "dead": (213, 94, 0), "left out": (190, 190, 190)}
 """RGB of outlines: yellow, sky blue, vermilion and grey, which all kinds of colour vision tell apart (Okabe & Ito
@@ -36,21 +42,29 @@ def overlay(
     """(h, w, 3) uint8 RGB of a picture (H, W, 3): outlines by state, each on a dark casing; those that are not counted
     thin and grey; region (K, 2) px, of a quadrat, in white; the count and any warning in a strip above it."""
     height, width = pixels.shape[:2]
-    factor = min(1.0, LONGEST_PX / max(height, width))
+    factor = overlay_factor((height, width))
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
-    resized = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA) if factor < 1 else pixels.copy()
-    drawn = np.asarray(resized, dtype=np.uint8)
-    line = max(1, round(max(size) / 400))
+    kind_of_resampling = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
+    drawn = np.array(cv2.resize(pixels, size, interpolation=kind_of_resampling), dtype=np.uint8)
+    line = max(2, round(max(size) / 350))
     outlines = {row.number: _outline(row, numbers) for row in rows}
     for casing in (True, False):
         for row in rows:
             kind = row.state if row.counted else "left out"
             thickness = line if row.counted else max(1, line // 2)
             colour = CASING if casing else COLOURS[kind]
-            _lines(drawn, outlines[row.number], factor, colour, thickness + 2 * line * casing)
+            _lines(drawn, outlines[row.number], factor, colour, thickness + line * casing)
         if region is not None and len(region):
-            _lines(drawn, [region], factor, CASING if casing else QUADRAT, line + 2 * line * casing)
+            _lines(drawn, [region], factor, CASING if casing else QUADRAT, line + line * casing)
     return _with_strip(drawn, _said(picture), picture.unlike)
+
+
+def overlay_factor(shape: tuple[int, int]) -> float:
+    """By how much a picture (H, W) is enlarged or reduced."""
+    longest = max(shape)
+    if longest >= SHORTEST_PX:
+        return min(1.0, LONGEST_PX / longest)
+    return float(min(MOST_ENLARGED, math.ceil(SHORTEST_PX / longest)))
 
 
 def jpeg(pixels: Pixels, quality: int = 88, widest: int | None = None) -> bytes:

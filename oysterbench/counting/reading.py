@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,12 +81,24 @@ def _jpeg_ends(data: bytes) -> bool:
     return False
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """OpenCV without its warnings on stderr."""
+    before = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(before)
+
+
 class Video:
     """A video file. Raises LabelError where it cannot be opened. claimed: frames, as its head says; 0 where not."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
+        with _quiet():
+            self._capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
             raise LabelError(f"{path}: cannot be opened as a video ({path.stat().st_size} bytes): is it whole?")
         rate = self._capture.get(cv2.CAP_PROP_FPS)

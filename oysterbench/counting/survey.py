@@ -128,8 +128,8 @@ def survey(
         return Measure(key, heading, unit, digits, about, ratio_of(pictures, labels, above, below, noun))
 
     measures = [
-        measure("oysters", "Oysters per picture", "", 1, lambda one: one.oysters, about="the mean over pictures"),
-        measure("cover", "Cover", "%", 1, _percent_covered, about="the mean over pictures"),
+        measure("oysters", "Oysters per picture", "", 1, lambda one: one.oysters, about="that count in a picture"),
+        measure("cover", "Cover", "%", 1, _percent_covered, about="share of a picture, or quadrat, that is oyster"),
         measure(
             "live",
             "Alive",

@@ -56,6 +56,7 @@ def counting_page(
         "found": found,
         "lead": _lead(found),
         "measures": _measures(found),
+        "intervals": any(one.ratio.interval.known for one in found.measures),
         "level": f"{100 * LEVEL:.0f} %",
         "charts": _charts(found),
         "unlike": unlike,
@@ -119,6 +120,12 @@ def _charts(found: Survey) -> list[Card]:
     charts = [
         Card(title, histogram_plot([one.oysters for one in found.pictures], title, "oysters in a picture", "pictures"))
     ]
+    pictures = [one.oysters for one in found.pictures if not one.video]
+    if len(pictures) > 1:
+        title = "Oysters of each picture, in the order of their names"
+        order = np.arange(1, len(pictures) + 1, dtype=float)
+        curve = Curve("oysters", order, np.array(pictures, dtype=float), 1)
+        charts.append(Card(title, time_plot([curve], title, "picture", "oysters", (1.0, float(len(pictures))))))
     videos: dict[str, list[PictureCount]] = {}
     for one in found.pictures:
         if one.time_s is not None:

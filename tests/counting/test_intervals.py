@@ -1,0 +1,101 @@
+"""Intervals over pictures hold the mean as often as they say; blocks of time, and what they are for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from oysterbench.core.streams import stream
+from oysterbench.counting import survey
+from oysterbench.counting.intervals import block_labels, likeness, ratio
+from oysterbench.counting.measure import PictureCount
+
+
+def picture(name, oysters=1, time_s=None, **further):
+    values = {"cut": 0, "live": 0, "dead": 0, "cover": 0.1, "area_m2": None, "novelty": None, **further}
+    index = None if time_s is None else round(10 * time_s)
+    return PictureCount(name, name, 160, 120, oysters, **values, index=index, time_s=time_s)
+
+
+def frames(name, count, rate_hz=1.0, counts=None):
+    return [picture(f"{name}/{k:06d}", 1 if counts is None else counts[k], time_s=k / rate_hz) for k in range(count)]
+
+
+def test_pictures_are_blocks_of_their_own_and_frames_of_a_video_blocks_of_ten_seconds():
+    labels = block_labels([picture("a"), picture("b"), *frames("d.mp4", 25), *frames("e.mp4", 3)])
+    assert labels.tolist() == [0, 1, *[2] * 10, *[3] * 10, *[4] * 5, 5, 5, 5]
+
+
+def test_neighbours_are_put_together_within_a_folder_and_a_video():
+    pictures = [picture(name) for name in ("x/1", "x/2", "x/3", "y/1")]
+    assert block_labels([*pictures, *frames("d.mp4", 3)], 2).tolist() == [0, 0, 1, 2, 3, 3, 4]
+
+
+def test_a_ratio_is_that_of_the_sums_whatever_the_blocks():
+    above, below = [1.0, 2.0, 6.0, 3.0], [1.0, 1.0, 2.0, 0.0]
+    for labels in ([0, 1, 2, 3], [0, 0, 1, 1], [0, 0, 0, 0]):
+        assert ratio(above[:3], below[:3], np.array(labels[:3])).value == pytest.approx(9 / 4)
+    assert math.isnan(ratio([1.0], [0.0], np.array([0])).value)
+    assert ratio([], [], np.array([], dtype=int)).interval.reason == "there is nothing to count"
+
+
+def test_fewer_than_six_blocks_have_no_interval_and_say_so():
+    found = ratio([1.0] * 5, [1.0] * 5, np.arange(5), "picture")
+    assert found.value == 1.0
+    assert found.interval.reason.startswith("5 pictures: no 95% interval")
+
+
+def correlated(random, count=120, span=12):
+    """Counts over ground that changes every `span` frames."""
+    return np.repeat(random.poisson(20, count // span), span) + random.poisson(2, count)
+
+
+def test_blocks_hold_the_mean_of_a_video_where_single_frames_do_not():
+    held = {"frames": 0, "blocks": 0}
+    tries = 150
+    for k in range(tries):
+        counts = correlated(stream(k, b"", "test", "blocks"))
+        for name, labels in (("frames", np.arange(120)), ("blocks", np.arange(120) // 12)):
+            interval = ratio(counts.tolist(), [1.0] * 120, labels).interval
+            held[name] += interval.low <= 22.0 <= interval.high
+    assert held["blocks"] / tries > 0.88
+    assert held["frames"] / tries < 0.6
+
+
+def test_neighbours_that_are_alike_are_told_of_and_chance_is_not():
+    random = stream(1, b"", "test", "alike")
+    assert likeness(correlated(random).tolist(), np.arange(120)) > 0.5
+    assert math.isnan(likeness(random.poisson(20, 120).tolist(), np.arange(120)))
+    assert math.isnan(likeness([1.0, 2.0, 3.0], np.arange(3)))
+    assert math.isnan(likeness([2.0] * 30, np.arange(30)))
+
+
+def test_a_survey_has_what_is_known_and_leaves_out_the_rest():
+    pictures = [
+        picture(f"{k}", oysters=k, live=k, dead=1, area_m2=0.25, cut=2, measured=1, length_mm=50.0 + k)
+        for k in range(2, 10)
+    ]
+    found = survey("dive", "m", pictures, {"x": "no"})
+    values = {one.key: one.ratio.value for one in found.measures}
+    assert values["oysters"] == pytest.approx(5.5)
+    assert values["cover"] == pytest.approx(10)
+    assert values["live"] == pytest.approx(100 * 44 / 52)
+    assert values["per_m2"] == pytest.approx((44 - 8) / 2)
+    assert values["length_mm"] == pytest.approx(55.5)
+    assert all(
+        one.ratio.interval.low < one.ratio.value < one.ratio.interval.high
+        for one in found.measures
+        if one.key != "cover"
+    )
+    assert [one.key for one in survey("dive", "m", [picture("a", cover=None)], {}).measures] == ["oysters"]
+    assert survey("dive", "m", [], {}).measures == ()
+
+
+def test_a_summary_has_no_number_that_is_not_one():
+    plain = survey("dive", "m", [picture("a", novelty=3.0), picture("b", novelty=1.2)], {"c": "broken"}).as_plain()
+    assert plain["unlike"] == ["a", "b"], "the most unlike first"
+    assert plain["measures"]["oysters"]["low"] is None
+    assert plain["measures"]["oysters"]["reason"]
+    assert plain["failures"] == {"c": "broken"}

@@ -1,0 +1,122 @@
+"""Pictures come upright, in 8 bits and RGB, or not at all; of videos just the frames that are asked for."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from oysterbench.core.errors import LabelError
+from oysterbench.counting.reading import Sampling, Video, decode
+from tests.helpers.people_pictures import SHAPE, discs, turned, write_video
+
+
+def encoded(suffix, pixels):
+    return cv2.imencode(suffix, pixels)[1].tobytes()
+
+
+@pytest.fixture
+def colours():
+    """(H, W, 3) RGB: red on the left, blue on the right."""
+    pixels = np.zeros((*SHAPE, 3), np.uint8)
+    pixels[:, :80, 0], pixels[:, 80:, 2] = 250, 250
+    return pixels
+
+
+def test_colours_are_red_green_blue(colours):
+    assert np.array_equal(decode(encoded(".png", colours[..., ::-1]), "a"), colours)
+
+
+def test_a_picture_is_turned_as_its_exif_orientation_says(colours):
+    data = encoded(".jpg", colours[..., ::-1])
+    upright = decode(turned(data, 6), "a")  # its first row is on the right
+    assert upright.shape == (160, 120, 3)
+    assert upright[:40, :, 0].min() > 200
+    assert upright[120:, :, 2].min() > 200
+
+
+def test_grey_alpha_and_16_bits_become_three_channels_of_8_bits(colours):
+    grey = colours.max(axis=2)
+    for made in (grey, grey.astype(np.uint16) * 257, np.dstack([grey, grey, grey, np.zeros_like(grey)])):
+        found = decode(encoded(".png", made), "a")
+        assert found.dtype == np.uint8
+        assert np.array_equal(found, np.dstack([grey] * 3))
+
+
+def test_one_pixel_is_a_picture():
+    assert decode(encoded(".png", np.full((1, 1, 3), 7, np.uint8)), "a").shape == (1, 1, 3)
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_a_picture_that_is_cut_short_is_refused_and_not_filled_in_with_grey(suffix, share):
+    noise = np.random.default_rng(0).integers(0, 255, (*SHAPE, 3), np.uint8)
+    data = encoded(suffix, noise)
+    with pytest.raises(LabelError, match=r"a: the (JPEG|PNG).* ends before its end marker"):
+        decode(data[: int(share * len(data))], "a")
+
+
+def test_what_a_camera_appends_behind_a_jpeg_does_not_matter():
+    data = encoded(".jpg", discs((50, 50)))
+    assert decode(data + b"SEFT" * 100, "a").shape == (*SHAPE, 3)
+
+
+def test_a_jpeg_is_not_taken_for_whole_by_the_end_of_its_thumbnail():
+    data = encoded(".jpg", discs((50, 50)))
+    thumbnail = b"\xff\xe1" + (len(data) + 2).to_bytes(2, "big") + data
+    with pytest.raises(LabelError, match="ends before"):
+        decode(data[:2] + thumbnail + data[2 : len(data) // 2], "a")
+
+
+@pytest.mark.parametrize(("data", "said"), [(b"", "an empty file"), (b"GIF, or so", "cannot be decoded")])
+def test_what_is_no_picture_is_one_line(data, said):
+    with pytest.raises(LabelError, match=f"a: {said}"):
+        decode(data, "a")
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    """Ten seconds at 10 Hz, each frame of a grey of its own."""
+    frames = [np.full((*SHAPE, 3), 2 * k + 20, np.uint8) for k in range(100)]
+    return write_video(tmp_path_factory.mktemp("video") / "dive ü.avi", frames)
+
+
+def test_a_frame_a_second_is_looked_at(video):
+    found = list(Video(video).frames(Sampling(1.0)))
+    assert [frame.index for frame in found] == list(range(0, 100, 10))
+    assert [frame.time_s for frame in found] == pytest.approx(range(10), abs=1e-3)
+    assert [int(frame.pixels.mean()) for frame in found] == pytest.approx(
+        [2 * k + 20 for k in range(0, 100, 10)], abs=2
+    )
+
+
+def test_every_nth_frame_or_more_than_there_are_a_second(video):
+    assert [f.index for f in Video(video).frames(Sampling(every=33))] == [0, 33, 66, 99]
+    assert [f.index for f in Video(video).frames(Sampling(50.0))] == list(range(100))
+    assert Video(video).estimate(Sampling(2.0)) == 20
+
+
+def test_frames_that_are_done_are_not_decoded(video):
+    found = list(Video(video).frames(Sampling(every=25), done=lambda index: index > 25))
+    assert [frame.pixels is None for frame in found] == [False, False, True, True]
+
+
+def test_a_video_that_is_none_or_empty_is_refused(tmp_path, capfd):
+    (tmp_path / "bad.mp4").write_bytes(bytes(3000))
+    with pytest.raises(LabelError, match=r"bad\.mp4: cannot be opened as a video"):
+        Video(tmp_path / "bad.mp4")
+    empty = write_video(tmp_path / "empty.avi", [])
+    with pytest.raises(LabelError, match=r"empty\.avi: (holds no frame|cannot be opened)"):
+        list(Video(empty).frames(Sampling()))
+    assert capfd.readouterr().err == ""
+
+
+def test_a_video_that_breaks_off_gives_what_it_has_and_then_says_so(video, tmp_path):
+    cut = tmp_path / "cut.avi"
+    data = video.read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    seen = []
+    frames = (seen.append(frame.index) for frame in Video(cut).frames(Sampling(every=1)))
+    with pytest.raises(LabelError, match=r"breaks off after \d+ of 100 frames"):
+        list(frames)
+    assert 20 < len(seen) < 80

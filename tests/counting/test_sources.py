@@ -1,0 +1,68 @@
+"""What is found at paths: pictures and videos, each under a name of its own, and what is neither."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from oysterbench.core.errors import LabelError
+from oysterbench.counting.sources import find_sources
+
+
+def touch(folder: Path, *names):
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"x")
+    return folder
+
+
+def names_of(*paths, **options):
+    return [source.name for source in find_sources(paths, **options).sources]
+
+
+def test_a_folder_is_looked_through_to_its_end_and_names_are_below_it(tmp_path):
+    touch(tmp_path, "b.JPG", "deep/er/a.png", "dive.MP4", "ü b/c d.tif")
+    assert names_of(tmp_path) == ["b", "deep/er/a", "dive.MP4", "ü b/c d"]
+
+
+def test_pictures_of_one_name_in_two_folders_stay_apart(tmp_path):
+    touch(tmp_path, "one/1.jpg", "two/1.jpg")
+    assert names_of(tmp_path) == ["one/1", "two/1"]
+    assert names_of(tmp_path / "one", tmp_path / "two") == ["one/1", "two/1"]
+
+
+def test_pictures_that_differ_by_suffix_alone_keep_it(tmp_path):
+    touch(tmp_path, "a.jpg", "a.png", "b.png")
+    assert names_of(tmp_path) == ["a.jpg", "a.png", "b"]
+
+
+def test_a_file_that_is_given_twice_counts_once(tmp_path):
+    touch(tmp_path, "a.jpg")
+    assert names_of(tmp_path, tmp_path / "a.jpg", tmp_path / "a.jpg") == ["a"]
+
+
+def test_the_folder_of_results_is_not_looked_into(tmp_path):
+    touch(tmp_path, "a.jpg", "out/overlays/a.jpg")
+    assert names_of(tmp_path, leave_out=tmp_path / "out") == ["a"]
+
+
+def test_what_is_neither_picture_nor_video_is_told_apart_from_formats_that_cannot_be_read(tmp_path):
+    found = find_sources([touch(tmp_path, "a.jpg", "notes.txt", "._a.jpg", "IMG.HEIC")])
+    assert sorted(path.name for path in found.others) == ["._a.jpg", "notes.txt"]
+    assert [path.name for path in found.to_convert] == ["IMG.HEIC"]
+
+
+@pytest.mark.parametrize(
+    ("files", "said"),
+    [((), "an empty folder"), (("notes.txt",), "only notes.txt"), (("a.heic",), "a.heic, of a format that cannot")],
+)
+def test_nothing_to_count_is_an_error_that_says_what_is_there(tmp_path, files, said):
+    with pytest.raises(LabelError, match=re.escape(said)):
+        find_sources([touch(tmp_path, *files)])
+
+
+def test_a_path_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(LabelError, match="gone: no such file or folder"):
+        find_sources([tmp_path / "gone"])
