@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli.echo import echo, message
-from oysterbench.cli.models import download_model
+from oysterbench.cli.models import download_model, model_path
 from oysterbench.core.errors import HubError, IntegrityError
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ def download(
     hub_at = hub_places(places)
     # What is here needs no network: a released version never changes.
     here = None if check else find_here(split_name, version or None, patterns, out)
-    if here is None and split is None and (model := _model(name, version, hub_at, key, connections)):
+    if here is None and split is None and (model := _model(name, version, hub_at, key, out, connections)):
         if patterns or topics:
             raise click.UsageError(f"--sequence and --topics choose from a split; {name} is trained weights")
         download_model(*model, out, dry_run, again, as_json)
@@ -214,28 +214,34 @@ def download(
     _print_files(files, manifest.split, as_json)
 
 
-def _model(name: str, version: str, hub_at: list[str], key: str | None, connections: int) -> tuple[Hub, Model] | None:
+def _model(
+    name: str, version: str, hub_at: list[str], key: str | None, out: Path | None, connections: int
+) -> tuple[Hub, Model] | None:
     """The trained weights of a name that is no split's, and the hub that has them; None where it may be a split's.
 
     Raises MethodError, with what to type, where the name is that of weights, and no hub is set.
     """
     from oysterbench.hub.download import Hub
     from oysterbench.hub.settings import hub_key
-    from oysterbench.methods.weights import no_weights, weights_names, weights_path
+    from oysterbench.hub.sources import is_offline
+    from oysterbench.hub.weights import weights_here
+    from oysterbench.methods.weights import no_weights, weights_names
     from oysterbench.recipe import split_names
 
     if name in split_names():
         return None
+    path = model_path(name, out)
+    here = weights_here(path)
+    # As of a split: a version that is here needs no network, nor does the newest where there is none.
+    if here and here.model and (here.model.version == version or (not version and is_offline())):
+        return Hub([], None), here.model
     known = name in weights_names()
     if not hub_at:
-        if not known:
-            return None
-        here = weights_path(name)
-        if not here.is_file():
-            raise no_weights(name, here)
-        raise HubError(
-            f"{name}: no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder); {here} is here"
-        )
+        if here is not None:
+            raise HubError(f"{name}: {NO_HUB}; here are {here.described}")
+        if known:
+            raise no_weights(name, path)
+        return None
     hub = Hub.at(hub_at, hub_key(key), message, connections=connections)
     return (hub, hub.model(name, version or None)) if known or hub.has_model(name) else None
 

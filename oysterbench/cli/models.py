@@ -92,13 +92,19 @@ def publish_model(
     echo(model.sha256)
 
 
+def model_path(name: str, out: Path | None) -> Path:
+    """Where a download leaves weights: a file of the folder, by default where methods look for it."""
+    from oysterbench.methods.weights import weights_path
+
+    return weights_path(name) if out is None else out / f"{name}.pt"
+
+
 def download_model(hub: Hub, model: Model, out: Path | None, dry_run: bool, again: bool, as_json: bool) -> None:
     """Fetch trained weights, or only say what would be fetched."""
     from oysterbench.cli.progress import bytes_bar
     from oysterbench.hub.weights import check_replaced, fetch_weights, there_bytes
-    from oysterbench.methods.weights import weights_path
 
-    path = weights_path(model.name) if out is None else out / f"{model.name}.pt"
+    path = model_path(model.name, out)
     row = {"model": model.name, "version": model.version, "file": str(path), "sha256": model.file.sha256}
     size = model.file.size
     if dry_run:

@@ -111,7 +111,8 @@ def run_command(
 
     The folder keeps each run's predictions, logs, cost and versions. A run that ends badly, takes too long, or leaves
     nothing that can be read is a failure in the results; one that the machine killed, or had no room for, is not, and
-    the same command runs it again. Whatever is interrupted, even killed: the same command goes
+    the same command runs it again. Trained weights that a METHOD needs and that are not here are fetched first, where
+    a hub is set: `oysterbench models`. Whatever is interrupted, even killed: the same command goes
     on from there. Files between processes lie in the folder that TMPDIR names; folders that programs are given are kept
     under the home for other runs, up to OYSTERBENCH_EXPORTS_GB (20). Lines `progress 120 of 700` of a program are shown
     as a bar.

@@ -16,7 +16,7 @@ from datetime import datetime
 from pathlib import Path
 
 from oysterbench.core.errors import HubError
-from oysterbench.core.files import models, write_atomically
+from oysterbench.core.files import write_atomically
 from oysterbench.hub.download import Hub, Progress, check_space, fetch_file, locked_if_possible, part_path
 from oysterbench.hub.model import Model
 from oysterbench.hub.pieces import Pieced
@@ -49,11 +49,6 @@ class Here:
             what = f"weights that are not {self.card.name} {self.card.version}, whose card lies beside them"
         day = datetime.fromtimestamp(state.st_mtime).date().isoformat()
         return f"{what} ({state.st_size / 1e6:.1f} MB of {day}, SHA-256 {self.sha256[:12]}…)"
-
-
-def weights_path(name: str, folder: Path | None = None) -> Path:
-    """Where weights of that name are kept: a file of the folder, by default of that of models."""
-    return (folder or models()) / f"{name}.pt"
 
 
 def weights_here(path: Path) -> Here | None:

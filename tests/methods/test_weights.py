@@ -63,7 +63,7 @@ def test_every_method_that_runs_on_weights_is_known_to_them():
 def test_without_weights_and_hub_one_line_says_how_to_train_and_how_long_that_takes(bare):
     expected = (
         r"^unet: no trained weights at .*models/unet\.pt: `oysterbench train unet --data seg-train` trains them on "
-        r"your machine \(about .* minutes .*\), `oysterbench download unet` fetches them where a hub is set; others "
+        r"your machine \(about .* on .*\), `oysterbench download unet` fetches them where a hub is set; others "
         r"are named by unet\[checkpoint=PATH\] or by OYSTERBENCH_UNET$"
     )
     for demand in (lambda path: have_weights({"unet": path}), lambda path: existing("unet", path)):
