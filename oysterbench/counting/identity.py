@@ -25,20 +25,29 @@ def file_digest(path: Path) -> str:
 
 
 def method_identity(reference: str, method: object, options: Mapping[str, Any]) -> dict[str, Any]:
-    """A method as far as its answers depend on it: reference, versions, its own file, its weights.
+    """A method as far as its answers depend on it: reference, versions, the code of its package, its weights.
 
     Weights lie by convention where OYSTERBENCH_<NAME> says, or at models/<name>.pt, for `a_b` those of `a_b` and of
     `a`; and every file that an option names is taken for one.
     """
-    module = getattr(sys.modules.get(type(method).__module__), "__file__", None)
-    files = [Path(module)] if module else []
-    files += _weights(split_variant(reference)[0])
+    files = _weights(split_variant(reference)[0])
     files += [Path(value) for value in options.values() if isinstance(value, str) and value and Path(value).is_file()]
     return {
         "method": reference,
         "versions": {"oysterbench": VERSION, **versions_of(reference)},
+        "code": _code(type(method).__module__),
         "files": {path.name: file_digest(path) for path in dict.fromkeys(files)},
     }
+
+
+def _code(module: str) -> str:
+    """SHA-256 of the Python files beside a module of a package, or of the file of one that is of none."""
+    found = sys.modules.get(module)
+    file = getattr(found, "__file__", None)
+    if file is None:
+        return ""
+    beside = sorted(Path(file).parent.glob("*.py")) if getattr(found, "__package__", "") else [Path(file)]
+    return hashlib.sha256("".join(file_digest(path) for path in beside).encode()).hexdigest()
 
 
 def _weights(name: str) -> list[Path]:

@@ -201,7 +201,7 @@ def _making(identity: Mapping[str, Any], settings: Mapping[str, Any]) -> dict[st
     lines = {
         "Method": str(identity.get("method", "")),
         "Versions": versions,
-        "Files, SHA-256": files,
+        "Weights, SHA-256": files,
         "Settings": values,
     }
     return {key: value for key, value in lines.items() if value}

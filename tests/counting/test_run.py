@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import import_module
 
 import cv2
 import numpy as np
@@ -186,7 +187,17 @@ def test_changed_weights_options_and_code_change_a_methods_identity(tmp_path, mo
     assert method_identity("my_net", Discs(), {}) != by_convention
     named = method_identity("my_net", Discs(), {"checkpoint": str(tmp_path / "other.pt"), "size": 3})
     assert "other.pt" in named["files"]
-    assert "people_pictures.py" in none["files"]
+
+
+def test_changed_code_of_a_method_changes_its_identity(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_own_net.py").write_text("class Net: ...\n")
+    net = import_module("my_own_net").Net()
+    first = method_identity("my_own_net:Net", net, {})
+    (tmp_path / "unrelated.py").write_text("")
+    assert method_identity("my_own_net:Net", net, {}) == first
+    (tmp_path / "my_own_net.py").write_text("class Net:\n    size = 3\n")
+    assert method_identity("my_own_net:Net", net, {}) != first
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,161 @@
+"""oysterbench segment, as biologists type it: one line for what is wrong, and exit codes that say how it went."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import pytest
+
+from oysterbench.results.records import ResultRecord, write_results
+from tests.helpers.command import assert_one_line, run
+from tests.helpers.people_pictures import discs, write, write_video
+
+DISCS = ("--method", "tests.helpers.people_pictures:Discs")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for k in range(6):
+        write(tmp_path / "Fotos ü" / f"{k}.png", discs((40, 40), (100, 60)))
+    return tmp_path / "Fotos ü"
+
+
+def test_a_folder_of_pictures_becomes_a_page_and_tables(folder, tmp_path):
+    done = run("segment", folder, *DISCS, "--out", "out")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("out/index.html\n")
+    assert "12 oysters in 6 pictures" in done.stdout
+    assert "Oysters per picture: 2.0 [2.0 to 2.0]" in done.stdout
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        *("index.html", "pictures.csv", "oysters.csv", "summary.json", "masks", "overlays", "finished")
+    }
+    again = run("segment", folder, *DISCS, "--out", "out")
+    assert "all finished before" in again.stdout
+
+
+def test_results_within_the_folder_of_pictures_are_not_taken_for_pictures(folder):
+    for _ in range(2):
+        done = run("segment", folder, *DISCS, "--out", folder / "out", "--json")
+        assert json.loads(done.stdout)["pictures"] == 6
+        assert done.returncode == 0
+
+
+def test_json_is_all_there_is_on_stdout(folder):
+    done = run("segment", folder, *DISCS, "--json", "--mm-per-px", 2)
+    summary = json.loads(done.stdout)
+    assert summary["measures"]["per_m2"]["value"] == pytest.approx(2 / (0.24 * 0.32))
+    assert summary["files"][0] == "Fotos ü-oysters/index.html"
+
+
+def test_what_is_no_picture_is_a_line_and_what_is_broken_an_exit_code(folder):
+    (folder / "notes.txt").write_text("x")
+    done = run("segment", folder, *DISCS)
+    assert done.returncode == 0
+    assert "left out, as neither picture nor video: notes.txt" in done.stderr
+    (folder / "broken.jpg").write_bytes(b"\xff\xd8")
+    done = run("segment", folder, *DISCS)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == "oysterbench: 1 of 7 could not be counted; the rest was"
+    assert "broken.jpg: the JPEG is damaged" in done.stderr
+    assert "12 oysters in 6 pictures" in done.stdout
+
+
+def test_unlike_pictures_are_warned_of_in_one_line(folder):
+    write(folder / "strange.png", discs())
+    done = run("segment", folder, *DISCS)
+    assert done.returncode == 0
+    assert "not to be relied upon: 1 of 7 pictures: strange" in done.stderr
+
+
+def test_a_video_is_sampled_as_asked(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / "dive 1.avi", [discs((60, 60))] * 30)
+    for options, frames in (((), 3), (("--rate", 2), 6), (("--every", 10), 3)):
+        done = run("segment", "dive 1.avi", *DISCS, *options, "--json")
+        assert json.loads(done.stdout)["pictures"] == frames
+    assert (tmp_path / "dive 1-oysters" / "videos" / "dive 1.avi.mp4").is_file()
+    assert run("segment", "dive 1.avi", *DISCS, "--rate", 2, "--every", 10).returncode == 2
+
+
+def test_quadrats_altitudes_and_checks_by_files(folder, tmp_path):
+    corners = "".join(f"{k}.png,70,20,130,20,130,110,70,110\n" for k in range(6))
+    (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n" + corners + "gone,1,1,9,1,9,9,1,9\n")
+    done = run("segment", folder, *DISCS, "--quadrat", 0.5, "--corners", "c.csv", "--json")
+    assert json.loads(done.stdout)["measures"]["per_m2"]["value"] == pytest.approx(4, rel=1e-3)
+    assert "c.csv: no picture is called gone" in done.stderr
+    (tmp_path / "lens.yaml").write_text(
+        "intrinsics: [100, 100, 79.5, 59.5]\nresolution: [160, 120]\ndistortion_coeffs: [0, 0, 0, 0]\n"
+    )
+    for altitude in ("1.5", "heights.csv"):
+        (tmp_path / "heights.csv").write_text("picture,altitude_m\n" + "".join(f"{k},1.5\n" for k in range(6)))
+        done = run("segment", folder, *DISCS, "--altitude", altitude, "--calibration", "lens.yaml", "--json")
+        area = 6 * 1.6 * 1.2 * 1.5**2
+        assert json.loads(done.stdout)["area_m2"] == pytest.approx(area, rel=1e-6), done.stderr
+    write_results(tmp_path / "check" / "results.json", [result("discs")])
+    done = run("segment", folder, *DISCS, "--checked", "check", "--json")
+    assert json.loads(done.stdout)["count_error_on_labelled_percent"] == pytest.approx(-10)
+    write_results(tmp_path / "check" / "results.json", [result("other")])
+    assert_one_line(run("segment", folder, *DISCS, "--checked", "check"), "expected results of discs .* got other")
+
+
+def result(method):
+    return ResultRecord(
+        track="detection",
+        split="",
+        sequence="mine",
+        method=method,
+        metrics={"count_truth": 20.0, "count_estimate": 18.0},
+    )
+
+
+def test_a_picture_without_corners_is_not_counted_and_told_of(folder, tmp_path):
+    (tmp_path / "c.csv").write_text("picture,x1,y1,x2,y2,x3,y3,x4,y4\n0,70,20,130,20,130,110,70,110\n")
+    done = run("segment", folder, *DISCS, "--quadrat", 0.5, "--corners", "c.csv")
+    assert done.returncode == 1
+    assert "1: c.csv has no corners of it, and so it is not counted" in done.stderr
+    with open("Fotos ü-oysters/pictures.csv", newline="", encoding="utf-8") as file:
+        assert [bool(row["failure"]) for row in csv.DictReader(file)] == [False] + [True] * 5
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--quadrat", "0.5"), "--quadrat: expected --corners FILE as well"),
+        (("--corners", "c.csv"), "--corners: expected --quadrat M as well"),
+        (("--altitude", "1"), "--altitude: expected --calibration FILE as well"),
+        (("--calibration", "c.yaml"), "--calibration: expected --altitude M as well"),
+        (("--camera", "cam0"), "--camera: expected --calibration FILE as well"),
+        (("--mm-per-px", "1", "--quadrat", "1", "--corners", "c"), "expected one scale at most"),
+    ],
+)
+def test_options_of_a_scale_that_do_not_belong_together_are_refused(folder, options, said):
+    done = run("segment", folder, *DISCS, *options)
+    assert done.returncode == 2
+    assert said in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "said"),
+    [
+        (("--mm-per-px", "-1"), 2, "--mm-per-px: expected millimetres above 0, got -1"),
+        (("--method", "tests.helpers.image_methods:Small"), 1, "expected an answer of the picture's size"),
+        (("--method", "straight"), 1, "expected a method of detection or segmentation, got one of steering"),
+        (("--method", "nonsense"), 1, "unknown method 'nonsense'"),
+        (("--checked", "gone.json"), 1, "gone.json: no such file"),
+    ],
+)
+def test_what_cannot_be_done_is_one_line(folder, options, code, said):
+    options = options if "--method" in options else (*DISCS, *options)
+    assert_one_line(run("segment", folder, *options), said, code)
+
+
+def test_a_method_without_weights_says_what_to_type(folder, tmp_path, monkeypatch):
+    monkeypatch.delenv("OYSTERBENCH_UNET", raising=False)
+    monkeypatch.setenv("OYSTERBENCH_MODELS", str(tmp_path / "models"))
+    assert_one_line(run("segment", folder, home=tmp_path / "home"), "no trained weights at .*oysterbench train unet")
+
+
+def test_an_empty_folder_is_one_line(tmp_path):
+    assert_one_line(run("segment", tmp_path), "expected pictures .* got an empty folder")

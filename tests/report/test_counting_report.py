@@ -1,0 +1,166 @@
+"""Counts as tables, annotations and a page that says what its numbers are worth."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+
+from oysterbench.annotations.coco import coco_set
+from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey
+from oysterbench.counting.accuracy import Accuracy
+from oysterbench.counting.per_picture import plain
+from oysterbench.report.bars import count_bins, histogram_plot
+from oysterbench.report.counting import Making, write_counts
+from oysterbench.report.counting_page import evenly
+from tests.helpers.image_methods import Boxed
+from tests.helpers.people_pictures import Discs, discs, write, write_video
+
+PLACES = [(20, 30), (60, 30), (100, 30), (0, 90)]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Eight pictures of one to four discs, one strange, one broken, and a video of two seconds."""
+    for k in range(7):
+        write(tmp_path / "in" / f"{k} <ü>.png", discs(*PLACES[: k % 4 + 1]))
+    write(tmp_path / "in" / "strange.png", discs())
+    (tmp_path / "in" / "broken.jpg").write_bytes(b"\xff\xd8 no more")
+    write_video(tmp_path / "in" / "dive.avi", [discs((60, 60))] * 20)
+    return tmp_path / "in"
+
+
+def counts(folder, out, method=None, accuracy=None, **settings):
+    method, store = method or Discs(), Store(out)
+    counted = Counting(
+        find_sources([folder]).sources, method, {"method": method.name}, store, Settings(**settings)
+    ).run()
+    found = survey("in", method.name, counted.pictures, counted.failures, accuracy=accuracy)
+    said = {"threshold": 0.5, "scale": {"kind": "plain", "mm_per_px": 2.0} if "scale" in settings else None}
+    making = Making("oysterbench segment in", {"method": method.name, "versions": {}, "files": {}}, said)
+    write_counts(found, counted, store, making, with_coco=True)
+    return found
+
+
+def table(path):
+    with open(path, newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def test_tables_have_a_line_per_picture_and_oyster_and_leave_empty_what_is_not_known(folder, tmp_path):
+    out = tmp_path / "out"
+    counts(folder, out)
+    pictures = {row["picture"]: row for row in table(out / "pictures.csv")}
+    assert list(pictures)[-1] == "broken"
+    assert "ends before" in pictures["broken"]["failure"]
+    assert pictures["broken"]["oysters"] == ""
+    assert (pictures["3 <ü>"]["oysters"], pictures["3 <ü>"]["cut_by_edge"], pictures["3 <ü>"]["live"]) == (
+        "4",
+        "1",
+        "2",
+    )
+    assert (pictures["strange"]["unlike"], pictures["0 <ü>"]["unlike"]) == ("yes", "no")
+    assert pictures["0 <ü>"]["area_m2"] == pictures["0 <ü>"]["oysters_per_m2"] == ""
+    assert (pictures["dive.avi/000010"]["frame"], float(pictures["dive.avi/000010"]["time_s"])) == ("10", 1.0)
+    oysters = table(out / "oysters.csv")
+    assert len(oysters) == sum(int(row["oysters"] or 0) for row in pictures.values())
+    assert {row["state"] for row in oysters} == {"live", "dead"}
+    assert oysters[0]["length_mm"] == ""
+
+
+def test_a_scale_fills_in_areas_densities_and_lengths(folder, tmp_path):
+    counts(folder, tmp_path, scale=plain(2.0))
+    first = table(tmp_path / "pictures.csv")[0]
+    assert float(first["area_m2"]) == pytest.approx(0.24 * 0.32)
+    assert float(first["oysters_per_m2"]) == pytest.approx(1 / (0.24 * 0.32), abs=1e-3)
+    assert float(table(tmp_path / "oysters.csv")[0]["length_mm"]) == pytest.approx(42, abs=2)
+    assert json.loads((tmp_path / "summary.json").read_text())["measures"]["per_m2"]["value"] > 0
+
+
+def test_without_oysters_the_tables_still_have_their_heads(tmp_path):
+    write(tmp_path / "in" / "a.png", discs())
+    counts(tmp_path / "in", tmp_path / "out")
+    assert (tmp_path / "out" / "oysters.csv").read_text().startswith("picture,time_s,number,")
+    assert table(tmp_path / "out" / "oysters.csv") == []
+
+
+def test_annotations_give_back_every_mask(tmp_path):
+    pytest.importorskip("pycocotools")
+    write(tmp_path / "out" / "images" / "a.png", discs(*PLACES))
+    counts(tmp_path / "out" / "images", tmp_path / "out")
+    (image,) = coco_set(tmp_path / "out" / "instances.json")
+    assert np.array_equal(image.oysters, discs(*PLACES)[..., 0] > 0)
+    assert image.instances.max() == 4
+    first = json.loads((tmp_path / "out" / "instances.json").read_text())["annotations"][0]
+    assert (first["score"], first["live"], first["iscrowd"]) == (0.9, 0.0, 0)
+
+
+def test_annotations_of_boxes_have_no_masks(tmp_path):
+    write(tmp_path / "in" / "a.png", discs(*PLACES))
+    counts(tmp_path / "in", tmp_path / "out", Boxed())
+    annotations = json.loads((tmp_path / "out" / "instances.json").read_text())["annotations"]
+    assert len(annotations) == 4
+    assert not any("segmentation" in one for one in annotations)
+    assert "% covered" not in (tmp_path / "out" / "index.html").read_text()
+
+
+def words(path):
+    """What a page says, without its pictures."""
+    text = re.sub(r"<style>.*?</style>|src=\"data:[^\"]*\"", "", path.read_text(), flags=re.DOTALL)
+    return " ".join(re.sub(r"<[^>]+>", " ", text).split())
+
+
+def test_the_page_says_what_its_numbers_are_worth(folder, tmp_path):
+    counts(folder, tmp_path)
+    page, said = (tmp_path / "index.html").read_text(), words(tmp_path / "index.html")
+    assert "18 oysters in 8 pictures and 2 frames of 1 video, by discs." in said
+    assert "1 could not be counted" in said
+    assert "is not to be relied upon: 1 of 10 pictures" in said
+    assert "how to measure it" in said
+    assert "oysterbench run discs --track detection --on LABELLED --out check" in said
+    assert 'href="videos/dive.avi.mp4"' in page
+    assert page.count("data:image/jpeg;base64,") == 10, "each picture once"
+    assert "&lt;ü&gt;" in page
+    assert "<ü>" not in page
+    assert not re.search(r'(src|href)="(?!data:|#|overlays/|videos/)', page), "nothing from elsewhere"
+
+
+def test_the_page_says_how_far_counts_are_off_where_that_was_measured(folder, tmp_path):
+    counts(folder, tmp_path, accuracy=Accuracy(200.0, 230.0, "my-labels"))
+    said = words(tmp_path / "index.html")
+    assert "(my-labels), discs counted 230 oysters where 200 are labelled: 15 % too many." in said
+    assert "how to measure it" not in said
+
+
+def test_the_page_of_a_method_that_does_not_know_the_strange_says_so(folder, tmp_path):
+    counts(folder, tmp_path, Boxed())
+    assert "boxed does not say whether pictures are unlike" in words(tmp_path / "index.html")
+
+
+def test_a_page_of_nothing_but_failures_is_a_page(tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "broken.jpg").write_bytes(b"\xff\xd8 no more")
+    found = counts(tmp_path / "in", tmp_path / "out", sampling=Sampling(1.0))
+    assert found.pictures == ()
+    assert "0 oysters in no picture" in words(tmp_path / "out" / "index.html")
+
+
+def test_a_page_shows_some_of_many_pictures_evenly(folder, tmp_path):
+    found = counts(folder, tmp_path)
+    some = [one.name for one in evenly(found.pictures, 3)]
+    assert some == [found.pictures[k].name for k in (0, 4, 9)]
+    assert evenly(found.pictures, 50) == list(found.pictures)
+    assert evenly([], 3) == []
+
+
+@pytest.mark.parametrize(("most", "width"), [(0, 1), (23, 1), (24, 2), (100, 5), (12345, 1000)])
+def test_a_histogram_has_whole_bins_that_hold_every_count(most, width):
+    values = [0, most, most // 2]
+    edges, heights = count_bins(values)
+    assert edges[1] - edges[0] == width
+    assert sum(heights) == 3
+    assert len(heights) <= 24
+    assert histogram_plot(values, "t", "x", "y").count("<title>") == len(set(np.digitize(values, edges)))
