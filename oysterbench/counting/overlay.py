@@ -40,7 +40,7 @@ def overlay(
     region: Array | None,
 ) -> Pixels:
     """(h, w, 3) uint8 RGB of a picture (H, W, 3): outlines by state, each on a dark casing; those that are not counted
-    thin and grey; region (K, 2) px, of a quadrat, in white; the count and any warning in a strip above it."""
+    grey; region (K, 2) px, of a quadrat, in white; the count and any warning in a strip above it."""
     height, width = pixels.shape[:2]
     factor = overlay_factor((height, width))
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
@@ -51,9 +51,8 @@ def overlay(
     for casing in (True, False):
         for row in rows:
             kind = row.state if row.counted else "left out"
-            thickness = line if row.counted else max(1, line // 2)
             colour = CASING if casing else COLOURS[kind]
-            _lines(drawn, outlines[row.number], factor, colour, thickness + line * casing)
+            _lines(drawn, outlines[row.number], factor, colour, line + line * casing)
         if region is not None and len(region):
             _lines(drawn, [region], factor, CASING if casing else QUADRAT, line + line * casing)
     return _with_strip(drawn, _said(picture), picture.unlike)

@@ -133,7 +133,7 @@ def survey(
         measure(
             "live",
             "Alive",
-            "% of those told",
+            "%",
             1,
             lambda one: 100.0 * one.live,
             lambda one: one.live + one.dead,

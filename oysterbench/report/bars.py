@@ -42,8 +42,8 @@ def histogram_plot(values: Sequence[float], title: str, x_label: str, y_label: s
         if float(value).is_integer():
             parts.append(f'<text x="{x:.1f}" y="{bottom + 17:.1f}" text-anchor="middle">{text}</text>')
     for value, text in y_axis.ticks():
-        if float(value).is_integer():
-            y = float(y_axis.place(value))
+        if float(value).is_integer():  # of pictures there are no parts
+            text, y = f"{value:.0f}", float(y_axis.place(value))
             parts.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{right}"/>')
             parts.append(f'<text x="{LEFT - 7}" y="{y + 4.5:.1f}" text-anchor="end">{text}</text>')
     for low, high, height in zip(edges[:-1], edges[1:], heights, strict=True):

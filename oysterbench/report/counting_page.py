@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,7 @@ def counting_page(
         "accuracy": _accuracy(found),
         "settings": settings,
         "command": command,
+        "reference": shlex.quote(str(identity.get("method", found.method))),
         "making": _making(identity, settings),
     }
     return environment(FOLDER).get_template("counting.html").render(**context)
