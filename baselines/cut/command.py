@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from oysterbench.cli.echo import echo, message
-from oysterbench_baselines.learning.trained import device_option, seed_option
+from oysterbench_baselines.learning.trained import checkpoint_path, device_option, seed_option
 
 if TYPE_CHECKING:
     from oysterbench.annotations import LabelledImage, LabelledSet
@@ -99,19 +99,27 @@ def train_command(
 
 
 @click.command("cut", short_help="By a trained generator.")
-@click.argument("checkpoint", type=click.Path(path_type=Path))
+@click.argument("checkpoint", metavar="[CHECKPOINT]", required=False, type=click.Path(path_type=Path))
 @source_option
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder to write.")
-def cut_command(checkpoint: Path, sources: tuple[str, ...], out: Path) -> None:
+def cut_command(checkpoint: Path | None, sources: tuple[str, ...], out: Path) -> None:
     """Translate labelled images at their own size; their labels stay, and what that costs is measured and printed.
 
     \b
-    Example:
+    Examples:
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
+      oysterbench translate cut --source seg-closeup --out translated
+
+    Without CHECKPOINT the weights of `oysterbench download cut` are taken, which are fetched where a hub is set.
     """
     from oysterbench.cli.labelled import open_all
+    from oysterbench.cli.render import frames_bar
+    from oysterbench.methods.weights import have_weights
     from oysterbench_baselines.cut.translation import load_generator, translated
 
+    if checkpoint is None:
+        checkpoint = checkpoint_path("cut")
+        have_weights({"cut": checkpoint}, message, frames_bar)
     generator, settings = load_generator(checkpoint)
     _write(open_all(sources), lambda images: translated(generator, settings, images), out)
 

@@ -314,7 +314,8 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
       oysterbench verify data                   every sequence file of a folder
       oysterbench verify hub                    every file of a published tree
 
-    Ends with 3 if anything is damaged or absent; `oysterbench download SPLIT --verify` repairs it.
+    Ends with 3 if anything is damaged or absent; `oysterbench download SPLIT --verify`, or `download MODEL --again`,
+    repairs it.
     """
     from oysterbench.hub.verify import checks
 
@@ -330,8 +331,8 @@ def verify(what: tuple[str, ...], as_json: bool) -> None:
     bad = sum(not check.good for check in found)
     if bad:
         raise IntegrityError(
-            f"{bad} of {len(found)} files are damaged or absent; `oysterbench download SPLIT --verify` "
-            "fetches what is wrong again"
+            f"{bad} of {len(found)} files are damaged or absent; `oysterbench download SPLIT --verify`, or "
+            "`oysterbench download MODEL --again`, fetches what is wrong again"
         )
 
 

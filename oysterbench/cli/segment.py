@@ -91,10 +91,12 @@ def segment_command(
     What is finished is not done again, unless --again is given, or picture, method, weights or settings have changed.
     Exit code 1: some picture or video could not be counted; the rest was.
     """
+    from oysterbench.cli.render import frames_bar
     from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey
     from oysterbench.counting.accuracy import read_accuracy
     from oysterbench.counting.identity import method_identity
     from oysterbench.methods.finding import find_variant
+    from oysterbench.methods.weights import have_weights, weights_of
     from oysterbench.report.counting import Making, write_counts
 
     if rate is not None and every is not None:
@@ -108,6 +110,7 @@ def segment_command(
     chosen, options = find_variant(method)
     if chosen.track not in TRACKS:
         raise MethodError(f"{method}: expected a method of {' or '.join(TRACKS)}, got one of {chosen.track}")
+    have_weights(weights_of(chosen), message, frames_bar)
     accuracy = None if checked is None else read_accuracy(checked, chosen.name)
     settings = Settings(threshold, Sampling(rate or 1.0, every), scale)
     identity = method_identity(method, chosen, options)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from oysterbench.core.files import models
 from oysterbench.methods.finding import versions_of
-from oysterbench.methods.options import split_variant
+from oysterbench.methods.weights import weights_of
 from oysterbench.version import VERSION
 
 FORMAT = "oysterbench-count/1"
@@ -25,12 +23,9 @@ def file_digest(path: Path) -> str:
 
 
 def method_identity(reference: str, method: object, options: Mapping[str, Any]) -> dict[str, Any]:
-    """A method as far as its answers depend on it: reference, versions, the code of its package, its weights.
-
-    Weights lie by convention where OYSTERBENCH_<NAME> says, or at models/<name>.pt, for `a_b` those of `a_b` and of
-    `a`; and every file that an option names is taken for one.
-    """
-    files = _weights(split_variant(reference)[0])
+    """A method as far as its answers depend on it: reference, versions, the code of its package, the weights that it
+    says it runs on (`methods.weights`), and every file that an option names."""
+    files = [path for path in weights_of(method).values() if path.is_file()]
     files += [Path(value) for value in options.values() if isinstance(value, str) and value and Path(value).is_file()]
     return {
         "method": reference,
@@ -48,13 +43,6 @@ def _code(module: str) -> str:
         return ""
     beside = sorted(Path(file).parent.glob("*.py")) if getattr(found, "__package__", "") else [Path(file)]
     return hashlib.sha256("".join(file_digest(path) for path in beside).encode()).hexdigest()
-
-
-def _weights(name: str) -> list[Path]:
-    words = name.rpartition(":")[2].split("_")
-    stems = ["_".join(words[:k]) for k in range(1, len(words) + 1)]
-    places = [os.environ.get(f"OYSTERBENCH_{stem.upper()}") or models() / f"{stem}.pt" for stem in stems]
-    return [path for path in map(Path, places) if path.is_file()]
 
 
 def key_of(values: Mapping[str, Any]) -> str:

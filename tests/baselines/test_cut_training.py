@@ -23,6 +23,7 @@ from oysterbench_baselines.cut.command import cut_command, reinhard_command, tar
 from oysterbench_baselines.cut.sheets import sample_sheet, write_curves  # noqa: E402
 from oysterbench_baselines.cut.training import TERMS, Adversaries, curves, train  # noqa: E402
 from oysterbench_baselines.cut.translation import load_generator, translate  # noqa: E402
+from oysterbench_baselines.learning.card import describe  # noqa: E402
 from tests.baselines.test_cut_parts import TINY, labelled, reef  # noqa: E402
 
 STEPS = 6
@@ -233,6 +234,18 @@ def test_the_commands_train_and_translate(folders, monkeypatch):
     assert done.exit_code == 0
     assert len(open_labelled(out)) == 20
     assert open_labelled(out)[0].pixels.shape == reef(0)[0].shape
+
+
+def test_translating_without_a_checkpoint_takes_the_weights_that_a_download_leaves(folders, home):
+    train(SOURCE, TARGET, replace(TINY, skip=True, steps=2), home / "models" / "cut.pt")
+    assert list(describe("cut", home / "models" / "cut.pt").data) == ["source", "target"]
+    done = run(cut_command, "--source", folders / "rendered", "--out", folders / "by-default")
+    assert done.exit_code == 0
+    assert len(open_labelled(folders / "by-default")) == 20
+    (home / "models" / "cut.pt").unlink()
+    with pytest.raises(MethodError, match="cut: no trained weights at"):
+        run(cut_command, "--source", folders / "rendered", "--out", folders / "none")
+    assert not (folders / "none").exists()
 
 
 def test_too_few_pictures_are_refused_before_anything_is_written(tmp_path):

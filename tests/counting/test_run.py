@@ -177,14 +177,15 @@ def test_films_are_no_slower_than_four_frames_a_second():
 
 
 def test_changed_weights_options_and_code_change_a_methods_identity(tmp_path, monkeypatch):
-    monkeypatch.setenv("OYSTERBENCH_MODELS", str(tmp_path))
-    none = method_identity("my_net", Discs(), {})
+    method = Discs()
+    monkeypatch.setattr(method, "weights", {"my_net": tmp_path / "my.pt"}, raising=False)
+    none = method_identity("my_net", method, {})
     (tmp_path / "my.pt").write_bytes(b"1")
-    by_convention = method_identity("my_net", Discs(), {})
+    first = method_identity("my_net", method, {})
     (tmp_path / "other.pt").write_bytes(b"2")
-    assert method_identity("my_net", Discs(), {}) == by_convention != none
-    monkeypatch.setenv("OYSTERBENCH_MY_NET", str(tmp_path / "other.pt"))
-    assert method_identity("my_net", Discs(), {}) != by_convention
+    assert method_identity("my_net", method, {}) == first != none
+    (tmp_path / "my.pt").write_bytes(b"3")
+    assert method_identity("my_net", method, {}) != first
     named = method_identity("my_net", Discs(), {"checkpoint": str(tmp_path / "other.pt"), "size": 3})
     assert "other.pt" in named["files"]
 
