@@ -115,6 +115,15 @@ def test_what_was_run_with_other_weights_is_not_taken_for_theirs(place, results,
     assert "--again runs it anew" in failed.stderr
 
 
+def test_counting_in_pictures_of_ones_own_fetches_them_too(place, published, tmp_path):
+    hub = {"OYSTERBENCH_HUB": str(place.tree), "OYSTERBENCH_HUB_KEY": place.public}
+    words = ("segment", place.folder / "unseen" / "images", "--method", "unet_small_instances")
+    done = place.run(*words, "--out", tmp_path / "out", home=tmp_path, **hub)
+    assert "unet_small: no trained weights here; fetching unet_small 1.0 from" in done.stderr
+    assert (tmp_path / "models" / "unet_small.pt").read_bytes() == place.weights.read_bytes()
+    assert (tmp_path / "out" / "index.html").is_file()
+
+
 def test_download_leaves_weights_where_methods_look_for_them(place, published, tmp_path):
     hub = ("--from", place.tree, "--key", place.public)
     path = tmp_path / "models" / "unet_small.pt"
