@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import cv2
 import numpy as np
@@ -31,8 +32,10 @@ from oysterbench_baselines.gtsam_vi_learned.network import MapNetwork, MapNetwor
 from oysterbench_baselines.gtsam_vi_learned.pairs import Pairs, PairSettings  # noqa: E402
 from oysterbench_baselines.gtsam_vi_learned.settings import LearnedSettings  # noqa: E402
 from oysterbench_baselines.gtsam_vi_learned.training import MapTrainingSettings, train  # noqa: E402
+from oysterbench_baselines.learning.card import describe  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from tests.helpers import synthetic_dive as dive  # noqa: E402
+from tests.helpers.weights_made import card_of  # noqa: E402
 
 NETWORK = MapNetworkSettings(channels=(4, 8, 8))
 PAIRS = PairSettings(crop=40, border=4, points=16, margin=3, start_px=1.0, most_s=0.25, least_points=4)
@@ -291,6 +294,9 @@ def test_the_checkpoint_and_its_use_are_options_of_the_method(footage, tmp_path)
         f"[checkpoint={tmp_path / 'one.pt'},learned.max_error_px=2]"
     )
     assert method.weights == {"gtsam_vi_learned": tmp_path / "one.pt"}
+    described = describe("gtsam_vi_learned", tmp_path / "one.pt")
+    assert described.data == {footage.name: footage.digest}
+    assert json.loads(card_of(tmp_path / "one.pt", "gtsam_vi_learned", described).data)["training"]["steps"] == 1
     front_end = method.front_end(calibration())
     assert isinstance(front_end, LearnedFrontEnd)
     assert front_end.learned.max_error_px == 2

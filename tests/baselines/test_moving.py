@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 from functools import partial
 
 import numpy as np
@@ -18,6 +19,7 @@ from oysterbench.recipe import CLASSES  # noqa: E402
 from oysterbench_baselines.gtsam_full import GtsamFull  # noqa: E402
 from oysterbench_baselines.gtsam_vi import GtsamVi, GtsamViSettings  # noqa: E402
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd  # noqa: E402
+from oysterbench_baselines.learning.card import describe  # noqa: E402
 from oysterbench_baselines.moving import MovingMask  # noqa: E402
 from oysterbench_baselines.moving.labels import moving_set  # noqa: E402
 from oysterbench_baselines.moving.training import MovingSettings  # noqa: E402
@@ -25,6 +27,7 @@ from oysterbench_baselines.unet.network import UNetworkSettings  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
 from tests.baselines.test_gtsam_vi_parts import texture  # noqa: E402
 from tests.helpers import synthetic_dive as dive  # noqa: E402
+from tests.helpers.weights_made import card_of  # noqa: E402
 
 NUMBER = {name: number for number, name in CLASSES.items()}
 HEIGHT, WIDTH = 96, 128
@@ -117,6 +120,14 @@ def test_weights_that_have_learnt_something_else_are_refused(tmp_path):
     train(pictures("fish", "fish"), tmp_path / "unet.pt", settings, 0, torch.device("cpu"))
     with pytest.raises(MethodError, match=r"weights of `oysterbench train moving`, got some .* learnt from some"):
         MovingMask(str(tmp_path / "unet.pt"))
+
+
+def test_a_release_says_that_they_have_learnt_what_moves(weights):
+    described = describe("moving", weights)
+    assert list(described.data) == ["moving in some"]
+    assert json.loads(card_of(weights, "moving", described).data)["training"]["steps"] == described.steps
+    with pytest.raises(MethodError, match="expected weights of unet_small, got those of moving"):
+        describe("unet_small", weights)
 
 
 def test_results_know_the_weights_by_their_content(weights, tmp_path):

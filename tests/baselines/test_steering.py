@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from oysterbench.recipe import SteeringRecipe  # noqa: E402
 from oysterbench_baselines import steering  # noqa: E402
 from oysterbench_baselines.learning import loop  # noqa: E402
 from oysterbench_baselines.learning.augment import Augmentation  # noqa: E402
+from oysterbench_baselines.learning.card import describe  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.loop import FitSettings  # noqa: E402
 from oysterbench_baselines.steering import SteeringNet  # noqa: E402
@@ -32,6 +34,7 @@ from oysterbench_baselines.steering.model import SteeringModel, as_planes  # noq
 from oysterbench_baselines.steering.network import SteeringNetwork, SteeringNetworkSettings  # noqa: E402
 from oysterbench_baselines.steering.scoring import score  # noqa: E402
 from oysterbench_baselines.steering.training import SteeringSettings, cost, losses_of, make_batch, train  # noqa: E402
+from tests.helpers.weights_made import card_of  # noqa: E402
 
 TASK = SteeringRecipe(
     yaw_deg=(30.0, 20.0, 10.0, 0.0, -10.0, -20.0, -30.0),
@@ -313,6 +316,12 @@ def test_the_checkpoint_is_an_option_of_the_method_that_is_found_by_its_name(che
     assert method.track == "steering"
     (predicted,) = method.run(Dive([View("a", np.zeros((24, 32, 3), np.uint8), VehicleState(0, 0, 3, 1), 0.0)]))
     assert predicted.yaw_probability.shape == (7,)
+
+
+def test_a_release_says_what_a_checkpoint_has_learnt(checkpoint):
+    described = describe("steering", checkpoint)
+    assert described.data == read_checkpoint(checkpoint).identity["data"]
+    assert json.loads(card_of(checkpoint, "steering", described).data)["training"]["data"] == described.data
 
 
 def test_two_trainings_are_told_apart_in_results(checkpoint, tmp_path, home):

@@ -47,13 +47,19 @@ def write_weights(path: Path, seed: int = 0, size: int = SIZE) -> Path:
     return path
 
 
-def card_of(path: Path, version: str = "1.0", name: str = "unet", summary: str = "Where oysters are") -> Model:
+def card_of(
+    path: Path,
+    name: str = "unet",
+    training: Training = TRAINING,
+    version: str = "1.0",
+    summary: str = "Where oysters are",
+) -> Model:
     """The card of a file."""
     words = (summary, "Counting without a check.", "https://creativecommons.org/licenses/by/4.0/")
     file = describe_weights(name, path, PIECE)
-    return build_model(name, version, ["unet", "unet_instances"], words, file, TRAINING, [FIGURE])
+    return build_model(name, version, ["unet", "unet_instances"], words, file, training, [FIGURE])
 
 
 def release(tree: Path, path: Path, key, version: str = "1.0", name: str = "unet") -> Model:
     """Publish a file as a version of a model."""
-    return publish_model(tree, card_of(path, version, name), path, key)
+    return publish_model(tree, card_of(path, name, version=version), path, key)
