@@ -93,10 +93,10 @@ def segment_command(
     """
     from oysterbench.cli.render import frames_bar
     from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey
-    from oysterbench.counting.accuracy import read_accuracy
+    from oysterbench.counting.accuracy import figures_of_counts, read_accuracy
     from oysterbench.counting.identity import method_identity
     from oysterbench.methods.finding import find_variant
-    from oysterbench.methods.weights import have_weights, weights_of
+    from oysterbench.methods.weights import have_weights, weights_digests, weights_of
     from oysterbench.report.counting import Making, write_counts
 
     if rate is not None and every is not None:
@@ -110,14 +110,16 @@ def segment_command(
     chosen, options = find_variant(method)
     if chosen.track not in TRACKS:
         raise MethodError(f"{method}: expected a method of {' or '.join(TRACKS)}, got one of {chosen.track}")
-    have_weights(weights_of(chosen), message, frames_bar)
-    accuracy = None if checked is None else read_accuracy(checked, chosen.name)
+    weights = weights_of(chosen)
+    have_weights(weights, message, frames_bar)
+    accuracy = None if checked is None else read_accuracy(checked, chosen.name, weights_digests(weights))
     settings = Settings(threshold, Sampling(rate or 1.0, every), scale)
     identity = method_identity(method, chosen, options)
     store = Store(out, again)
-    with _progress() as progress:
+    with frames_bar("counting oysters", "pictures") as progress:
         counted = Counting(found.sources, chosen, identity, store, settings, progress).run()
-    result = survey(title, chosen.name, counted.pictures, counted.failures, block, accuracy)
+    figures = figures_of_counts(weights, chosen.name)
+    result = survey(title, chosen.name, counted.pictures, counted.failures, block, accuracy, figures)
     videos = any(source.video for source in found.sources)
     said = {
         "threshold": threshold,
@@ -176,12 +178,6 @@ def _scale(given: dict[str, Any], sources: tuple[Source, ...]) -> tuple[ScaleOf,
             _tell_unused(altitude.path, altitude.unused)
             return altitudes(lens, altitude), about
     return (lambda source, name: None), None
-
-
-def _progress() -> Any:
-    from oysterbench.cli.render import frames_bar
-
-    return frames_bar("counting oysters", "pictures")
 
 
 def _tell_others(found: Found) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from oysterbench.counting.accuracy import Accuracy
 from oysterbench.counting.intervals import BLOCK_S, Ratio, block_labels, likeness, ratio_of
 from oysterbench.counting.measure import PictureCount
+from oysterbench.hub.model import Figure
 from oysterbench.results.records import plain
 
 
@@ -30,7 +31,8 @@ class Measure:
 @dataclass(frozen=True)
 class Survey:
     """title: what was counted; method: its name; measures: those of which something is known; neighbours: pictures that
-    are a block, where that was given; alike: correlation of neighbouring blocks, NaN where they do not look alike."""
+    are a block, where that was given; alike: correlation of neighbouring blocks, NaN where they do not look alike;
+    accuracy, figures: how far the method counts off on pictures that somebody labelled, where that is known."""
 
     title: str
     method: str
@@ -40,6 +42,7 @@ class Survey:
     neighbours: int | None
     alike: float
     accuracy: Accuracy | None = None
+    figures: tuple[Figure, ...] = ()
 
     @property
     def unlike(self) -> list[PictureCount]:
@@ -111,6 +114,7 @@ def survey(
     failures: Mapping[str, str],
     neighbours: int | None = None,
     accuracy: Accuracy | None = None,
+    figures: Sequence[Figure] = (),
 ) -> Survey:
     """Of pictures in the order of their names, and frames in that of their times."""
     labels = block_labels(pictures, neighbours)
@@ -160,7 +164,7 @@ def survey(
     ]
     known = tuple(one for one in measures if not math.isnan(one.ratio.value))
     alike = likeness([one.oysters for one in pictures], labels)
-    return Survey(title, method, tuple(pictures), dict(failures), known, neighbours, alike, accuracy)
+    return Survey(title, method, tuple(pictures), dict(failures), known, neighbours, alike, accuracy, tuple(figures))
 
 
 def _percent_covered(one: PictureCount) -> float | None:

@@ -20,6 +20,7 @@ from oysterbench.counting.overlay import COLOURS, jpeg
 from oysterbench.counting.store import Store
 from oysterbench.counting.survey import Survey
 from oysterbench.evaluate.statistics import LEVEL
+from oysterbench.hub.card import reached
 from oysterbench.report.bars import histogram_plot
 from oysterbench.report.cards import Card, Picture
 from oysterbench.report.plots import Curve, time_plot
@@ -69,6 +70,7 @@ def counting_page(
         "colours": _colours(found),
         "scale": _scale(settings),
         "accuracy": _accuracy(found),
+        "figures": [f"{one.heading.lower()} on {one.split} {reached(one)} a picture" for one in found.figures],
         "settings": settings,
         "command": command,
         "reference": shlex.quote(str(identity.get("method", found.method))),
@@ -191,7 +193,8 @@ def _accuracy(found: Survey) -> str:
     direction = "too many" if one.percent > 0 else "too few"
     return (
         f"On labelled pictures ({one.where}), {found.method} counted {one.counted:.0f} oysters where "
-        f"{one.labelled:.0f} are labelled: {abs(one.percent):.0f} % {direction}."
+        f"{one.labelled:.0f} are labelled: {abs(one.percent):.0f} % {direction}"
+        f"{', but with other weights than here' if one.other_weights else ''}."
     )
 
 

@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from oysterbench.annotations.coco import coco_set
 from oysterbench.counting import Counting, Sampling, Settings, Store, find_sources, survey
@@ -18,6 +19,7 @@ from oysterbench.report.counting import Making, write_counts
 from oysterbench.report.counting_page import evenly
 from tests.helpers.image_methods import Boxed
 from tests.helpers.people_pictures import Discs, discs, write, write_video
+from tests.helpers.weights_made import FIGURE
 
 PLACES = [(20, 30), (60, 30), (100, 30), (0, 90)]
 
@@ -33,12 +35,12 @@ def folder(tmp_path):
     return tmp_path / "in"
 
 
-def counts(folder, out, method=None, accuracy=None, **settings):
+def counts(folder, out, method=None, accuracy=None, figures=(), **settings):
     method, store = method or Discs(), Store(out)
     counted = Counting(
         find_sources([folder]).sources, method, {"method": method.name}, store, Settings(**settings)
     ).run()
-    found = survey("in", method.name, counted.pictures, counted.failures, accuracy=accuracy)
+    found = survey("in", method.name, counted.pictures, counted.failures, accuracy=accuracy, figures=figures)
     said = {"threshold": 0.5, "scale": {"kind": "plain", "mm_per_px": 2.0} if "scale" in settings else None}
     making = Making("oysterbench segment in", {"method": method.name, "versions": {}, "files": {}}, said)
     write_counts(found, counted, store, making, with_coco=True)
@@ -129,10 +131,20 @@ def test_the_page_says_what_its_numbers_are_worth(folder, tmp_path):
 
 
 def test_the_page_says_how_far_counts_are_off_where_that_was_measured(folder, tmp_path):
-    counts(folder, tmp_path, accuracy=Accuracy(200.0, 230.0, "my-labels"))
+    counts(folder, tmp_path, accuracy=Accuracy(200.0, 230.0, "my-labels", True))
     said = words(tmp_path / "index.html")
-    assert "(my-labels), discs counted 230 oysters where 200 are labelled: 15 % too many." in said
+    assert (
+        "(my-labels), discs counted 230 oysters where 200 are labelled: 15 % too many, but with other weights than here."
+        in said
+    )
     assert "how to measure it" not in said
+
+
+def test_the_page_says_what_the_card_of_the_weights_says(folder, tmp_path):
+    bias = replace(FIGURE, method="discs", track="detection", metric="count_bias", heading="Count bias", unit="oysters")
+    counts(folder, tmp_path, figures=[replace(bias, value=2.5, low=1.0, high=4.0)])
+    said = words(tmp_path / "index.html")
+    assert "of other pictures than yours: count bias on seg-val 2.500 oysters (1.000 to 4.000) a picture." in said
 
 
 def test_the_page_of_a_method_that_does_not_know_the_strange_says_so(folder, tmp_path):
