@@ -41,7 +41,7 @@ TOLD = 5
 @click.option("--calibration", type=click.Path(path_type=Path), help="Kalibr, EuRoC or ROS YAML, or a sequence.")
 @click.option("--camera", metavar="NAME", help="Of several in the calibration.  [default: the first]")
 @click.option("--mm-per-px", type=float, help="A plain scale, of pictures straight down.")
-@click.option("--block", type=click.IntRange(min=1), metavar="N", help="Neighbours resampled together; see below.")
+@click.option("--block", type=click.IntRange(min=1), metavar="N", help="Neighbours that are resampled together.")
 @click.option("--checked", type=click.Path(path_type=Path), help="Results of `run --on` your labels, for the page.")
 @click.option("--coco", is_flag=True, help="Write instances.json as well, to be corrected by hand.")
 @click.option("--again", is_flag=True, help="Count what is finished once more.")
