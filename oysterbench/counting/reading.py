@@ -52,7 +52,7 @@ def decode(data: bytes, where: str) -> NDArray[np.uint8]:
     if pixels is None:
         raise LabelError(
             f"{where}: cannot be decoded as a picture ({len(data)} bytes), or has more than "
-            f"{LARGEST_IMAGE_PX // 1_000_000} megapixels"
+            f"{LARGEST_IMAGE_PX // 1_000_000} megapixels: such ones are to be cut into tiles"
         )
     return np.asarray(pixels, dtype=np.uint8)
 

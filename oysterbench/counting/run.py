@@ -257,17 +257,20 @@ class Counting:
         self.progress(done, max(done, sum(self._expected.values())))
 
     def _films(self) -> None:
-        """Of videos of which a frame was made anew, or whose film is not there."""
+        """Of each video, unless it is there of just these overlays."""
         for source in self.sources:
             if not source.video:
                 continue
             frames = [one for one in self.result.pictures if one.file == str(source.path)]
-            path = self.store.film(source.name)
-            if frames and (not path.is_file() or any(one.name in self._made for one in frames)):
-                rate_hz = film_rate([one.time_s or 0.0 for one in frames])
-                write_film(path, [self.store.overlay(one.name) for one in frames], rate_hz)
-            if frames:
-                self.result.films[source.name] = path
+            if not frames:
+                continue
+            overlays = [self.store.overlay(one.name) for one in frames]
+            key = key_of({"film": [(path.name, path.stat().st_mtime_ns) for path in overlays]})
+            film = self.store.film(source.name)
+            if not self.store.film_is_of(source.name, key):
+                write_film(film, overlays, film_rate([one.time_s or 0.0 for one in frames]))
+                self.store.write_film_key(source.name, key)
+            self.result.films[source.name] = film
 
 
 def frame_name(source: Source, index: int) -> str:

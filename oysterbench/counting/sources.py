@@ -42,8 +42,8 @@ class Found:
 def find_sources(paths: Sequence[Path], leave_out: Path | None = None) -> Found:
     """All pictures and videos at the paths: files, and folders with all that lies below them, by their suffix.
 
-    leave_out: a folder that is not looked into, as that of the results. Raises LabelError where a path is not there,
-    and where nothing is a picture or a video.
+    leave_out: a folder that is not looked into, as that of the results; nor are links to folders. Raises LabelError
+    where a path is not there, and where nothing is a picture or a video.
     """
     files: dict[Path, None] = {}  # in order, each once
     roots = []

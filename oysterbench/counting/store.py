@@ -5,13 +5,13 @@ masks/NAME.png        16 bits: numbers of oysters, 0 for none; none where a meth
 overlays/NAME.jpg     the picture with outlines
 videos/NAME.mp4       overlays of the frames of a video
 finished/NAME.json    what is counted, and the digest of what it depends on; written last
-finished/VIDEO/.frames.json    which frames of a video are looked at, once all have been
+finished/VIDEO/.frames.json    which frames of a video are looked at, once all have been; .film: what its film is of
 ```
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -98,16 +98,23 @@ class Store:
             return None
         return (held.frames, held.failure) if held.key == key else None
 
-    def overlays(self, pictures: Sequence[PictureCount]) -> Iterator[tuple[PictureCount, bytes]]:
-        """JPEGs of pictures with outlines."""
-        for one in pictures:
-            yield one, self.overlay(one.name).read_bytes()
+    def film_is_of(self, video: str, key: str) -> bool:
+        """Whether the film of a video is there, made of what the key says."""
+        held = self._film_key(video)
+        return self.film(video).is_file() and held.is_file() and held.read_text(encoding="utf-8") == key
+
+    def write_film_key(self, video: str, key: str) -> None:
+        """Keep what a film was made of."""
+        write_atomically(self._film_key(video), key.encode())
 
     def _record(self, name: str) -> Path:
         return self.folder / "finished" / f"{name}.json"
 
     def _frames(self, video: str) -> Path:
         return self.folder / "finished" / video / ".frames.json"
+
+    def _film_key(self, video: str) -> Path:
+        return self.folder / "finished" / video / ".film"
 
     def _read(self, name: str) -> _Finished | None:
         try:

@@ -157,6 +157,15 @@ def test_a_finished_video_is_not_decoded_and_other_sampling_takes_what_it_can(vi
     assert [one.name for one in first.pictures] == [one.name for one in again.pictures][::2]
 
 
+def test_a_film_is_always_of_the_frames_that_are_counted(video, tmp_path):
+    for sampling, frames in ((Sampling(2.0), 8), (Sampling(1.0), 4)):
+        (film,) = count(video, tmp_path / "out", sampling=sampling)[0].films.values()
+        assert cv2.VideoCapture(str(film)).get(cv2.CAP_PROP_FRAME_COUNT) == frames
+    before = film.stat().st_mtime_ns
+    count(video, tmp_path / "out", sampling=Sampling(1.0))
+    assert film.stat().st_mtime_ns == before
+
+
 def test_a_video_that_was_interrupted_goes_on_from_its_last_frame(video, tmp_path):
     class Interrupted(Discs):
         def predict(self, image):
