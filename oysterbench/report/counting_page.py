@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from oysterbench.core.html import environment
+from oysterbench.core.streams import stream
 from oysterbench.counting.film import film_rate
 from oysterbench.counting.measure import PictureCount
 from oysterbench.counting.overlay import COLOURS, jpeg
@@ -30,6 +31,7 @@ from oysterbench.report.table import Column, Table, TableRow
 SHOWN = 36  # pictures in the grid, evenly over all; those of thousands would make a page of many megabytes
 SHOWN_UNLIKE = 12  # of those that are warned of, the most unlike
 LISTED = 60  # lines of a list
+TO_LABEL = 20  # pictures that are drawn to be labelled
 SHOWN_FILMS = 6  # videos of which counts over time are drawn
 THUMBNAIL_PX = 480
 
@@ -73,6 +75,7 @@ def counting_page(
         "figures": [f"{one.heading.lower()} on {one.split} {reached(one)} a picture" for one in found.figures],
         "settings": settings,
         "command": command,
+        "to_label": drawn([one.name for one in found.pictures if not one.video]),
         "reference": shlex.quote(str(identity.get("method", found.method))),
         "making": _making(identity, settings),
     }
@@ -83,6 +86,12 @@ def evenly(pictures: Sequence[PictureCount], most: int) -> list[PictureCount]:
     """So many of them at most, evenly over all, in their order."""
     places = np.unique(np.linspace(0, len(pictures) - 1, min(most, len(pictures))).round().astype(int))
     return [pictures[k] for k in places]
+
+
+def drawn(names: Sequence[str], most: int = TO_LABEL) -> list[str]:
+    """So many names at most, at random, in their order; equal names give the equal draw."""
+    chosen = stream(0, b"", "counting", "label", len(names)).permutation(len(names))[:most]
+    return [names[k] for k in sorted(chosen.tolist())]
 
 
 def _lead(found: Survey) -> str:

@@ -16,7 +16,7 @@ from oysterbench.counting.accuracy import Accuracy
 from oysterbench.counting.per_picture import plain
 from oysterbench.report.bars import count_bins, histogram_plot
 from oysterbench.report.counting import Making, write_counts
-from oysterbench.report.counting_page import evenly
+from oysterbench.report.counting_page import drawn, evenly
 from tests.helpers.image_methods import Boxed
 from tests.helpers.people_pictures import Discs, discs, write, write_video
 from tests.helpers.weights_made import FIGURE
@@ -166,6 +166,16 @@ def test_a_page_shows_some_of_many_pictures_evenly(folder, tmp_path):
     assert some == [found.pictures[k].name for k in (0, 4, 9)]
     assert evenly(found.pictures, 50) == list(found.pictures)
     assert evenly([], 3) == []
+
+
+def test_pictures_to_be_labelled_are_drawn_at_random_and_always_the_same():
+    names = [f"{k:03d}" for k in range(200)]
+    some = drawn(names)
+    assert some == drawn(names) == sorted(set(some))
+    assert len(some) == 20
+    assert 60 < np.mean([int(name) for name in some]) < 140
+    assert drawn(names[:3]) == names[:3]
+    assert drawn([]) == []
 
 
 @pytest.mark.parametrize(("most", "width"), [(0, 1), (23, 1), (24, 2), (100, 5), (12345, 1000)])
