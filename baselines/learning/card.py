@@ -28,7 +28,8 @@ def describe(name: str, path: Path) -> Training:
     checkpoint = read_checkpoint(path)
     if (found := kind_of(checkpoint)) != name:
         raise MethodError(f"{path}: expected weights of {name}, got those of {found or 'a training that is not known'}")
-    if not checkpoint.finished:
+    unmeasured = checkpoint.identity["settings"].get("measured") and not checkpoint.measured
+    if not checkpoint.finished or unmeasured:
         raise MethodError(
             f"{path}: the training is not finished, it has done {checkpoint.step} steps; the `oysterbench train` that "
             "began it goes on where it was left"
@@ -58,7 +59,7 @@ def kind_of(checkpoint: Checkpoint) -> str:
         return "cut"
     method = str(identity.get("method", ""))
     data = data_of(identity)
-    return "moving" if method == "unet" and data and all(name.startswith(MOVING) for name in data) else method
+    return "moving" if method.startswith("unet") and data and all(name.startswith(MOVING) for name in data) else method
 
 
 def data_of(identity: Mapping[str, Any]) -> dict[str, str]:

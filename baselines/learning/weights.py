@@ -19,16 +19,28 @@ def _weights(name: str, **known: object) -> Weights:
     return Weights(name=name, describe=partial(_describe, name), **known)  # type: ignore[arg-type]
 
 
+LIMITS = (
+    "Counting oysters for decisions without a check against pictures of the same site that a person has "
+    "labelled. Pictures above water, aquaria, other kinds of shells, and cameras unlike those that it has learnt from "
+    "were not looked at."
+)
 UNET = _weights(
     "unet",
     methods=("unet", "unet_instances"),
     train="unet --data seg-train",
-    takes="about 20 minutes on one core once seg-train is rendered",
+    takes="about half an hour on one core once seg-train is rendered",
     option="unet[checkpoint=PATH]",
     summary="Where oysters are in pictures from below water, and which",
-    limits="Counting oysters for decisions without a check against pictures of the same site that a person has "
-    "labelled. Pictures above water, aquaria, other kinds of shells, and cameras unlike those that it has learnt from "
-    "were not looked at.",
+    limits=LIMITS,
+)
+UNET_SMALL = _weights(
+    "unet_small",
+    methods=("unet_small", "unet_small_instances"),
+    train="unet_small --data seg-train",
+    takes="about 20 minutes on one core once seg-train is rendered",
+    option="unet_small[checkpoint=PATH]",
+    summary="Where oysters are, as a small network learns it that begins with random weights",
+    limits=LIMITS,
 )
 STEERING = _weights(
     "steering",
@@ -62,7 +74,7 @@ CUT = _weights(
     "cut",
     methods=(),
     train="cut --source seg-closeup --target PATH --out cut",
-    takes="about an hour on two cores",
+    takes="about 10 minutes on one core, at the size small",
     option="oysterbench translate cut CHECKPOINT",
     summary="Makes rendered pictures of oysters look like real ones",
     limits="Pictures that are shown as real ones. Labels may drift by some pixels: `oysterbench translate` says by how "
