@@ -46,7 +46,7 @@ def overlay(
     size = (max(1, round(width * factor)), max(1, round(height * factor)))
     kind_of_resampling = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
     drawn = np.array(cv2.resize(pixels, size, interpolation=kind_of_resampling), dtype=np.uint8)
-    line = max(2, round(max(size) / 350))
+    line = max(2, round(math.sqrt(size[0] * size[1]) / 300))
     outlines = {row.number: _outline(row, numbers) for row in rows}
     for casing in (True, False):
         for row in rows:
@@ -109,7 +109,7 @@ def _said(picture: PictureCount) -> str:
 def _with_strip(drawn: Pixels, text: str, unlike: bool) -> Pixels:
     """The picture below a dark strip with the text; of one that is warned of, orange, and a frame around it."""
     height, width = drawn.shape[:2]
-    tall = max(22, round(max(height, width) / 26))
+    tall = max(22, round(math.sqrt(height * width) / 24))
     ground, ink = ((213, 94, 0), (255, 255, 255)) if unlike else ((20, 32, 43), (255, 255, 255))
     strip = np.full((tall, width, 3), ground, np.uint8)
     text = f"! {text}, {WARNING}" if unlike else text
