@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import shutil
 
 import pytest
 
@@ -29,7 +30,8 @@ def modules() -> list[str]:
 
 
 @pytest.mark.parametrize("module", modules())
-def test_examples_in_docstrings_run(module, tmp_path, monkeypatch):
+def test_examples_in_docstrings_run(module, dive_file, tmp_path, monkeypatch):
+    shutil.copy(dive_file, tmp_path / "mini-01.mcap")  # what examples open
     monkeypatch.chdir(tmp_path)
     done = doctest.testmod(importlib.import_module(module), optionflags=doctest.NORMALIZE_WHITESPACE)
     assert done.failed == 0

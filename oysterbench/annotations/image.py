@@ -20,7 +20,7 @@ OYSTER = next(number for number, name in CLASSES.items() if name == "oyster")
 """Number of the class in `recipe.CLASSES`."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LabelledImage:
     """A picture and what is known of each of its pixels.
 
@@ -51,6 +51,16 @@ class LabelledImage:
                     f"{' x '.join(str(n) for n in found[::-1])}"
                 )
 
+    def __repr__(self) -> str:
+        height, width = self.pixels.shape[:2]
+        numbers = np.unique(self.instances[self.oysters])
+        return f"<LabelledImage {self.name}: {width} x {height}, {np.count_nonzero(numbers)} oysters>"
+
+    def _repr_png_(self) -> bytes:
+        from oysterbench.core.display import marked, png
+
+        return png(marked(self.pixels, self.oysters))
+
     @property
     def oysters(self) -> NDArray[np.bool_]:
         """(H, W) bool: where an oyster is seen."""
@@ -79,6 +89,9 @@ class LabelledSet:
             if entry.name in seen:
                 raise LabelError(f"{name}: two images are named {entry.name!r}; expected a name of its own for each")
             seen.add(entry.name)
+
+    def __repr__(self) -> str:
+        return f"<LabelledSet {self.name}: {len(self)} images of {len(self.clips)} clips>"
 
     def __len__(self) -> int:
         return len(self.entries)

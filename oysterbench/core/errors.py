@@ -65,3 +65,7 @@ class NetworkError(HubError):
     """No source could be reached, or none answered as it should."""
 
     exit_code = 4
+
+
+class MissingExtraError(OysterbenchError, ImportError):
+    """What an optional part stands on is not installed; the message says what to type."""

@@ -21,6 +21,7 @@ from mcap.records import (
     Chunk,
     ChunkIndex,
     Message,
+    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -139,6 +140,34 @@ def iter_messages(
 def read_chunk(file: IO[bytes], index: ChunkIndex) -> Iterator[Message]:
     """Messages of a chunk, in the order in which they were written; its CRC is checked."""
     return _messages(_unpacked(Chunk.read(_record_at(file, index.chunk_start_offset, Opcode.CHUNK))))
+
+
+def message_places(file: IO[bytes], index: ChunkIndex, channel: int) -> list[tuple[int, int]]:
+    """Log time, ns, and place in the chunk of each message of a channel, in the order of the file, without unpacking
+    it. Raises ValueError where the file does not say."""
+    if channel not in index.message_index_offsets:
+        return []
+    record = MessageIndex.read(_record_at(file, index.message_index_offsets[channel], Opcode.MESSAGE_INDEX))
+    if record.channel_id != channel:
+        raise ValueError(f"its index names messages of channel {channel}, and finds those of {record.channel_id}")
+    return [(int(stamp), int(place)) for stamp, place in record.records]
+
+
+def unpacked_chunk(file: IO[bytes], offset: int) -> bytes:
+    """The records of the chunk at an offset of the file; its CRC is checked."""
+    return _unpacked(Chunk.read(_record_at(file, offset, Opcode.CHUNK)))
+
+
+def message_at(data: bytes, place: int, channel: int, stamp_ns: int) -> bytes:
+    """The data of a message in a chunk's records. Raises ValueError where there is another one, or none."""
+    opcode, length = RECORD.unpack_from(data, place)
+    found, _, log_time, _ = MESSAGE.unpack_from(data, place + RECORD.size)
+    if opcode != Opcode.MESSAGE or (found, log_time) != (channel, stamp_ns) or length < MESSAGE.size:
+        raise ValueError(f"its index names a message of channel {channel} at {stamp_ns}, where there is none")
+    begin = place + RECORD.size
+    if begin + length > len(data):
+        raise ValueError("a message ends behind its chunk")
+    return data[begin + MESSAGE.size : begin + length]
 
 
 def _record_at(file: IO[bytes], offset: int, expected: Opcode) -> ReadDataStream:

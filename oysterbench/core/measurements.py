@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Image:
     """One camera frame.
 
@@ -27,6 +27,14 @@ class Image:
     stamp_ns: int
     camera: str
     pixels: NDArray[Any]
+
+    def __repr__(self) -> str:
+        return f"<Image of {self.camera} at {self.stamp_ns}: {self.pixels.shape} {self.pixels.dtype}>"
+
+    def _repr_png_(self) -> bytes:
+        from oysterbench.core.display import png
+
+        return png(self.pixels)
 
 
 @dataclass(frozen=True)

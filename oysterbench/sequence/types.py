@@ -6,7 +6,7 @@ import heapq
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,8 @@ class Sequence(ABC):
 
     Every iterator gives the measurements with `start_ns <= stamp_ns < end_ns`, all by default, and reads no more of a
     file than that. SequenceError where the sequence has no such sensor, or its file is damaged.
+
+    It may stand in a `with`, and need not: a file is open while an iterator reads it, and at no other time.
     """
 
     name: str
@@ -77,6 +79,22 @@ class Sequence(ABC):
     magnetometer_calibration: MagnetometerCalibration | None = None
     uncertainty: Uncertainty | None = None
     """What the calibrations say of their own errors; None where they have none to speak of."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        return None  # nothing is open
+
+    def __repr__(self) -> str:
+        from oysterbench.sequence.display import outline
+
+        return f"<Sequence {self.name}: {outline(self)}>"
+
+    def _repr_html_(self) -> str:
+        from oysterbench.sequence.display import sequence_card
+
+        return sequence_card(self)
 
     def sensors(self) -> dict[str, AnyKind]:
         """Name -> kind of every sensor."""

@@ -6,11 +6,13 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from types import ModuleType
 from typing import TypeVar
 
 from oysterbench.core.cluster import AHEAD, Results
@@ -70,12 +72,15 @@ def _run_in_processes(
         min(workers, len(jobs)), mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
     )
     try:
-        pool.submit(warm_up).result()
+        with _scripts_left_out():
+            warm = pool.submit(warm_up)
+        warm.result()
         pending: dict[Future[R], J] = {}
         queue = iter(jobs)
         while True:
-            while len(pending) < AHEAD * workers and (job := next(queue, None)) is not None:
-                pending[pool.submit(task, job)] = job
+            with _scripts_left_out():
+                while len(pending) < AHEAD * workers and (job := next(queue, None)) is not None:
+                    pending[pool.submit(task, job)] = job
             if not pending:
                 break
             finished, _ = wait(pending, return_when=FIRST_COMPLETED)
@@ -92,6 +97,18 @@ def _run_in_processes(
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _scripts_left_out() -> Iterator[None]:
+    """Processes that are started do not run the user's script again, which would come to what started them: jobs need
+    nothing of it. So a script may render without `if __name__ == "__main__"`."""
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 def _start_worker() -> None:

@@ -7,9 +7,7 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from oysterbench.cli import render as cli_render
 from oysterbench.cli.main import main
-from oysterbench.cli.render import plain_progress
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 TWO = TINY_SPLIT.replace("duration_s = 2.5", "duration_s = 1.0").replace('rig = "tiny"', 'rig = "rig.toml"')
@@ -65,27 +63,3 @@ def test_a_missing_gpu_is_one_clear_line(recipe, workers):
     lines_shown = [line for line in result.stderr.splitlines() if line.startswith("oysterbench: ")]
     assert len(lines_shown) == 1
     assert "--device cuda: there is no such device here; expected one of cpu" in lines_shown[0]
-
-
-def test_progress_off_a_terminal_tells_the_time_left(capsys, monkeypatch):
-    now = [1000.0]
-    monkeypatch.setattr(cli_render.time, "monotonic", lambda: now[0])
-    tell = plain_progress("rendering x")
-    for done in range(40, 101):  # 40 were there before
-        tell(done, 100)
-        now[0] += 30.0
-    lines_shown = capsys.readouterr().err.splitlines()
-    assert lines_shown[0] == "rendering x: 40 of 100 frames"
-    assert "rendering x: 50 of 100 frames, 25 min left" in lines_shown, "half a minute for each of the 50 that are left"
-    assert lines_shown[-1] == "rendering x: 100 of 100 frames"
-    assert len(lines_shown) == 7
-
-
-def test_progress_off_a_terminal_is_told_every_few_minutes(capsys, monkeypatch):
-    now = [1000.0]
-    monkeypatch.setattr(cli_render.time, "monotonic", lambda: now[0])
-    tell = plain_progress("rendering x")
-    for done in range(3):
-        tell(done, 1000)
-        now[0] += 400.0
-    assert len(capsys.readouterr().err.splitlines()) == 3

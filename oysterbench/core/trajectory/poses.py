@@ -11,7 +11,7 @@ from oysterbench.core.errors import TrajectoryError
 from oysterbench.core.geometry import Array, interpolate_poses, poses_to_matrices
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trajectory:
     """Poses `T_map_body` in time.
 
@@ -47,6 +47,10 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    def __repr__(self) -> str:
+        span_s = float(self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9 if len(self) else 0.0
+        return f"<Trajectory: {len(self)} poses over {span_s:g} s and {self.path_length:.4g} m>"
 
     @property
     def path_length(self) -> float:

@@ -14,6 +14,7 @@ from oysterbench.core.errors import NoStampsError, TrajectoryError
 from oysterbench.core.trajectory import ReadOptions, Trajectory, read_trajectory
 from oysterbench.evaluate.slam.clock import estimate_offset, shift
 from oysterbench.evaluate.slam.diagnose import Finding, diagnose
+from oysterbench.evaluate.slam.settings import SCALED, SlamSettings
 
 KITTI_STEP_NS = 100_000_000
 """Between poses of files without times: KITTI's cameras are triggered at 10 Hz (Geiger et al. 2012)."""
@@ -28,8 +29,26 @@ DECIDED_BY = {
 """Cause of a finding -> options of the estimate, any of which shows that somebody has decided it."""
 
 
+Poses = str | os.PathLike[str] | Trajectory
+"""A file of poses, or poses."""
+
+
+def open_pair(
+    truth: Poses,
+    estimate: Poses,
+    settings: SlamSettings,
+    truth_options: ReadOptions | None = None,
+    estimate_options: ReadOptions | None = None,
+) -> tuple[Trajectory, Trajectory]:
+    """The two trajectories, from files by `read_pair`; those in memory are taken as they are."""
+    if not isinstance(estimate, Trajectory):
+        scaled = settings.align in SCALED
+        return read_pair(truth, estimate, truth_options, estimate_options, settings.time_offset_s, scaled)
+    return truth if isinstance(truth, Trajectory) else read_trajectory(truth, truth_options), estimate
+
+
 def read_pair(
-    truth_path: str | os.PathLike[str],
+    truth_path: Poses,
     estimate_path: str | os.PathLike[str],
     truth_options: ReadOptions | None = None,
     estimate_options: ReadOptions | None = None,
@@ -38,16 +57,17 @@ def read_pair(
 ) -> tuple[Trajectory, Trajectory]:
     """The two trajectories; what was decided is in their `notes`.
 
-    A KITTI file without times takes the truth's stamps, one to one; two such files meet by index, KITTI_STEP_NS apart.
-    time_offset_s is what the scoring will add to the
-    estimate's stamps; any_scale, whether it will fit a scale, so that none is wrong. Raises TrajectoryError naming
-    the file, the cause and the option that decides.
+    A truth that is a trajectory already is taken as it is. A KITTI file without times takes the truth's stamps, one to
+    one; two such files meet by index, KITTI_STEP_NS apart. time_offset_s is what the scoring will add to the estimate's
+    stamps; any_scale, whether it will fit a scale, so that none is wrong. Raises TrajectoryError naming the file, the
+    cause and the option that decides.
     """
     options = estimate_options or ReadOptions()
     truth_options = truth_options or ReadOptions()
     try:
-        truth = read_trajectory(truth_path, truth_options)
+        truth = truth_path if isinstance(truth_path, Trajectory) else read_trajectory(truth_path, truth_options)
     except NoStampsError as missing:
+        assert not isinstance(truth_path, Trajectory)
         truth = read_trajectory(truth_path, truth_options, times=_by_index(estimate_path, options, missing))
         step = f"{KITTI_STEP_NS * 1e-9:g} s apart, as KITTI's are; what is per second stands on that"
         truth = replace(truth, notes=(*truth.notes, f"neither file has times: poses meet by index, taken as {step}"))
@@ -58,7 +78,8 @@ def read_pair(
         if _decided(finding, options, truth_options, any_scale):
             continue
         if finding.severity == "refuse":
-            name = truth_path if finding.cause == "truth-length-unit" else estimate_path
+            of_truth = finding.cause == "truth-length-unit"
+            name = estimate_path if not of_truth else "truth" if isinstance(truth_path, Trajectory) else truth_path
             raise TrajectoryError(f"{name}: {finding.sentence}; decide by {finding.decide}")
         if finding.severity == "certain":
             options = replace(options, **finding.changes)

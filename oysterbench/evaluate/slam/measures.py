@@ -65,7 +65,7 @@ def measure_recall(matched: Matched, settings: SlamSettings, path_m: float, meas
     curve = recall(matched.covered_m, stamps, settings.recall_scale_percent / 100 * path_m)
     measures["score"] = curve.area
     for key, percent in zip(shares, PERCENTS, strict=True):
-        measures[key] = np.count_nonzero(matched.covered_m <= percent / 100 * path_m) / stamps
+        measures[key] = float(np.count_nonzero(matched.covered_m <= percent / 100 * path_m) / stamps)
     return curve
 
 

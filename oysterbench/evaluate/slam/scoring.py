@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +35,16 @@ from oysterbench.evaluate.slam.recall import Recall
 from oysterbench.evaluate.slam.settings import SCALED, SlamSettings
 from oysterbench.evaluate.slam.validate import alignment_notes, attitude_notes, check_trajectory
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 __all__ = ["EVALUATOR", "METRICS", "SlamResult", "SlamSettings", "score"]
 
 EVALUATOR = "slam 3"
 """Name and version of this evaluator; the version rises whenever a number may change."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SlamResult:
     """What `score` gives.
 
@@ -70,6 +74,23 @@ class SlamResult:
     rotation_error_deg: Array
     recall: Recall | None
     nees: Mapping[str, Nees]
+
+    def __repr__(self) -> str:
+        from oysterbench.evaluate.slam.display import outline
+
+        return f"<SlamResult: {outline(self)}>"
+
+    def _repr_html_(self) -> str:
+        from oysterbench.evaluate.slam.display import result_card
+
+        return result_card(self)
+
+    def summary(self) -> pd.DataFrame:
+        """All metrics, a row each, by their keys: value, unit, better (higher, lower or nothing), definition, and the
+        reason where the value is NaN."""
+        from oysterbench.evaluate.slam.display import result_table
+
+        return result_table(self)
 
     @property
     def alignment(self) -> Similarity:

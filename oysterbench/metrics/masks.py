@@ -1,0 +1,163 @@
+"""Metrics of masks, each a function of the true and the estimated ones.
+
+truth: (H, W) bool, or 0 and 1: where there is an oyster; or several, as (N, H, W) or one after the other.
+estimate: the same, or probabilities from 0 to 1, called oyster from `threshold` on.
+ignore: of the shape of truth, pixels that nobody is asked about.
+
+Of several pictures the pixels are counted together, as over a data set: never a mean over pictures, but of `image_iou`.
+Tensors on the processor are arrays, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from oysterbench.core.arrays import truth_values
+from oysterbench.core.errors import LabelError
+from oysterbench.evaluate.segmentation import ClipScorer, EstimateImage, SegmentationSettings, TruthImage
+from oysterbench.evaluate.segmentation.images import OYSTER
+
+Masks = ArrayLike | Iterable[ArrayLike]
+
+
+def iou(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
+    """Intersection over union of the oysters, over all pictures together; 1 where neither has any.
+
+    Parameters
+    ----------
+    truth : (H, W) or (N, H, W) array of bool, or several of (H, W)
+        Where there is an oyster.
+    estimate : the same, or probabilities from 0 to 1
+        Where there is said to be one.
+    ignore : as truth, optional
+        Pixels that nobody is asked about.
+    threshold : float
+        Of probabilities.
+
+    Returns
+    -------
+    float
+        0 to 1.
+
+    Raises
+    ------
+    oysterbench.core.errors.LabelError
+        They are not of one size and number, or neither masks nor probabilities.
+
+    Examples
+    --------
+    >>> import oysterbench
+    >>> oysterbench.metrics.iou([[1, 1, 0, 0]], [[1, 0, 0, 0]])
+    0.5
+    >>> oysterbench.metrics.iou([[1, 1, 0, 0]], [[0.9, 0.2, 0.6, 0.1]], ignore=[[0, 0, 1, 0]])
+    0.5
+    """
+    return _metric("iou", truth, estimate, ignore, threshold)
+
+
+def dice(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
+    """Twice the intersection by the sum of both areas (F1 of the pixels); parameters as of `iou`.
+
+    Examples
+    --------
+    >>> import oysterbench
+    >>> round(oysterbench.metrics.dice([[1, 1, 0, 0]], [[1, 0, 0, 0]]), 4)
+    0.6667
+    """
+    return _metric("dice", truth, estimate, ignore, threshold)
+
+
+def precision(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
+    """Share (0 to 1) of the pixels called oyster that are; NaN where none is called so; parameters as of `iou`.
+
+    Examples
+    --------
+    >>> import oysterbench
+    >>> oysterbench.metrics.precision([[1, 1, 0, 0]], [[1, 0, 0, 0]])
+    1.0
+    """
+    return _metric("precision", truth, estimate, ignore, threshold)
+
+
+def recall(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
+    """Share (0 to 1) of the oysters' pixels that are called so; NaN where there is none; parameters as of `iou`.
+
+    Examples
+    --------
+    >>> import oysterbench
+    >>> oysterbench.metrics.recall([[1, 1, 0, 0]], [[1, 0, 0, 0]])
+    0.5
+    """
+    return _metric("recall", truth, estimate, ignore, threshold)
+
+
+def boundary_iou(
+    truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5, share: float = 0.02
+) -> float:
+    """Intersection over union of the masks' borders (Cheng et al. 2021); further parameters as of `iou`.
+
+    Parameters
+    ----------
+    share : float
+        Of the picture's diagonal: how deep a border is, one pixel at least.
+
+    Examples
+    --------
+    >>> import numpy as np, oysterbench
+    >>> truth, shifted = np.zeros((2, 20, 20), dtype=bool)
+    >>> truth[5:15, 5:15], shifted[5:15, 6:16] = True, True
+    >>> round(oysterbench.metrics.boundary_iou(truth, shifted), 3), round(oysterbench.metrics.iou(truth, shifted), 3)
+    (0.333, 0.818)
+    """
+    return _metric("boundary_iou", truth, estimate, ignore, threshold, boundary_share=share)
+
+
+def image_iou(truth: Masks, estimate: Masks, ignore: Masks | None = None, threshold: float = 0.5) -> float:
+    """Mean over pictures of their intersection over union, each picture with one vote; parameters as of `iou`.
+
+    Examples
+    --------
+    >>> import oysterbench
+    >>> oysterbench.metrics.image_iou([[[1, 1]], [[1, 0]]], [[[1, 0]], [[1, 0]]])
+    0.75
+    """
+    return _metric("image_iou", truth, estimate, ignore, threshold)
+
+
+def _metric(key: str, truth: Masks, estimate: Masks, ignore: Masks | None, threshold: float, **settings: Any) -> float:
+    scorer = ClipScorer(SegmentationSettings(threshold=threshold, **settings))
+    ignored = _pictures(ignore) if ignore is not None else None
+    for number, (true, said) in enumerate(zip_longest(_pictures(truth), _pictures(estimate))):
+        where = f"picture {number}"
+        if true is None or said is None:
+            raise LabelError(f"expected as many estimated pictures as true ones, got none of one of them for {where}")
+        left_out = next(ignored, None) if ignored is not None else None
+        if ignored is not None and (left_out is None or left_out.shape != true.shape):
+            raise LabelError(f"{where}: ignore: expected an array of shape {true.shape}, as truth has")
+        classes = np.where(truth_values(true, f"{where}: truth"), np.uint8(OYSTER), np.uint8(0))
+        asked = None if left_out is None else truth_values(left_out, f"{where}: ignore")
+        given = {"probability" if said.dtype.kind == "f" else "oyster": said}
+        scorer.add(TruthImage(where, classes, named=False, ignore=asked), EstimateImage(where, **given))
+    return float(scorer.result().metrics[key])
+
+
+def _pictures(masks: Masks) -> Iterator[NDArray[Any]]:
+    """One after the other, each (H, W)."""
+    if isinstance(masks, list | tuple) and masks and np.ndim(masks[0]) < 2:
+        masks = np.asarray(masks)
+    if hasattr(masks, "ndim") or hasattr(masks, "__array__"):
+        array = np.asarray(masks)
+        if array.ndim not in (2, 3):
+            raise LabelError(f"expected masks (H, W) or (N, H, W), got an array of shape {array.shape}")
+        masks = [array] if array.ndim == 2 else list(array)
+    assert isinstance(masks, Iterable)
+    for one in masks:
+        array = np.asarray(one)
+        if array.ndim != 2:
+            raise LabelError(f"expected masks (H, W), got one of shape {array.shape}")
+        yield array

@@ -1,0 +1,70 @@
+"""The sequence files of a split, rendered where they are not there yet, and what is shown meanwhile."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oysterbench.core.errors import MachineError
+from oysterbench.notebook.progress import frames_bar, in_words, say
+
+if TYPE_CHECKING:
+    from oysterbench.recipe import SequenceRecipe, SplitRecipe
+
+TOLD_FROM_S = 60.0
+"""What rendering will take is said before it begins, from so much on."""
+
+
+def render_files(
+    split: SplitRecipe,
+    folder: Path | None = None,
+    workers: int | None = None,
+    names: tuple[str, ...] = (),
+    salt: bytes = b"",
+    device: str = "cpu",
+    scheduler: str | None = None,
+    quiet: bool = False,
+) -> dict[str, Path]:
+    """The sequence files of a split, rendered with a progress bar where they are not there yet.
+
+    quiet: show nothing. Raises MachineError, with what to type, where what renders is not installed.
+    """
+    from oysterbench.simulation import cost
+    from oysterbench.simulation.generate import check_workers, default_workers, generate_split, split_folder
+
+    folder = folder or split_folder(split, salt, device)
+    missing = _missing(split, folder, names)
+    if missing and scheduler is None and find_spec("warp") is None:
+        raise MachineError(
+            f"{split.name}: {missing[0].name} is not here, and what renders it is not installed: pip install "
+            "'oysterbench[render]'; or set a hub that has it (OYSTERBENCH_HUB)"
+        )
+    if workers is None:
+        workers = default_workers(sum(cost.estimated(split, sequence) for sequence in missing))
+    workers = check_workers(workers)
+    if scheduler is None and device == "cpu" and not quiet:
+        _announce(split, missing, workers)
+    with nullcontext() if quiet else frames_bar(f"rendering {split.name}") as progress:
+        return generate_split(split, folder, workers, progress, salt, device, scheduler, names)
+
+
+def _missing(split: SplitRecipe, folder: Path, names: tuple[str, ...]) -> list[SequenceRecipe]:
+    """The sequences that are asked for and not there yet."""
+    from oysterbench.simulation.generate import sequence_files
+
+    files = sequence_files(split, folder)
+    wanted = [sequence for sequence in split.sequence if not names or sequence.name in names]
+    return [sequence for sequence in wanted if not files[sequence.name].exists()]
+
+
+def _announce(split: SplitRecipe, missing: list[SequenceRecipe], workers: int) -> None:
+    """Say what rendering will take, where it is minutes."""
+    from oysterbench.simulation import cost
+
+    seconds = sum(cost.estimated(split, sequence, workers) for sequence in missing) / workers
+    if seconds > TOLD_FROM_S:
+        what = missing[0].name if len(missing) == 1 else f"{len(missing)} sequences"
+        on = f"{workers} worker{'s' if workers > 1 else ''}"
+        say(f"rendering {split.name}: {what} will take about {in_words(seconds)} on {on}")

@@ -1,0 +1,99 @@
+"""The score of an estimated trajectory, of files or of what is in memory."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+from oysterbench.core.errors import OptionError, SequenceError
+from oysterbench.core.names import did_you_mean, nearest
+from oysterbench.core.trajectory import ReadOptions, Trajectory
+from oysterbench.evaluate.slam import SlamResult, SlamSettings
+from oysterbench.evaluate.slam import score as score_poses
+from oysterbench.evaluate.slam.inputs import Poses, open_pair
+from oysterbench.sequence.types import Sequence
+
+OF_TRUTH = "truth_"
+"""Begins an option that says how the file of the truth is read."""
+
+
+def score(truth: Poses | Sequence, estimate: Poses, **options: Any) -> SlamResult:
+    """Score an estimated trajectory against the true one.
+
+    Parameters
+    ----------
+    truth : path, Trajectory or Sequence
+        True poses of the body: a sequence that holds its truth, or its file; a file in TUM, EuRoC, KITTI, CSV, .npz,
+        MCAP or rosbag format; poses in memory.
+    estimate : path or Trajectory
+        Estimated poses. What usually goes wrong in files (units, order of quaternions, frames, clocks) is looked for,
+        and done, said or refused; poses in memory are taken as they are.
+    **options
+        Fields of `SlamSettings`, such as ``align="se3"`` (none, origin, se3, posyaw, sim3, scale) or
+        ``time_offset_s="estimate"``; and of `ReadOptions`, such as ``quaternion="wxyz"``, of the estimate's file,
+        or with ``truth_`` before them, as in ``truth_unit="mm"``, of the truth's.
+
+    Returns
+    -------
+    SlamResult
+        ``metrics``: plain numbers by key; ``notes``: what should be known of them; ``summary()``: a table.
+
+    Raises
+    ------
+    oysterbench.core.errors.TrajectoryError
+        A number would mean nothing: no common time, poses that cannot be read, an alignment that is not determined.
+    oysterbench.core.errors.OptionError
+        There is no such option.
+
+    Examples
+    --------
+    >>> import numpy as np, oysterbench
+    >>> t = np.arange(0, 10, 0.1)
+    >>> stamps_ns = (1e9 * t).astype(np.int64)
+    >>> positions = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
+    >>> level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
+    >>> truth = oysterbench.Trajectory(stamps_ns, positions, level)
+    >>> shaken = positions + 0.01 * np.sin(40 * positions)
+    >>> result = oysterbench.score(truth, oysterbench.Trajectory(stamps_ns, shaken, level))
+    >>> round(result.metrics["ate_rmse_m"], 2), result.metrics["coverage"]
+    (0.01, 1.0)
+    """
+    settings, reading, truth_reading = _sorted_out(options)
+    if not isinstance(truth, Sequence | Trajectory) and truth_reading.topic is None:
+        truth = _sequence_at(truth) or truth
+    if isinstance(truth, Sequence):
+        truth = truth.truth()
+    return score_poses(*open_pair(truth, estimate, settings, truth_reading, reading), settings)
+
+
+def _sequence_at(path: str | os.PathLike[str]) -> Sequence | None:
+    """The sequence in a file; None where the file is none, as other recordings and files of poses are."""
+    if not os.fspath(path).endswith(".mcap"):
+        return None
+    from oysterbench.sequence import open_sequence
+
+    try:
+        return open_sequence(path)
+    except SequenceError:
+        return None
+
+
+def _sorted_out(options: Mapping[str, Any]) -> tuple[SlamSettings, ReadOptions, ReadOptions]:
+    """Settings of the evaluator, and how the files of the estimate and the truth are read."""
+    scoring = {field.name for field in fields(SlamSettings)}
+    reading = {field.name for field in fields(ReadOptions)}
+    known = [*scoring, *reading, *(f"{OF_TRUTH}{name}" for name in reading)]
+    for name in options:
+        if name not in known:
+            raise OptionError(
+                f"score: no option {name!r}; {did_you_mean(nearest(name, known))}expected one of "
+                f"{', '.join(sorted(scoring | reading))}"
+            )
+    of_truth = {name.removeprefix(OF_TRUTH): value for name, value in options.items() if name.startswith(OF_TRUTH)}
+    return (
+        SlamSettings(**{name: value for name, value in options.items() if name in scoring}),
+        ReadOptions(**{name: value for name, value in options.items() if name in reading}),
+        ReadOptions(**of_truth),
+    )

@@ -1,0 +1,209 @@
+"""Where the files of a split come from: a folder, this machine's renderer, or a hub; each file when it is asked for."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from contextlib import nullcontext
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from oysterbench.core.errors import HubError, SequenceError
+from oysterbench.core.files import home
+from oysterbench.notebook.progress import frames_bar, say
+from oysterbench.notebook.rendering import render_files
+
+if TYPE_CHECKING:
+    from oysterbench.hub.download import Hub
+    from oysterbench.hub.manifest import Manifest
+    from oysterbench.recipe import SplitRecipe
+
+NO_HUB = "no hub is set (OYSTERBENCH_HUB, or hub.toml in the home folder)"
+
+
+class Source(ABC):
+    """The sequence files of a split.
+
+    name, version, track, about: of the split; about is a sentence
+    names:  of its sequences, in order
+    recipe: what it is rendered from; None where only files are known
+    """
+
+    name: str
+    version: str = ""
+    track: str = ""
+    about: str = ""
+    names: tuple[str, ...]
+    recipe: SplitRecipe | None = None
+
+    @abstractmethod
+    def here(self, name: str) -> Path | None:
+        """The file of a sequence, where it is on this machine and whole."""
+
+    def size_bytes(self, name: str) -> int | None:
+        """Of the file of a sequence; None where that is not known before it is here."""
+        path = self.here(name)
+        return path.stat().st_size if path is not None else None
+
+    @abstractmethod
+    def get(self, names: Sequence[str], workers: int | None, quiet: bool) -> None:
+        """Have the files of sequences that are not here. Raises OysterbenchError where that fails; what was begun is
+        gone on with the next time."""
+
+
+class FolderSource(Source):
+    """Sequence files that are in a folder, and nothing else."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.name = folder, folder.resolve().name
+        self._paths = {path.stem: path for path in sorted(folder.glob("*.mcap"))}
+        self.names = tuple(self._paths)
+        if not self.names:
+            raise SequenceError(f"{folder}: expected a folder with sequence files (.mcap), found none in it")
+
+    def here(self, name: str) -> Path | None:
+        path = self._paths[name]
+        return path if path.is_file() else None
+
+    def get(self, names: Sequence[str], workers: int | None, quiet: bool) -> None:
+        gone = self._paths[names[0]]
+        raise SequenceError(f"{gone}: no such file any more; it was there when the folder was opened")
+
+
+class HubSource(Source):
+    """A split that only a hub knows, in this version."""
+
+    def __init__(self, hub: Hub, manifest: Manifest) -> None:
+        self._hub, self._manifest = hub, manifest
+        self.name, self.version, self.track = manifest.split, manifest.version, manifest.track
+        self.about = manifest.summary
+        self.names = tuple(entry.sequence for entry in manifest.files)
+        self.folder = home() / "splits" / manifest.split / f"{manifest.version}-{manifest.sha256[:12]}"
+
+    def here(self, name: str) -> Path | None:
+        return _whole(self._manifest, self.folder, name)
+
+    def size_bytes(self, name: str) -> int | None:
+        entry = self._manifest.find(f"{name}.mcap")
+        return entry.size if entry else None
+
+    def get(self, names: Sequence[str], workers: int | None, quiet: bool) -> None:
+        fetch(self._hub, self._manifest, self.folder, names, quiet)
+
+
+class RecipeSource(Source):
+    """A split that is rendered from its recipe, or the same from a hub where one is set."""
+
+    def __init__(self, recipe: SplitRecipe) -> None:
+        self.recipe = recipe
+        self.name, self.version, self.track, self.about = recipe.name, recipe.version, recipe.track, recipe.summary
+        self.names = tuple(sequence.name for sequence in recipe.sequence)
+
+    @cached_property
+    def _salt(self) -> bytes:
+        from oysterbench.simulation.salt import read_salt
+
+        return (read_salt() or b"") if self.recipe is not None and self.recipe.hidden else b""
+
+    @property
+    def folder(self) -> Path:
+        """Where its rendered files are kept."""
+        from oysterbench.simulation.generate import split_folder
+
+        assert self.recipe is not None
+        return split_folder(self.recipe, self._salt)
+
+    def here(self, name: str) -> Path | None:
+        path = self.folder / f"{name}.mcap"
+        return path if path.is_file() else self._downloaded(name)
+
+    def _downloaded(self, name: str) -> Path | None:
+        """From a folder of its own, as of a hub whose files another version of this program made."""
+        from oysterbench.hub.verify import kept_manifest
+
+        for folder in sorted((home() / "splits" / self.name).glob(f"{self.version}-*")):
+            manifest = kept_manifest(folder)
+            if manifest is not None and manifest.version == self.version:
+                found = _whole(manifest, folder, name)
+                if found is not None:
+                    return found
+        return None
+
+    def get(self, names: Sequence[str], workers: int | None, quiet: bool) -> None:
+        assert self.recipe is not None
+        hub = hub_here(quiet)
+        if hub is None:
+            if self.recipe.hidden and not self._salt:
+                raise HubError(
+                    f"{self.name} is a hidden split: it comes from a hub, without its truth, and {NO_HUB}; only who "
+                    "has its salt can render it"
+                )
+            render_files(self.recipe, self.folder, workers, tuple(names), self._salt, quiet=quiet)
+            return
+        from oysterbench.simulation.generate import digest
+
+        manifest = hub.manifest(self.name, self.version)
+        folder = self.folder
+        if manifest.recipe_digest != digest(self.recipe, self._salt):
+            folder = home() / "splits" / self.name / f"{manifest.version}-{manifest.sha256[:12]}"
+        fetch(hub, manifest, folder, names, quiet)
+
+
+def find_source(name: str | Path) -> Source:
+    """The files of a split, by its name (NAME or NAME@VERSION), the path of a recipe, or that of a folder.
+
+    Raises RecipeError for a name that neither this oysterbench nor the hub that is set knows.
+    """
+    from oysterbench.recipe import load_split, split_names
+
+    text = str(name)
+    known = split_names()
+    if text not in known and Path(text).is_dir():
+        return FolderSource(Path(text))
+    plain, _, version = text.partition("@")
+    if text.endswith(".toml") or plain in known:
+        recipe = load_split(text if text.endswith(".toml") else plain)
+        if version in ("", recipe.version) or text.endswith(".toml"):
+            return RecipeSource(recipe)
+    hub = hub_here()
+    if hub is not None and hub.public is not None:
+        return HubSource(hub, hub.manifest(plain, version or None))
+    if plain in known:
+        raise HubError(f"{text}: this oysterbench makes {plain} {load_split(plain).version}, and {NO_HUB}")
+    return RecipeSource(load_split(text))  # which says what is wrong with the name
+
+
+def hub_here(quiet: bool = True) -> Hub | None:
+    """The hub that is set; None where none is."""
+    from oysterbench.hub.settings import hub_key, hub_places
+
+    places = hub_places()
+    if not places:
+        return None
+    from oysterbench.hub.download import Hub
+
+    return Hub.at(places, hub_key()) if quiet else Hub.at(places, hub_key(), say)
+
+
+def fetch(hub: Hub, manifest: Manifest, folder: Path, names: Sequence[str], quiet: bool) -> None:
+    """Have files of a manifest in a folder. Raises HubError where it has no such sequence, or none comes whole."""
+    from oysterbench.hub.download import choose, download
+
+    entries = choose(manifest, names)
+    with nullcontext() if quiet else frames_bar(f"downloading {manifest.split}", "kB") as told:
+
+        def tell(done: int, total: int) -> None:
+            if told is not None:
+                told(done // 1000, total // 1000)
+
+        download(hub, manifest, folder, entries, progress=tell)
+
+
+def _whole(manifest: Manifest, folder: Path, name: str) -> Path | None:
+    """A file of a manifest that is in a folder: it appeared there when every byte was checked."""
+    entry, path = manifest.find(f"{name}.mcap"), folder / f"{name}.mcap"
+    try:
+        return path if entry is not None and path.stat().st_size == entry.size else None
+    except OSError:
+        return None

@@ -1,0 +1,125 @@
+"""Any message of a sequence file by its number, without reading what comes before: for training, which draws at random.
+
+What is read is kept unpacked, chunk by chunk, up to a number of bytes; no file stays open. So what is here can be
+pickled, forked and used in any number of processes, and holds no file descriptor in any of them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.mcap import message_at, message_places, unpacked_chunk
+from oysterbench.sequence.file import DAMAGE, Reading, damaged
+
+CACHE_BYTES = 64 << 20
+"""16 chunks of the size that a sequence file has."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the messages of a topic lie: stamps (N,) int64 ns in order, the chunks that hold them, by their offset in
+    the file (N,) int64, and their places in these (N,) int64."""
+
+    channel: int
+    stamps_ns: NDArray[np.int64]
+    chunks: NDArray[np.int64]
+    places: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+class Chunks:
+    """Unpacked chunks of any number of files, those that were used last."""
+
+    def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
+        self.most_bytes = most_bytes
+        self._kept: OrderedDict[tuple[Path, int], bytes] = OrderedDict()
+        self._bytes = 0
+
+    def get(self, file: IndexedFile, offset: int) -> bytes:
+        """The records of a chunk, its CRC checked. Raises SequenceError."""
+        key = (file.path, offset)
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        data = file.read(offset)
+        self._kept[key] = data
+        self._bytes += len(data)
+        while self._bytes > self.most_bytes and len(self._kept) > 1:
+            _, dropped = self._kept.popitem(last=False)
+            self._bytes -= len(dropped)
+        return data
+
+    def __getstate__(self) -> dict[str, object]:
+        return {"most_bytes": self.most_bytes, "_kept": OrderedDict(), "_bytes": 0}
+
+
+class IndexedFile:
+    """A sequence file whose messages of some topics can be had by their number.
+
+    topics: those that are indexed; of the file, those that it does not have are left out
+    """
+
+    def __init__(self, path: str | os.PathLike[str], topics: Iterable[str], chunks: Chunks | None = None) -> None:
+        self.path = Path(path).absolute()
+        self._chunks = chunks or Chunks()
+        wanted = set(topics)
+        self.topics: dict[str, Places] = {}
+        with Reading(self.path) as (file, summary):
+            self._identity = _identity(os.fstat(file.fileno()))
+            for channel in summary.channels.values():
+                if channel.topic in wanted:
+                    found = [
+                        (stamp, index.chunk_start_offset, place)
+                        for index in summary.chunk_indexes
+                        for stamp, place in message_places(file, index, channel.id)
+                    ]
+                    columns = np.array(sorted(found), dtype=np.int64).reshape(-1, 3).T
+                    self.topics[channel.topic] = Places(channel.id, *np.ascontiguousarray(columns))
+
+    def __len__(self) -> int:
+        return sum(map(len, self.topics.values()))
+
+    def message(self, topic: str, number: int) -> bytes:
+        """The data of a message of an indexed topic, by its number in the order of stamps.
+
+        Raises SequenceError where the file is gone, another one by now, or damaged.
+        """
+        known = self.topics[topic]
+        data = self._chunks.get(self, int(known.chunks[number]))
+        try:
+            return message_at(data, int(known.places[number]), known.channel, int(known.stamps_ns[number]))
+        except DAMAGE as error:
+            raise SequenceError(damaged(self.path, str(error))) from None
+
+    def read(self, offset: int) -> bytes:
+        """The records of the chunk at an offset, its CRC checked."""
+        try:
+            with open(self.path, "rb") as file:
+                if _identity(os.fstat(file.fileno())) != self._identity:
+                    raise SequenceError(
+                        f"{self.path}: it is not the file any more that was opened; make the data set again"
+                    )
+                return unpacked_chunk(file, offset)
+        except FileNotFoundError:
+            raise SequenceError(
+                f"{self.path}: no such file any more; it was there when the data set was made: render or download it "
+                "again"
+            ) from None
+        except SequenceError:
+            raise
+        except DAMAGE as error:
+            raise SequenceError(damaged(self.path, str(error) or type(error).__name__)) from None
+
+
+def _identity(stat: os.stat_result) -> tuple[int, int]:
+    return stat.st_size, stat.st_mtime_ns

@@ -1,0 +1,93 @@
+"""Which sequence files a data set is made of, and the frames of their cameras."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.notebook.split import Split, split
+from oysterbench.sensors.camera import CameraCalibration
+from oysterbench.sensors.camera_messages import read_colour
+from oysterbench.sequence import Sequence, open_sequence
+from oysterbench.sequence.places import IndexedFile
+
+Source = str | os.PathLike[str] | Split | Iterable[str | os.PathLike[str] | Split]
+"""A split or its name, a sequence file, a folder of them, or several of these."""
+
+Transform = Callable[[dict[str, Any]], Any]
+"""Given an item, what is to be given instead."""
+
+
+@dataclass(frozen=True)
+class Shots:
+    """Frames of one camera of a file: `numbers` (N,) of its images in the order of stamps, and these stamps, ns."""
+
+    file: IndexedFile
+    sequence: str
+    camera: str
+    calibration: CameraCalibration
+    numbers: NDArray[np.intp]
+    stamps_ns: NDArray[np.int64]
+
+    def image(self, k: int) -> torch.Tensor:
+        """(3, H, W) uint8 RGB of the k-th of them."""
+        _, pixels = read_colour(self.file.message(f"/{self.camera}/image", int(self.numbers[k])))
+        return channels_first(pixels)
+
+    def name(self, k: int) -> str:
+        """As the evaluators call it: SEQUENCE/CAMERA/STAMP."""
+        return f"{self.sequence}/{self.camera}/{self.stamps_ns[k]}"
+
+
+def sequence_files(source: Source) -> list[Path]:
+    """The sequence files of a source, had where they are not here yet. Raises OysterbenchError where there is none."""
+    if isinstance(source, Split):
+        return list(source.fetch().values())
+    if isinstance(source, str | os.PathLike):
+        path = Path(source)
+        if path.suffix == ".mcap":
+            return [path]
+        return list(split(source).fetch().values())
+    files = [file for one in source for file in sequence_files(one)]
+    if not files:
+        raise SequenceError("expected a split, sequence files (.mcap) or a folder of them, got nothing")
+    return files
+
+
+def cameras_of(sequence: Sequence, path: Path, camera: str | Iterable[str] | None) -> Iterator[str]:
+    """Names of cameras: those that are asked for, or all. Raises SequenceError where the sequence has them not."""
+    asked = list(sequence.cameras) if camera is None else [camera] if isinstance(camera, str) else list(camera)
+    for name in asked:
+        if name not in sequence.cameras:
+            raise SequenceError(f"{path}: no camera {name!r}; cameras: {', '.join(sequence.cameras) or 'none'}")
+        yield name
+
+
+def opened(path: Path) -> Sequence:
+    """A sequence file. Raises SequenceError for what is none, as a folder in EuRoC layout."""
+    if path.is_dir():
+        raise SequenceError(f"{path}: expected a sequence file (.mcap), got a folder; `oysterbench.open` reads it")
+    return open_sequence(path)
+
+
+def channels_first(pixels: NDArray[Any]) -> torch.Tensor:
+    """(C, H, W) of (H, W, C), in memory of its own."""
+    return torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1)))
+
+
+def place_of(number: int, ends: NDArray[np.intp]) -> tuple[int, int]:
+    """Part, and number in it, of an item of parts laid end to end; ends (P,): of each. Raises IndexError."""
+    total = int(ends[-1]) if len(ends) else 0
+    if not -total <= number < total:
+        raise IndexError(f"expected an item from 0 to {total - 1}, got {number}")
+    number %= total
+    part = int(np.searchsorted(ends, number, side="right"))
+    return part, number - (int(ends[part - 1]) if part else 0)
