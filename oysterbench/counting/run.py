@@ -136,8 +136,9 @@ class Counting:
             except Exception as error:
                 return f"{type(error).__name__}: {in_one_line(error)}"
             if answer is None:
-                if waiting:
-                    raise MethodError(f"method {self.method.name!r} ended without an answer for {next(iter(waiting))}")
+                left = next(iter(waiting.values()), None) or next(works, None)
+                if left is not None:
+                    raise MethodError(f"method {self.method.name!r} ended without an answer for {left.name}")
                 return None
             self._finish(waiting.pop(answer.name), answer)
 
@@ -162,6 +163,8 @@ class Counting:
                 self._fail(source.name, str(error))
             except OSError as error:
                 self._fail(source.name, f"{source.path}: cannot be read: {error.strerror or error}")
+            except Exception as error:  # decoders each have their own, for bytes that a stranger may have made
+                self._fail(source.name, f"{source.path}: cannot be read: {type(error).__name__}: {in_one_line(error)}")
 
     def _picture(self, place: int, source: Source) -> Iterator[_Work]:
         data = source.path.read_bytes()

@@ -16,6 +16,7 @@ from oysterbench.counting.film import film_rate
 from oysterbench.counting.identity import method_identity
 from oysterbench.counting.overlay import COLOURS, overlay, overlay_factor
 from oysterbench.counting.per_picture import plain
+from oysterbench.counting.reading import decode
 from tests.helpers.image_methods import Another, Lazy, Raises, Small
 from tests.helpers.people_pictures import Discs, FailsOnDark, discs, write, write_video
 
@@ -122,6 +123,23 @@ def test_a_method_that_does_not_answer_as_agreed_is_refused(folder, tmp_path, me
 
     with pytest.raises(MethodError, match=said):
         count(folder, tmp_path / "out", method=Eager())
+
+
+def test_a_method_that_does_not_ask_for_all_pictures_is_refused(folder, tmp_path):
+    with pytest.raises(MethodError, match="method 'lazy' ended without an answer for b"):
+        count(folder, tmp_path / "out", method=Lazy())
+
+
+def test_whatever_a_decoder_raises_is_a_failure_of_its_file_alone(folder, tmp_path, monkeypatch):
+    def picky(data, where):
+        if where.endswith("a b.png"):
+            raise cv2.error("assertion in some codec")
+        return decode(data, where)
+
+    monkeypatch.setattr("oysterbench.counting.run.decode", picky)
+    found, _ = count(folder, tmp_path / "out")
+    assert [one.name for one in found.pictures] == ["b", "c"]
+    assert "error: assertion in some codec" in found.failures["a b"]
 
 
 @pytest.fixture
