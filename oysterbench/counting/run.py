@@ -252,7 +252,8 @@ class Counting:
         self._tell()
 
     def _keep(self, place: int, picture: PictureCount) -> None:
-        self._found[picture.name] = place, picture
+        """What was finished before may have been so at another place."""
+        self._found[picture.name] = place, replace(picture, file=str(self.sources[place].path))
         self._tell()
 
     def _tell(self) -> None:

@@ -74,10 +74,11 @@ class Store:
         write_atomically(self._record(picture.name), content)
 
     def finished(self, name: str, key: str) -> PictureCount | None:
-        """The count of a picture, if it is there with that key, and the overlay, too."""
+        """The count of a picture, if it is there with that key, and with its overlay, and its mask, if it has one."""
         held = None if self.again else self._read(name)
-        there = held is not None and held.key == key and self.overlay(name).is_file()
-        return held.picture if held is not None and there else None
+        if held is None or held.key != key or not self.overlay(name).is_file():
+            return None
+        return held.picture if held.picture.cover is None or self.mask(name).is_file() else None
 
     def oysters(self, name: str) -> list[OysterRow]:
         """Of a picture that is finished."""

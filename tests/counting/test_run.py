@@ -82,11 +82,21 @@ def test_an_interrupted_run_keeps_what_was_finished_and_goes_on_from_there(folde
     assert (asked, len(found.pictures)) == (1, 3)
 
 
-def test_a_record_without_its_overlay_or_of_another_version_does_not_count_as_finished(folder, tmp_path):
+def test_a_record_without_its_overlay_or_mask_or_of_another_version_does_not_count_as_finished(folder, tmp_path):
     count(folder, tmp_path / "out")
     (tmp_path / "out" / "overlays" / "b.jpg").unlink()
     (tmp_path / "out" / "finished" / "c.json").write_text('{"key": 1}')
     assert count(folder, tmp_path / "out")[1] == 2
+    (tmp_path / "out" / "masks" / "b.png").unlink()
+    assert count(folder, tmp_path / "out")[1] == 1
+
+
+def test_pictures_that_were_moved_are_finished_still_and_known_by_their_new_place(folder, tmp_path):
+    count(folder, tmp_path / "out")
+    folder.rename(tmp_path / "elsewhere")
+    found, asked = count(tmp_path / "elsewhere", tmp_path / "out")
+    assert asked == 0
+    assert found.pictures[0].file == str(tmp_path / "elsewhere" / "a b.png")
 
 
 def test_broken_pictures_are_told_of_and_the_rest_goes_on(folder, tmp_path):
