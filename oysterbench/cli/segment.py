@@ -225,8 +225,9 @@ def _warn(found: Survey) -> None:
             f"{len(unlike)} of {len(found.pictures)} pictures: {names}{more}"
         )
     if not math.isnan(found.alike):
+        what = "pictures" if found.block == "pictures" else "blocks"
         message(
-            f"neighbouring pictures have like counts (correlation {found.alike:.2f}), so that intervals may be too "
+            f"neighbouring {what} have like counts (correlation {found.alike:.2f}), so that intervals may be too "
             "narrow: --block N resamples N neighbours together"
         )
 
