@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from oysterbench.core.errors import OysterbenchError
     from oysterbench.core.trajectory import Trajectory, read_trajectory
     from oysterbench.evaluate.slam import SlamResult, SlamSettings
+    from oysterbench.notebook.doctor import doctor
     from oysterbench.notebook.score import score
     from oysterbench.notebook.split import Split, split, splits
     from oysterbench.sequence import Sequence
@@ -48,6 +49,7 @@ __all__ = [
     "Split",
     "Trajectory",
     "__version__",
+    "doctor",
     "labelled",
     "metrics",
     "open",
@@ -65,6 +67,7 @@ _HOMES = {
     "SlamSettings": "oysterbench.evaluate.slam",
     "Split": "oysterbench.notebook.split",
     "Trajectory": "oysterbench.core.trajectory",
+    "doctor": "oysterbench.notebook.doctor",
     "labelled": "oysterbench.annotations:open_labelled",
     "metrics": "",
     "read_trajectory": "oysterbench.core.trajectory",

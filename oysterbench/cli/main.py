@@ -11,6 +11,7 @@ import click
 
 from oysterbench.__main__ import INTERRUPTED
 from oysterbench.cli.compare import compare_command
+from oysterbench.cli.doctor import doctor
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.eval import eval_command
 from oysterbench.cli.hub import COMMANDS as HUB_COMMANDS
@@ -80,6 +81,7 @@ def main() -> None:
       oysterbench tune openvins_dynamic --out tuning    the best options by a stated number of trials
       oysterbench compare ours theirs               ranks, ties, and who is better where
       oysterbench train unet --data seg-train       a method that learns
+      oysterbench doctor                            what is installed, missing or broken here
       oysterbench splits                            what can be rendered, and what is here
       oysterbench render slam-mini --workers 2
       oysterbench download slam-mini                from a hub, or rendered where none is set
@@ -110,6 +112,7 @@ for _command in (
     tune_command,
     *HUB_COMMANDS,
     *MODEL_COMMANDS,
+    doctor,
 ):
     main.add_command(_command)
 

@@ -1,0 +1,111 @@
+"""What is installed: this program, what it stands on, and its extras, by what their packages say of themselves; none of
+them is imported."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Iterable, Iterator
+from importlib.metadata import PackageNotFoundError, requires, version
+from typing import TYPE_CHECKING
+
+from oysterbench.notebook.doctor.finding import Finding
+from oysterbench.version import VERSION
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
+
+EXTRAS = {
+    "render": "renders splits",
+    "slam": "runs the SLAM methods on GTSAM",
+    "learn": "trains networks and runs them; data sets for PyTorch",
+    "score": "scores single oysters, as COCO does",
+    "serve": "serves a hub, and the board's pages",
+    "cluster": "renders and runs methods on a Dask cluster",
+    "board": "hosts a board that takes submissions",
+    "postgres": "keeps a board's submissions in PostgreSQL",
+    "s3": "keeps a board's files in an object store",
+}
+"""Extra -> what it is for. `all` is all of them, and `dev` for those who work on this program."""
+
+OF_OTHERS = ("all", "dev")
+
+
+def look_at_packages() -> Iterator[Finding]:
+    """The program and what it stands on, then each extra."""
+    about = f"Python {platform.python_version()}, {platform.system()} {platform.release()} {platform.machine()}"
+    yield Finding("program", "oysterbench", "ok", f"{VERSION}, {about}, {sys.prefix}")
+    needed = _requirements()
+    absent, old, _ = _state(needed[""])
+    wrong = [*absent, *old]
+    advice = f"pip install -U {' '.join(map(_quoted, wrong))}"
+    detail = f"{_versions(wrong)}; expected {', '.join(map(str, wrong))}" if wrong else f"{len(needed[''])} packages"
+    yield Finding("program", "packages", "broken" if wrong else "ok", detail, advice if wrong else "")
+    for extra in needed:
+        if extra and extra not in OF_OTHERS:
+            yield extra_finding(extra, needed[extra])
+
+
+def extra_finding(extra: str, needed: Iterable[Requirement]) -> Finding:
+    """An extra: it is there as a whole, or something of it is not, or too old."""
+    purpose = EXTRAS.get(extra, "")
+    absent, old, here = _state(needed)
+    if old:
+        detail = f"{purpose}: {_versions(old)}; expected {', '.join(map(str, old))}"
+        return Finding("extras", extra, "broken", detail, f"pip install -U 'oysterbench[{extra}]'")
+    if absent:
+        lacking = ", ".join(sorted({one.name for one in absent}))
+        return Finding(
+            "extras", extra, "missing", f"{purpose}: without {lacking}", f"pip install 'oysterbench[{extra}]'"
+        )
+    return Finding("extras", extra, "ok", f"{purpose}: {_versions(here)}")
+
+
+def _requirements() -> dict[str, list[Requirement]]:
+    """Extra -> what it needs, by what is installed says; those that every installation needs under an empty name."""
+    from packaging.requirements import Requirement
+
+    found: dict[str, list[Requirement]] = {"": []}
+    for text in requires("oysterbench") or ():
+        requirement = Requirement(text)
+        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+            found[""].append(requirement)
+            continue
+        for extra in (*EXTRAS, *OF_OTHERS):
+            if requirement.marker.evaluate({"extra": extra}):
+                found.setdefault(extra, []).append(requirement)
+    for extra, needed in found.items():
+        parts = {part for one in needed if one.name == "oysterbench" for part in one.extras}
+        own = [one for one in needed if one.name != "oysterbench"]
+        found[extra] = [*(one for part in sorted(parts) for one in found.get(part, ()) if part != extra), *own]
+    return found
+
+
+def _state(needed: Iterable[Requirement]) -> tuple[list[Requirement], list[Requirement], list[Requirement]]:
+    """Those that are absent, those that are there in another version than is needed, and the others."""
+    absent, old, here = [], [], []
+    for one in needed:
+        found = installed_version(one.name)
+        if found is None:
+            absent.append(one)
+        elif not one.specifier.contains(found, prereleases=True):
+            old.append(one)
+        else:
+            here.append(one)
+    return absent, old, here
+
+
+def installed_version(name: str) -> str | None:
+    """Of a package; None where it is not installed."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _versions(needed: Iterable[Requirement]) -> str:
+    return ", ".join(dict.fromkeys(f"{one.name} {installed_version(one.name) or 'absent'}" for one in needed))
+
+
+def _quoted(requirement: Requirement) -> str:
+    return f"'{requirement.name}{requirement.specifier}'"
