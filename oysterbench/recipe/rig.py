@@ -77,6 +77,16 @@ class CameraRecipe(NamedSensorRecipe):
     # Diameter of the lens' opening, for the circle of confusion of what is not at focus_m; f / N of a lens of 3 to 8 mm
     # at f/2 to f/2.8. 0: surfaces are sharp everywhere, and flakes have 1.2 mm.
     aperture_mm: float = number(0, 8, 0.0)
+    # Standard deviation of the point spread of all that makes a picture soft alike everywhere: lens, demosaicing, and
+    # the scaling of its video; 0.5 to 2 px of frames from small ROVs' videos.
+    softness_px: float = number(0, 6, 0.0)
+    # What a camera makes of its sensor's picture; 0, 0, 1 and 1: nothing. Noise reduction: differences in brightness
+    # below that many of 255 levels are smoothed away within 6 px, and faint texture with them; how much of an unsharp
+    # mask of 1.3 px is added to brightness; factors on levels about middle grey and on colours' distance from grey.
+    denoising: float = number(0, 60, 0.0)
+    sharpening: float = number(0, 4, 0.0)
+    contrast: float = number(0.3, 3, 1.0)
+    saturation: float = number(0, 3, 1.0)
     # Spots of algae and bubbles on the port, as divers and landers wipe off: number, and mean diameter.
     port_spots: int = number(0, 100, 0)
     port_spot_mm: float = number(0.1, 5, 1.0)

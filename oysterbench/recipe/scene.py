@@ -37,6 +37,7 @@ class ReefRecipe:
     patchiness: float = number(0, 1, 0.5)  # of the clumps: 0 spreads them evenly, 1 leaves bare ground between patches
     box_share: float = number(0, 1, 0.08)  # of the oysters: dead, both valves still on their hinge
     valve_share: float = number(0, 1, 0.15)  # of the oysters: a single valve, loose on the bottom
+    shell_spread: float = number(0, 2, 0.0)  # of shells' proportions and colours beyond one reef's of one age
     stones: int = number(0, 5_000, 0)
     rocks: int = number(0, 500, 0)  # of 0.2 to 0.4 m
     bottom: str = choice(BOTTOMS, "sand")
@@ -44,6 +45,13 @@ class ReefRecipe:
     hash_per_m2: float = number(0, 500, 0.0)  # pieces of broken shell
     plant_cover: float = number(0, 1, 0.0)  # share of the bottom that seagrass or algae grow on
     sponges_per_m2: float = number(0, 50, 0.0)  # on shells and stones
+    drape: float = number(0, 1, 0.0)  # share that loose silt, smooth and fluffy, covers of what does not face down
+    infill_mm: float = number(0, 80, 0.0)  # depth of loose silt among oysters and stones: buries their feet
+    turf: float = number(0, 1, 0.0)  # share of what faces up that a fur of short algae covers, on shells
+    grit: float = number(0, 1, 0.0)  # white specks of shell on everything: at 1 about 2400 on a square metre
+    burrows: float = number(0, 1, 0.0)  # mouths of worms' and shrimps' burrows: at 1 about 1500 on a square metre
+    algae_per_m2: float = number(0, 500, 0.0)  # bunches of filamentous algae, green and brown, on shells and stones
+    litter_per_m2: float = number(0, 200, 0.0)  # dead blades of eelgrass, stalks and threads that lie on everything
 
     @property
     def oyster_count(self) -> int:
@@ -80,6 +88,8 @@ class LightRecipe:
     daylight: float = number(0, 1, 1.0)  # share of full daylight (100 000 lx) that there is: less for dusk and night
     wind_m_s: float = number(0, 15, 0.0)  # over the surface; its waves gather the sun into caustics, none in a calm
     occlusion_m: float = number(0, 0.5, 0.0)  # reach of rays that find what hides the sky; 0: crevices by height alone
+    shade: float = number(0, 1, 0.0)  # share of daylight that soft shades of what floats and stands above take away
+    shade_m: float = number(0.05, 20, 0.5)  # how far apart shaded and lit places are
     lamps: float = number(0, 100, 1.0)  # factor on the intensity of the rig's lamps
 
 

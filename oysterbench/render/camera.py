@@ -14,6 +14,7 @@ from oysterbench.render import (
     blur,
     caustics,
     defocus,
+    develop,
     edges,
     flow,
     kernels,
@@ -53,6 +54,7 @@ MODULES = (
     port,
     march,
     flow,
+    develop,
 )
 LAYERS = (
     "radiance",
@@ -118,6 +120,7 @@ class CameraRenderer(ViewTracer):
         self._dark = wp.array(dark, dtype=wp.vec3, device=device)
         self._vignetting = wp.array(sensor.vignette(self._rays, camera), dtype=wp.float32, device=device)
         self._gamma = wp.array(sensor.gamma_table(), dtype=wp.uint8, device=device)
+        self._developer = develop.Developer(camera, device) if develop.processes(camera) else None
         self._colour = wp.zeros((camera.height, camera.width, 3), dtype=wp.uint8, device=device)
 
     def render(
@@ -162,7 +165,10 @@ class CameraRenderer(ViewTracer):
                 outputs=[self._colour],
                 device=self.device,
             )
-            return Frame(*(array.numpy().copy() for array in (self._colour, *self._truth)))
+        if self._developer is not None:
+            with self._timed("develop"):
+                self._developer.develop(self._colour)
+        return Frame(*(array.numpy().copy() for array in (self._colour, *self._truth)))
 
     def truth(
         self, T_map_cam: Pose, time_s: float = 0.0

@@ -21,6 +21,7 @@ from oysterbench.render.casting import (
     surface_normal,
     under_roaming,
 )
+from oysterbench.render.ground import seabed
 from oysterbench.render.looks import Looks, needs_shadow_ray, openness
 from oysterbench.render.occlusion import gathered, same_surface
 from oysterbench.render.optics import (
@@ -30,11 +31,12 @@ from oysterbench.render.optics import (
     caustic,
     lamp_irradiance,
     shadows_lost,
+    unshaded,
     veiling,
 )
 from oysterbench.render.tables import look_up, look_up_pair
 from oysterbench.render.target import KERNEL_OPTIONS
-from oysterbench.render.texture import Material, instance_material, scramble, seabed
+from oysterbench.render.texture import Material, instance_material, scramble
 from oysterbench.render.view import CameraView, pixel_ray, pixel_start
 from oysterbench.render.way import Way, way_to
 
@@ -184,6 +186,8 @@ def day_light(optics: Optics, p: wp.vec3, n: wp.vec3, lit: float, opening: float
         if optics.turbidity.on != 0:
             wave = 1.0 + (wave - 1.0) * way.pattern
         light += beam * (wave * facing * lit)
+    if optics.shade > 0.0:
+        light = light * unshaded(optics, p)
     return wp.cw_mul(wp.cw_mul(look_up(optics.daylight, -p[2] / optics.depth_step), light), way.day)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import warp as wp
 
+from oysterbench.render.ground import Ground
 from oysterbench.render.optics import Optics
-from oysterbench.render.texture import Ground
 
 CREVICE_M = wp.constant(0.04)
 """Depth below the envelope at which half of the sky is left: rays into dense beds see that much from 0 to 0.1 m."""

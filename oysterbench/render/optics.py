@@ -55,7 +55,7 @@ class Optics:
 
     sun, sky, bounce: irradiance just below the surface of the sun and of the sky, and of the bottom on what faces down;
     beam: the share of the sun's that throws shadows, from the directions of the fan (16,), which are spread by that
-    root mean square of a sine; the rest comes from above like the sky's.
+    root mean square of a sine; the rest comes from above like the sky's. shade, shade_m: as in LightRecipe.
     """
 
     sun_direction: wp.vec3
@@ -76,6 +76,9 @@ class Optics:
     beam: wp.array(dtype=wp.vec3)
     depth_step: wp.float32
     cosine_step: wp.float32
+    shade: wp.float32
+    shade_m: wp.float32
+    shade_seed: wp.uint32
     lamps: Lamps
     caustics: Caustics
     turbidity: Turbidity
@@ -208,3 +211,13 @@ def shadows_lost(optics: Optics, p: wp.vec3, distance: float):
         look_up_pair(optics.direct, row, column)[1] + look_up_pair(optics.forward_scatter, row, column)[1]
         < LEAST_TRANSMISSION
     )
+
+
+@wp.func
+def unshaded(optics: Optics, p: wp.vec3):
+    """Share of daylight that reaches a point past what shades it softly: canopies, piers, boats, and the vehicle."""
+    x = (0.8 * p[0] - 0.6 * p[1]) / optics.shade_m
+    y = (0.6 * p[0] + 0.8 * p[1]) / optics.shade_m
+    wide = noise2(x, y, optics.shade_seed)
+    close = noise2(2.3 * y, 2.3 * x, optics.shade_seed + wp.uint32(1))
+    return 1.0 - optics.shade * step_smoothly(-0.6, 0.6, wide[0] + 0.4 * close[0])

@@ -1,4 +1,4 @@
-"""Procedural surfaces as Warp functions: what bottom, shells, stones, plants and sponges look like.
+"""Procedural surfaces as Warp functions: what shells, stones, plants and sponges look like; the bottom is `ground.py`.
 
 Albedo is linear. Everything is made of the noise in `noise.py`, which is exact on every processor and fades out below
 a pixel's footprint.
@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.recipe import ReefRecipe
 from oysterbench.render.arithmetic import clamped, greater
 from oysterbench.render.coats import fish_coat, mottle
-from oysterbench.render.noise import fleck, kept, lattice, noise2, noise3, pebble, scramble, step_smoothly, unit
+from oysterbench.render.ground import Ground, Material
+from oysterbench.render.growth import FLUFF, SMOOTHED, SPECK, fur, lying, speck
+from oysterbench.render.noise import kept, lattice, noise2, noise3, scramble, step_smoothly, unit
 from oysterbench.scene.instances import CLASS_NUMBERS
 
-__all__ = ["Ground", "Material", "build_ground", "instance_material", "scramble", "seabed"]
+__all__ = ["Material", "instance_material", "scramble"]
 
 OYSTER = wp.constant(wp.uint8(CLASS_NUMBERS["oyster"]))
 HASH = wp.constant(wp.uint8(CLASS_NUMBERS["hash"]))
@@ -25,137 +26,11 @@ CRAB = wp.constant(wp.uint8(CLASS_NUMBERS["crab"]))
 DEBRIS = wp.constant(wp.uint8(CLASS_NUMBERS["debris"]))
 TETHER = wp.constant(wp.uint8(CLASS_NUMBERS["tether"]))
 
-SHELL_HASH = wp.constant(wp.vec3(0.520, 0.490, 0.420))
-PEBBLE = wp.constant(wp.vec3(0.050, 0.048, 0.042))
 INSIDE = wp.constant(wp.vec3(0.560, 0.535, 0.480))
 FILLED = wp.constant(0.85)  # share of a shell's ridges that sediment levels where it covers all
 SCAR = wp.constant(wp.vec3(0.190, 0.130, 0.180))
 FILM = wp.constant(wp.vec3(0.105, 0.110, 0.050))  # of algae on what sees light
 BARNACLE = wp.constant(wp.vec3(0.480, 0.460, 0.410))
-
-# Linear albedo of dark and light patches and of settled sediment; strength of the fine relief; density of flecks and
-# the share of shell among them; side of the cells of packed pebbles, m.
-BOTTOMS = {
-    "sand": ((0.130, 0.120, 0.092), (0.270, 0.245, 0.190), (0.215, 0.200, 0.155), 0.13, 0.30, 0.58, 0.0),
-    "mud": ((0.070, 0.066, 0.050), (0.135, 0.125, 0.095), (0.150, 0.138, 0.104), 0.07, 0.10, 0.45, 0.0),
-    "gravel": ((0.110, 0.104, 0.090), (0.260, 0.245, 0.210), (0.180, 0.168, 0.132), 0.10, 0.20, 0.35, 0.021),
-    "shell": ((0.150, 0.140, 0.110), (0.300, 0.280, 0.225), (0.190, 0.178, 0.138), 0.12, 0.85, 0.86, 0.0),
-}
-
-
-@wp.struct
-class Ground:
-    """What the bottom is made of, as in BOTTOMS; cover: share of sediment on what faces up, 0 to 1."""
-
-    dark: wp.vec3
-    light: wp.vec3
-    silt: wp.vec3
-    bump: wp.float32
-    flecks: wp.float32
-    shells: wp.float32
-    pebbles: wp.float32
-    cover: wp.float32
-
-
-@wp.struct
-class Material:
-    """Linear albedo and unit normal in `map`."""
-
-    albedo: wp.vec3
-    normal: wp.vec3
-
-
-def build_ground(reef: ReefRecipe) -> Ground:
-    """The ground of a recipe."""
-    dark, light, silt, bump, flecks, shells, pebbles = BOTTOMS[reef.bottom]
-    ground = Ground()
-    ground.dark, ground.light, ground.silt = wp.vec3(*dark), wp.vec3(*light), wp.vec3(*silt)
-    ground.bump, ground.flecks, ground.shells, ground.pebbles = bump, flecks, shells, pebbles
-    ground.cover = reef.silt
-    return ground
-
-
-@wp.func
-def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: wp.uint32):
-    """Sediment with patches, mottles, pebbles and shell hash, at p in `map`."""
-    patches = wp.float32(0.0)
-    grain = wp.float32(0.0)
-    slope_x = wp.float32(0.0)
-    slope_y = wp.float32(0.0)
-    wavelength = wp.float32(2.3)
-    octaves = wp.int32(10)
-    for octave in range(octaves):
-        weight = kept(wavelength, footprint)
-        if weight > 0.0:
-            # Each octave is turned and shifted, so that no lattice shows.
-            x = (0.8 * p[0] - 0.6 * p[1]) / wavelength + 17.3 * float(octave)
-            y = (0.6 * p[0] + 0.8 * p[1]) / wavelength - 9.1 * float(octave)
-            if octave % 2 == 1:
-                x = (0.28 * p[0] + 0.96 * p[1]) / wavelength
-                y = (0.28 * p[1] - 0.96 * p[0]) / wavelength
-            n = noise2(x, y, seed + wp.uint32(octave))
-            if octave < 3:
-                patches += weight * n[0] * (1.0 - 0.2 * float(octave))
-            else:
-                grain += weight * n[0]
-                if octave % 2 == 1:
-                    slope_x += weight * (0.28 * n[1] - 0.96 * n[2])
-                    slope_y += weight * (0.96 * n[1] + 0.28 * n[2])
-                else:
-                    slope_x += weight * (0.8 * n[1] + 0.6 * n[2])
-                    slope_y += weight * (0.8 * n[2] - 0.6 * n[1])
-        wavelength *= 0.41
-    tone = step_smoothly(-0.9, 0.9, patches)
-    albedo = (ground.dark + (ground.light - ground.dark) * tone) * greater(0.25, 1.0 + 0.24 * grain)
-    slope_x *= ground.bump
-    slope_y *= ground.bump
-    if ground.pebbles > 0.0:
-        cell = ground.pebbles
-        weight = kept(cell, 0.5 * footprint)
-        if weight > 0.0:
-            x = p[0] * 0.936 - p[1] * 0.352
-            y = p[0] * 0.352 + p[1] * 0.936
-            top = pebble(x, y, cell, seed + wp.uint32(50))
-            if top[0] < 0.45:
-                top = pebble(y + 0.31, x, 0.45 * cell, seed + wp.uint32(51))
-                top = wp.vec4(0.6 * top[0], top[2], top[1], top[3])
-            mineral = albedo * (0.55 + 0.9 * top[3]) * (0.35 + 0.75 * top[0])
-            albedo = albedo + (mineral - albedo) * weight
-            slope_x -= 0.55 * weight * (0.936 * top[1] + 0.352 * top[2])
-            slope_y -= 0.55 * weight * (0.936 * top[2] - 0.352 * top[1])
-    cell = wp.float32(0.034)
-    layers = wp.int32(4)
-    for layer in range(layers):
-        x = p[0] * 0.936 - p[1] * 0.352
-        y = p[0] * 0.352 + p[1] * 0.936
-        if layer % 2 == 1:
-            x = p[0] * 0.6 + p[1] * 0.8
-            y = p[1] * 0.6 - p[0] * 0.8
-        density = ground.flecks * (1.0 + 0.8 * patches)
-        hit = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        if kept(0.6 * cell, 0.7 * footprint) > 0.0:  # no grain is larger
-            hit = fleck(x + 0.37 * float(layer), y, cell, density, footprint, seed + wp.uint32(100 + layer))
-        if hit[0] > 0.0:
-            # Sediment has settled on most of the pieces.
-            pale = (hit[1] + ground.shells - 1.0) / ground.shells
-            colour = ground.silt + (SHELL_HASH - ground.silt) * (pale * pale * (1.0 - 0.6 * ground.cover))
-            if pale < 0.0:
-                colour = PEBBLE * (0.8 + 2.0 * hit[1])
-                colour = colour + (ground.silt - colour) * (0.5 * ground.cover)
-            albedo = albedo + (colour * (1.0 + 0.25 * grain) - albedo) * (0.85 * hit[0])
-            # From the grain's turned axes to those of the map.
-            east = 0.936 * hit[2] + 0.352 * hit[3]
-            north = 0.936 * hit[3] - 0.352 * hit[2]
-            if layer % 2 == 1:
-                east = 0.6 * hit[2] - 0.8 * hit[3]
-                north = 0.8 * hit[2] + 0.6 * hit[3]
-            slope_x += (0.55 * east - 0.6 * slope_x) * hit[0]
-            slope_y += (0.55 * north - 0.6 * slope_y) * hit[0]
-        cell *= 0.56
-    material = Material()
-    material.albedo = albedo
-    material.normal = wp.normalize(normal - wp.vec3(slope_x, slope_y, 0.0))
-    return material
 
 
 @wp.func
@@ -225,6 +100,13 @@ def shell(
     cover = step_smoothly(0.15, 0.95, settled)
     dust = ground.cover * (0.25 + 0.35 * silt) * (0.75 + 0.25 * normal[2])
     cover = cover + (1.0 - cover) * dust
+    draped = wp.float32(0.0)
+    if ground.drape > 0.0:
+        draped = lying(ground.drape, normal, coarse[0] * kept(0.034, footprint))
+        cover = cover + (1.0 - cover) * draped
+        gradient = gradient * (1.0 - SMOOTHED * draped)
+        value = value * (1.0 - SMOOTHED * draped)
+        fine = fine * (1.0 - SMOOTHED * draped)
     bare = 1.0 - FILLED * cover
     gradient = gradient + radial * (bare * (wide * strong * (0.9 - 6.0 * brink) + close * (1.3 * (0.5 - ridge))))
     band = band * kept(0.0105, footprint)
@@ -248,12 +130,22 @@ def shell(
     # Settled sediment is a fuzz of grains and turf.
     tone = 1.0 + 0.22 * fine + 0.2 * value
     grains = kept(0.0019, footprint) * cover
+    if draped > 0.0:
+        grains = grains * (1.0 - FLUFF * draped)
     if grains > 0.0:
         fuzz = noise3(q / 0.0019, seed + wp.uint32(41))
         bumped = wp.normalize(bumped - (rotation * wp.vec3(fuzz[1], fuzz[2], fuzz[3])) * (0.22 * grains))
         tone += 0.28 * fuzz[0] * grains
     silted = ground.silt * greater(0.35, tone)
-    material.albedo = albedo + (silted - albedo) * (0.90 * cover)
+    albedo = albedo + (silted - albedo) * (0.90 * cover + 0.08 * draped)
+    if ground.turf > 0.0:
+        grown = fur(q, normal, ground.turf, footprint, seed)
+        albedo = albedo + (grown.albedo - albedo) * (grown.cover * (1.0 - 0.6 * draped))
+        bumped = wp.normalize(bumped - (rotation * grown.gradient) * (0.30 * grown.cover))
+    if ground.grit > 0.0:
+        white = speck(q[0], q[1], ground.grit, footprint, seed)
+        albedo = albedo + (SPECK * white[1] - albedo) * white[0]
+    material.albedo = albedo
     material.normal = bumped
     return material
 

@@ -18,6 +18,7 @@ from oysterbench.render import (
     blur,
     caustics,
     defocus,
+    develop,
     edges,
     flow,
     kernels,
@@ -47,6 +48,7 @@ from oysterbench.scene.world import World
 
 Pose = NDArray[np.float64]
 
+SHADE_SEED = 0x5AADE
 DEPTH_MARGIN_M = 3.0  # of the water's tables below the mean bottom
 
 
@@ -171,6 +173,10 @@ class ViewTracer:
             with self._timed("port"):
                 self._spots.cover(seen, spare)
                 seen, spare = spare, seen
+        if self._softness is not None and not ideal:
+            with self._timed("softness"):
+                self._softness.spread(seen, spare)
+                seen, spare = spare, seen
         return seen
 
     def _trace(self, view: CameraView, optics: Optics) -> None:
@@ -223,6 +229,7 @@ class ViewTracer:
             self._movers.throw_shadows(np.vstack([fan, light.sun_direction]))
         self._looks = upload_looks(world, recipe, np.vstack([fan, light.sun_direction]), device)
         self._optics = upload_optics(water, light, fan, recipe, world.terrain.steepest(), device)
+        self._optics.shade_seed = world.texture_seed ^ SHADE_SEED
         shape = (camera.height, camera.width)
         self._optics.lamps = lamps.build_lamps(self._lamps, recipe.light.lamps, water, shape, device)
         self._fill = partial(march.TurbidityField, recipe, water, daylight, plumes, world.texture_seed)
@@ -238,6 +245,7 @@ class ViewTracer:
         self._blur_share = recipe.water.forward_blur
         self._blur = blur.Blur(shape, float(camera_matrix(camera)[0, 0]), water.spread_rad, device)
         self._spots = port.PortSpots(camera, self._streams, device) if camera.port_spots else None
+        self._softness = develop.Softness(shape, camera.softness_px, device) if camera.softness_px else None
         self._defocus = None
         if camera.aperture_mm:
             lens = (float(camera_matrix(camera)[0, 0]), camera.aperture_mm * 1e-3, camera.focus_m)

@@ -12,12 +12,12 @@ from scipy import ndimage
 from oysterbench.recipe import SequenceRecipe
 from oysterbench.render import kernels
 from oysterbench.render.casting import Geometry, Placed, Vehicle
+from oysterbench.render.ground import build_ground
 from oysterbench.render.light import Light, shadow_reach
 from oysterbench.render.looks import Looks
 from oysterbench.render.movers import Meshes, Movers
 from oysterbench.render.optics import Optics
 from oysterbench.render.relief import build_relief
-from oysterbench.render.texture import build_ground
 from oysterbench.render.tree import upload_library, upload_tree
 from oysterbench.render.water import Water
 from oysterbench.scene.clutter import GRASS_M
@@ -138,6 +138,7 @@ def upload_optics(
     optics.spread = round(float(np.sqrt(np.mean(1.0 - (fan @ light.sun_direction) ** 2))), 6)
     optics.sun, optics.sky, optics.bounce = light.sun * daylight, light.sky * daylight, CLEAR_BOUNCE * daylight
     optics.occlusion = recipe.light.occlusion_m
+    optics.shade, optics.shade_m = recipe.light.shade, recipe.light.shade_m
     optics.seabed_shadows = int(steepest > light.steepest_lit_slope())
     optics.direct, optics.forward_scatter = table(water.direct), table(water.forward_scatter)
     optics.saturation = table(water.saturation)
@@ -161,6 +162,9 @@ def without_water(optics: Optics, device: str) -> Optics:
         "sky",
         "bounce",
         "occlusion",
+        "shade",
+        "shade_m",
+        "shade_seed",
         "seabed_shadows",
         "caustics",
         "lamps",

@@ -116,7 +116,7 @@ def place_sponges(reef: ReefRecipe, library: Library, hosts: Instances, streams:
     host = generator.integers(0, max(len(hosts), 1), n)
     small, large = SPONGE_M
     size = small * (large / small) ** generator.random(n)
-    points, normals = _upper_sides(hosts, host, library.meshes, generator.random(n))
+    points, normals = upper_sides(hosts, host, library.meshes, generator.random(n))
     turn = Rotation.from_euler("z", generator.uniform(-np.pi, np.pi, (n, 1))).as_matrix().reshape(n, 3, 3)
     colours = np.array(SPONGE_COLOURS)[generator.integers(0, len(SPONGE_COLOURS), n)]
     return make_instances(
@@ -177,7 +177,7 @@ def _covered(places: Array, things: Instances, meshes: Sequence[Mesh]) -> NDArra
     return np.asarray(taken[cell[:, 0], cell[:, 1]])
 
 
-def _upper_sides(
+def upper_sides(
     hosts: Instances, host: NDArray[np.int64], meshes: Sequence[Mesh], chance: Array
 ) -> tuple[Array, Array]:
     """A point (N, 3) of each host's surface that faces up, in `map`, and the normal there."""

@@ -12,13 +12,14 @@ from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.oyster import Shell, build_oyster
-from oysterbench.scene.plants import build_tuft
+from oysterbench.scene.plants import build_bunch, build_strand, build_tuft
 from oysterbench.scene.props import build_fragment, build_sponge, build_stone
 
 SHELLS = {"live": 28, "box": 6, "left valve": 6, "right valve": 5}
-PROPS = {"stone": 10, "rock": 5, "fragment": 10, "tuft": 10, "sponge": 6}
+PROPS = {"stone": 10, "rock": 5, "fragment": 10, "tuft": 10, "sponge": 6, "bunch": 6, "strand": 8}
 ROCK_SUBDIVISIONS = 4
 BROAD_SHARE = 0.4  # share of the tufts that are broad algae, not seagrass
+THREADS_FROM = 0.5  # share of the strands that are blades; the others are stalks and threads
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ def build_library(reef: ReefRecipe, streams: Streams) -> Library:
         "fragment": reef.hash_per_m2 > 0,
         "tuft": reef.plant_cover > 0,
         "sponge": reef.sponges_per_m2 > 0,
+        "bunch": reef.algae_per_m2 > 0,
+        "strand": reef.litter_per_m2 > 0,
     }
     props: list[Mesh] = []
     for kind, number in PROPS.items():
@@ -72,6 +75,10 @@ def build_library(reef: ReefRecipe, streams: Streams) -> Library:
                 props.append(build_fragment(generator))
             elif kind == "tuft":
                 props.append(build_tuft(generator, broad=k < BROAD_SHARE * number))
+            elif kind == "bunch":
+                props.append(build_bunch(generator))
+            elif kind == "strand":
+                props.append(build_strand(generator, thread=k >= THREADS_FROM * number))
             else:
                 props.append(build_sponge(generator))
     return Library(tuple(shells), tuple(props), first, count)

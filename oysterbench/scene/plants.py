@@ -13,6 +13,10 @@ BLADE_RINGS, FROND_RINGS = 12, 15
 ACROSS = np.array([-1.0, -0.68, -0.36, -0.12, 0.0, 0.12, 0.36, 0.68, 1.0])  # columns of a lamina, dense at its midrib
 FROND_WIDTH = (0.20, 0.42)  # of its length
 BLADE_WIDTH = (0.012, 0.022)
+FILAMENTS, FILAMENT_RINGS = (90, 130), 6
+FILAMENT_WIDTH = (0.014, 0.040)  # of its length: a lock of many threads, which are too fine to be drawn one by one
+STRAND_RINGS = 14
+STRAND_WIDTH, THREAD_WIDTH = (0.016, 0.034), (0.005, 0.010)  # of its length
 
 
 @dataclass(frozen=True)
@@ -36,6 +40,45 @@ def build_tuft(generator: np.random.Generator, broad: bool) -> Mesh:
     blades = int(generator.integers(5, 10)) if broad else int(generator.integers(12, 25))
     lean = generator.uniform(0, 2 * np.pi)  # the current bends all blades one way
     return join_meshes([(_frond if broad else _blade)(generator, lean) for _ in range(blades)])
+
+
+def build_bunch(generator: np.random.Generator) -> Mesh:
+    """Bunch of filamentous algae about 1 long, rooted at z = 0: locks of threads that waver. Marks as a tuft's."""
+    lean, tone = generator.uniform(0, 2 * np.pi), generator.uniform(0.3, 0.8)
+    return join_meshes([_filament(generator, lean, tone) for _ in range(int(generator.integers(*FILAMENTS)))])
+
+
+def build_strand(generator: np.random.Generator, thread: bool) -> Mesh:
+    """Dead blade of eelgrass, or a stalk or thread, 1 long, that lies on z = 0 along x. Marks as a tuft's."""
+    s = np.linspace(0, 1, STRAND_RINGS)
+    bend = generator.uniform(-0.9, 0.9) + generator.uniform(-1.6, 1.6) * s
+    step = 1.0 / (STRAND_RINGS - 1)
+    along = np.cumsum(step * np.column_stack([np.cos(bend), np.sin(bend)]), axis=0)
+    along -= along.mean(axis=0)
+    rise = 0.02 * np.sin(2 * np.pi * (generator.uniform(0.6, 1.8) * s + generator.uniform()))
+    middle = np.column_stack([along, rise - rise.min()])
+    turn = 0.5 * generator.standard_normal() + generator.uniform(-1.2, 1.2) * s
+    tangent = np.gradient(middle, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.column_stack([-tangent[:, 1], tangent[:, 0], np.zeros(STRAND_RINGS)])
+    up = np.cross(tangent, side)
+    wide = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * up
+    course = _Course(1.0, s, middle, wide, np.cross(tangent, wide))
+    half = 0.5 * generator.uniform(*(THREAD_WIDTH if thread else STRAND_WIDTH)) * np.sqrt(1.02 - s**6)[:, None]
+    thin = (0.8 if thread else 0.15) * half
+    offsets = np.stack([-half * course.wide, thin * course.thick, half * course.wide, -thin * course.thick], axis=1)
+    return _skinned(course, offsets, np.array([0.0, 0.5, 1.0, 0.5]), generator.uniform())
+
+
+def _filament(generator: np.random.Generator, lean: float, tone: float) -> Mesh:
+    """A lock: a flat tube of four corners, widest past its middle; nearly of its bunch's tone."""
+    heading = lean + 1.1 * generator.standard_normal()
+    course = _course(generator, FILAMENT_RINGS, heading, generator.uniform(0.2, 0.7))
+    swell = np.sin(np.pi * (0.12 + 0.80 * course.s**0.8))[:, None]
+    half = 0.5 * course.length * generator.uniform(*FILAMENT_WIDTH) * swell
+    wide, thick = half * course.wide, 0.5 * half * course.thick
+    offsets = np.stack([-wide, thick, wide, -thick], axis=1)
+    return _skinned(course, offsets, np.array([0.0, 0.5, 1.0, 0.5]), tone + generator.uniform(-0.15, 0.15))
 
 
 def _blade(generator: np.random.Generator, lean: float) -> Mesh:

@@ -15,6 +15,7 @@ from oysterbench.scene.collisions import Crowd, total_overlap
 from oysterbench.scene.instances import CLASS_NUMBERS, Instances, join_instances, lean_with, make_instances, rest
 from oysterbench.scene.library import Library
 from oysterbench.scene.terrain import Terrain
+from oysterbench.scene.variety import vary_colours, vary_proportions
 
 __all__ = ["CLASS_NUMBERS", "Instances", "place_oysters"]
 
@@ -45,7 +46,7 @@ def place_oysters(reef: ReefRecipe, terrain: Terrain, library: Library, streams:
     spacing = CLUMP_SPACING * reef.oyster_size_mm * 1e-3 * np.sqrt(reef.clump_size)
     centres = clump_centres(len(sizes), reef.size_m, spacing, reef.patchiness, streams.generator("clumps", "centres"))
     clumped = _clumped(reef, terrain, library, sizes, centres, streams)
-    valves = _loose(reef, terrain, library, loose, centres, clumped, streams.generator("valves"))
+    valves = _loose(reef, terrain, library, loose, centres, clumped, streams)
     return join_instances([clumped, valves])
 
 
@@ -86,11 +87,16 @@ def _clumped(
     places[:, :2] = centres[clump] - 0.35 * (1 - standing[:, None]) * heights[:, None] * rotations[:, :2, 0]
     rotations = lean_with(terrain, places[:, :2], rotations, SLOPE_REACH_M)
     white = np.where(boxes, 0.5, 0.0)
+    colours = _shell_colours(n, white, generator)
+    if reef.shell_spread:
+        varied = streams.generator("clumps", "variety")
+        scales = vary_proportions(scales, reef.shell_spread, varied)
+        colours = vary_colours(colours, reef.shell_spread, varied)
     parts = {
         "class_name": "oyster",
         "shapes": shapes,
         "scales": scales,
-        "colours": _shell_colours(n, white, generator),
+        "colours": colours,
         "silt": generator.beta(2.2, 1.8, n),
     }
     depths = [np.interp(heights, SINK_HEIGHTS_M, depth) for depth in (STANDING_SINK, LYING_SINK)]
@@ -120,9 +126,10 @@ def _loose(
     n: int,
     centres: Array,
     clumped: Instances,
-    generator: np.random.Generator,
+    streams: Streams,
 ) -> Instances:
     """Single valves lying about the clumps, either side up, each at the freest of a few places."""
+    generator = streams.generator("valves")
     half = reef.size_m / 2
     heights = draw_heights(reef.oyster_size_mm * 1e-3, n, generator)
     tries = generator.uniform(-half, half, (n, VALVE_TRIES, 2))
@@ -155,6 +162,9 @@ def _loose(
         chosen = lying[rows, np.argmin(overlap, axis=1)]
         places[rows] = chosen[:, :2]
         crowds.append(Crowd(chosen, rotations[rows], scales[rows]))
+    colours = _shell_colours(n, np.full(n, 0.7), generator)
+    if reef.shell_spread:
+        colours = vary_colours(colours, reef.shell_spread, streams.generator("valves", "variety"))
     return rest(
         make_instances(
             class_name="oyster",
@@ -162,7 +172,7 @@ def _loose(
             positions=np.column_stack([places, np.zeros(n)]),
             rotations=lean_with(terrain, places, rotations, SLOPE_REACH_M),
             scales=scales,
-            colours=_shell_colours(n, np.full(n, 0.7), generator),
+            colours=colours,
             silt=generator.beta(1.8, 1.8, n),
             sunk=heights * generator.uniform(0.02, 0.07, n),
         ),

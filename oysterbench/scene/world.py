@@ -15,11 +15,13 @@ from oysterbench.core.errors import RecipeError
 from oysterbench.core.streams import Streams
 from oysterbench.recipe import ReefRecipe, SequenceRecipe
 from oysterbench.scene.clutter import place_fragments, place_plants, place_rocks, place_sponges, place_stones
+from oysterbench.scene.infill import fill_in
 from oysterbench.scene.instances import CLASS_NUMBERS, Instances, join_instances, placed_vertices
 from oysterbench.scene.library import Library, build_library
 from oysterbench.scene.mesh import Mesh
 from oysterbench.scene.reef import place_oysters, state_names
 from oysterbench.scene.terrain import Terrain, build_terrain, sample_grid
+from oysterbench.scene.weeds import place_algae, place_litter
 
 ENVELOPE_CELL_M = 0.025
 MAX_ENVELOPE_CELLS = 2000  # per side: bounds the memory of a large reef
@@ -28,7 +30,7 @@ MAX_INSTANCES = 2**16 - 1
 
 @dataclass(frozen=True)
 class World:
-    """Seabed, shapes and their instances: oysters first, then stones, rocks, broken shell, sponges and plants.
+    """Seabed, shapes and their instances: oysters, stones, rocks, broken shell, sponges, plants, algae and litter.
 
     library: the meshes that `instances.shapes` points into. texture_seed: uint32 for the procedural albedo.
     envelope_lines (M,) float64: grid lines of the envelope along x and y, m. envelope (M, M) float32, indexed [y, x]:
@@ -132,14 +134,22 @@ def build_world(recipe: SequenceRecipe, streams: Streams) -> World:
     oysters = place_oysters(reef, terrain, library, scene)
     stones = place_stones(reef, terrain, library, scene)
     rocks = place_rocks(reef, terrain, library, scene)
-    fragments = place_fragments(reef, terrain, library, oysters, scene)
     hard = join_instances([oysters, stones, rocks])
+    if reef.infill_mm:
+        silted = _envelope(reef.size_m, terrain, library.meshes, hard)
+        terrain = fill_in(terrain, *silted, depth_m=reef.infill_mm * 1e-3)
+    fragments = place_fragments(reef, terrain, library, oysters, scene)
     sponges = place_sponges(reef, library, hard, scene)
     plants = place_plants(reef, terrain, library, hard, scene)
-    instances = join_instances([hard, fragments, sponges, plants])
+    parts = [hard, fragments, sponges, plants]
+    lines, solid = _envelope(reef.size_m, terrain, library.meshes, join_instances([hard, sponges]))
+    if reef.algae_per_m2:
+        parts.append(place_algae(reef, library, hard, scene))
+    if reef.litter_per_m2:
+        parts.append(place_litter(reef, library, lines, solid, scene))
+    instances = join_instances(parts)
     if len(instances) > MAX_INSTANCES:
         raise RecipeError(_crowded(recipe.name, len(instances)))
-    lines, solid = _envelope(reef.size_m, terrain, library.meshes, join_instances([hard, sponges]))
     envelope = solid
     if len(plants):
         envelope = np.maximum(solid, _envelope(reef.size_m, terrain, library.meshes, plants)[1])
@@ -150,7 +160,8 @@ def build_world(recipe: SequenceRecipe, streams: Streams) -> World:
 def _check_count(reef: ReefRecipe, name: str) -> None:
     """Refuse a crowd before the time to build it is spent."""
     area = reef.size_m**2
-    count = reef.oyster_count + reef.stones + reef.rocks + round((reef.hash_per_m2 + reef.sponges_per_m2) * area)
+    scattered = reef.hash_per_m2 + reef.sponges_per_m2 + reef.algae_per_m2 + reef.litter_per_m2
+    count = reef.oyster_count + reef.stones + reef.rocks + round(scattered * area)
     if count > MAX_INSTANCES:
         raise RecipeError(_crowded(name, count))
 
@@ -158,7 +169,8 @@ def _check_count(reef: ReefRecipe, name: str) -> None:
 def _crowded(name: str, count: int) -> str:
     return (
         f"sequence {name}: keys 'reef.oysters' (or 'reef.density_per_m2'), 'stones', 'rocks', 'hash_per_m2', "
-        f"'sponges_per_m2', 'plant_cover': expected at most {MAX_INSTANCES} things together, got {count}"
+        "'sponges_per_m2', 'algae_per_m2', 'litter_per_m2', 'plant_cover': expected at most "
+        f"{MAX_INSTANCES} things together, got {count}"
     )
 
 

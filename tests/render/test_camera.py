@@ -192,23 +192,29 @@ def test_skipping_shadow_rays_changes_no_byte(world: World) -> None:
     assert np.array_equal(some.render(T_map_cam, noise()).colour, every.render(T_map_cam, noise()).colour)
 
 
+GROWN = {"drape": 0.5, "turf": 0.6, "grit": 0.5, "burrows": 0.4, "infill_mm": 12.0, "shell_spread": 0.8}
+GROWN |= {"algae_per_m2": 5.0, "litter_per_m2": 2.0}
+PROCESSING = dataclasses.replace(CAMERA, softness_px=1.2, denoising=12.0, sharpening=0.8, contrast=1.2, saturation=1.3)
 PRINT_DIGEST = """
 import hashlib, sys
 sys.path.insert(0, {folder!r})
 import warp as wp
-from oysterbench.render import kernels
-from tests.render.test_camera import CAMERA, CameraRenderer, Streams, build_world, noise, pose, reef
-wp.get_module("oysterbench.render.kernels").options["cpu_compiler_flags"] = {flags!r}
-frame = CameraRenderer(build_world(reef(), Streams(4)), CAMERA, reef()).render(pose(0.0, 0.0, -2.2, 20, 40), noise())
+from oysterbench.render import develop, kernels
+from tests.render.test_camera import CAMERA, GROWN, PROCESSING, CameraRenderer, Streams, build_world, noise, pose, reef
+for module in ("kernels", "develop", "blur"):
+    wp.get_module("oysterbench.render." + module).options["cpu_compiler_flags"] = {flags!r}
+recipe, camera = (reef(**GROWN), PROCESSING) if {grown} else (reef(), CAMERA)
+frame = CameraRenderer(build_world(recipe, Streams(4)), camera, recipe).render(pose(0.0, 0.0, -2.2, 20, 40), noise())
 print(hashlib.sha256(frame.colour.tobytes() + frame.depth.tobytes() + frame.instances.tobytes()).hexdigest())
 """
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the targets are those of x86-64")
-def test_bytes_do_not_depend_on_the_processors_instructions(tmp_path: Path) -> None:
+@pytest.mark.parametrize("grown", [False, True])
+def test_bytes_do_not_depend_on_the_processors_instructions(grown: bool, tmp_path: Path) -> None:
     def digest(flags: str) -> str:
-        script = PRINT_DIGEST.format(folder=str(ROOT), flags=flags)
+        script = PRINT_DIGEST.format(folder=str(ROOT), flags=flags, grown=grown)
         environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
         run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
         assert run.returncode == 0, run.stderr

@@ -40,7 +40,10 @@ def full() -> World:
     return build_world(FULL, Streams(9))
 
 
-@pytest.mark.parametrize("of", [SMALL, FULL])
+GROWN = recipe(infill_mm=10.0, algae_per_m2=4.0, litter_per_m2=2.0, shell_spread=0.8, plant_cover=0.05)
+
+
+@pytest.mark.parametrize("of", [SMALL, FULL, GROWN])
 def test_same_recipe_and_streams_give_the_same_arrays(of) -> None:
     one, again = build_world(of, Streams(9)), build_world(of, Streams(9))
     for field in dataclasses.fields(one.instances):
