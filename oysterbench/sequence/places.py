@@ -83,6 +83,10 @@ class IndexedFile:
                         for index in summary.chunk_indexes
                         for stamp, place in message_places(file, index, channel.id)
                     ]
+                    assert summary.statistics is not None
+                    count = summary.statistics.channel_message_counts.get(channel.id, 0)
+                    if len(found) != count:
+                        raise ValueError(f"its index names {len(found)} of {count} messages on {channel.topic}")
                     columns = np.array(sorted(found), dtype=np.int64).reshape(-1, 3).T
                     self.topics[channel.topic] = Places(channel.id, *np.ascontiguousarray(columns))
 

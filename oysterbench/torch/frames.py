@@ -136,7 +136,8 @@ class FrameDataset(Dataset[Any]):
 
     def __repr__(self) -> str:
         sequences = {part.shots.file.path for part in self._parts}
-        return f"<FrameDataset: {len(self)} frames of {len(sequences)} sequences, with {', '.join(self.layers)}>"
+        layers = ", ".join(self.layers) or "no layers"
+        return f"<FrameDataset: {len(self)} frames of {len(sequences)} sequences, with {layers}>"
 
 
 class _Part:

@@ -81,8 +81,8 @@ def test_what_cannot_be_scored_is_one_line(truth, tmp_path):
 
 def test_a_result_shows_itself(truth, estimate):
     result = oysterbench.score(truth, estimate)
-    assert repr(result).startswith("<SlamResult: score 0.")
-    assert "cover 80 %" in repr(result)
+    assert repr(result).startswith("<SlamResult: Score 0.")
+    assert "Coverage 80 %" in repr(result)
     assert "\n" not in repr(result)
     page = result._repr_html_()
     assert "ATE" in page

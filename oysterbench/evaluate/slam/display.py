@@ -20,7 +20,7 @@ ON_A_CARD = (*SHOWN, "ate_percent", "subpath_translation_percent", "scale", "tim
 
 def outline(result: SlamResult) -> str:
     """The main numbers, in a line."""
-    parts = [f"{metric.narrow[0]} {written(result.metrics[key], metric)}" for key, metric in _metrics(SHOWN, result)]
+    parts = [f"{metric.heading} {written(result.metrics[key], metric)}" for key, metric in _metrics(SHOWN, result)]
     return ", ".join([*parts, f"aligned by {result.settings.align}"])
 
 
