@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 from oysterbench.core.text import printable
 
@@ -38,7 +39,8 @@ def frames_bar(title: str, unit: str = "frames") -> Iterator[Progress]:
     )
 
     console = Console(stderr=True)
-    if not (console.is_terminal or console.is_jupyter):
+    # In Jupyter a bar is drawn by ipywidgets, where there are such.
+    if not console.is_terminal and not (console.is_jupyter and find_spec("ipywidgets")):
         yield plain_progress(title, unit)
         return
     columns = (TextColumn(title), BarColumn(), MofNCompleteColumn(), TextColumn(unit))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 from oysterbench.core.errors import OptionError, SequenceError
@@ -69,8 +70,8 @@ def score(truth: Poses | Sequence, estimate: Poses, **options: Any) -> SlamResul
 
 
 def _sequence_at(path: str | os.PathLike[str]) -> Sequence | None:
-    """The sequence in a file; None where the file is none, as other recordings and files of poses are."""
-    if not os.fspath(path).endswith(".mcap"):
+    """The sequence at a path; None where there is none, as of other recordings and files of poses."""
+    if not os.fspath(path).endswith(".mcap") and not (Path(path) / "mav0").is_dir():
         return None
     from oysterbench.sequence import open_sequence
 

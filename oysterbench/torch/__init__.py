@@ -1,4 +1,4 @@
-"""Data sets for training with PyTorch: frames with their masks, and windows of images, inertial samples and poses.
+"""Data sets for training with PyTorch: frames with masks, real pictures, windows of images, IMU samples and poses.
 
 >>> import oysterbench
 >>> frames = oysterbench.torch.FrameDataset("mini-01.mcap", layers=("oyster", "instance"))
@@ -22,6 +22,7 @@ if find_spec("torch") is None:
     )
 
 from oysterbench.torch.frames import FrameDataset
+from oysterbench.torch.labelled import LabelledDataset
 from oysterbench.torch.windows import WindowDataset
 
-__all__ = ["FrameDataset", "WindowDataset"]
+__all__ = ["FrameDataset", "LabelledDataset", "WindowDataset"]

@@ -10,6 +10,7 @@ from oysterbench.core.errors import OptionError, TrajectoryError
 from oysterbench.core.trajectory import Trajectory, write_tum
 from oysterbench.evaluate.slam import SlamSettings
 from oysterbench.evaluate.slam import score as score_poses
+from oysterbench.sequence.export import export_sequence
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +45,12 @@ def test_a_sequence_or_its_file_is_its_truth(dive_file, truth, estimate):
     assert oysterbench.score(dive_file, estimate).metrics["score"] == wanted
     assert oysterbench.score(str(dive_file), estimate).metrics["score"] == wanted
     assert oysterbench.score(oysterbench.open(dive_file), estimate).metrics["score"] == wanted
+
+
+def test_a_folder_in_euroc_layout_is_its_truth(dive_file, truth, tmp_path):
+    export_sequence(oysterbench.open(dive_file), "euroc", tmp_path / "euroc")
+    euroc = oysterbench.open(tmp_path / "euroc").truth()
+    assert oysterbench.score(tmp_path / "euroc", euroc).metrics["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_numbers_are_plain(truth, estimate):

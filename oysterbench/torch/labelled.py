@@ -1,0 +1,72 @@
+"""Labelled pictures of any kind, real ones above all, as tensors."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from oysterbench.annotations import LabelledSet, open_labelled
+from oysterbench.core.errors import LabelError
+from oysterbench.torch.sources import Transform, channels_first
+
+
+class LabelledDataset(Dataset[Any]):
+    """Labelled pictures, such as real ones of one's own, in the shape of `FrameDataset`.
+
+    Parameters
+    ----------
+    source : path or oysterbench.annotations.LabelledSet
+        A folder with images/ and labels/*.txt (YOLO) or masks/*.png, one with a COCO file, or a set of them, as of
+        `oysterbench.labelled(path).of_split("train")`.
+    transform : callable, optional
+        Given an item, returns what is to be given instead. Pictures may differ in size: batches need it then.
+
+    Notes
+    -----
+    An item is a dict: image (3, H, W) uint8 RGB; oyster (H, W) bool; instance (H, W) int32, 0 is none; ignore (H, W)
+    bool, pixels of which nothing may be said; name and clip, str. With `FrameDataset(..., layers=("oyster", "instance",
+    "ignore"))` it has these in common, so that a `ConcatDataset` mixes rendered and real pictures where a transform
+    keeps what both have.
+
+    Raises
+    ------
+    oysterbench.core.errors.LabelError
+        The path holds no labelled pictures, or an item's file is absent or damaged.
+
+    Examples
+    --------
+    >>> import oysterbench
+    >>> pictures = oysterbench.torch.LabelledDataset("mini-01.mcap")         # or a folder of real ones
+    >>> pictures
+    <LabelledDataset mini-01: 4 pictures of 1 clips>
+    >>> pictures[0]["oyster"].shape
+    torch.Size([48, 64])
+    """
+
+    def __init__(self, source: str | os.PathLike[str] | LabelledSet, transform: Transform | None = None) -> None:
+        self.pictures = source if isinstance(source, LabelledSet) else open_labelled(os.fspath(source))
+        self.transform = transform
+        if not len(self.pictures):
+            raise LabelError(f"{self.pictures.name}: expected labelled pictures, got none")
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+    def __getitem__(self, number: int) -> Any:
+        found = self.pictures[number]
+        item = {
+            "image": channels_first(found.pixels),
+            "oyster": torch.from_numpy(found.oysters.copy()),
+            "instance": torch.from_numpy(np.where(found.oysters, found.instances, 0).astype(np.int32)),
+            "ignore": torch.from_numpy(found.ignore.copy()),
+            "name": found.name,
+            "clip": found.clip,
+        }
+        return item if self.transform is None else self.transform(item)
+
+    def __repr__(self) -> str:
+        return f"<LabelledDataset {self.pictures.name}: {len(self)} pictures of {len(self.pictures.clips)} clips>"
