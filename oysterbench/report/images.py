@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -73,10 +73,10 @@ class DatasetRow:
 
 
 def dataset_tables(rows: Sequence[DatasetRow]) -> list[Table]:
-    """The data set as a whole, and classes within images, each where there is something to say."""
+    """The data set as a whole, counts, and classes within images, each where there is something to say."""
     if not rows:
         return []
-    return [_dataset_table(rows), *([strata] if (strata := _strata_table(rows)).rows else [])]
+    return [_dataset_table(rows), *(table for table in (_count_table(rows), _strata_table(rows)) if table.rows)]
 
 
 def _dataset_table(rows: Sequence[DatasetRow]) -> Table:
@@ -102,6 +102,37 @@ def _dataset_table(rows: Sequence[DatasetRow]) -> Table:
     )
     columns = (*name_columns("method"), first, interval_column(first), *others)
     return Table("Over the data set", columns, tuple(table_rows), notes)
+
+
+COUNTS = (
+    "count_truth",
+    "count_estimate",
+    "count_bias",
+    "count_mae",
+    "live_error",
+    "f1_live",
+    "f1_dead",
+    "state_accuracy",
+)
+
+
+def _count_table(rows: Sequence[DatasetRow]) -> Table:
+    """How many oysters there are and how many were counted, errors by image with their intervals, live and dead."""
+    columns = [replace(column, kind="estimate") for column in metric_columns(COUNTS)]
+    table_rows = [
+        TableRow(
+            (
+                row.method,
+                *(
+                    Estimate(row.metrics[key], row.intervals.get(key, Interval(math.nan, math.nan, "none")))
+                    for key in COUNTS
+                ),
+            )
+        )
+        for row in rows
+        if "count_truth" in row.metrics
+    ]
+    return Table("Counts", (*name_columns("method"), *columns), tuple(table_rows), ("Bias and MAE are of an image.",))
 
 
 def _strata_table(rows: Sequence[DatasetRow]) -> Table:

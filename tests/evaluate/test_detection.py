@@ -20,6 +20,7 @@ from oysterbench.evaluate.detection.matching import match
 from oysterbench.evaluate.detection.panoptic import pair
 from oysterbench.evaluate.detection.precision import PrecisionCurve, average_precision
 from oysterbench.evaluate.metrics import find_metric
+from oysterbench.evaluate.statistics import resample_counts, resampled_interval
 
 NAN = math.nan
 SIDE = 120
@@ -302,3 +303,20 @@ def test_states_of_a_clip_are_those_of_its_pictures_together():
     whole, _ = over_clips([scored(one), scored(other)])
     assert whole.metrics["state_accuracy"] == 0.5
     assert whole.metrics["f1_live"] == pytest.approx(2 / 3)
+
+
+def test_counts_and_panoptic_quality_have_intervals_over_clips():
+    clips = []
+    for k in range(8):  # of clip k, k of 10 oysters are missed in one image and none in the other
+        true = [square(10 * (n % 5), 10 * (n // 5), 8) for n in range(10)]
+        found = [replace(one, score=0.9) for one in true]
+        clips.append(scored((image(*true, name="a"), image(*found[k:], name="a")), (image(name="b"), image(name="b"))))
+    whole, intervals = over_clips(clips)
+    assert whole.metrics["count_bias"] == pytest.approx(-28 / 16)
+    for key in ("count_bias", "count_mae", "pq"):
+        assert intervals[key].low < whole.metrics[key] < intervals[key].high
+    assert intervals["count_mae"].low == pytest.approx(-intervals["count_bias"].high)
+    drawn = resample_counts(8)
+    values = -(drawn @ np.arange(8)) / (2 * drawn.sum(axis=1))
+    assert intervals["count_bias"].low == pytest.approx(resampled_interval(values, 8).low)
+    assert not over_clips(clips[:3])[1]["count_bias"].known

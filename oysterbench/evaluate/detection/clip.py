@@ -137,7 +137,8 @@ def finish(
 
 
 def over_clips(clips: Sequence[DetectionClip]) -> tuple[DetectionClip, dict[str, Interval]]:
-    """The result over all clips, and intervals of AP by resampling clips, each with all its images."""
+    """The result over all clips, and intervals of AP, panoptic quality and counts by resampling clips with all their
+    images."""
     kinds = [kind for kind in ("mask", "box") if all(kind in clip.matches for clip in clips)]
     matches = {
         kind: {area: join([clip.matches[kind][area] for clip in clips]) for area in clips[0].matches[kind]}
@@ -149,7 +150,8 @@ def over_clips(clips: Sequence[DetectionClip]) -> tuple[DetectionClip, dict[str,
     states = sum(told, StateCounts()) if len(told) == len(clips) else None
     counts = tuple(one for clip in clips for one in clip.counts)
     whole = finish(matches, counts, quality, states, clips[0].settings)
-    return whole, {f"ap_{kind}": _interval([clip.matches[kind]["all"] for clip in clips]) for kind in kinds}
+    intervals = {f"ap_{kind}": _interval([clip.matches[kind]["all"] for clip in clips]) for kind in kinds}
+    return whole, {**intervals, **_count_intervals([clip.counts for clip in clips]), **_quality_interval(parts, clips)}
 
 
 def _interval(clips: Sequence[Matches]) -> Interval:
@@ -159,3 +161,28 @@ def _interval(clips: Sequence[Matches]) -> Interval:
     curve = PrecisionCurve(clips)
     values = np.array([average_precision(curve.at(times)[0]) for times in drawn[:RESAMPLES]])
     return resampled_interval(values, len(clips))
+
+
+def _count_intervals(clips: Sequence[tuple[ImageCount, ...]]) -> dict[str, Interval]:
+    """Of the mean over images of the error of the number of oysters, and of its absolute value."""
+    errors = [np.array([one.error for one in counts], dtype=float) for counts in clips]
+    sums = np.array([[len(of), of.sum(), np.abs(of).sum()] for of in errors])
+    return {key: _ratio_interval(sums[:, column], sums[:, 0]) for key, column in (("count_bias", 1), ("count_mae", 2))}
+
+
+def _quality_interval(parts: Sequence[PanopticCounts], clips: Sequence[DetectionClip]) -> dict[str, Interval]:
+    if len(parts) < len(clips):
+        return {}
+    overlap = np.array([part.overlap for part in parts])
+    whole = np.array([part.matched + 0.5 * (part.extra + part.missed) for part in parts])
+    return {"pq": _ratio_interval(overlap, whole)}
+
+
+def _ratio_interval(over: Array, under: Array) -> Interval:
+    """Of the sum of the one by that of the other, (C,) by clip."""
+    drawn = resample_counts(len(over))
+    if drawn is None:
+        return Interval(math.nan, math.nan, too_few(len(over)))
+    total = drawn @ under
+    values = np.where(total > 0, drawn @ over / np.where(total > 0, total, 1), math.nan)
+    return resampled_interval(values, len(over))
