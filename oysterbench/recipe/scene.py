@@ -48,6 +48,7 @@ class ReefRecipe:
     drape: float = number(0, 1, 0.0)  # share that loose silt, smooth and fluffy, covers of what does not face down
     infill_mm: float = number(0, 80, 0.0)  # depth of loose silt among oysters and stones: buries their feet
     turf: float = number(0, 1, 0.0)  # share of what faces up that a fur of short algae covers, on shells
+    fouling: float = number(0, 1, 0.0)  # how much of shells' outsides barnacles, worms' tubes and spat have settled on
     grit: float = number(0, 1, 0.0)  # white specks of shell on everything: at 1 about 2400 on a square metre
     burrows: float = number(0, 1, 0.0)  # mouths of worms' and shrimps' burrows: at 1 about 1500 on a square metre
     algae_per_m2: float = number(0, 500, 0.0)  # bunches of filamentous algae, green and brown, on shells and stones

@@ -25,7 +25,7 @@ BOTTOMS = {
 @wp.struct
 class Ground:
     """What the bottom is made of, as in BOTTOMS; cover: share of sediment on what faces up, 0 to 1; drape, turf,
-    grit, burrows: as in ReefRecipe."""
+    grit, burrows, fouling: as in ReefRecipe."""
 
     dark: wp.vec3
     light: wp.vec3
@@ -39,6 +39,7 @@ class Ground:
     turf: wp.float32
     grit: wp.float32
     burrows: wp.float32
+    fouling: wp.float32
 
 
 @wp.struct
@@ -57,6 +58,7 @@ def build_ground(reef: ReefRecipe) -> Ground:
     ground.bump, ground.flecks, ground.shells, ground.pebbles = bump, flecks, shells, pebbles
     ground.cover = reef.silt
     ground.drape, ground.turf, ground.grit, ground.burrows = reef.drape, reef.turf, reef.grit, reef.burrows
+    ground.fouling = reef.fouling
     return ground
 
 

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import warp as wp
 
-from oysterbench.render.noise import fleck, kept, noise3, step_smoothly
+from oysterbench.render.arithmetic import clamped, greater
+from oysterbench.render.noise import fleck, kept, lattice, noise3, step_smoothly, unit
 
 SMOOTHED = wp.constant(0.90)  # share of a surface's own relief and mottles that a whole drape hides
 FLUFF = wp.constant(0.45)  # share of the grain of settled sediment that a whole drape hides
 FUR_GREEN = wp.constant(wp.vec3(0.160, 0.160, 0.085))  # of the short turf that binds some silt
 FUR_BROWN = wp.constant(wp.vec3(0.135, 0.110, 0.070))
 PATCH_M, LOCK_M, HAIR_M = wp.constant(0.030), wp.constant(0.0042), wp.constant(0.0018)  # wavelengths of the fur
+BARNACLE = wp.constant(wp.vec3(0.480, 0.460, 0.410))
+CLUSTER_M = wp.constant(0.028)  # wavelength of where barnacles, tubes and spat have settled
+SETTLERS_CELL_M, SPAT_CELL_M = wp.constant(0.011), wp.constant(0.034)
+TUBE = wp.constant(wp.vec3(0.430, 0.405, 0.340))
+TUBE_M, TUBE_BEND_M = wp.constant(0.0009), wp.constant(0.016)  # radius of a worm's tube, and how tightly it winds
+SPAT = wp.constant(wp.vec3(0.300, 0.275, 0.225))
 SPECK_CELL_M = wp.constant(0.005)
 SPECK_DENSITY = wp.constant(0.06)  # of its cells that hold a speck where there is all the grit that there can be
 MOUTH_CELL_M, MOUTH_DENSITY = wp.constant(0.022), wp.constant(0.75)
@@ -19,12 +26,59 @@ SPECK = wp.constant(wp.vec3(0.80, 0.79, 0.74))
 
 
 @wp.struct
-class Fur:
-    """A fur at a point: its share of the surface, its albedo, and what its locks do to the normal, in q's frame."""
+class Growth:
+    """A growth at a point: its share of the surface, its albedo, and what it does to the normal, in q's frame."""
 
     cover: wp.float32
     albedo: wp.vec3
     gradient: wp.vec3
+
+
+@wp.func
+def barnacle(x: float, y: float, cell: float, footprint: float, seed: wp.uint32):
+    """At most one barnacle in each cell: (cover, slopes in x and y, darkness of its mouth)."""
+    fx = wp.floor(x / cell)
+    fy = wp.floor(y / cell)
+    h = lattice(int(fx), int(fy), 11, seed)
+    result = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    if unit(h, 0) < 0.35:
+        radius = 0.16 + 0.16 * unit(h, 8)
+        dx = x / cell - fx - (0.34 + 0.32 * unit(h, 16))
+        dy = y / cell - fy - (0.34 + 0.32 * unit(h, 24))
+        r = wp.sqrt(dx * dx + dy * dy) + 1.0e-6
+        edge = clamped((radius - r) * cell / footprint + 0.5, 0.0, 1.0)
+        mouth = clamped((0.38 * radius - r) * cell / footprint + 0.5, 0.0, 1.0)
+        result = wp.vec4(edge, -dx / r, -dy / r, mouth)
+    return result
+
+
+@wp.func
+def foul(q: wp.vec3, share: float, footprint: float, seed: wp.uint32):
+    """Barnacles, worms' tubes and spat on the outside of a shell, in clusters; q in m in its own frame."""
+    cluster = noise3(q / CLUSTER_M, seed + wp.uint32(91))
+    least = 0.9 - 1.5 * share
+    out = Growth()
+    young = barnacle(q[0], q[1], SPAT_CELL_M, footprint, seed + wp.uint32(92))
+    spat = young[0] * step_smoothly(least, least + 0.3, cluster[2] * 0.6)
+    out.cover = spat
+    out.albedo = SPAT * (1.0 - 0.35 * young[3])
+    out.gradient = wp.vec3(young[1], young[2], 0.0) * (0.8 * spat)
+    wind = noise3(q / TUBE_BEND_M, seed + wp.uint32(93))
+    slope = wp.vec3(wind[1], wind[2], wind[3])
+    steep = greater(wp.length(slope), 0.35)
+    beside = wp.abs(wind[0]) / steep * TUBE_BEND_M
+    thick = greater(TUBE_M, 0.5 * footprint)
+    tube = clamped((thick - beside) / footprint + 0.5, 0.0, 1.0) * (TUBE_M / thick)
+    tube = tube * step_smoothly(least + 0.1, least + 0.4, cluster[0])
+    out.albedo = out.albedo + (TUBE - out.albedo) * tube
+    out.gradient = out.gradient + slope * (-1.2 * wind[0] / (wp.abs(wind[0]) + 1.0e-3) * tube / steep)
+    out.cover = greater(out.cover, tube)
+    acorn = barnacle(q[0], q[1], SETTLERS_CELL_M, footprint, seed + wp.uint32(94))
+    cone = acorn[0] * step_smoothly(least, least + 0.3, -cluster[0]) * kept(0.006, footprint)
+    out.albedo = out.albedo + (BARNACLE * (1.0 - 0.85 * acorn[3]) - out.albedo) * cone
+    out.gradient = out.gradient + wp.vec3(acorn[1], acorn[2], 0.0) * (2.5 * cone * (1.0 - acorn[3]))
+    out.cover = greater(out.cover, cone)
+    return out
 
 
 @wp.func
@@ -41,7 +95,7 @@ def fur(q: wp.vec3, normal: wp.vec3, share: float, footprint: float, seed: wp.ui
     hair = noise3(q / HAIR_M, seed + wp.uint32(63))
     coarse = kept(LOCK_M, footprint)
     close = kept(HAIR_M, footprint)
-    out = Fur()
+    out = Growth()
     lit = 0.5 * normal[2] + 0.55 * patch[0] + 0.2 * lock[0] * coarse
     out.cover = step_smoothly(0.85 - 1.6 * share, 1.35 - 1.6 * share, lit)
     mixed = step_smoothly(-0.5, 0.5, patch[1] * 0.5 + 0.2 * lock[0])

@@ -11,8 +11,8 @@ import warp as wp
 from oysterbench.render.arithmetic import clamped, greater
 from oysterbench.render.coats import fish_coat, mottle
 from oysterbench.render.ground import Ground, Material
-from oysterbench.render.growth import FLUFF, SMOOTHED, SPECK, fur, lying, speck
-from oysterbench.render.noise import kept, lattice, noise2, noise3, scramble, step_smoothly, unit
+from oysterbench.render.growth import BARNACLE, FLUFF, SMOOTHED, SPECK, barnacle, foul, fur, lying, speck
+from oysterbench.render.noise import kept, noise2, noise3, scramble, step_smoothly, unit
 from oysterbench.scene.instances import CLASS_NUMBERS
 
 __all__ = ["Material", "instance_material", "scramble"]
@@ -30,25 +30,6 @@ INSIDE = wp.constant(wp.vec3(0.560, 0.535, 0.480))
 FILLED = wp.constant(0.85)  # share of a shell's ridges that sediment levels where it covers all
 SCAR = wp.constant(wp.vec3(0.190, 0.130, 0.180))
 FILM = wp.constant(wp.vec3(0.105, 0.110, 0.050))  # of algae on what sees light
-BARNACLE = wp.constant(wp.vec3(0.480, 0.460, 0.410))
-
-
-@wp.func
-def barnacle(x: float, y: float, cell: float, footprint: float, seed: wp.uint32):
-    """At most one barnacle in each cell: (cover, slopes in x and y, darkness of its mouth)."""
-    fx = wp.floor(x / cell)
-    fy = wp.floor(y / cell)
-    h = lattice(int(fx), int(fy), 11, seed)
-    result = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    if unit(h, 0) < 0.35:
-        radius = 0.16 + 0.16 * unit(h, 8)
-        dx = x / cell - fx - (0.34 + 0.32 * unit(h, 16))
-        dy = y / cell - fy - (0.34 + 0.32 * unit(h, 24))
-        r = wp.sqrt(dx * dx + dy * dy) + 1.0e-6
-        edge = clamped((radius - r) * cell / footprint + 0.5, 0.0, 1.0)
-        mouth = clamped((0.38 * radius - r) * cell / footprint + 0.5, 0.0, 1.0)
-        result = wp.vec4(edge, -dx / r, -dy / r, mouth)
-    return result
 
 
 @wp.func
@@ -120,6 +101,10 @@ def shell(
         weight = cell[0] * step_smoothly(0.05, 0.35, coarse[0]) * kept(0.007, footprint)
         outer = outer + (BARNACLE * (1.0 - 0.85 * cell[3]) - outer) * (0.85 * weight)
         gradient = gradient + wp.vec3(cell[1], cell[2], 0.0) * (2.5 * weight * (1.0 - cell[3]))
+    if ground.fouling > 0.0 and outside > 0.5:
+        grown = foul(q, ground.fouling, footprint, seed)
+        outer = outer + (grown.albedo - outer) * (0.85 * grown.cover)
+        gradient = gradient + grown.gradient * grown.cover
     inner = INSIDE * (0.92 + 0.10 * value + 0.05 * fine)
     inner = inner + (SCAR - inner) * (0.75 * mark[2])
     inner = inner * (0.6 + 0.4 * step_smoothly(0.0, 0.25, mark[0]))

@@ -13,8 +13,8 @@ BLADE_RINGS, FROND_RINGS = 12, 15
 ACROSS = np.array([-1.0, -0.68, -0.36, -0.12, 0.0, 0.12, 0.36, 0.68, 1.0])  # columns of a lamina, dense at its midrib
 FROND_WIDTH = (0.20, 0.42)  # of its length
 BLADE_WIDTH = (0.012, 0.022)
-FILAMENTS, FILAMENT_RINGS = (90, 130), 6
-FILAMENT_WIDTH = (0.014, 0.040)  # of its length: a lock of many threads, which are too fine to be drawn one by one
+FILAMENTS, FILAMENT_RINGS = (70, 100), 6
+FILAMENT_WIDTH = (0.016, 0.046)  # of its length: a lock of many threads, which are too fine to be drawn one by one
 STRAND_RINGS = 14
 STRAND_WIDTH, THREAD_WIDTH = (0.016, 0.034), (0.005, 0.010)  # of its length
 

@@ -192,7 +192,7 @@ def test_skipping_shadow_rays_changes_no_byte(world: World) -> None:
     assert np.array_equal(some.render(T_map_cam, noise()).colour, every.render(T_map_cam, noise()).colour)
 
 
-GROWN = {"drape": 0.5, "turf": 0.6, "grit": 0.5, "burrows": 0.4, "infill_mm": 12.0, "shell_spread": 0.8}
+GROWN = {"drape": 0.5, "turf": 0.6, "fouling": 0.9, "grit": 0.5, "burrows": 0.4, "infill_mm": 12.0, "shell_spread": 0.8}
 GROWN |= {"algae_per_m2": 5.0, "litter_per_m2": 2.0}
 PROCESSING = dataclasses.replace(CAMERA, softness_px=1.2, denoising=12.0, sharpening=0.8, contrast=1.2, saturation=1.3)
 PRINT_DIGEST = """

@@ -48,7 +48,7 @@ def roughness(frame, where):
     return np.abs(np.diff(level, axis=1))[both].mean()
 
 
-@pytest.mark.parametrize("key", ["drape", "turf", "grit", "burrows"])
+@pytest.mark.parametrize("key", ["drape", "turf", "fouling", "grit", "burrows"])
 def test_what_covers_thinly_changes_looks_and_no_truth(bare, key):
     covered = frame_of(**{key: 0.9})
     if key == "grit":  # too fine for the wide view

@@ -13,7 +13,7 @@ import pytest
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
 from oysterbench.recipe import CLASSES, LampRecipe
-from oysterbench.render.camera import LAYERS, CameraRenderer
+from oysterbench.render.camera import LAYERS, UNLIT, CameraRenderer
 from oysterbench.render.lens import pixel_rays
 from oysterbench.render.sensor import FULL_WELL, READ_NOISE, vignette
 from oysterbench.scene.rig import camera_pose
@@ -42,6 +42,16 @@ def test_layers_add_up_to_the_picture_before_noise(full):
     assert abs((frame.colour - code).mean()) < 0.15
     assert np.array_equal(layers["depth"], frame.depth)
     assert np.array_equal(layers["instances"], frame.instances)
+
+
+def test_layers_that_need_no_light_are_the_same_without_it(full):
+    names = [name for name in UNLIT if name != "flow"]
+    alone, together = full.layers(PLACE, names, time_s=1.0), full.layers(PLACE, [*names, "radiance"], time_s=1.0)
+    for name in names:
+        assert np.array_equal(alone[name], together[name], equal_nan=True), name
+    before = full.seconds["shading"]
+    full.layers(PLACE, names, time_s=1.0)
+    assert full.seconds["shading"] == before
 
 
 def test_a_clean_picture_has_no_water_in_it():

@@ -60,7 +60,7 @@ def test_every_effect_of_the_sea_has_a_panel():
     wanted = {f"life.{key}" for key in life - sizes}
     wanted |= {"water.layer.factor", "water.patches.contrast", "water.plumes.attenuation", "water.snow_per_m3"}
     wanted |= {"water.forward_blur", "light.wind_m_s", "light.daylight", "light.occlusion_m", "site.wave_height_m"}
-    growth = "drape infill_mm turf grit burrows algae_per_m2 litter_per_m2 shell_spread plant_cover sponges_per_m2"
+    growth = "drape infill_mm turf fouling grit burrows algae_per_m2 litter_per_m2 shell_spread plant_cover"
     wanted |= {f"reef.{key}" for key in growth.split()} | {"light.shade"}
     camera = "auto_exposure auto_balance shutter_ms readout_ms aperture_mm port_spots port_mm hot_pixels gain repeats"
     camera += " softness_px denoising sharpening contrast saturation"
