@@ -15,7 +15,8 @@ from oysterbench_baselines.learning.samples import Floats, Sample, standardised
 @dataclass(frozen=True)
 class Augmentation:
     """How far things are changed. In units of an image's own contrast: gain and shift of the brightness, tint: shift of
-    each channel by itself, noise. zoom: least and greatest. Chances: grey, of losing the colours; blur."""
+    each channel by itself, noise; veil: of what is uneven over the crop, as light and water are. zoom: least and
+    greatest. Chances: grey, of losing the colours; blur, by up to blur_px."""
 
     crop: int = 128
     zoom: tuple[float, float] = (0.75, 1.35)
@@ -25,6 +26,8 @@ class Augmentation:
     noise: float = 0.1
     grey: float = 0.15
     blur: float = 0.25
+    blur_px: float = 1.5
+    veil: float = 0.0
 
 
 def augmented(
@@ -64,11 +67,23 @@ def _placement(shape: tuple[int, ...], settings: Augmentation, rng: np.random.Ge
 def recoloured(values: Floats, contrast: Floats, settings: Augmentation, rng: np.random.Generator) -> Floats:
     """(h, w, 3) standardised pixels with other colours, blur and noise. contrast: (3,), of the picture as it was."""
     if rng.random() < settings.blur:
-        values = np.asarray(cv2.GaussianBlur(values, (0, 0), rng.uniform(0.4, 1.5)), np.float32)
+        values = np.asarray(cv2.GaussianBlur(values, (0, 0), rng.uniform(0.4, settings.blur_px)), np.float32)
     if rng.random() < settings.grey:
         weights = contrast / contrast.sum()
         values = np.repeat((values @ weights)[..., None], 3, axis=2)
+    if settings.veil:
+        values = veiled(values, settings.veil, rng)
     gain = math.exp(rng.normal(0, settings.gain))
     shift = rng.normal(0, settings.shift) + rng.normal(0, settings.tint, 3)
     noise = rng.standard_normal(values.shape, dtype=np.float32) * np.float32(abs(rng.normal(0, settings.noise)))
     return (values * np.float32(gain) + shift.astype(np.float32) + noise).astype(np.float32)
+
+
+def veiled(values: Floats, strength: float, rng: np.random.Generator) -> Floats:
+    """(h, w, 3) standardised pixels under uneven light and water: more contrast here and less there, brighter here and
+    darker there, smoothly over the picture. strength: deviation of the logarithm of the contrast, and of the
+    brightness."""
+    height, width = values.shape[:2]
+    coarse = (strength * rng.standard_normal((3, 3, 2))).astype(np.float32)
+    fields = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(values * np.exp(fields[..., :1]) + fields[..., 1:], dtype=np.float32)

@@ -28,6 +28,7 @@ class Checkpoint:
     network:   what the network is made from
     weights, optimiser, random: their states after `step` steps; random: of torch's generators
     losses:    of each step; versions: of what computed them; seconds: of the processor, so far
+    measured:  after the last step, of what has been learnt; plain values and tensors
     """
 
     identity: dict[str, Any]
@@ -40,6 +41,7 @@ class Checkpoint:
     losses: list[float]
     seconds: float
     versions: dict[str, str] = field(default_factory=dict)
+    measured: dict[str, Any] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
         """As one file. Values are tensors and plain ones only, so that reading it runs no code."""

@@ -31,9 +31,10 @@ class MaskModel:
     device: torch.device
     side: int = 0
 
-    def small_logits(self, pixels: NDArray[np.uint8]) -> Floats:
-        """(2, h, w) float32 logits of oyster and core at the working scale, of a picture (H, W, 3) uint8 RGB."""
-        small = shrink(pixels, working_scale(pixels.shape, self.scale, self.side))
+    def small_logits(self, pixels: NDArray[np.uint8], zoom: float = 1.0) -> Floats:
+        """(2, h, w) float32 logits of oyster and depth at the working scale times zoom, of a picture (H, W, 3) uint8
+        RGB."""
+        small = shrink(pixels, zoom * working_scale(pixels.shape, self.scale, self.side))
         values = standardised(small, *statistics(small))
         prediction = np.empty((2, *small.shape[:2]), dtype=np.float32)
         for rows, inner_rows in _parts(small.shape[0]):
@@ -45,18 +46,22 @@ class MaskModel:
         return prediction
 
     def logits(self, pixels: NDArray[np.uint8]) -> Floats:
-        """(2, H, W) float32 logits of oyster and core at the size of the picture (H, W, 3) uint8 RGB."""
+        """(2, H, W) float32 logits of oyster and depth at the size of the picture (H, W, 3) uint8 RGB."""
         return enlarged(self.small_logits(pixels), pixels.shape[0], pixels.shape[1])
 
     def _logits(self, values: Floats) -> Floats:
         height, width = values.shape[:2]
+        with torch.inference_mode():
+            found = self.network(self.batch(values))[0, :, :height, :width]
+        return np.asarray(found.float().cpu().numpy(), dtype=np.float32)
+
+    def batch(self, values: Floats) -> torch.Tensor:
+        """(1, 3, h, w) of standardised pixels (h, w, 3), as the network takes them."""
+        height, width = values.shape[:2]
         step = self.multiple
         padded = np.pad(values, ((0, -height % step), (0, -width % step), (0, 0)), mode="edge")
-        with torch.inference_mode():
-            batch = torch.from_numpy(np.ascontiguousarray(padded.transpose(2, 0, 1)))[None]
-            batch = batch.to(device=self.device, memory_format=torch.channels_last)
-            found = self.network(batch)[0, :, :height, :width]
-        return np.asarray(found.float().cpu().numpy(), dtype=np.float32)
+        planes = torch.from_numpy(np.ascontiguousarray(padded.transpose(2, 0, 1)))[None]
+        return planes.to(device=self.device, memory_format=torch.channels_last)
 
 
 def enlarged(logits: Floats, height: int, width: int) -> Floats:

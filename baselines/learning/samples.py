@@ -14,9 +14,8 @@ from torch.utils.data import Dataset
 
 from oysterbench.annotations import LabelledImage, LabelledSet
 
-CORE = 0.4
-"""Of an oyster's greatest distance from its border: what lies deeper is its core, by which touching oysters are told
-apart."""
+FLAT = 0.8
+"""Of an oyster's greatest distance from its border: what lies deeper is as deep as it gets."""
 LEAST_CONTRAST = 1.0
 """Grey levels, of 255, that the contrast of a channel is taken to be at least: a black picture stays black."""
 
@@ -28,7 +27,7 @@ class Sample:
     """An image at the working scale, h x w.
 
     pixels: (h, w, 3) uint8 RGB; mean, contrast: (3,) float32, of the whole image, per channel
-    truth:  (h, w, 2) uint8, share of a pixel, in 255ths, that is oyster, and that is core of one (`CORE`)
+    truth:  (h, w, 2) uint8, share of a pixel, in 255ths, that is oyster, and how deep in one it lies (`depths`)
     known:  (h, w) uint8, 255 where the truth may be used, 0 where it is to be ignored
     """
 
@@ -51,7 +50,7 @@ def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
     """A labelled image, reduced. Every small pixel is the mean of those that it covers, in picture and truth alike."""
     scale = working_scale(image.pixels.shape, scale, side)
     pixels = shrink(image.pixels, scale)
-    truth = np.stack([image.oysters, cores(image.instances * image.oysters)], axis=-1).astype(np.uint8) * 255
+    truth = np.stack([image.oysters * np.uint8(255), depths(image.instances * image.oysters)], axis=-1)
     known = shrink(np.where(image.ignore, 0, 255).astype(np.uint8), scale)
     mean, contrast = statistics(pixels)
     return Sample(
@@ -81,9 +80,10 @@ def statistics(pixels: NDArray[np.uint8]) -> tuple[Floats, Floats]:
     return values.mean(axis=0).astype(np.float32), np.maximum(values.std(axis=0), LEAST_CONTRAST).astype(np.float32)
 
 
-def cores(instances: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """(H, W) inner parts of instances (H, W)."""
-    found = np.zeros(instances.shape, dtype=bool)
+def depths(instances: NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """(H, W) distance of each pixel of instances (H, W) from the border of its own, in 255ths of `FLAT` of the greatest
+    there; by the hills of this touching oysters are told apart, whatever their size."""
+    found = np.zeros(instances.shape, dtype=np.uint8)
     if not instances.any():
         return found
     numbers, dense = np.unique(instances, return_inverse=True)
@@ -99,7 +99,8 @@ def cores(instances: NDArray[np.uint16]) -> NDArray[np.bool_]:
         # The frame of zeros: an oyster that the image cuts off has its border there, too.
         mask = np.pad((numbered[box] == number).astype(np.uint8), 1)
         depth = cv2.distanceTransform(mask, cv2.DIST_L2, 3)[1:-1, 1:-1]
-        found[box] |= depth > CORE * depth.max()
+        share = np.minimum(depth / (FLAT * depth.max()), 1.0)
+        found[box] = np.maximum(found[box], np.round(255 * share).astype(np.uint8))
     return found
 
 
@@ -107,7 +108,7 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
     """Labelled images as a torch Dataset.
 
     An item is (pixels (3, h, w), truth (2, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
-    channel; truth 0 to 1 for oyster and core of an oyster; known 1 where the truth may be used. Images are read once,
+    channel; truth 0 to 1 for oyster and depth in one; known 1 where the truth may be used. Images are read once,
     when they are first asked for, and kept at the working scale.
     """
 

@@ -14,4 +14,5 @@ class MovingSettings(UNetSettings):
     """The defaults take 6 minutes of a processor's core, and a mask of 640x480 some 15 ms."""
 
     network: UNetworkSettings = field(default_factory=lambda: UNetworkSettings(base=8, scale=0.25))
+    measured: bool = False
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=1500))

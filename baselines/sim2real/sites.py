@@ -63,12 +63,13 @@ def _row(
         key: {site: float(np.mean([r.metrics[key] for r in seeds.values()])) for site, seeds in by_site.items()}
         for key in ("iou", "ap50_mask")
     }
-    shared = set.intersection(*(set(seeds) for seeds in by_site.values()))
+    each = [set(seeds) for seeds in by_site.values()]
+    shared = each[0].intersection(*each[1:])
     iou, mean, ap50 = means["iou"], float(np.mean(list(means["iou"].values()))), means["ap50_mask"]
     count = sum(seed >= 0 for seed in shared)
     row = SiteRow(variant, count, iou, mean, float(np.mean(list(ap50.values()))), {})
     if base is not None:
-        shared &= set.intersection(*(set(seeds) for seeds in base.values()))
+        shared = shared.intersection(*base.values())
     if base is None or variant == REAL or not shared or not count:
         return row
     pairs = {

@@ -202,8 +202,8 @@ def known_records(folder: Path, identity: Mapping[str, Any]) -> list[ResultRecor
 
 def read_prediction(kept: Any, shape: tuple[int, ...]) -> Prediction:
     """What kept logits (2, h, w) say at the native size (H, W)."""
-    oyster, core = probability(enlarged(kept.astype(np.float32) * STEP, *shape))
-    found = find_instances(oyster, core)
+    oyster, depth = probability(enlarged(kept.astype(np.float32) * STEP, *shape))
+    found = find_instances(oyster, depth)
     return Prediction(oyster > 0.5, found.labels, found.scores)
 
 

@@ -1,5 +1,5 @@
-"""A small U-Net: where oysters are, and which."""
+"""U-Nets: where oysters are, and which."""
 
-from oysterbench_baselines.unet.method import UNet, UNetInstances
+from oysterbench_baselines.unet.method import UNet, UNetInstances, UNetSmall, UNetSmallInstances
 
-__all__ = ["UNet", "UNetInstances"]
+__all__ = ["UNet", "UNetInstances", "UNetSmall", "UNetSmallInstances"]

@@ -1,4 +1,9 @@
-"""Oysters one by one, from where oysters are and where their cores are."""
+"""Oysters one by one, from where oysters are and how deep in one each pixel lies: a watershed from the hills of depth.
+
+Soille 2003 (Morphological Image Analysis, ch. 6 and 9): a marker is a maximum of depth that stands out by `rise` at
+least over the ground between it and any higher one; markers are grown level by level, down the hills, so that oysters
+that touch part along the valley between them.
+"""
 
 from __future__ import annotations
 
@@ -10,50 +15,120 @@ from numpy.typing import NDArray
 
 from oysterbench_baselines.learning.samples import Floats
 
-LEAST_AREA = 30
-"""px, of an instance: what is smaller is noise at any size at which an oyster can be told from a pebble."""
+SIDE = 320
+"""px of a picture's longer side, in which lengths and areas of a `Division` are."""
+LEVELS = 16
+"""Of depth, by which markers are grown."""
+LARGEST = 640
+"""px of a picture's longer side: larger ones are divided at this size, and what is found is enlarged."""
+
+Labels = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Division:
+    """How oysters are told apart, lengths being those of a picture whose longer side has `SIDE` px. smooth: px, the
+    deviation by which depth is smoothed; rise, least: of depth, 0 to 1, by which a marker stands out, and that it has;
+    area: px that an oyster has at least; sure: mean probability times height of its hill from which on an oyster is
+    counted."""
+
+    smooth: float = 1.0
+    rise: float = 0.1
+    least: float = 0.3
+    area: float = 12.0
+    sure: float = 0.5
 
 
 @dataclass(frozen=True)
 class Instances:
     """labels (H, W) int32, 0 for none, instance k + 1 of score scores[k]; scores (N,) 0 to 1."""
 
-    labels: NDArray[np.int32]
+    labels: Labels
     scores: NDArray[np.float64]
 
 
-def find_instances(oyster: Floats, core: Floats, least_area: int = LEAST_AREA) -> Instances:
-    """Instances from two (H, W) probabilities: watershed from markers.
+def find_instances(oyster: Floats, depth: Floats, division: Division | None = None) -> Instances:
+    """Instances from two (H, W) probabilities, of which no two share a pixel: nothing is left to suppress.
 
-    Markers are what hangs together of the cores; each pixel of the mask goes to the marker that is nearest within its
-    piece. A piece without a marker is an instance. The score is the mean probability over the instance.
+    Each pixel of the mask (from 0.5 on) goes to the marker whose hill it lies on. A piece of the mask without a marker
+    is one of low score. The score is the mean probability over the instance times the height of its hill, moved so that
+    0.5 is where `division.sure` is.
     """
+    division = division or Division()
+    height, width = oyster.shape
+    scale = min(1.0, LARGEST / max(height, width))
+    if scale < 1.0:
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        small = [np.asarray(cv2.resize(one, size, interpolation=cv2.INTER_AREA), np.float32) for one in (oyster, depth)]
+        found = find_instances(small[0], small[1], division)
+        return Instances(_enlarged(found.labels, oyster > 0.5), found.scores)
+    unit = max(height, width) / SIDE
     mask = oyster > 0.5
-    count, pieces = cv2.connectedComponents(mask.astype(np.uint8), connectivity=4)
-    seeds = mask & (core > 0.5)
-    found, markers = cv2.connectedComponents(seeds.astype(np.uint8), connectivity=4)
-    labels = _flooded(mask, np.asarray(markers, np.int32))
-    # Pieces that no marker lies in come after the markers.
-    marked = np.zeros(count, dtype=bool)
-    marked[np.unique(pieces[seeds])] = True
-    bare = mask & ~marked[pieces]
-    labels = np.where(bare, found - 1 + pieces, labels)
-    areas = np.bincount(labels.ravel())
-    sums = np.bincount(labels.ravel(), weights=oyster.ravel())
-    kept = np.nonzero(areas >= least_area)[0]
-    kept = kept[kept > 0]
-    dense = np.zeros(len(areas), dtype=np.int32)
-    dense[kept] = np.arange(1, len(kept) + 1)
-    return Instances(dense[labels], sums[kept] / areas[kept])
+    hills = np.where(mask, cv2.GaussianBlur(depth, (0, 0), max(division.smooth * unit, 0.1)), 0)
+    levels = np.round(255 * np.clip(hills, 0, 1)).astype(np.uint8)
+    tops = outstanding(levels, max(1, round(255 * division.rise))) & (levels >= 255 * division.least) & mask
+    count, markers = cv2.connectedComponents(tops.astype(np.uint8), connectivity=8)
+    labels = np.asarray(markers, np.int32)
+    for level in range(LEVELS - 1, -1, -1):
+        labels = _flooded(mask & (levels >= level * 256 // LEVELS), labels)
+    _, pieces = cv2.connectedComponents((mask & (labels == 0)).astype(np.uint8), connectivity=4)
+    labels = np.where(pieces > 0, count - 1 + pieces, labels)
+    return _scored(labels, oyster, hills, division, division.area * unit**2)
 
 
-def _flooded(mask: NDArray[np.bool_], markers: NDArray[np.int32]) -> NDArray[np.int32]:
+def outstanding(levels: NDArray[np.uint8], rise: int) -> NDArray[np.bool_]:
+    """(H, W) where the maxima of levels (H, W) are that stand out by `rise` (extended maxima; Soille 2003, 6.3.5)."""
+    domes = _under(_lowered(levels, rise), levels)
+    return np.asarray(domes > _under(_lowered(domes, 1), domes))
+
+
+def _lowered(values: NDArray[np.uint8], by: int) -> NDArray[np.uint8]:
+    """Not below 0."""
+    return np.asarray(cv2.subtract(values, np.full_like(values, by)), dtype=np.uint8)
+
+
+def _under(values: NDArray[np.uint8], ceiling: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(H, W) values, spread as far as they get under a ceiling: reconstruction by dilation."""
+    square = np.ones((3, 3), np.uint8)
+    while True:
+        spread = np.minimum(cv2.dilate(values, square), ceiling)
+        if np.array_equal(spread, values):
+            return values
+        values = np.asarray(spread, dtype=np.uint8)
+
+
+def _flooded(mask: NDArray[np.bool_], markers: Labels) -> Labels:
     """(H, W) markers, grown a pixel at a time over the mask: each pixel of it gets the marker whose way within the mask
     is shortest, the greater number where two are as short."""
-    labels = np.where(mask, markers, 0).astype(np.float32)
+    labels = markers.astype(np.float32)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
     while True:
         grown = np.where(mask & (labels == 0), cv2.dilate(labels, cross), labels)
         if np.array_equal(grown, labels):
             return labels.astype(np.int32)
         labels = grown
+
+
+def _scored(labels: Labels, oyster: Floats, hills: Floats, division: Division, least_area: float) -> Instances:
+    """Instances that are large enough, numbered anew, with their scores."""
+    areas = np.bincount(labels.ravel())
+    sums = np.bincount(labels.ravel(), weights=oyster.ravel())
+    peaks = np.zeros(len(areas))
+    np.maximum.at(peaks, labels.ravel(), hills.ravel())
+    kept = np.nonzero(areas >= least_area)[0]
+    kept = kept[kept > 0]
+    dense = np.zeros(len(areas), dtype=np.int32)
+    dense[kept] = np.arange(1, len(kept) + 1)
+    return Instances(dense[labels], moved(peaks[kept] * sums[kept] / areas[kept], division.sure))
+
+
+def moved(scores: NDArray[np.float64], sure: float) -> NDArray[np.float64]:
+    """Scores 0 to 1 in the same order, of which 0.5 is where `sure` was: their odds divided by its own."""
+    return np.asarray(scores * (1 - sure) / (scores * (1 - sure) + (1 - scores) * sure))
+
+
+def _enlarged(labels: Labels, mask: NDArray[np.bool_]) -> Labels:
+    """Labels (h, w) on a finer mask (H, W)."""
+    height, width = mask.shape
+    coarse = cv2.resize(labels.astype(np.float32), (width, height), interpolation=cv2.INTER_NEAREST)
+    return _flooded(mask, np.where(mask, coarse, 0).astype(np.int32))

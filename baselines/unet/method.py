@@ -6,59 +6,74 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from oysterbench.core.errors import MethodError
 from oysterbench.methods.images import Detections, Picture, Segmentation
 from oysterbench_baselines.learning.trained import checkpoint_path, on_torch, trained
 
 if TYPE_CHECKING:
-    from oysterbench_baselines.learning.masks import MaskModel
+    from oysterbench_baselines.unet.model import UNetModel
 
 
 class UNet:
-    """Where oysters are, as probabilities, by a trained network.
+    """Where oysters are, as probabilities, by a trained network on a pretrained encoder.
 
     checkpoint: path of the training; by default that which `OYSTERBENCH_UNET` names, or which `oysterbench train unet`
-    or `oysterbench download unet` left. device: auto, cpu, cuda or cuda:N.
+    or `oysterbench download unet` left. device: auto, cpu, cuda or cuda:N. views: of a picture, of which the mean is
+    taken: 1 as it is, 2 mirrored as well, 3 enlarged as well, 4 both.
     """
 
     name, track = "unet", "segmentation"
+    weights_name = "unet"
 
-    def __init__(self, checkpoint: str = "", device: str = "auto") -> None:
-        self.checkpoint, self.device = checkpoint, device
+    def __init__(self, checkpoint: str = "", device: str = "auto", views: int = 4) -> None:
+        if not 1 <= views <= 4:
+            raise MethodError(f"{self.name}: views: expected 1 to 4, got {views}")
+        self.checkpoint, self.device, self.views = checkpoint, device, views
 
     @property
     def weights(self) -> dict[str, Path]:
         """Files of trained weights that it runs on."""
-        return {"unet": checkpoint_path("unet", self.checkpoint)}
+        return {self.weights_name: checkpoint_path(self.weights_name, self.checkpoint)}
 
-    def run(self, images: Iterable[Picture]) -> Iterator[Segmentation]:
-        """Probabilities at the pictures' own size."""
-        model = load_model(self.checkpoint, self.device)
-        from oysterbench_baselines.learning.masks import probability
-
+    def run(self, images: Iterable[Picture]) -> Iterator[Any]:
+        """Probabilities at the pictures' own size, 0.5 being where IoU is greatest, and how novel the pictures are."""
+        model = self._model()
         for image in images:
-            yield Segmentation(image.name, probability=probability(model.logits(image.pixels)[0]))
+            oyster, _ = model.probabilities(image.pixels)
+            yield Segmentation(image.name, probability=oyster, novelty=model.novelty_of(image.pixels))
+
+    def _model(self) -> UNetModel:
+        """The trained network. Raises MethodError, with what to type, where there is none."""
+        path = trained(self.weights_name, self.checkpoint)
+        with on_torch(self.name):
+            from oysterbench_baselines.learning.loop import pick_device
+            from oysterbench_baselines.unet.model import read_unet
+        return read_unet(path, pick_device(self.device), self.views, self.weights_name)
 
 
 class UNetInstances(UNet):
-    """Oysters one by one: what the same network says, divided at the cores of oysters."""
+    """Oysters one by one: what the same network says, divided by how deep in an oyster each pixel lies."""
 
     name, track = "unet_instances", "detection"
 
     def run(self, images: Iterable[Picture]) -> Iterator[Any]:
-        """Masks that do not overlap, and how sure each is."""
-        model = load_model(self.checkpoint, self.device)
-        from oysterbench_baselines.learning.masks import probability
+        """Masks that do not overlap, how sure each is, and how novel the pictures are."""
+        model = self._model()
         from oysterbench_baselines.unet.instances import find_instances
 
         for image in images:
-            found = find_instances(*probability(model.logits(image.pixels)))
-            yield Detections(image.name, found.scores, numbers=found.labels)
+            found = find_instances(*model.probabilities(image.pixels), model.calibration.division)
+            novelty = model.novelty_of(image.pixels)
+            yield Detections(image.name, found.scores, numbers=found.labels, novelty=novelty)
 
 
-def load_model(checkpoint: str, device: str) -> MaskModel:
-    """The trained network. Raises MethodError, with what to type, where there is none."""
-    path = trained("unet", checkpoint)
-    with on_torch("unet"):
-        from oysterbench_baselines.learning.loop import pick_device
-        from oysterbench_baselines.unet.model import read_unet
-    return read_unet(path, pick_device(device))
+class UNetSmall(UNet):
+    """Where oysters are, by the small network that begins with random weights (`oysterbench train unet_small`)."""
+
+    name = weights_name = "unet_small"
+
+
+class UNetSmallInstances(UNetInstances):
+    """Oysters one by one, by the small network."""
+
+    name, weights_name = "unet_small_instances", "unet_small"

@@ -2,33 +2,97 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
 from oysterbench_baselines.learning.loop import channels_last
-from oysterbench_baselines.learning.masks import MaskModel
-from oysterbench_baselines.unet.network import UNetworkSettings, build_network
+from oysterbench_baselines.learning.masks import MaskModel, enlarged, probability
+from oysterbench_baselines.learning.novelty import Array, Novelty
+from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics, working_scale
+from oysterbench_baselines.unet.calibration import Calibration
+from oysterbench_baselines.unet.network import PretrainedUNetwork, UNetworkSettings, build_network, kind_of
+
+VIEWS = ((1.0, False), (1.0, True), (1.4, False), (1.4, True))
+"""Zoom, mirrored: the ways in which a picture is looked at, in the order of what they are worth; logits are their
+mean."""
 
 
-def unet_model(checkpoint: Checkpoint, device: torch.device | None = None) -> MaskModel:
+@dataclass
+class UNetModel(MaskModel):
+    """A network of `unet`, and what was measured of it. views: how many of `VIEWS` are taken; novelty: None of networks
+    that do not know what pictures are like."""
+
+    views: int = 1
+    calibration: Calibration = field(default_factory=Calibration)
+    novelty: Novelty | None = None
+
+    def mean_logits(self, pixels: NDArray[np.uint8]) -> Floats:
+        """(2, H, W) float32 logits of oyster and depth at the size of the picture (H, W, 3) uint8 RGB, the mean of
+        views."""
+        height, width = pixels.shape[:2]
+        total = np.zeros((2, height, width), dtype=np.float32)
+        for zoom, mirrored in VIEWS[: self.views]:
+            seen = np.ascontiguousarray(pixels[:, ::-1]) if mirrored else pixels
+            found = enlarged(self.small_logits(seen, zoom), height, width)
+            total += found[..., ::-1] if mirrored else found
+        return total / np.float32(min(self.views, len(VIEWS)))
+
+    def probabilities(self, pixels: NDArray[np.uint8]) -> tuple[Floats, Floats]:
+        """(H, W) each, of oyster, calibrated, and depth."""
+        oyster, depth = self.mean_logits(pixels)
+        return probability(self.calibration.applied(oyster)), probability(depth)
+
+    def alike(self, pixels: NDArray[np.uint8]) -> Array:
+        """(C,) what a picture is like; nothing where the network is of random beginnings and knows no such thing."""
+        if not isinstance(self.network, PretrainedUNetwork):
+            return np.zeros(0)
+        small = shrink(pixels, working_scale(pixels.shape, self.scale, self.side))
+        with torch.inference_mode():
+            found = self.network.alike(self.batch(standardised(small, *statistics(small))))
+        return found[0].double().cpu().numpy()
+
+    def novelty_of(self, pixels: NDArray[np.uint8]) -> float | None:
+        """How unlike a picture is to those of the training: above 1, more than one in a hundred of a clip left out
+        is."""
+        return None if self.novelty is None else float(self.novelty.of(self.alike(pixels)[None])[0])
+
+
+def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views: int = 1) -> UNetModel:
     """From a training. Raises MethodError where it is of another network."""
     if checkpoint.network.get("kind") != "unet":
         raise MethodError(f"expected the checkpoint of a unet, got one of {checkpoint.network.get('kind')!r}")
     settings = UNetworkSettings(**{key: value for key, value in checkpoint.network.items() if key != "kind"})
     network = build_network(settings)
     network.load_state_dict(checkpoint.weights)
-    device = device or torch.device("cpu")
-    return MaskModel(channels_last(network.to(device)).eval(), settings.scale, settings.multiple, device, settings.side)
+    device, measured = device or torch.device("cpu"), checkpoint.measured
+    return UNetModel(
+        channels_last(network.to(device)).eval(),
+        settings.scale,
+        settings.multiple,
+        device,
+        settings.side,
+        views,
+        Calibration(**measured["calibration"]) if "calibration" in measured else Calibration(),
+        Novelty.read(measured["novelty"]) if "novelty" in measured else None,
+    )
 
 
-def read_unet(path: Path, device: torch.device | None = None) -> MaskModel:
-    """From a file."""
-    return unet_model(read_checkpoint(path), device)
+def read_unet(path: Path, device: torch.device | None = None, views: int = 1, kind: str = "") -> UNetModel:
+    """From a file; kind: the training that it is to be of (`network.kind_of`), where that matters."""
+    checkpoint = read_checkpoint(path)
+    model = unet_model(checkpoint, device, views)
+    if kind and kind != (found := kind_of(checkpoint.network)):
+        raise MethodError(
+            f"{path}: expected weights of `oysterbench train {kind}`, got some of `oysterbench train {found}`"
+        )
+    return model
 
 
 def described(settings: UNetworkSettings) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from oysterbench.annotations import LabelledSet
@@ -18,16 +19,24 @@ from oysterbench_baselines.learning.batches import Mixture, initial_seed, make_b
 from oysterbench_baselines.learning.checkpoint import Checkpoint
 from oysterbench_baselines.learning.loop import FitSettings, Progress, channels_last, fit
 from oysterbench_baselines.learning.losses import mask_loss
+from oysterbench_baselines.learning.novelty import learnt
 from oysterbench_baselines.learning.samples import LabelledDataset
-from oysterbench_baselines.unet.model import described
-from oysterbench_baselines.unet.network import UNetworkSettings, build_network
+from oysterbench_baselines.unet.calibration import evenly, kept_back
+from oysterbench_baselines.unet.calibration import measured as calibrated
+from oysterbench_baselines.unet.model import VIEWS, described, unet_model
+from oysterbench_baselines.unet.network import UNetworkSettings, build_network, kind_of
+
+MOST_ALIKE = 800
+"""Pictures at most, evenly taken, by which is told what pictures are like."""
 
 
 @dataclass(frozen=True)
 class UNetSettings:
-    """batch: crops of one step. The defaults take 16 minutes of a processor's core, half of that on two."""
+    """batch: crops of one step; measured: whether pictures are kept back, to measure on them what was learnt. The
+    defaults take 16 minutes of a processor's core, half of that on two."""
 
     batch: int = 8
+    measured: bool = True
     network: UNetworkSettings = field(default_factory=UNetworkSettings)
     augmentation: Augmentation = field(default_factory=Augmentation)
     fit: FitSettings = field(default_factory=lambda: FitSettings(steps=2000))
@@ -37,8 +46,8 @@ def pretrained_settings(encoder: str) -> UNetSettings:
     """Of a network on a pretrained encoder: larger crops of larger pictures, smaller steps."""
     return UNetSettings(
         network=UNetworkSettings(groups=8, side=320, encoder=encoder),
-        augmentation=Augmentation(crop=224),
-        fit=FitSettings(steps=1000, learning_rate=1e-3),
+        augmentation=Augmentation(crop=224, zoom=(0.6, 1.7), gain=0.35, blur=0.35, blur_px=2.5, veil=0.35),
+        fit=FitSettings(steps=2000, learning_rate=1e-3),
     )
 
 
@@ -46,7 +55,8 @@ def identity(settings: UNetSettings, data: Mapping[str, Any], seed: int, device:
     """What decides the weights, as plain values. data: digests of the data, by what they are for."""
     plain = dataclasses.asdict(settings)
     plain["augmentation"]["zoom"] = list(settings.augmentation.zoom)
-    return {"method": "unet", "settings": plain, "data": dict(data), "seed": seed, "device": device.type}
+    method = kind_of(plain["network"])
+    return {"method": method, "settings": plain, "data": dict(data), "seed": seed, "device": device.type}
 
 
 def new_network(settings: UNetworkSettings, begun: Checkpoint | None = None) -> torch.nn.Module:
@@ -65,15 +75,18 @@ def train(
     seed: int,
     device: torch.device,
     progress: Progress = lambda done, total: None,
-    loading: Any = lambda done, total: None,
+    loading: Progress = lambda done, total: None,
+    measuring: Progress = lambda done, total: None,
 ) -> Checkpoint:
-    """Train on a set, or go on where `path` was left. loading: is told how many images have been read."""
+    """Train on a set, or go on where `path` was left; then measure what came of it (`measure`). loading, measuring: are
+    told how many images have been read, and looked at."""
     if not len(labelled):
         raise LabelError(f"{labelled.name}: expected images to train on, got none")
-    dataset = LabelledDataset(labelled, settings.network.scale, settings.network.side).load(loading)
+    learnt_from, kept = kept_back(labelled) if settings.measured else (labelled, labelled.where(lambda entry: False))
+    dataset = LabelledDataset(learnt_from, settings.network.scale, settings.network.side).load(loading)
     streams = Streams(seed).at("unet")
     mixture = Mixture([dataset], [settings.batch])
-    return fit(
+    checkpoint = fit(
         lambda: new_network(settings.network),
         described(settings.network),
         lambda step: make_batch(mixture, settings.augmentation, streams, step),
@@ -85,3 +98,29 @@ def train(
         initial_seed(streams),
         progress,
     )
+    if settings.measured and not checkpoint.measured:
+        checkpoint.measured = measure(checkpoint, learnt_from, kept, device, measuring)
+        checkpoint.write(path)
+    return checkpoint
+
+
+def measure(
+    checkpoint: Checkpoint,
+    learnt_from: LabelledSet,
+    kept: LabelledSet,
+    device: torch.device,
+    progress: Progress = lambda done, total: None,
+) -> dict[str, Any]:
+    """What a checkpoint says of its network: its calibration on pictures kept back, and what pictures were like that it
+    has learnt from (`learning.novelty`), where it knows."""
+    model = unet_model(checkpoint, device, len(VIEWS))
+    found: dict[str, Any] = {"calibration": dataclasses.asdict(calibrated(kept, model.mean_logits, progress))}
+    if checkpoint.network["encoder"]:
+        taken = evenly([*learnt_from.entries, *kept.entries], MOST_ALIKE)
+        alike = []
+        for k, entry in enumerate(taken, start=1):
+            alike.append(model.alike(entry.read().pixels))
+            progress(k, len(taken))
+        if len(taken) > 1:
+            found["novelty"] = learnt(np.array(alike), [entry.clip for entry in taken]).state()
+    return found

@@ -22,7 +22,7 @@ from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: 
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.loop import FitSettings, pick_device  # noqa: E402
 from oysterbench_baselines.learning.losses import bce_dice  # noqa: E402
-from oysterbench_baselines.learning.samples import LabelledDataset, cores, make_sample  # noqa: E402
+from oysterbench_baselines.learning.samples import LabelledDataset, depths, make_sample  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
 from tests.helpers.labelled_folders import image  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
@@ -60,22 +60,25 @@ def test_an_item_of_the_dataset_is_standardised_and_has_the_truth_at_the_working
         dataset[6]
 
 
-def test_cores_lie_inside_each_oyster_and_do_not_touch_each_other():
+def test_depth_rises_from_the_border_of_each_oyster_to_its_middle_whatever_its_size():
     numbers = np.zeros((40, 60), np.uint16)
     numbers[5:25, 5:25], numbers[5:25, 25:45], numbers[30, 3] = 1, 2, 65535
-    found = cores(numbers)
-    assert not (found & (numbers == 0)).any()
+    found = depths(numbers)
+    assert not found[numbers == 0].any()
     for number in (1, 2, 65535):
-        assert found[numbers == number].any()
-    assert not found[5:25, 22:28].any()
-    assert not found[5:8].any()
+        assert found[numbers == number].max() == 255
+    assert np.array_equal(found[5:25, 5:25], found[5:25, 25:45])
+    across = found[15, 5:16].astype(int)
+    assert (np.diff(across[:8]) > 0).all()
+    assert across[0] == round(255 * 1 / (0.8 * 10))
+    assert (across[8:] == 255).all()
 
 
 def test_an_oyster_that_the_image_cuts_off_has_its_border_there():
     numbers = np.ones((20, 20), np.uint16)
-    found = cores(numbers)
-    assert found[10, 10]
-    assert not found[0].any()
+    found = depths(numbers)
+    assert found[10, 10] == 255
+    assert found[0].max() < 255 / 4
 
 
 def test_pixels_that_are_ignored_are_neither_in_the_loss_nor_learnt_from():
@@ -97,7 +100,20 @@ def test_the_loss_is_that_of_its_formula():
     p = 1 / (1 + np.exp([-2.0, 1.0]))
     entropy = -(np.log(p[0]) + np.log(1 - p[1])) / 2
     dice = (2 * p[0] + 1) / (p.sum() + 1 + 1)
-    assert float(bce_dice(logits, truth, torch.ones(1, 1, 1, 2))) == pytest.approx(entropy + 1 - dice, rel=1e-5)
+    wanted = entropy + 0.5 * (1 - dice)
+    assert float(bce_dice(logits, truth, torch.ones(1, 1, 1, 2))) == pytest.approx(wanted, rel=1e-5)
+
+
+def test_depth_is_learnt_as_a_share_by_cross_entropy_alone():
+    """Of a plane that is 0.3 everywhere, 0.3 everywhere is the least loss, which Dice would draw towards 0 or 1."""
+    truth = torch.full((1, 2, 4, 4), 0.3)
+    depth = torch.zeros(1, 1, 4, 4, requires_grad=True)
+    oyster = torch.zeros(1, 1, 4, 4)
+    for _ in range(200):
+        loss = bce_dice(torch.cat([oyster, depth], dim=1), truth, torch.ones(1, 1, 4, 4))
+        (slope,) = torch.autograd.grad(loss, depth)
+        depth = (depth - 50 * slope).detach().requires_grad_()
+    assert torch.allclose(torch.sigmoid(depth), torch.full_like(depth, 0.3), atol=1e-3)
 
 
 # Augmentation

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 
@@ -18,8 +19,9 @@ from oysterbench_baselines.learning import masks  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.efficientnet import weights_file  # noqa: E402
 from oysterbench_baselines.learning.masks import enlarged  # noqa: E402
-from oysterbench_baselines.unet import UNet, UNetInstances, network  # noqa: E402
-from oysterbench_baselines.unet.instances import find_instances  # noqa: E402
+from oysterbench_baselines.unet import UNet, UNetSmall, UNetSmallInstances, network  # noqa: E402
+from oysterbench_baselines.unet.calibration import Calibration, kept_back, measured  # noqa: E402
+from oysterbench_baselines.unet.instances import Division, find_instances, moved  # noqa: E402
 from oysterbench_baselines.unet.model import read_unet  # noqa: E402
 from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings, build_network  # noqa: E402
 from oysterbench_baselines.unet.training import new_network, train  # noqa: E402
@@ -39,7 +41,7 @@ def checkpoint(tmp_path_factory):
 
 def test_it_learns_what_it_is_shown_and_finds_it_in_pictures_it_has_not_seen(checkpoint):
     pictures = [image(k, height=64, width=80) for k in range(100, 106)]
-    method = UNet(str(checkpoint), "cpu")
+    method = UNetSmall(str(checkpoint), "cpu")
     both = either = 0
     for one, predicted in zip(pictures, method.run(Picture(p.name, p.pixels) for p in pictures), strict=True):
         assert predicted.name == one.name
@@ -51,7 +53,7 @@ def test_it_learns_what_it_is_shown_and_finds_it_in_pictures_it_has_not_seen(che
 
 def test_oysters_one_by_one_have_scores_and_lie_apart(checkpoint):
     one = image(101, height=64, width=80)
-    (predicted,) = UNetInstances(str(checkpoint), "cpu").run([Picture("a", one.pixels)])
+    (predicted,) = UNetSmallInstances(str(checkpoint), "cpu").run([Picture("a", one.pixels)])
     assert predicted.numbers.max() == len(predicted.scores) > 0
     assert ((predicted.scores > 0.5) & (predicted.scores <= 1)).all()
 
@@ -141,12 +143,21 @@ def discs(*places: tuple[int, int, int]) -> np.ndarray:
     return found.astype(np.float32)
 
 
-def test_oysters_that_touch_are_told_apart_by_their_cores_and_share_no_pixel():
-    oyster = discs((20, 30, 12), (42, 30, 12), (68, 10, 6))
-    core = discs((20, 30, 5), (42, 30, 5))
-    found = find_instances(oyster, core)
-    assert len(found.scores) == 3  # the third has no core, and is one all the same
-    assert found.scores == pytest.approx([0.9] * 3)
+def hills(*places: tuple[int, int, int]) -> np.ndarray:
+    """Depth (60, 80) of cones: 1 in the middle, 0 at the border."""
+    y, x = np.mgrid[:60, :80]
+    found = np.zeros((60, 80))
+    for cx, cy, radius in places:
+        found = np.maximum(found, 1 - np.hypot(x - cx, y - cy) / radius)
+    return found.astype(np.float32)
+
+
+def test_oysters_that_touch_are_told_apart_along_the_valley_between_them_and_share_no_pixel():
+    places = (20, 30, 12), (42, 30, 12)
+    oyster = discs(*places)
+    found = find_instances(oyster, hills(*places))
+    assert len(found.scores) == 2
+    assert found.scores == pytest.approx([0.9] * 2, abs=0.1)
     assert np.array_equal(found.labels > 0, oyster > 0.5)
     left, right = found.labels[30, 20], found.labels[30, 42]
     assert left != right
@@ -154,17 +165,100 @@ def test_oysters_that_touch_are_told_apart_by_their_cores_and_share_no_pixel():
     assert (found.labels[:, 33:55][oyster[:, 33:55] > 0] == right).all()
 
 
-def test_a_core_claims_nothing_across_a_gap():
+def test_a_hill_that_hardly_stands_out_is_no_oyster_of_its_own():
+    oyster = discs((20, 30, 12), (34, 30, 12))
+    saddle = np.maximum(hills((20, 30, 12), (34, 30, 12)), 0.97 * discs((27, 30, 9)) / 0.9)
+    assert len(find_instances(oyster, saddle).scores) == 1
+
+
+def test_a_piece_without_a_hill_is_an_oyster_that_is_not_counted_and_gets_nothing_across_a_gap():
     oyster = discs((10, 30, 6), (40, 30, 6))
-    found = find_instances(oyster, discs((10, 30, 3)))
+    found = find_instances(oyster, hills((10, 30, 6)))
     assert found.labels[30, 10] != found.labels[30, 40]
-    assert len(found.scores) == 2
+    assert (found.scores > 0.5).tolist() == [True, False]
 
 
 def test_specks_are_no_oysters_and_nothing_gives_nothing():
-    assert len(find_instances(discs((20, 30, 2)), discs()).scores) == 0
+    assert len(find_instances(discs((20, 30, 2)), discs(), Division(area=400)).scores) == 0
     empty = find_instances(discs(), discs())
     assert not empty.labels.any()
+
+
+def test_a_large_picture_is_divided_as_a_small_one_and_its_masks_are_of_its_own_size():
+    places = (20, 30, 12), (42, 30, 12)
+    oyster, depth = (cv2.resize(plane, (1600, 1200)) for plane in (discs(*places), hills(*places)))
+    found = find_instances(oyster, depth)
+    assert len(found.scores) == 2
+    assert np.array_equal(found.labels > 0, oyster > 0.5)
+
+
+def test_scores_are_moved_so_that_a_half_is_where_as_many_are_counted_as_there_are():
+    assert moved(np.array([0.0, 0.3, 1.0]), 0.3) == pytest.approx([0, 0.5, 1])
+    scores = np.linspace(0.01, 0.99, 50)
+    assert (np.diff(moved(scores, 0.2)) > 0).all()
+    assert moved(scores, 0.5) == pytest.approx(scores)
+
+
+# What is measured at the end of a training
+
+
+def test_one_picture_in_ten_of_a_clip_its_last_is_kept_back_and_none_where_there_are_few(tmp_path):
+    labelled = small_set(tmp_path / "set", {"long": ("", 23), "short": ("", 4)})
+    learnt_from, kept = kept_back(labelled)
+    assert [entry.name for entry in kept.entries] == ["long-21", "long-22"]
+    assert len(learnt_from) == 25
+    few = small_set(tmp_path / "few", {"short": ("", 4)})
+    assert [len(part) for part in kept_back(few)] == [4, 0]
+
+
+def test_the_cut_is_where_iou_is_greatest_and_becomes_a_probability_of_a_half(tmp_path):
+    labelled = small_set(tmp_path / "set", {"one": ("", 6)})
+    truths = [entry.read() for entry in labelled.entries]
+    rng = np.random.default_rng(0)
+    said = [np.where(one.oysters, 2.0, 0.0) + rng.normal(0, 1.0, one.oysters.shape) for one in truths]
+
+    def look(pixels):
+        k = next(k for k, one in enumerate(truths) if np.array_equal(one.pixels, pixels))
+        return np.stack([said[k], 4.0 * truths[k].oysters - 2.0]).astype(np.float32)
+
+    def iou(cut):
+        found = [(logits > cut, one.oysters) for logits, one in zip(said, truths, strict=True)]
+        return sum((a & b).sum() for a, b in found) / sum((a | b).sum() for a, b in found)
+
+    found = measured(labelled, look)
+    assert found.cut > 0.5
+    assert iou(found.cut) > max(iou(found.cut - 0.5), iou(found.cut + 0.5))
+    assert iou(found.cut) > iou(0) + 0.05
+    logits = np.array([found.cut - 1, found.cut, found.cut + 1], dtype=np.float32)
+    assert np.sign(found.applied(logits)).tolist() == [-1, 0, 1]
+
+
+def test_where_nothing_was_kept_back_nothing_is_changed(tmp_path):
+    nothing = small_set(tmp_path / "set", {"one": ("", 2)}).where(lambda entry: False)
+    assert measured(nothing, lambda pixels: np.zeros((2, *pixels.shape[:2]), np.float32)) == Calibration()
+
+
+def test_what_was_measured_is_in_the_checkpoint_and_measured_once(checkpoint):
+    known = read_checkpoint(checkpoint)
+    assert set(known.measured) == {"calibration"}, "a small network knows nothing of what pictures are like"
+    assert read_unet(checkpoint).calibration == Calibration(**known.measured["calibration"])
+    assert read_unet(checkpoint).novelty_of(image(3).pixels) is None
+
+
+def test_more_views_are_their_mean(checkpoint):
+    pixels = image(5, height=64, width=80).pixels
+    one, two = (read_unet(checkpoint, views=n) for n in (1, 2))
+    mirrored = one.mean_logits(np.ascontiguousarray(pixels[:, ::-1]))[..., ::-1]
+    assert np.allclose(two.mean_logits(pixels), (one.mean_logits(pixels) + mirrored) / 2, atol=1e-5)
+    with pytest.raises(MethodError, match="unet: views: expected 1 to 4, got 5"):
+        UNet(views=5)
+
+
+def test_weights_of_the_other_training_are_refused(checkpoint):
+    with pytest.raises(
+        MethodError, match="expected weights of `oysterbench train unet`, got some of `oysterbench train"
+    ):
+        list(UNet(str(checkpoint), "cpu").run([Picture("a", image(1).pixels)]))
 
 
 # What a user sees
@@ -180,7 +274,7 @@ def test_without_a_training_one_line_says_how_to_make_one(home):
 
 
 def test_the_checkpoint_is_an_option_of_the_method(checkpoint):
-    method = find_method(f"unet[checkpoint={checkpoint},device=cpu]")
+    method = find_method(f"unet_small[checkpoint={checkpoint},device=cpu]")
     (predicted,) = method.run([Picture("a", image(1).pixels)])
     assert predicted.probability.shape == (48, 64)
 

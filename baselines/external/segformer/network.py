@@ -15,8 +15,8 @@ from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import read_checkpoint
 from oysterbench_baselines.learning.masks import MaskModel
 
-OUTPUTS = ("oyster", "core")
-"""What the channels of the prediction are logits of."""
+OUTPUTS = ("oyster", "depth")
+"""What the channels of the prediction are logits of; depth: into an oyster, see `learning.samples.depths`."""
 
 MULTIPLE = 32
 """Of pixels, that width and height of what the network is given must be: its coarsest level has one in so many."""

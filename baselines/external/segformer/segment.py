@@ -24,11 +24,11 @@ from oysterbench_baselines.external.segformer.network import read_model
 from oysterbench_baselines.learning.loop import pick_device
 from oysterbench_baselines.learning.masks import MaskModel, probability
 from oysterbench_baselines.learning.samples import Floats
-from oysterbench_baselines.unet.instances import find_instances
+from oysterbench_baselines.unet.instances import SIDE, Division, find_instances
 
 
 def predictions(model: MaskModel, folder: Path, flips: bool) -> Iterator[tuple[str, Floats]]:
-    """Name and probabilities (2, H, W) of oyster and core of each picture; flips: the mean with its mirror image's."""
+    """Name and probabilities (2, H, W) of oyster and depth of each picture; flips: the mean with its mirror image's."""
     names = listed(folder)
     for k, name in enumerate(names, start=1):
         pixels = read_picture(folder, name)
@@ -38,6 +38,11 @@ def predictions(model: MaskModel, folder: Path, flips: bool) -> Iterator[tuple[s
         yield name, probability(logits)
         if k * 10 // len(names) > (k - 1) * 10 // len(names):
             print(f"progress {k} of {len(names)}", flush=True)
+
+
+def division(oyster: Floats, least_area: float) -> Division:
+    """How oysters of a picture (H, W) are told apart; least_area: px of it, of the smallest."""
+    return Division(area=least_area * (SIDE / max(oyster.shape)) ** 2)
 
 
 def write_probability(path: Path, values: NDArray[Any]) -> None:
@@ -68,7 +73,7 @@ def main(task: str, weights: str, folder: str, out: str) -> None:
         coming = predictions(model, Path(folder), asked["flips"])
         if asked["instances"]:
             least = asked["least_area"]
-            divided = ((name, find_instances(oyster, core, least)) for name, (oyster, core) in coming)
+            divided = ((name, find_instances(both[0], both[1], division(both[0], least))) for name, both in coming)
             scores = ((name, one.labels, dict(enumerate(one.scores.tolist(), start=1))) for name, one in divided)
             found = document(from_planes(name, labels, scores=known) for name, labels, known in scores)
             Path(out).write_text(json.dumps(found), encoding="utf-8")

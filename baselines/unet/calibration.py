@@ -1,0 +1,136 @@
+"""What the outputs of a trained network mean, as measured on pictures that it has not learnt from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.annotations import Entry, LabelledImage, LabelledSet
+from oysterbench_baselines.learning.masks import probability
+from oysterbench_baselines.learning.samples import Floats
+from oysterbench_baselines.unet.instances import LARGEST, Division, find_instances
+
+SHARE = 10
+"""One in so many pictures of a clip, its last ones, are kept back; of clips that are shorter, one in so many clips."""
+MOST = 80
+"""Pictures that are measured on at most, evenly taken."""
+TEMPERATURES = np.geomspace(0.4, 4.0, 37)
+CUTS = np.linspace(-3.0, 3.0, 61)
+"""Logits at which the mask may be cut."""
+PIXELS = 4000
+"""Of a picture, evenly taken, by which temperature and cut are found."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """temperature: by which logits are divided, so that cross-entropy is least (Guo et al. 2017); cut: the logit at
+    which IoU over all pixels is greatest, which becomes a probability of 0.5; sure: the score of an oyster from which
+    on as many are counted as there are (`instances.Division`)."""
+
+    temperature: float = 1.0
+    cut: float = 0.0
+    sure: float = 0.5
+
+    def applied(self, logits: Floats) -> Floats:
+        """Of oyster, so that 0 is the cut."""
+        return np.asarray((logits - np.float32(self.cut)) / np.float32(self.temperature), dtype=np.float32)
+
+    @property
+    def division(self) -> Division:
+        """How oysters are told apart by it."""
+        return Division(sure=self.sure)
+
+
+def kept_back(labelled: LabelledSet) -> tuple[LabelledSet, LabelledSet]:
+    """The pictures to learn from, and those to measure on, of which there are none where there are too few."""
+    by_clip: dict[str, list[Entry]] = {}
+    for entry in labelled.entries:
+        by_clip.setdefault(entry.clip, []).append(entry)
+    kept: set[str] = set()
+    short = 0
+    for entries in by_clip.values():
+        if len(entries) >= SHARE:
+            kept |= {entry.name for entry in entries[len(entries) - len(entries) // SHARE :]}
+        else:
+            short += 1
+            if short % SHARE == 0:
+                kept |= {entry.name for entry in entries}
+    return labelled.where(lambda entry: entry.name not in kept), labelled.where(lambda entry: entry.name in kept)
+
+
+def measured(
+    labelled: LabelledSet,
+    look: Callable[[NDArray[np.uint8]], Floats],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Calibration:
+    """Of a network whose logits (2, H, W) `look` gives of a picture (H, W, 3) uint8 RGB. That which changes nothing,
+    where no picture shows an oyster."""
+    taken = evenly(labelled.entries, MOST)
+    seen = []
+    for k, entry in enumerate(taken, start=1):
+        image = entry.read()
+        seen.append(Seen.of(image, look(image.pixels)))
+        progress(k, len(taken))
+    if not any(one.numbers.any() for one in seen):
+        return Calibration()
+    logits, truth = (np.concatenate(parts) for parts in zip(*(one.some() for one in seen), strict=True))
+    cut = float(CUTS[np.argmax([_iou(logits > cut, truth) for cut in CUTS])])
+    heat = float(TEMPERATURES[np.argmin([_entropy(logits / value, truth) for value in TEMPERATURES])])
+    found = Calibration(round(heat, 3), round(cut, 3))
+    return replace(found, sure=_sure(seen, found))
+
+
+def evenly(entries: Sequence[Entry], most: int) -> list[Entry]:
+    """So many of them at most, of the whole length."""
+    count = min(most, len(entries))
+    return [entries[k * len(entries) // count] for k in range(count)]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A picture that was looked at, every n-th pixel of a large one: numbers (h, w) of its oysters, 0 for none, known
+    (h, w), where the truth may be used, logits (2, h, w)."""
+
+    numbers: NDArray[np.uint16]
+    known: NDArray[np.bool_]
+    logits: NDArray[np.float16]
+
+    @classmethod
+    def of(cls, image: LabelledImage, logits: Floats) -> Seen:
+        """A labelled image and what was said of it."""
+        step = -(-max(image.ignore.shape) // LARGEST)
+        grid = (slice(None, None, step), slice(None, None, step))
+        numbers = np.where(image.oysters, np.maximum(image.instances, 1), 0).astype(np.uint16)
+        return cls(numbers[grid].copy(), ~image.ignore[grid], logits[(slice(None), *grid)].astype(np.float16))
+
+    def some(self) -> tuple[Floats, NDArray[np.bool_]]:
+        """Logits of oyster and truth (N,) of some known pixels."""
+        known = np.flatnonzero(self.known)
+        places = known[:: max(1, len(known) // PIXELS)]
+        return self.logits[0].ravel()[places].astype(np.float32), self.numbers.ravel()[places] > 0
+
+
+def _iou(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+    return float((found & truth).sum() / max(1, (found | truth).sum()))
+
+
+def _entropy(logits: Floats, truth: NDArray[np.bool_]) -> float:
+    return float(np.logaddexp(0, np.where(truth, -logits, logits)).mean())
+
+
+def _sure(seen: Sequence[Seen], calibration: Calibration) -> float:
+    """The score of the N-th oyster, of N true ones in all pictures."""
+    scores, count = [], 0
+    for one in seen:
+        oyster, depth = one.logits.astype(np.float32)
+        found = find_instances(probability(calibration.applied(oyster)), probability(depth))
+        known = np.bincount(found.labels.ravel(), weights=one.known.ravel(), minlength=len(found.scores) + 1)
+        areas = np.bincount(found.labels.ravel(), minlength=len(found.scores) + 1)
+        scores += found.scores[(known > 0.5 * areas)[1:]].tolist()
+        count += len(np.unique(one.numbers[(one.numbers > 0) & one.known]))
+    if count == 0 or not scores:
+        return 0.5
+    return float(np.clip(sorted(scores, reverse=True)[min(count, len(scores)) - 1], 0.01, 0.99))
