@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from oysterbench_baselines.learning.checkpoint import Checkpoint
     from oysterbench_baselines.unet.training import UNetSettings
 
+begin_option = click.option(
+    "--begin",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="Weights of another training of the method, to go on from, such as one on rendered pictures.",
+)
 side_option = click.option(
     "--side", help="Only images of this split of the data, as its manifest.csv names it, such as train."
 )
@@ -29,11 +34,13 @@ side_option = click.option(
     show_default=True,
     help="EfficientNet-Lite that has learnt on ImageNet; each costs a third more than the one before.",
 )
+@begin_option
 @side_option
 @device_option("auto")
 def command(
     names: tuple[str, ...],
     encoder: str,
+    begin: Path | None,
     side: str | None,
     out: Path | None,
     seed: int,
@@ -48,7 +55,8 @@ def command(
     Examples:
       oysterbench train unet --data seg-train
       oysterbench train unet --data seg-train --data my-masks --out mine.pt
-      oysterbench train unet --data real-oysters --side train --steps 500
+      oysterbench train unet --data seg-closeup --data seg-reefview --steps 400 --out rendered.pt
+      oysterbench train unet --data my-masks --begin rendered.pt --steps 200 --out mine.pt
 
     Data is a split, which is rendered where it is not there yet; a sequence file or a folder of them; or a folder with
     images/ and masks/ (PNG), labels/ (YOLO polygons) or one COCO file. The last tenth of each clip is kept back, to
@@ -57,15 +65,17 @@ def command(
     """
     from oysterbench_baselines.unet.training import pretrained_settings
 
-    _train("unet", pretrained_settings(encoder), names, side, out, seed, steps, threads, device, again)
+    _train("unet", pretrained_settings(encoder), names, side, begin, out, seed, steps, threads, device, again)
 
 
 @click.command("unet_small", short_help="The same by a small network that begins with random weights.")
 @training_options
+@begin_option
 @side_option
 @device_option("auto")
 def small_command(
     names: tuple[str, ...],
+    begin: Path | None,
     side: str | None,
     out: Path | None,
     seed: int,
@@ -86,7 +96,7 @@ def small_command(
     """
     from oysterbench_baselines.unet.training import UNetSettings
 
-    _train("unet_small", UNetSettings(), names, side, out, seed, steps, threads, device, again)
+    _train("unet_small", UNetSettings(), names, side, begin, out, seed, steps, threads, device, again)
 
 
 def _train(
@@ -94,6 +104,7 @@ def _train(
     settings: UNetSettings,
     names: tuple[str, ...],
     side: str | None,
+    begin: Path | None,
     out: Path | None,
     seed: int,
     steps: int,
@@ -104,13 +115,20 @@ def _train(
     """Train one of the networks on data as a command is given it, with a bar for each part of it."""
     from oysterbench.cli.labelled import open_all
     from oysterbench.cli.render import frames_bar
+    from oysterbench_baselines.learning.checkpoint import read_checkpoint
+    from oysterbench_baselines.unet.model import check_kind
+    from oysterbench_baselines.unet.training import begun_settings
     from oysterbench_baselines.unet.training import train as trained
 
     labelled = open_all(names, side)
+    begun = None if begin is None else read_checkpoint(begin)
+    if begun is not None:
+        check_kind(begun, name, begin)
+        settings = begun_settings(settings, begun)
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
 
     def train(*arguments: Any) -> Checkpoint:
         with frames_bar("measuring", "images") as measuring:
-            return partial(trained, measuring=measuring)(*arguments)
+            return partial(trained, measuring=measuring, begun=begun)(*arguments)
 
     run_training(name, labelled, settings, train, out or checkpoint_path(name), seed, device, again)

@@ -88,11 +88,18 @@ def read_unet(path: Path, device: torch.device | None = None, views: int = 1, ki
     """From a file; kind: the training that it is to be of (`network.kind_of`), where that matters."""
     checkpoint = read_checkpoint(path)
     model = unet_model(checkpoint, device, views)
-    if kind and kind != (found := kind_of(checkpoint.network)):
+    if kind:
+        check_kind(checkpoint, kind, path)
+    return model
+
+
+def check_kind(checkpoint: Checkpoint, kind: str, path: Path | None) -> None:
+    """Raises MethodError where a checkpoint is not of the trainings of a kind (`network.kind_of`)."""
+    found = kind_of(checkpoint.network) if checkpoint.network.get("kind") == "unet" else checkpoint.network.get("kind")
+    if kind != found:
         raise MethodError(
             f"{path}: expected weights of `oysterbench train {kind}`, got some of `oysterbench train {found}`"
         )
-    return model
 
 
 def described(settings: UNetworkSettings) -> dict[str, Any]:

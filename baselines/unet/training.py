@@ -51,12 +51,32 @@ def pretrained_settings(encoder: str) -> UNetSettings:
     )
 
 
-def identity(settings: UNetSettings, data: Mapping[str, Any], seed: int, device: torch.device) -> dict[str, Any]:
-    """What decides the weights, as plain values. data: digests of the data, by what they are for."""
+BEGUN_RATE, BEGUN_WARM_UP = 6e-4, 10
+"""Learning rate and its warm-up, steps, of a training that goes on from the weights of another: smaller steps, so that what
+was learnt there is not lost in the first of them."""
+
+
+def begun_settings(settings: UNetSettings, begun: Checkpoint) -> UNetSettings:
+    """Those of a training that begins with the weights of another, whose network it has."""
+    network = UNetworkSettings(**{key: value for key, value in begun.network.items() if key != "kind"})
+    fit = dataclasses.replace(settings.fit, learning_rate=BEGUN_RATE, warm_up=BEGUN_WARM_UP)
+    return dataclasses.replace(settings, network=network, fit=fit)
+
+
+def identity(
+    settings: UNetSettings,
+    data: Mapping[str, Any],
+    seed: int,
+    device: torch.device,
+    begun: Checkpoint | None = None,
+) -> dict[str, Any]:
+    """What decides the weights, as plain values. data: digests of the data, by what they are for; begun: what it goes on
+    from."""
     plain = dataclasses.asdict(settings)
     plain["augmentation"]["zoom"] = list(settings.augmentation.zoom)
     method = kind_of(plain["network"])
-    return {"method": method, "settings": plain, "data": dict(data), "seed": seed, "device": device.type}
+    found = {"method": method, "settings": plain, "data": dict(data), "seed": seed, "device": device.type}
+    return found if begun is None else {**found, "begun": {**begun.identity, "steps": begun.step}}
 
 
 def new_network(settings: UNetworkSettings, begun: Checkpoint | None = None) -> torch.nn.Module:
@@ -77,9 +97,10 @@ def train(
     progress: Progress = lambda done, total: None,
     loading: Progress = lambda done, total: None,
     measuring: Progress = lambda done, total: None,
+    begun: Checkpoint | None = None,
 ) -> Checkpoint:
     """Train on a set, or go on where `path` was left; then measure what came of it (`measure`). loading, measuring: are
-    told how many images have been read, and looked at."""
+    told how many images have been read, and looked at. begun: the training that it goes on from, of the same network."""
     if not len(labelled):
         raise LabelError(f"{labelled.name}: expected images to train on, got none")
     learnt_from, kept = kept_back(labelled) if settings.measured else (labelled, labelled.where(lambda entry: False))
@@ -87,12 +108,12 @@ def train(
     streams = Streams(seed).at("unet")
     mixture = Mixture([dataset], [settings.batch])
     checkpoint = fit(
-        lambda: new_network(settings.network),
+        lambda: new_network(settings.network, begun),
         described(settings.network),
         lambda step: make_batch(mixture, settings.augmentation, streams, step),
         mask_loss,
         settings.fit,
-        identity(settings, {labelled.name: labelled.digest()}, seed, device),
+        identity(settings, {labelled.name: labelled.digest()}, seed, device, begun),
         path,
         device,
         initial_seed(streams),

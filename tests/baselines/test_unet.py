@@ -293,3 +293,36 @@ def test_the_command_trains_and_says_where_the_checkpoint_is(home, tmp_path):
     assert "training unet on 2 images: 1 of 1 steps" in result.stderr
     train_side = open_labelled(tmp_path / "set").of_split("train")
     assert read_checkpoint(path).identity["data"] == {"set train": train_side.digest()}
+
+
+def test_a_training_goes_on_from_another_with_smaller_steps_and_says_so(tmp_path, checkpoint):
+    from click.testing import CliRunner
+
+    from oysterbench.cli.main import main
+
+    small_set(tmp_path / "set", {"one": ("train", 2)})
+    words = [
+        "train",
+        "unet_small",
+        "--data",
+        str(tmp_path / "set"),
+        "--steps",
+        "1",
+        "--threads",
+        "1",
+        "--device",
+        "cpu",
+    ]
+    out = ["--out", str(tmp_path / "mine.pt")]
+    result = CliRunner().invoke(main, [*words, *out, "--begin", str(checkpoint)], catch_exceptions=False)
+    assert result.exit_code == 0, result.stderr
+    first, mine = read_checkpoint(checkpoint), read_checkpoint(tmp_path / "mine.pt")
+    assert mine.network == first.network, "the network is that of the training it goes on from"
+    assert mine.identity["begun"]["data"] == first.identity["data"]
+    moved_by = max(float((mine.weights[key] - value).abs().max()) for key, value in first.weights.items())
+    assert 0 < moved_by < 1e-3
+    other = CliRunner().invoke(main, ["train", "unet", *words[2:], "--begin", str(checkpoint)])
+    assert other.exit_code != 0
+    assert "expected weights of `oysterbench train unet`, got some of `oysterbench train unet_small`" in str(
+        other.exception or other.output
+    )
