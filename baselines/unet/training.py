@@ -52,8 +52,8 @@ def pretrained_settings(encoder: str) -> UNetSettings:
 
 
 BEGUN_RATE, BEGUN_WARM_UP = 6e-4, 10
-"""Learning rate and its warm-up, steps, of a training that goes on from the weights of another: smaller steps, so that what
-was learnt there is not lost in the first of them."""
+"""Learning rate and steps of its warm-up, where a training goes on from the weights of another: smaller, so that what
+was learnt there is not lost in the first steps."""
 
 
 def begun_settings(settings: UNetSettings, begun: Checkpoint) -> UNetSettings:
@@ -70,8 +70,8 @@ def identity(
     device: torch.device,
     begun: Checkpoint | None = None,
 ) -> dict[str, Any]:
-    """What decides the weights, as plain values. data: digests of the data, by what they are for; begun: what it goes on
-    from."""
+    """What decides the weights, as plain values. data: digests of the data, by what they are for; begun: what it goes
+    on from."""
     plain = dataclasses.asdict(settings)
     plain["augmentation"]["zoom"] = list(settings.augmentation.zoom)
     method = kind_of(plain["network"])
@@ -100,7 +100,8 @@ def train(
     begun: Checkpoint | None = None,
 ) -> Checkpoint:
     """Train on a set, or go on where `path` was left; then measure what came of it (`measure`). loading, measuring: are
-    told how many images have been read, and looked at. begun: the training that it goes on from, of the same network."""
+    told how many images have been read, and looked at. begun: the training that it goes on from, of the same
+    network."""
     if not len(labelled):
         raise LabelError(f"{labelled.name}: expected images to train on, got none")
     learnt_from, kept = kept_back(labelled) if settings.measured else (labelled, labelled.where(lambda entry: False))
