@@ -50,7 +50,7 @@ class ReefRecipe:
     turf: float = number(0, 1, 0.0)  # share of what faces up that a fur of short algae covers, on shells
     fouling: float = number(0, 1, 0.0)  # how much of shells' outsides barnacles, worms' tubes and spat have settled on
     grit: float = number(0, 1, 0.0)  # white specks of shell on everything: at 1 about 2400 on a square metre
-    burrows: float = number(0, 1, 0.0)  # mouths of worms' and shrimps' burrows: at 1 about 1500 on a square metre
+    burrows: float = number(0, 1, 0.0)  # mouths of worms' and shrimps' burrows: at 1 about 2400 on a square metre
     algae_per_m2: float = number(0, 500, 0.0)  # bunches of filamentous algae, green and brown, on shells and stones
     litter_per_m2: float = number(0, 200, 0.0)  # dead blades of eelgrass, stalks and threads that lie on everything
 

@@ -151,8 +151,10 @@ def seabed(p: wp.vec3, normal: wp.vec3, ground: Ground, footprint: float, seed: 
         fluff = ground.silt * (1.0 + 0.35 * grain + 0.08 * patches)
         albedo = albedo + (fluff - albedo) * ground.drape
     if ground.burrows > 0.0:
-        hole = mouth(p[0], p[1], ground.burrows * (1.0 + 0.6 * patches), footprint, seed)
-        albedo = albedo * (1.0 - DARK * hole)
+        burrow = mouth(p[0], p[1], ground.burrows, footprint, seed)
+        albedo = albedo * (1.0 - DARK * burrow[0])
+        slope_x += 0.6 * burrow[1]
+        slope_y += 0.6 * burrow[2]
     if ground.grit > 0.0:
         white = speck(p[0], p[1], ground.grit, footprint, seed)
         albedo = albedo + (SPECK * white[1] - albedo) * white[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from oysterbench.render.arithmetic import clamped, greater
-from oysterbench.render.noise import fleck, kept, lattice, noise3, step_smoothly, unit
+from oysterbench.render.noise import fleck, kept, lattice, noise2, noise3, step_smoothly, unit
 
 SMOOTHED = wp.constant(0.90)  # share of a surface's own relief and mottles that a whole drape hides
 FLUFF = wp.constant(0.45)  # share of the grain of settled sediment that a whole drape hides
@@ -20,7 +20,7 @@ TUBE_M, TUBE_BEND_M = wp.constant(0.0009), wp.constant(0.016)  # radius of a wor
 SPAT = wp.constant(wp.vec3(0.300, 0.275, 0.225))
 SPECK_CELL_M = wp.constant(0.005)
 SPECK_DENSITY = wp.constant(0.06)  # of its cells that hold a speck where there is all the grit that there can be
-MOUTH_CELL_M, MOUTH_DENSITY = wp.constant(0.022), wp.constant(0.75)
+MOUTH_CELL_M, MOUTHS_M = wp.constant(0.012), wp.constant(0.09)  # of a burrow, and the wavelength of their clusters
 DARK = wp.constant(0.70)  # share of the light that a burrow's mouth swallows
 SPECK = wp.constant(wp.vec3(0.80, 0.79, 0.74))
 
@@ -116,5 +116,9 @@ def speck(x: float, y: float, grit: float, footprint: float, seed: wp.uint32):
 
 @wp.func
 def mouth(x: float, y: float, burrows: float, footprint: float, seed: wp.uint32):
-    """Mouths of burrows at x, y, m: their share of a pixel."""
-    return fleck(x, y, MOUTH_CELL_M, MOUTH_DENSITY * burrows, footprint, seed + wp.uint32(81))[0]
+    """Mouths of burrows in low mounds, in clusters, at x, y, m: (darkness, slopes in x and y of the mounds)."""
+    mound = barnacle(x, y, MOUTH_CELL_M, footprint, seed + wp.uint32(81))
+    cluster = noise2(x / MOUTHS_M, y / MOUTHS_M, seed + wp.uint32(82))
+    there = step_smoothly(0.8 - 1.9 * burrows, 1.0 - 1.9 * burrows, cluster[0]) * kept(0.006, footprint)
+    rim = mound[0] * (1.0 - mound[3]) * there
+    return wp.vec3((0.15 * mound[0] + 0.85 * mound[3]) * there, mound[1] * rim, mound[2] * rim)
