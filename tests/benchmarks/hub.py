@@ -30,8 +30,9 @@ import numpy as np
 
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.index import Index
-from oysterbench.hub.manifest import PIECE, FileEntry
+from oysterbench.hub.manifest import FileEntry
 from oysterbench.hub.part import Part
+from oysterbench.hub.pieces import PIECE
 from oysterbench.hub.sign import load_key, make_key
 from oysterbench.hub.sources import Patience, open_source
 from oysterbench.hub.transfer import Mirror, Transfer

@@ -64,7 +64,7 @@ def test_an_endless_layer_is_the_even_water_of_that_turbidity(kind: str, dayligh
 def test_transmittance_through_puffs_is_the_numerical_integral() -> None:
     places = [(0.8, 0.1, -2.6), (1.2, -0.1, -2.4), (0.5, 0.3, -2.9)]
     renderer = silty(*places, spread=0.2)
-    renderer.layers(DOWN, ["depth"])
+    renderer.layers(DOWN, ["radiance"])
     field = renderer._optics.turbidity
     along = field.along.numpy()
     puffs = puffs_at(*places, spread=0.2).at(0.0)
@@ -177,7 +177,7 @@ def test_detail_is_lost_in_silt_and_not_only_light() -> None:
 def test_a_layer_thickens_towards_the_bottom() -> None:
     recipe = small_reef(FLAT, {"layer": LayerRecipe(factor=3.0, thickness_m=0.4)})
     renderer = renderer_of(recipe)
-    renderer.layers(pose(0.0, 0.0, -1.0, 0, 90), ["depth"])
+    renderer.layers(pose(0.0, 0.0, -1.0, 0, 90), ["radiance"])
     field = renderer._optics.turbidity
     along = field.along.numpy()
     ray = along[along.shape[0] // 2, along.shape[1] // 2]
@@ -191,9 +191,9 @@ def test_patches_are_even_on_average_and_drift() -> None:
     recipe = small_reef(FLAT, {"patches": PatchesRecipe(contrast=0.6, size_m=0.5)})
     recipe = dataclasses.replace(recipe, site=dataclasses.replace(recipe.site, current_m_s=0.25))
     renderer = renderer_of(recipe)
-    renderer.layers(pose(0.0, 0.0, -1.5, 0, 60), ["depth"], time_s=0.0)
+    renderer.layers(pose(0.0, 0.0, -1.5, 0, 60), ["radiance"], time_s=0.0)
     before = renderer._optics.turbidity.along.numpy()[..., 20, 0]
-    renderer.layers(pose(1.0, 0.0, -1.5, 0, 60), ["depth"], time_s=4.0)
+    renderer.layers(pose(1.0, 0.0, -1.5, 0, 60), ["radiance"], time_s=4.0)
     after = renderer._optics.turbidity.along.numpy()[..., 20, 0]
     assert after == pytest.approx(before, abs=2e-3), "seen from a camera that drifts along"
     assert before.std() > 0.02
