@@ -103,6 +103,7 @@ class EfficientNetLite(nn.Module):
 
     def __init__(self, name: str = "lite0") -> None:
         super().__init__()
+        self.name = name
         variant = VARIANTS[name]
         self.stem = nn.Sequential(SameConvolution(3, STEM, 3, 2), _normalised(STEM), nn.ReLU6())
         self.stages = nn.ModuleList()

@@ -61,7 +61,7 @@ def command(
     Data is a split, which is rendered where it is not there yet; a sequence file or a folder of them; or a folder with
     images/ and masks/ (PNG), labels/ (YOLO polygons) or one COCO file. The last tenth of each clip is kept back, to
     measure on it where to cut. May be interrupted, even killed: the same command goes on from the last checkpoint, to
-    the same weights. 2000 steps take some 30 minutes of one core.
+    the same weights. 2000 steps take some 45 minutes of one core.
     """
     from oysterbench_baselines.unet.training import pretrained_settings
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,19 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.checkpoint import Checkpoint, read_checkpoint
+from oysterbench_baselines.learning.efficientnet import EfficientNetLite, pretrained
 from oysterbench_baselines.learning.loop import channels_last
 from oysterbench_baselines.learning.masks import MaskModel, enlarged, probability
 from oysterbench_baselines.learning.novelty import Array, Novelty
 from oysterbench_baselines.learning.samples import Floats, shrink, standardised, statistics, working_scale
 from oysterbench_baselines.unet.calibration import Calibration
-from oysterbench_baselines.unet.network import PretrainedUNetwork, UNetworkSettings, build_network, kind_of
+from oysterbench_baselines.unet.network import CONTRAST, PretrainedUNetwork, UNetworkSettings, build_network, kind_of
 
 VIEWS = ((1.0, False), (1.0, True), (1.4, False), (1.4, True))
 """Zoom, mirrored: the ways in which a picture is looked at, in the order of what they are worth; logits are their
 mean."""
+EMBEDDED = 3
+"""Of the levels of the encoder, the deepest, whose means over the picture say what it is like."""
 
 
 @dataclass
@@ -50,13 +54,19 @@ class UNetModel(MaskModel):
         return probability(self.calibration.applied(oyster)), probability(depth)
 
     def alike(self, pixels: NDArray[np.uint8]) -> Array:
-        """(C,) what a picture is like; nothing where the network is of random beginnings and knows no such thing."""
-        if not isinstance(self.network, PretrainedUNetwork):
-            return np.zeros(0)
+        """(C,) what a picture is like: means over the deepest levels (`EMBEDDED`) of the encoder as it was before the
+        training, which made its own forget what oysters are not."""
         small = shrink(pixels, working_scale(pixels.shape, self.scale, self.side))
+        batch = self.batch(standardised(small, *statistics(small)))
         with torch.inference_mode():
-            found = self.network.alike(self.batch(standardised(small, *statistics(small))))
-        return found[0].double().cpu().numpy()
+            levels = self._untrained.features(CONTRAST * batch)[-EMBEDDED:]
+        return torch.cat([level.mean(dim=(2, 3)) for level in levels], dim=1)[0].double().cpu().numpy()
+
+    @cached_property
+    def _untrained(self) -> EfficientNetLite:
+        assert isinstance(self.network, PretrainedUNetwork)
+        encoder: EfficientNetLite = channels_last(pretrained(self.network.encoder.name).to(self.device)).eval()
+        return encoder
 
     def novelty_of(self, pixels: NDArray[np.uint8]) -> float | None:
         """How unlike a picture is to those of the training: above 1, more than one in a hundred of a clip left out

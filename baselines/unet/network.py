@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import torch
 from torch import nn
@@ -81,11 +81,6 @@ WIDTHS = (96, 64, 48, 32)
 """Channels on the way up, at strides 16, 8, 4 and 2."""
 CONTRAST = 0.45
 """Deviation of the pixels that the encoder has learnt from, in its units; those of standardised pictures have 1."""
-KEPT = 2
-"""Stages of the encoder that stay as ImageNet left them: edges and colours look alike everywhere, and a step takes a
-third less time without them."""
-EMBEDDED = 3
-"""Of the levels of the encoder, the deepest, whose means over the picture say what it is like."""
 
 
 class PretrainedUNetwork(nn.Module):
@@ -101,15 +96,6 @@ class PretrainedUNetwork(nn.Module):
             self.up.append(Block(deep + channels, width, settings.groups))
             deep = width
         self.head = nn.Conv2d(deep, len(OUTPUTS), 1)
-        for part in (self.encoder.stem, *self.encoder.stages[:KEPT]):
-            part.requires_grad_(False)
-
-    def train(self, mode: bool = True) -> Self:
-        """The encoder normalises by what it has learnt on ImageNet, in training too: batches are of eight crops only,
-        of rendered pictures and real ones, and would be normalised by what they happen to be of."""
-        super().train(mode)
-        self.encoder.eval()
-        return self
 
     def forward(self, pixels: torch.Tensor) -> torch.Tensor:
         """See the class."""
@@ -118,11 +104,6 @@ class PretrainedUNetwork(nn.Module):
             found = functional.interpolate(found, size=beside.shape[-2:], mode="nearest")
             found = block(torch.cat([beside, found], dim=1))
         return functional.interpolate(self.head(found), size=pixels.shape[-2:], mode="bilinear", align_corners=False)
-
-    def alike(self, pixels: torch.Tensor) -> torch.Tensor:
-        """(B, C) what pictures (B, 3, h, w) are like: means over each of the encoder's deepest levels (`EMBEDDED`)."""
-        levels = self.encoder.features(CONTRAST * pixels)[-EMBEDDED:]
-        return torch.cat([level.mean(dim=(2, 3)) for level in levels], dim=1)
 
 
 def build_network(settings: UNetworkSettings, begun: bool = False) -> nn.Module:
