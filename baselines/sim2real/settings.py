@@ -33,7 +33,7 @@ class Schedule:
 SCHEDULES = {"tuned": Schedule(1 / 6, 2e-3, 0), "mixed": Schedule(1 / 2, 5e-3, 2)}
 
 PRETRAINED_STEPS = 350
-PRETRAINED_SCHEDULES = {"tuned": Schedule(3 / 7, 1e-3, 0), "mixed": Schedule(3 / 7, 1e-3, 2)}
+PRETRAINED_SHARE, PRETRAINED_RATE = 3 / 7, 1e-3
 """Of networks on a pretrained encoder, which need fewer steps, and smaller ones."""
 
 
@@ -63,7 +63,7 @@ class ExperimentSettings:
         return replace(
             self,
             batch=strong.batch,
-            schedule=PRETRAINED_SCHEDULES[next(name for name, one in SCHEDULES.items() if one == self.schedule)],
+            schedule=replace(self.schedule, share=PRETRAINED_SHARE, rate=PRETRAINED_RATE),
             network=strong.network,
             augmentation=strong.augmentation,
             fit=replace(strong.fit, steps=PRETRAINED_STEPS, warm_up=20, threads=1),

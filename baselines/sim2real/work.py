@@ -38,7 +38,7 @@ STEP = 0.1
 class Bench:
     """What all cells share; images that several cells see are read once.
 
-    begun: folder of the trainings on synthetic images alone, which know nothing of the real ones, where several
+    shared: folder of the trainings on synthetic images alone, which know nothing of the real ones, where several
     benches share them; None: among the cells
     """
 
@@ -46,7 +46,7 @@ class Bench:
     synthetic: Mapping[str, LabelledSet]
     settings: ExperimentSettings
     device: str = "auto"
-    begun: Path | None = None
+    shared: Path | None = None
 
     def __post_init__(self) -> None:
         scale, side = self.settings.network.scale, self.settings.network.side
@@ -105,11 +105,11 @@ class Bench:
     def _trained(self, cell: Cell, folder: Path, progress: Progress) -> Checkpoint:
         settings = self.settings
         streams = Streams(cell.seed).at("sim2real")
-        if cell.size is None and self.begun is not None and folder.parent != self.begun:
-            return self._waited(cell, self.begun, progress)
+        if cell.size is None and self.shared is not None and folder.parent != self.shared:
+            return self._waited(cell, self.shared, progress)
         begun = None
         if cell.begun is not None:
-            begun = self._waited(cell.begun, self.begun or folder.parent, lambda done, total: None)
+            begun = self._waited(cell.begun, self.shared or folder.parent, lambda done, total: None)
         images = self._images(cell)
         return fit(
             lambda: new_network(settings.network, begun),
