@@ -281,10 +281,17 @@ def _render_instead(
     as_json: bool,
 ) -> None:
     """Without a hub the same bytes come out of the renderer."""
+    from oysterbench.core.names import did_you_mean, nearest
     from oysterbench.hub.download import choose_names
+    from oysterbench.methods.weights import weights_names
+    from oysterbench.recipe.split import split_names
 
     if split is None:
-        raise HubError(f"{name}: {NO_HUB}, and no split of this name and version can be rendered here")
+        meant = did_you_mean(nearest(name.partition("@")[0], [*split_names(), *weights_names()]))
+        raise HubError(
+            f"{name}: {NO_HUB}, and no split of this name and version can be rendered here; {meant}`oysterbench "
+            "splits` and `oysterbench models` list what there is"
+        )
     if split.hidden:
         raise HubError(f"{name}: {NO_HUB}, and a hidden split cannot be rendered by who has not its salt")
     if topics:

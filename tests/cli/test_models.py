@@ -257,3 +257,14 @@ def test_publishing_again_adds_nothing(place, published, results, tmp_path):
     assert tree_bytes(tmp_path / "tree") == before
     without_figures = place.publish(tree=tmp_path / "tree", code=1)
     assert "another --version" in without_figures.stderr
+
+
+def test_a_name_that_is_neither_split_nor_model_gets_the_nearest_ones(home, monkeypatch):
+    from click.testing import CliRunner
+
+    from oysterbench.cli.main import main
+
+    monkeypatch.delenv("OYSTERBENCH_HUB", raising=False)
+    said = " ".join(CliRunner().invoke(main, ["download", "unett"]).stderr.split())
+    assert "did you mean unet" in said
+    assert "`oysterbench models` list what there is" in said
