@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 import cv2
 import numpy as np
 import pytest
@@ -45,3 +47,20 @@ def test_the_memory_of_a_case_is_its_own_whatever_was_loaded_before():
     assert held.nbytes == loaded
     assert empty.memory_bytes < 0.5 * taken
     assert 0.8 * taken < filled.memory_bytes < 1.5 * taken
+
+
+def test_garbage_of_the_process_that_a_case_is_forked_from_is_not_taken_off_its_memory():
+    class Cycle:
+        def __init__(self):
+            self.itself, self.held = self, np.ones(100_000_000, np.uint8)
+
+    def case():
+        gc.collect()
+        return "read", str(np.ones(100_000_000, np.uint8).sum())
+
+    gc.disable()
+    try:
+        Cycle()
+        assert run(0, "", case).memory_bytes > 80_000_000
+    finally:
+        gc.enable()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import resource
@@ -49,12 +50,15 @@ class Wrong(Exception):
 def run(number: int, kind: str, case: Callable[[], tuple[str, str]]) -> Outcome:
     """Run a case, which returns what came of it, and what was said. Whatever it raises is a fault."""
     read, write = os.pipe()
+    # What is garbage here must not be freed in the child, which would then be charged less than it takes.
+    gc.freeze()
     loaded = _anonymous_bytes()
     begun = time.monotonic()
     child = os.fork()
     if child == 0:
         os.close(read)
         _answer(case, write)
+    gc.unfreeze()
     os.close(write)
     with open(read, "rb") as pipe:
         answer = b""
