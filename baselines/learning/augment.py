@@ -33,7 +33,7 @@ class Augmentation:
 def augmented(
     sample: Sample, settings: Augmentation, rng: np.random.Generator
 ) -> tuple[Floats, NDArray[np.uint8], NDArray[np.uint8]]:
-    """A crop: pixels (C, C, 3) float32, standardised, truth (C, C, 2) and known (C, C) uint8."""
+    """A crop: pixels (C, C, 3) float32, standardised, truth (C, C, 4) and known (C, C) uint8."""
     matrix = _placement(sample.known.shape, settings, rng)
     size = (settings.crop, settings.crop)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP

@@ -20,9 +20,10 @@ MARGIN = 64
 
 @dataclass
 class MaskModel:
-    """A network with its weights, ready to predict: (1, 3, h, w) standardised pixels to (1, 2, h, w) logits.
+    """A network with its weights, ready to predict: (1, 3, h, w) standardised pixels to (1, K, h, w) logits.
 
-    scale, side: of a picture, at which it is looked at, see `working_scale`; multiple: of pixels, that h and w must be
+    scale, side: of a picture, at which it is looked at, see `working_scale`; multiple: of pixels, that h and w must
+    be; planes: K, of which the first two are oyster and depth
     """
 
     network: torch.nn.Module
@@ -30,13 +31,14 @@ class MaskModel:
     multiple: int
     device: torch.device
     side: int = 0
+    planes: int = 2
 
     def small_logits(self, pixels: NDArray[np.uint8], zoom: float = 1.0) -> Floats:
-        """(2, h, w) float32 logits of oyster and depth at the working scale times zoom, of a picture (H, W, 3) uint8
+        """(K, h, w) float32 logits at the working scale times zoom, of a picture (H, W, 3) uint8
         RGB."""
         small = shrink(pixels, zoom * working_scale(pixels.shape, self.scale, self.side))
         values = standardised(small, *statistics(small))
-        prediction = np.empty((2, *small.shape[:2]), dtype=np.float32)
+        prediction = np.empty((self.planes, *small.shape[:2]), dtype=np.float32)
         for rows, inner_rows in _parts(small.shape[0]):
             for columns, inner_columns in _parts(small.shape[1]):
                 part = self._logits(values[rows, columns])
@@ -46,7 +48,7 @@ class MaskModel:
         return prediction
 
     def logits(self, pixels: NDArray[np.uint8]) -> Floats:
-        """(2, H, W) float32 logits of oyster and depth at the size of the picture (H, W, 3) uint8 RGB."""
+        """(K, H, W) float32 logits at the size of the picture (H, W, 3) uint8 RGB."""
         return enlarged(self.small_logits(pixels), pixels.shape[0], pixels.shape[1])
 
     def _logits(self, values: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -27,7 +27,8 @@ class Sample:
     """An image at the working scale, h x w.
 
     pixels: (h, w, 3) uint8 RGB; mean, contrast: (3,) float32, of the whole image, per channel
-    truth:  (h, w, 2) uint8, share of a pixel, in 255ths, that is oyster, and how deep in one it lies (`depths`)
+    truth:  (h, w, 4) uint8, shares of a pixel in 255ths: what is oyster; how deep in one it lies (`depths`); what is
+            live oyster; and what is oyster of which it is known whether it is alive
     known:  (h, w) uint8, 255 where the truth may be used, 0 where it is to be ignored
     """
 
@@ -50,7 +51,8 @@ def make_sample(image: LabelledImage, scale: float, side: int = 0) -> Sample:
     """A labelled image, reduced. Every small pixel is the mean of those that it covers, in picture and truth alike."""
     scale = working_scale(image.pixels.shape, scale, side)
     pixels = shrink(image.pixels, scale)
-    truth = np.stack([image.oysters * np.uint8(255), depths(image.instances * image.oysters)], axis=-1)
+    instances = image.instances * image.oysters
+    truth = np.stack([image.oysters * np.uint8(255), depths(instances), *states(instances, image.living)], axis=-1)
     known = shrink(np.where(image.ignore, 0, 255).astype(np.uint8), scale)
     mean, contrast = statistics(pixels)
     return Sample(
@@ -104,11 +106,20 @@ def depths(instances: NDArray[np.uint16]) -> NDArray[np.uint8]:
     return found
 
 
+def states(instances: NDArray[np.uint16], living: Mapping[int, bool]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """(H, W) each, 255 where an oyster of instances (H, W) is alive, and where one is of which that is known."""
+    live, told = np.zeros((2, int(instances.max(initial=0)) + 1), dtype=np.uint8)
+    for number, alive in living.items():
+        if 0 < number < len(told):
+            told[number], live[number] = 255, 255 * alive
+    return live[instances], told[instances]
+
+
 class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
     """Labelled images as a torch Dataset.
 
-    An item is (pixels (3, h, w), truth (2, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
-    channel; truth 0 to 1 for oyster and depth in one; known 1 where the truth may be used. Images are read once,
+    An item is (pixels (3, h, w), truth (4, h, w), known (1, h, w)), float32: pixels of mean 0 and deviation 1 in each
+    channel; truth 0 to 1, the planes of a `Sample`; known 1 where the truth may be used. Images are read once,
     when they are first asked for, and kept at the working scale.
     """
 
@@ -148,7 +159,7 @@ def standardised(pixels: NDArray[np.uint8], mean: Floats, contrast: Floats) -> F
 def as_tensors(
     pixels: Floats, truth: NDArray[np.uint8], known: NDArray[np.uint8]
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Planes first: (3, h, w), (2, h, w), (1, h, w) float32."""
+    """Planes first: (3, h, w), (4, h, w), (1, h, w) float32."""
     return (
         torch.from_numpy(np.ascontiguousarray(pixels.transpose(2, 0, 1))),
         torch.from_numpy(np.ascontiguousarray(truth.transpose(2, 0, 1))).float() / 255,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,8 @@ MOST = 80
 TEMPERATURES = np.geomspace(0.4, 4.0, 37)
 CUTS = np.linspace(-3.0, 3.0, 61)
 """Logits at which the mask may be cut."""
+LEAST_TELLING = 0.65
+"""Balanced accuracy of live and dead, of which guessing has 0.5, below which neither is said."""
 PIXELS = 4000
 """Of a picture, evenly taken, by which temperature and cut are found."""
 
@@ -28,11 +30,19 @@ PIXELS = 4000
 class Calibration:
     """temperature: by which logits are divided, so that cross-entropy is least (Guo et al. 2017); cut: the logit at
     which IoU over all pixels is greatest, which becomes a probability of 0.5; sure: the score of an oyster from which
-    on as many are counted as there are (`instances.Division`)."""
+    on as many are counted as there are (`instances.Division`). live_cut: the logit at which live oysters are told from
+    dead ones best; states: balanced accuracy with which they are, 0 where it was not measured."""
 
     temperature: float = 1.0
     cut: float = 0.0
     sure: float = 0.5
+    live_cut: float = 0.0
+    states: float = 0.0
+
+    @property
+    def tells(self) -> bool:
+        """Whether live oysters are told from dead ones well enough to be said."""
+        return self.states >= LEAST_TELLING
 
     def applied(self, logits: Floats) -> Floats:
         """Of oyster, so that 0 is the cut."""
@@ -66,7 +76,7 @@ def measured(
     look: Callable[[NDArray[np.uint8]], Floats],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Calibration:
-    """Of a network whose logits (2, H, W) `look` gives of a picture (H, W, 3) uint8 RGB. That which changes nothing,
+    """Of a network whose logits (K, H, W) `look` gives of a picture (H, W, 3) uint8 RGB. That which changes nothing,
     where no picture shows an oyster."""
     taken = evenly(labelled.entries, MOST)
     seen = []
@@ -80,7 +90,8 @@ def measured(
     cut = float(CUTS[np.argmax([_iou(logits > cut, truth) for cut in CUTS])])
     heat = float(TEMPERATURES[np.argmin([_entropy(logits / value, truth) for value in TEMPERATURES])])
     found = Calibration(round(heat, 3), round(cut, 3))
-    return replace(found, sure=_sure(seen, found))
+    live_cut, states = _telling(seen)
+    return replace(found, sure=_sure(seen, found), live_cut=live_cut, states=states)
 
 
 def evenly(entries: Sequence[Entry], most: int) -> list[Entry]:
@@ -92,11 +103,12 @@ def evenly(entries: Sequence[Entry], most: int) -> list[Entry]:
 @dataclass(frozen=True)
 class Seen:
     """A picture that was looked at, every n-th pixel of a large one: numbers (h, w) of its oysters, 0 for none, known
-    (h, w), where the truth may be used, logits (2, h, w)."""
+    (h, w), where the truth may be used, logits (K, h, w), and which are alive, of those of which that is known."""
 
     numbers: NDArray[np.uint16]
     known: NDArray[np.bool_]
     logits: NDArray[np.float16]
+    living: Mapping[int, bool]
 
     @classmethod
     def of(cls, image: LabelledImage, logits: Floats) -> Seen:
@@ -104,7 +116,8 @@ class Seen:
         step = -(-max(image.ignore.shape) // LARGEST)
         grid = (slice(None, None, step), slice(None, None, step))
         numbers = np.where(image.oysters, np.maximum(image.instances, 1), 0).astype(np.uint16)
-        return cls(numbers[grid].copy(), ~image.ignore[grid], logits[(slice(None), *grid)].astype(np.float16))
+        small = logits[(slice(None), *grid)].astype(np.float16)
+        return cls(numbers[grid].copy(), ~image.ignore[grid], small, image.living)
 
     def some(self) -> tuple[Floats, NDArray[np.bool_]]:
         """Logits of oyster and truth (N,) of some known pixels."""
@@ -125,7 +138,7 @@ def _sure(seen: Sequence[Seen], calibration: Calibration) -> float:
     """The score of the N-th oyster, of N true ones in all pictures."""
     scores, count = [], 0
     for one in seen:
-        oyster, depth = one.logits.astype(np.float32)
+        oyster, depth = one.logits[:2].astype(np.float32)
         found = find_instances(probability(calibration.applied(oyster)), probability(depth))
         known = np.bincount(found.labels.ravel(), weights=one.known.ravel(), minlength=len(found.scores) + 1)
         areas = np.bincount(found.labels.ravel(), minlength=len(found.scores) + 1)
@@ -134,3 +147,25 @@ def _sure(seen: Sequence[Seen], calibration: Calibration) -> float:
     if count == 0 or not scores:
         return 0.5
     return float(np.clip(sorted(scores, reverse=True)[min(count, len(scores)) - 1], 0.01, 0.99))
+
+
+def _telling(seen: Sequence[Seen]) -> tuple[float, float]:
+    """The mean logit over an oyster by which live ones are told from dead ones best, and with what balanced accuracy;
+    zeros where the network does not tell, or not both are known."""
+    means: dict[bool, list[float]] = {True: [], False: []}
+    for one in seen:
+        if len(one.logits) < 3 or not one.living:
+            continue
+        numbers = np.where(one.known, one.numbers, 0)
+        areas = np.bincount(numbers.ravel())
+        sums = np.bincount(numbers.ravel(), weights=one.logits[2].ravel().astype(np.float64))
+        for number in map(int, np.nonzero(areas)[0]):
+            if number in one.living:
+                means[one.living[number]].append(sums[number] / areas[number])
+    live, dead = np.array(means[True]), np.array(means[False])
+    if not len(live) or not len(dead):
+        return 0.0, 0.0
+    cuts = np.quantile([*live, *dead], np.linspace(0.02, 0.98, 49))
+    balanced = [((live > cut).mean() + (dead <= cut).mean()) / 2 for cut in cuts]
+    best = int(np.argmax(balanced))
+    return round(float(cuts[best]), 3), round(float(balanced[best]), 3)

@@ -76,6 +76,13 @@ def find_instances(oyster: Floats, depth: Floats, division: Division | None = No
     return _scored(labels, oyster, hills, division, division.area * unit**2)
 
 
+def means(instances: Instances, values: Floats) -> NDArray[np.float64]:
+    """(N,) of values (H, W), over each instance."""
+    areas = np.bincount(instances.labels.ravel(), minlength=len(instances.scores) + 1)
+    sums = np.bincount(instances.labels.ravel(), weights=values.ravel(), minlength=len(areas))
+    return sums[1:] / np.maximum(areas[1:], 1)
+
+
 def outstanding(levels: NDArray[np.uint8], rise: int) -> NDArray[np.bool_]:
     """(H, W) where the maxima of levels (H, W) are that stand out by `rise` (extended maxima; Soille 2003, 6.3.5)."""
     domes = _under(_lowered(levels, rise), levels)

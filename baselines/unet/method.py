@@ -39,8 +39,8 @@ class UNet:
         """Probabilities at the pictures' own size, 0.5 being where IoU is greatest, and how novel the pictures are."""
         model = self._model()
         for image in images:
-            oyster, _ = model.probabilities(image.pixels)
-            yield Segmentation(image.name, probability=oyster, novelty=model.novelty_of(image.pixels))
+            seen = model.probabilities(image.pixels)
+            yield Segmentation(image.name, probability=seen.oyster, novelty=model.novelty_of(image.pixels))
 
     def _model(self) -> UNetModel:
         """The trained network. Raises MethodError, with what to type, where there is none."""
@@ -57,14 +57,17 @@ class UNetInstances(UNet):
     name, track = "unet_instances", "detection"
 
     def run(self, images: Iterable[Picture]) -> Iterator[Any]:
-        """Masks that do not overlap, how sure each is, and how novel the pictures are."""
+        """Masks that do not overlap, how sure each is, whether it is alive, where that can be told, and how novel the
+        pictures are."""
         model = self._model()
-        from oysterbench_baselines.unet.instances import find_instances
+        from oysterbench_baselines.unet.instances import find_instances, means
 
         for image in images:
-            found = find_instances(*model.probabilities(image.pixels), model.calibration.division)
+            seen = model.probabilities(image.pixels)
+            found = find_instances(seen.oyster, seen.depth, model.calibration.division)
+            live = None if seen.live is None else means(found, seen.live)
             novelty = model.novelty_of(image.pixels)
-            yield Detections(image.name, found.scores, numbers=found.labels, novelty=novelty)
+            yield Detections(image.name, found.scores, numbers=found.labels, live=live, novelty=novelty)
 
 
 class UNetSmall(UNet):

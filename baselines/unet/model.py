@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -28,6 +28,15 @@ EMBEDDED = 3
 """Of the levels of the encoder, the deepest, whose means over the picture say what it is like."""
 
 
+class Probabilities(NamedTuple):
+    """(H, W) each: of oyster, calibrated; of depth in one; of an oyster that it is alive, None of networks that cannot
+    tell."""
+
+    oyster: Floats
+    depth: Floats
+    live: Floats | None
+
+
 @dataclass
 class UNetModel(MaskModel):
     """A network of `unet`, and what was measured of it. views: how many of `VIEWS` are taken; novelty: None of networks
@@ -38,20 +47,25 @@ class UNetModel(MaskModel):
     novelty: Novelty | None = None
 
     def mean_logits(self, pixels: NDArray[np.uint8]) -> Floats:
-        """(2, H, W) float32 logits of oyster and depth at the size of the picture (H, W, 3) uint8 RGB, the mean of
+        """(K, H, W) float32 logits of `network.OUTPUTS` at the size of the picture (H, W, 3) uint8 RGB, the mean of
         views."""
         height, width = pixels.shape[:2]
-        total = np.zeros((2, height, width), dtype=np.float32)
+        total = np.zeros((self.planes, height, width), dtype=np.float32)
         for zoom, mirrored in VIEWS[: self.views]:
             seen = np.ascontiguousarray(pixels[:, ::-1]) if mirrored else pixels
             found = enlarged(self.small_logits(seen, zoom), height, width)
             total += found[..., ::-1] if mirrored else found
         return total / np.float32(min(self.views, len(VIEWS)))
 
-    def probabilities(self, pixels: NDArray[np.uint8]) -> tuple[Floats, Floats]:
-        """(H, W) each, of oyster, calibrated, and depth."""
-        oyster, depth = self.mean_logits(pixels)
-        return probability(self.calibration.applied(oyster)), probability(depth)
+    def probabilities(self, pixels: NDArray[np.uint8]) -> Probabilities:
+        """What is seen in a picture (H, W, 3) uint8 RGB."""
+        oyster, depth, *live = self.mean_logits(pixels)
+        tells = bool(live) and self.calibration.tells
+        return Probabilities(
+            probability(self.calibration.applied(oyster)),
+            probability(depth),
+            probability(live[0] - np.float32(self.calibration.live_cut)) if tells else None,
+        )
 
     def alike(self, pixels: NDArray[np.uint8]) -> Array:
         """(C,) what a picture is like: means over the deepest levels (`EMBEDDED`) of the encoder as it was before the
@@ -88,6 +102,7 @@ def unet_model(checkpoint: Checkpoint, device: torch.device | None = None, views
         settings.multiple,
         device,
         settings.side,
+        settings.outputs,
         views,
         Calibration(**measured["calibration"]) if "calibration" in measured else Calibration(),
         Novelty.read(measured["novelty"]) if "novelty" in measured else None,

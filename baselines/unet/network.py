@@ -13,8 +13,9 @@ from torch.nn import functional
 
 from oysterbench_baselines.learning.efficientnet import EfficientNetLite, pretrained
 
-OUTPUTS = ("oyster", "depth")
-"""What the channels of the prediction are logits of; depth: into an oyster, see `learning.samples.depths`."""
+OUTPUTS = ("oyster", "depth", "live")
+"""What the channels of the prediction are logits of; depth: into an oyster, see `learning.samples.depths`; live: that
+an oyster is, of networks that tell."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class UNetworkSettings:
     """depth: levels, each half the size of the one before; base: channels of the first, doubled from level to level;
     groups: of channels that are normalised together. scale: of an image, at which it is looked at; side: px, to which
     its longer side is brought instead, where it is not 0. encoder: in `efficientnet.VARIANTS`, which takes the place of
-    depth and base."""
+    depth and base. states: whether it tells live oysters from dead ones."""
 
     depth: int = 4
     base: int = 16
@@ -30,6 +31,12 @@ class UNetworkSettings:
     scale: float = 0.5
     side: int = 0
     encoder: str = ""
+    states: bool = False
+
+    @property
+    def outputs(self) -> int:
+        """How many of `OUTPUTS` it has."""
+        return len(OUTPUTS) if self.states else 2
 
     @property
     def multiple(self) -> int:
@@ -52,7 +59,7 @@ class Block(nn.Sequential):
 
 
 class UNetwork(nn.Module):
-    """(B, 3, h, w) standardised pixels to (B, 2, h, w) logits (`OUTPUTS`); h and w are multiples of 2^(depth - 1)."""
+    """(B, 3, h, w) standardised pixels to (B, K, h, w) logits (`OUTPUTS`); h and w are multiples of 2^(depth - 1)."""
 
     def __init__(self, settings: UNetworkSettings) -> None:
         super().__init__()
@@ -62,7 +69,7 @@ class UNetwork(nn.Module):
         )
         self.grow = nn.ModuleList(nn.ConvTranspose2d(2 * width, width, 2, stride=2) for width in reversed(widths[:-1]))
         self.up = nn.ModuleList(Block(2 * width, width, settings.groups) for width in reversed(widths[:-1]))
-        self.head = nn.Conv2d(widths[0], len(OUTPUTS), 1)
+        self.head = nn.Conv2d(widths[0], settings.outputs, 1)
 
     def forward(self, pixels: torch.Tensor) -> torch.Tensor:
         """See the class."""
@@ -95,7 +102,7 @@ class PretrainedUNetwork(nn.Module):
         for channels, width in zip(beside, WIDTHS, strict=True):
             self.up.append(Block(deep + channels, width, settings.groups))
             deep = width
-        self.head = nn.Conv2d(deep, len(OUTPUTS), 1)
+        self.head = nn.Conv2d(deep, settings.outputs, 1)
 
     def forward(self, pixels: torch.Tensor) -> torch.Tensor:
         """See the class."""

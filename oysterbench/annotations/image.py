@@ -31,6 +31,7 @@ class LabelledImage:
     instances:  (H, W) uint16, 0 for none; one number per oyster, and per whatever else is labelled one by one
     ignore:     (H, W) bool, pixels of which nothing may be said: neither trained on nor scored
     conditions: what the image was taken in, by keys of `evaluate.conditions.CONDITIONS` and "camera"
+    living:     whether oysters are alive, by their numbers in `instances`; those of which it is not known are left out
     """
 
     name: str
@@ -40,6 +41,7 @@ class LabelledImage:
     instances: NDArray[np.uint16]
     ignore: NDArray[np.bool_]
     conditions: Mapping[str, float | str] = field(default_factory=dict)
+    living: Mapping[int, bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         height, width = self.pixels.shape[:2]

@@ -34,11 +34,12 @@ def sequence_set(
     for path in paths:
         sequence = open_sequence(path)
         names.append(sequence.name)
+        living = sequence.living()
         for camera, layers in labelled_cameras(sequence, "visibility").items():
             known = {"camera": camera, **(conditions or {}).get(sequence.name, {})}
             for layer in sequence.layer(camera, "class"):
                 key = f"{sequence.name}/{camera}/{layer.stamp_ns}"
-                read = partial(_read, sequence, camera, layer.stamp_ns, layers, key, known)
+                read = partial(_read, sequence, camera, layer.stamp_ns, layers, key, known, living)
                 entries.append(Entry(key, sequence.name, read, (Path(path),)))
     if not entries:
         raise LabelError(
@@ -55,6 +56,7 @@ def _read(
     layers: list[str],
     name: str,
     conditions: Mapping[str, float | str],
+    living: Mapping[int, bool],
 ) -> LabelledImage:
     window = (stamp_ns, stamp_ns + 1)
     image = next(iter(sequence.images(camera, *window)), None)
@@ -63,7 +65,7 @@ def _read(
         raise LabelError(f"{name}: the file has its class but not its image, instance or visibility")
     planes = {layer: item.pixels for layer, item in found.items() if item is not None}
     instances, ignore = countable(planes["class"], planes["instance"], planes.get("visibility"))
-    return LabelledImage(name, sequence.name, image.pixels, planes["class"], instances, ignore, conditions)
+    return LabelledImage(name, sequence.name, image.pixels, planes["class"], instances, ignore, conditions, living)
 
 
 def countable(

@@ -21,8 +21,8 @@ from oysterbench_baselines.learning.augment import Augmentation, augmented  # no
 from oysterbench_baselines.learning.batches import Mixture, make_batch  # noqa: E402
 from oysterbench_baselines.learning.checkpoint import read_checkpoint  # noqa: E402
 from oysterbench_baselines.learning.loop import FitSettings, pick_device  # noqa: E402
-from oysterbench_baselines.learning.losses import bce_dice  # noqa: E402
-from oysterbench_baselines.learning.samples import LabelledDataset, depths, make_sample  # noqa: E402
+from oysterbench_baselines.learning.losses import bce_dice, mask_loss, state_entropy  # noqa: E402
+from oysterbench_baselines.learning.samples import LabelledDataset, depths, make_sample, states  # noqa: E402
 from oysterbench_baselines.unet.training import train  # noqa: E402
 from tests.helpers.labelled_folders import image  # noqa: E402
 from tests.helpers.small_trainings import SMALL, small_set  # noqa: E402
@@ -49,7 +49,7 @@ def test_an_item_of_the_dataset_is_standardised_and_has_the_truth_at_the_working
     dataset = LabelledDataset(labelled, 0.5)
     pixels, truth, known = dataset[1]
     assert pixels.shape == (3, 32, 40)
-    assert truth.shape == (2, 32, 40)
+    assert truth.shape == (4, 32, 40)
     assert torch.allclose(pixels.mean(dim=(1, 2)), torch.zeros(3), atol=1e-4)
     assert torch.allclose(pixels.std(dim=(1, 2), correction=0), torch.ones(3), atol=1e-4)
     cover = float(labelled[1].oysters.mean())
@@ -79,6 +79,13 @@ def test_an_oyster_that_the_image_cuts_off_has_its_border_there():
     found = depths(numbers)
     assert found[10, 10] == 255
     assert found[0].max() < 255 / 4
+
+
+def test_of_oysters_whose_state_is_not_known_nothing_is_told():
+    numbers = np.array([[0, 1, 2, 7]], np.uint16)
+    live, told = states(numbers, {1: True, 2: False, 9: True})
+    assert live.tolist() == [[0, 255, 0, 0]]
+    assert told.tolist() == [[0, 255, 255, 0]]
 
 
 def test_pixels_that_are_ignored_are_neither_in_the_loss_nor_learnt_from():
@@ -114,6 +121,24 @@ def test_depth_is_learnt_as_a_share_by_cross_entropy_alone():
         (slope,) = torch.autograd.grad(loss, depth)
         depth = (depth - 50 * slope).detach().requires_grad_()
     assert torch.allclose(torch.sigmoid(depth), torch.full_like(depth, 0.3), atol=1e-3)
+
+
+def test_live_is_learnt_of_what_is_told_alone():
+    """Half of a pixel that is told to a half is a chance of a half; where nothing is told, nothing is learnt."""
+    live, told = torch.tensor([[[[0.25, 0.0, 0.0]]]]), torch.tensor([[[[0.5, 1.0, 0.0]]]])
+    logits = torch.zeros(1, 1, 1, 3, requires_grad=True)
+    state_entropy(logits, live, told).backward()
+    assert logits.grad.flatten().tolist() == pytest.approx([0, 0.5 / 1.5, 0])
+    assert float(state_entropy(logits.detach(), live, torch.zeros_like(told))) == 0
+
+
+def test_a_network_without_the_plane_of_states_learns_from_the_others():
+    truth, known = torch.rand(1, 4, 8, 8), torch.ones(1, 1, 8, 8)
+    two, three = torch.randn(1, 2, 8, 8), torch.zeros(1, 1, 8, 8)
+    pixels = torch.zeros(1, 3, 8, 8)
+    alone = mask_loss(lambda _: two, pixels, truth, known)
+    assert torch.equal(alone, bce_dice(two, truth[:, :2], known))
+    assert float(mask_loss(lambda _: torch.cat([two, three], dim=1), pixels, truth, known)) > float(alone)
 
 
 # Augmentation

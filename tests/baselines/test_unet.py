@@ -11,7 +11,7 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
-from oysterbench.annotations import open_labelled  # noqa: E402
+from oysterbench.annotations import LabelledSet, open_labelled  # noqa: E402
 from oysterbench.core.errors import MethodError  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
 from oysterbench.methods.images import Picture  # noqa: E402
@@ -21,7 +21,7 @@ from oysterbench_baselines.learning.efficientnet import weights_file  # noqa: E4
 from oysterbench_baselines.learning.masks import enlarged  # noqa: E402
 from oysterbench_baselines.unet import UNet, UNetSmall, UNetSmallInstances, network  # noqa: E402
 from oysterbench_baselines.unet.calibration import Calibration, kept_back, measured  # noqa: E402
-from oysterbench_baselines.unet.instances import Division, find_instances, moved  # noqa: E402
+from oysterbench_baselines.unet.instances import Division, find_instances, means, moved  # noqa: E402
 from oysterbench_baselines.unet.model import read_unet  # noqa: E402
 from oysterbench_baselines.unet.network import UNetwork, UNetworkSettings, build_network  # noqa: E402
 from oysterbench_baselines.unet.training import new_network, train  # noqa: E402
@@ -231,6 +231,68 @@ def test_the_cut_is_where_iou_is_greatest_and_becomes_a_probability_of_a_half(tm
     assert iou(found.cut) > iou(0) + 0.05
     logits = np.array([found.cut - 1, found.cut, found.cut + 1], dtype=np.float32)
     assert np.sign(found.applied(logits)).tolist() == [-1, 0, 1]
+
+
+def alive(labelled):
+    """Every other oyster of a set is."""
+
+    def told(entry):
+        def read():
+            one = entry.read()
+            return dataclasses.replace(one, living={int(k): k % 2 == 0 for k in np.unique(one.instances)})
+
+        return dataclasses.replace(entry, read=read)
+
+    return LabelledSet(labelled.name, map(told, labelled.entries))
+
+
+@pytest.mark.parametrize(("noise", "tells"), [(0.3, True), (30.0, False)])
+def test_live_oysters_are_told_from_dead_ones_where_pictures_kept_back_say_that_it_can_be(tmp_path, noise, tells):
+    labelled = alive(small_set(tmp_path / "set", {"one": ("", 12)}))
+    truths = [entry.read() for entry in labelled.entries]
+    rng = np.random.default_rng(0)
+
+    def look(pixels):
+        one = next(one for one in truths if np.array_equal(one.pixels, pixels))
+        oyster = 4.0 * one.oysters - 2.0
+        shift = rng.normal(0, noise, one.instances.max() + 1)  # each oyster has its own
+        live = np.where(one.instances % 2 == 0, 1.0, -1.0) + shift[one.instances] + 3.0
+        return np.stack([oyster, oyster, live]).astype(np.float32)
+
+    found = measured(labelled, look)
+    assert found.tells is tells
+    if tells:
+        assert found.states > 0.95
+        assert found.live_cut == pytest.approx(3.0, abs=0.8)
+    silent = measured(small_set(tmp_path / "other", {"one": ("", 6)}), lambda pixels: np.zeros((3, *pixels.shape[:2])))
+    assert (silent.states, silent.tells) == (0, False)
+
+
+def test_the_state_of_an_oyster_is_the_mean_over_it():
+    found = find_instances(discs((10, 30, 6), (40, 30, 6)), hills((10, 30, 6), (40, 30, 6)))
+    left = np.zeros(found.labels.shape, np.float32)
+    left[:, :25] = 1
+    values = means(found, left)
+    assert values[found.labels[30, 10] - 1] == pytest.approx(1)
+    assert values[found.labels[30, 40] - 1] == pytest.approx(0)
+
+
+def test_a_network_that_tells_says_of_each_oyster_whether_it_is_alive(tmp_path):
+    labelled = alive(small_set(tmp_path / "small", {"one": ("train", 6)}))
+    settings = dataclasses.replace(SMALL, network=dataclasses.replace(SMALL.network, states=True))
+    settings = dataclasses.replace(settings, fit=dataclasses.replace(SMALL.fit, steps=60, learning_rate=1e-2))
+    path = tmp_path / "unet.pt"
+    known = train(labelled, path, settings, 0, torch.device("cpu"))
+    one = image(101, height=64, width=80)
+    for states in (0.9, 0.5):
+        known.measured["calibration"]["states"] = states
+        known.write(path)
+        (predicted,) = UNetSmallInstances(str(path), "cpu").run([Picture("a", one.pixels)])
+        if states > 0.65:
+            assert len(predicted.live) == len(predicted.scores) > 0
+            assert ((predicted.live >= 0) & (predicted.live <= 1)).all()
+        else:
+            assert predicted.live is None
 
 
 def test_where_nothing_was_kept_back_nothing_is_changed(tmp_path):
