@@ -31,13 +31,12 @@ class Mixture:
 
 
 def make_batch(mixture: Mixture, augmentation: Augmentation, streams: Streams, step: int) -> Batch:
-    """Crops of images drawn at random, each with a stream of its own."""
+    """Crops of images drawn at random (`LabelledDataset.drawn`), each with a stream of its own."""
     crops = []
     for k, (dataset, count) in enumerate(zip(mixture.datasets, mixture.counts, strict=True)):
         for j in range(count):
             rng = streams.generator("crop", step, k, j)
-            sample = dataset.sample(int(rng.integers(len(dataset))))
-            crops.append(as_tensors(*augmented(sample, augmentation, rng)))
+            crops.append(as_tensors(*augmented(dataset.drawn(rng), augmentation, rng)))
     return stacked(crops)
 
 

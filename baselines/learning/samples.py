@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import cv2
@@ -136,6 +137,19 @@ class LabelledDataset(Dataset[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]):
         if index not in self._samples:
             self._samples[index] = make_sample(self.labelled[index], self.scale, self.side)
         return self._samples[index]
+
+    def drawn(self, rng: np.random.Generator) -> Sample:
+        """An image at random: a clip, and then one of its images, since those of a clip resemble one another."""
+        chosen = self._by_clip[int(rng.integers(len(self._by_clip)))]
+        return self.sample(chosen[int(rng.integers(len(chosen)))])
+
+    @cached_property
+    def _by_clip(self) -> list[list[int]]:
+        """The images of each clip."""
+        found: dict[str, list[int]] = {}
+        for index, entry in enumerate(self.labelled.entries):
+            found.setdefault(entry.clip, []).append(index)
+        return list(found.values())
 
     def __getitem__(self, index: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         if not 0 <= index < len(self):

@@ -60,6 +60,14 @@ def test_an_item_of_the_dataset_is_standardised_and_has_the_truth_at_the_working
         dataset[6]
 
 
+def test_each_clip_is_drawn_as_often_whatever_its_length(tmp_path):
+    dataset = LabelledDataset(small_set(tmp_path / "set", {"long": ("", 9), "short": ("", 1)}))
+    rng = np.random.default_rng(0)
+    drawn = [dataset.drawn(rng) for _ in range(200)]
+    assert sum(one.clip == "short" for one in drawn) == pytest.approx(100, abs=25)
+    assert len({one.name for one in drawn}) == 10
+
+
 def test_depth_rises_from_the_border_of_each_oyster_to_its_middle_whatever_its_size():
     numbers = np.zeros((40, 60), np.uint16)
     numbers[5:25, 5:25], numbers[5:25, 25:45], numbers[30, 3] = 1, 2, 65535
