@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from oysterbench.core.errors import MethodError
 from oysterbench_baselines.learning.trained import checkpoint_path, device_option, run_training, training_options
 
 if TYPE_CHECKING:
@@ -30,16 +31,15 @@ side_option = click.option(
 @click.option(
     "--encoder",
     type=click.Choice(["lite0", "lite1", "lite2"]),
-    default="lite0",
-    show_default=True,
-    help="EfficientNet-Lite that has learnt on ImageNet; each costs a third more than the one before.",
+    help="EfficientNet-Lite that has learnt on ImageNet, each a third more costly than the one before: lite0, or with "
+    "--begin that of the weights.",
 )
 @begin_option
 @side_option
 @device_option("auto")
 def command(
     names: tuple[str, ...],
-    encoder: str,
+    encoder: str | None,
     begin: Path | None,
     side: str | None,
     out: Path | None,
@@ -65,7 +65,20 @@ def command(
     """
     from oysterbench_baselines.unet.training import pretrained_settings
 
-    _train("unet", pretrained_settings(encoder), names, side, begin, out, seed, steps, threads, device, again)
+    _train(
+        "unet",
+        pretrained_settings(encoder or "lite0"),
+        names,
+        side,
+        begin,
+        out,
+        seed,
+        steps,
+        threads,
+        device,
+        again,
+        encoder,
+    )
 
 
 @click.command("unet_small", short_help="The same by a small network that begins with random weights.")
@@ -111,6 +124,7 @@ def _train(
     threads: int,
     device: str,
     again: bool,
+    encoder: str | None = None,
 ) -> None:
     """Train one of the networks on data as a command is given it, with a bar for each part of it."""
     from oysterbench.cli.labelled import open_all
@@ -120,11 +134,16 @@ def _train(
     from oysterbench_baselines.unet.training import begun_settings
     from oysterbench_baselines.unet.training import train as trained
 
-    labelled = open_all(names, side)
     begun = None if begin is None else read_checkpoint(begin)
     if begun is not None:
         check_kind(begun, name, begin)
+        if encoder not in (None, begun.network["encoder"]):
+            raise MethodError(
+                f"{begin}: its encoder is {begun.network['encoder']}, and --encoder {encoder} is asked for: leave that "
+                "out, or begin with weights of such a one"
+            )
         settings = begun_settings(settings, begun)
+    labelled = open_all(names, side)
     settings = replace(settings, fit=replace(settings.fit, steps=steps, threads=threads))
 
     def train(*arguments: Any) -> Checkpoint:

@@ -11,7 +11,10 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install 'oysterbench[learn]'")
 
+from click.testing import CliRunner  # noqa: E402
+
 from oysterbench.annotations import LabelledSet, open_labelled  # noqa: E402
+from oysterbench.cli.main import main  # noqa: E402
 from oysterbench.core.errors import MethodError  # noqa: E402
 from oysterbench.methods import find_method  # noqa: E402
 from oysterbench.methods.images import Picture  # noqa: E402
@@ -342,10 +345,6 @@ def test_the_checkpoint_is_an_option_of_the_method(checkpoint):
 
 
 def test_the_command_trains_and_says_where_the_checkpoint_is(home, tmp_path):
-    from click.testing import CliRunner
-
-    from oysterbench.cli.main import main
-
     small_set(tmp_path / "set", {"one": ("train", 2), "two": ("test", 1)})
     words = ["train", "unet", "--data", str(tmp_path / "set"), "--side", "train", "--steps", "1", "--threads", "1"]
     result = CliRunner().invoke(main, [*words, "--device", "cpu"], catch_exceptions=False)
@@ -358,10 +357,6 @@ def test_the_command_trains_and_says_where_the_checkpoint_is(home, tmp_path):
 
 
 def test_a_training_goes_on_from_another_with_smaller_steps_and_says_so(tmp_path, checkpoint):
-    from click.testing import CliRunner
-
-    from oysterbench.cli.main import main
-
     small_set(tmp_path / "set", {"one": ("train", 2)})
     words = [
         "train",
@@ -387,3 +382,13 @@ def test_a_training_goes_on_from_another_with_smaller_steps_and_says_so(tmp_path
     assert other.exit_code != 0
     wrong = "expected weights of `oysterbench train unet`, got some of `oysterbench train unet_small`"
     assert wrong in " ".join(other.stderr.split())
+
+
+def test_another_encoder_than_that_of_the_weights_is_refused_before_any_data_is_read(tmp_path, checkpoint):
+    known = read_checkpoint(checkpoint)
+    known.network["encoder"] = "lite0"
+    known.write(tmp_path / "lite0.pt")
+    words = ["train", "unet", "--data", str(tmp_path), "--encoder", "lite1", "--begin", str(tmp_path / "lite0.pt")]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code != 0
+    assert "its encoder is lite0, and --encoder lite1 is asked for" in " ".join(result.stderr.split())
