@@ -19,9 +19,10 @@ PROVIDERS = "oysterbench.results"
 
 @click.command("compare", short_help="Set results against each other: ranks, ties, who is better where.")
 @click.argument("results", metavar="[LABEL=]RESULT...", nargs=-1, required=True)
+@click.option("--track", help="Results of this track alone, such as slam.")
 @click.option("--split", help="Results on this split alone.")
 @output_options
-def compare_command(results: tuple[str, ...], split: str | None, outputs: Outputs) -> None:
+def compare_command(results: tuple[str, ...], track: str | None, split: str | None, outputs: Outputs) -> None:
     """Compare results: are they different, where, and by how much.
 
     \b
@@ -29,6 +30,7 @@ def compare_command(results: tuple[str, ...], split: str | None, outputs: Output
       oysterbench compare ours/results.json theirs/results.json
       oysterbench compare monday=run1 tuesday=run2     the methods of a file under a label
       oysterbench compare gtsam_vi gtsam_full --split slam-val     methods on the leaderboard
+      oysterbench compare unet threshold --track segmentation      of several tracks, one
       oysterbench compare ours/results.json 3f9c21ab   with a record, by the first digits of its name
       oysterbench compare run1 run2 --json
       oysterbench compare run1 run2 --report compare.html --tex table.tex
@@ -41,6 +43,7 @@ def compare_command(results: tuple[str, ...], split: str | None, outputs: Output
     settings are kept apart, in tables of their own.
     """
     from oysterbench.core.errors import ResultError
+    from oysterbench.core.names import listed
     from oysterbench.report import SlamRun, comparison_tables, results_tables
     from oysterbench.results.comparison import as_plain, boards, remarks
     from oysterbench.results.records import dump, labelled_results
@@ -48,9 +51,12 @@ def compare_command(results: tuple[str, ...], split: str | None, outputs: Output
     def find(text: str) -> list[ResultRecord] | None:
         return _provided(text, split)
 
-    records = [record for record in labelled_results(results, find) if split in (None, record.split)]
+    given = labelled_results(results, find)
+    records = [one for one in given if track in (None, one.track) and split in (None, one.split)]
     if not records:
-        raise ResultError(f"expected results on {split}, got none")
+        asked = " ".join([*([f"of the track {track}"] if track else []), *([f"on {split}"] if split else [])])
+        there = dict.fromkeys(f"{one.track} on {one.split or 'own data'}" for one in given)
+        raise ResultError(f"expected results {asked}, got {listed(there)}")
     found = boards(records)
     for path in outputs.write([SlamRun(record) for record in records]):
         message(f"written: {path}")

@@ -44,9 +44,12 @@ class TrackCommands(click.Group):
         return track_command(TRACKS[name]) if name in NAMES else None
 
 
-@click.group("eval", cls=TrackCommands, short_help="Run methods on a split and score them, or score two files.")
+@click.group("eval", cls=TrackCommands, short_help="A first number: score methods on a split, or two files.")
 def eval_command() -> None:
-    """Run methods on a split and score them, or score files: trajectories, masks, single oysters.
+    """Score methods on a split, one after the other and from scratch, or score files that you have already.
+
+    For a first number: everything has a default. For experiments there is `oysterbench run`: any program, several
+    runs side by side, variants, and going on where it was interrupted.
 
     \b
     Examples:

@@ -24,14 +24,14 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 NO_HUB = "no hub is set (--from, OYSTERBENCH_HUB or hub.toml in the home folder)"
 
 
-@click.command("hub-key", short_help="Make the key that a hub's index is signed with.")
+@click.command(short_help="Make the key that a hub's index is signed with.")
 @click.argument("path", type=FILE, metavar="FILE")
-def hub_key(path: Path) -> None:
+def keygen(path: Path) -> None:
     """Make a private key for a hub, and print the public one, which its users give with --key.
 
     \b
     Examples:
-      oysterbench hub-key my-hub.pem
+      oysterbench keygen my-hub.pem
 
     Keep the file to yourself and keep a copy: without it no client takes a new index.
     """
@@ -54,7 +54,7 @@ PROXY = click.option(
 @click.command(short_help="Write a split into a tree that any web server can serve.")
 @click.argument("split_name", metavar="SPLIT")
 @click.argument("tree", type=FOLDER, metavar="DIR")
-@click.option("--key", "key_file", type=FILE, required=True, help="Private key, from `oysterbench hub-key`.")
+@click.option("--key", "key_file", type=FILE, required=True, help="Private key, from `oysterbench keygen`.")
 @click.option("--old-key", "old_files", type=FILE, multiple=True, help="Key that came before; signs, too. Repeatable.")
 @click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home]")
 @click.option("--salt-file", type=FILE, help="Secret of a hidden split, to find its files under the home.")
@@ -378,4 +378,4 @@ def _print_plan(manifest: Manifest, steps: list[Any], as_json: bool) -> None:
     )
 
 
-COMMANDS = (publish, serve, download, verify, hub_key)
+COMMANDS = (publish, serve, download, verify, keygen)

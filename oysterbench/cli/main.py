@@ -15,6 +15,7 @@ from oysterbench.cli.doctor import doctor
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.eval import eval_command
 from oysterbench.cli.hub import COMMANDS as HUB_COMMANDS
+from oysterbench.cli.interrupts import interruption
 from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
 from oysterbench.cli.models import COMMANDS as MODEL_COMMANDS
@@ -30,6 +31,9 @@ from oysterbench.version import VERSION
 
 COMMANDS = Installed("oysterbench", "oysterbench.commands")
 
+RENAMED = {"hub-key": "keygen"}
+"""What some commands were called before."""
+
 
 class Commands(click.Group):
     """Turns expected failures into one line on stderr and an exit code. Commands that packages bring under the entry
@@ -41,13 +45,20 @@ class Commands(click.Group):
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         return super().get_command(context, name) or COMMANDS.get_command(context, name)
 
+    def resolve_command(
+        self, context: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] in RENAMED:
+            context.fail(f"No such command {args[0]!r}: it is `oysterbench {RENAMED[args[0]]}` now.")
+        return super().resolve_command(context, args)
+
     def invoke(self, context: click.Context) -> Any:
         try:
             return super().invoke(context)
         except OysterbenchError as error:
             _fail(str(error), error.exit_code)
         except KeyboardInterrupt:
-            _fail("interrupted; what was finished is kept, and the same command goes on from there", INTERRUPTED)
+            _fail(interruption(context.invoked_subcommand or ""), INTERRUPTED)
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -72,11 +83,11 @@ def main() -> None:
 
     \b
     Examples:
-      oysterbench eval slam                         the demo: render, run the baselines, print the table
+      oysterbench eval slam                         a first number: render, run the baselines, print the table
       oysterbench eval slam --method gtsam_vi --out results
       oysterbench eval slam --truth truth.tum --estimate mine.tum --align se3
       oysterbench eval steering                     policies that explore, against an expert
-      oysterbench run my_slam --command "..."       run any program on a split, and score it
+      oysterbench run my_slam --command "..."       experiments: any program, many runs, resumed after interruption
       oysterbench systems                           published systems: build one, then run it by name
       oysterbench tune openvins_dynamic --out tuning    the best options by a stated number of trials
       oysterbench compare ours theirs               ranks, ties, and who is better where

@@ -31,7 +31,7 @@ def track_options() -> dict[str, Option]:
     return {option.name: option for track in TRACKS.values() for option in track.options if not option.files}
 
 
-@click.command("run", cls=Run, short_help="Run methods, or any program, on a split: contained, measured, resumable.")
+@click.command("run", cls=Run, short_help="Experiments: run methods or any program on a split, measured and resumed.")
 @click.argument("names", metavar="[METHOD]...", nargs=-1)
 @click.option("--track", "track_name", metavar="TRACK", help="What is evaluated.  [default: the method's own]")
 @click.option("--command", "template", metavar="TEXT", help="Another program: its command line, with placeholders.")
@@ -76,7 +76,10 @@ def run_command(
     outputs: Outputs,
     **values: Any,
 ) -> None:
-    """Run methods on the sequences of a split, each in a process of its own, and score what they leave.
+    """Run methods, or any program, on the sequences of a split, and score what they leave; what is finished is kept.
+
+    For experiments: each run is a process of its own without the truth, with its time and memory measured; several run
+    side by side, and the same command goes on where it was interrupted. For a first number there is `oysterbench eval`.
 
     \b
     Examples:

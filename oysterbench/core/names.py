@@ -32,6 +32,17 @@ def nearest(name: str, known: Iterable[str]) -> list[str]:
     return difflib.get_close_matches(name, list(known), n=4, cutoff=0.6)
 
 
+def listed(names: Iterable[str]) -> str:
+    """Names in a sentence: the first, and how many more there are.
+
+    >>> listed(["calm", "rough"]), listed(f"wave-{k}" for k in range(12))[-22:]
+    ('calm, rough', 'wave-9 and 2 more')
+    """
+    each = list(names)
+    more = len(each) - FEW
+    return (", ".join(each[:FEW]) + (f" and {more} more" if more > 0 else "")) or "none"
+
+
 def did_you_mean(names: Iterable[str]) -> str:
     """The question, to be written before what else helps; nothing without names.
 

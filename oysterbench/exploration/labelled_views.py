@@ -7,15 +7,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from oysterbench.core.errors import LabelError, SequenceError
 from oysterbench.evaluate.steering import Labels
 from oysterbench.methods.steering import VehicleState, View
 from oysterbench.recipe import SteeringRecipe
 from oysterbench.sequence import Sequence, open_sequence
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 COLUMNS = ("stamp_ns", "yaw", "pitch", "heading_rad", "pitch_rad", "depth_m", "altitude_m")
 

@@ -64,7 +64,7 @@ class Hub:
         if self.public is None:
             raise HubError(
                 "no key of this hub is known: give its public key with --key, OYSTERBENCH_HUB_KEY or the key 'key' of "
-                f"{home() / 'hub.toml'}; the hub's owner has it from `oysterbench hub-key`"
+                f"{home() / 'hub.toml'}; the hub's owner has it from `oysterbench keygen`"
             )
         public = self.public
 

@@ -40,11 +40,11 @@ def load_key(path: Path) -> Ed25519PrivateKey:
     try:
         key = serialization.load_pem_private_key(path.read_bytes(), password=None)
     except FileNotFoundError:
-        raise HubError(f"{path}: no such key; `oysterbench hub-key {path}` makes one") from None
+        raise HubError(f"{path}: no such key; `oysterbench keygen {path}` makes one") from None
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
-        raise HubError(f"{path}: expected a private key as `oysterbench hub-key` makes it, got: {error}") from None
+        raise HubError(f"{path}: expected a private key as `oysterbench keygen` makes it, got: {error}") from None
     if not isinstance(key, Ed25519PrivateKey):
-        raise HubError(f"{path}: expected an Ed25519 key, got another kind; `oysterbench hub-key` makes one")
+        raise HubError(f"{path}: expected an Ed25519 key, got another kind; `oysterbench keygen` makes one")
     return key
 
 
@@ -71,6 +71,6 @@ def check_public(key: str, where: str) -> str:
     """A public key as a user gives it. Raises HubError naming `where` it was given."""
     if not re.fullmatch("[0-9a-f]{64}", key.strip().lower()):
         raise HubError(
-            f"{where}: expected a hub's public key, 64 hex digits as `oysterbench hub-key` prints them, got {key!r}"
+            f"{where}: expected a hub's public key, 64 hex digits as `oysterbench keygen` prints them, got {key!r}"
         )
     return key.strip().lower()

@@ -27,6 +27,9 @@ READ = 1 << 20
 RETRIED = (408, 425, 429, 500, 502, 503, 504)
 """Status codes after which the same request may succeed."""
 
+HOST = re.compile(r"(?:localhost|[\w-]+(?:\.[\w-]+)+|[\w.-]+(?=:)|\[[0-9a-fA-F:]+\])(?::[0-9]{1,5})?(?:/.*)?")
+"""What looks like an address without http://: a host with a dot or a port, perhaps a path."""
+
 
 class Setback(Exception):
     """A request that failed and may be made again; `wait_s`: no sooner than the server asks for."""
@@ -223,7 +226,10 @@ def open_source(place: str, connections: int = 4, patience: Patience = Patience(
     else:
         folder = Path(place).expanduser()
     if not folder.is_dir():
-        raise HubError(f"{place}: no such folder; expected the address of a hub or a folder with a published tree")
+        meant = f"did you mean http://{place}? " if HOST.fullmatch(place) else ""
+        raise HubError(
+            f"{place}: no such folder; {meant}expected the address of a hub or a folder with a published tree"
+        )
     return Folder(folder)
 
 

@@ -26,6 +26,9 @@ from oysterbench.evaluate.statistics import (
 from oysterbench.results.records import ResultRecord, comparable_key, method_key, plain, samples, weights_of
 from oysterbench.results.standings import PRIMARY, ScoreTable, SequenceScores, Standing, direction
 
+MOST_LISTED = 4
+"""Settings, or values of one, that a sentence or a label names: the others are counted."""
+
 
 @dataclass(frozen=True)
 class MethodRuns:
@@ -264,7 +267,7 @@ def _apart(board: Board, found: Sequence[Board]) -> str:
     for key, value in board.settings.items():
         if any(other.settings.get(key) != value for other in others):
             parts.append(f"{key} = {value}")
-    return ", ".join(parts)
+    return _few(parts)
 
 
 def _board(records: Sequence[ResultRecord]) -> Board:
@@ -308,9 +311,10 @@ def _labels(keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], str]:
         own = json.loads(settings)
         absent = object()
         differing = [key for key in own if any(other.get(key, absent) != own[key] for other in others)]
-        inside = ", ".join(f"{key} = {own[key]}" for key in differing)
-        alone = len(others) == 1
-        found[name, settings] = name if alone else f"{name} ({inside or 'defaults'})"
+        inside = _few([f"{key} = {own[key]!s:.40}" for key in differing]) or "defaults"
+        label = name if len(others) == 1 else f"{name} ({inside})"
+        same = sum(other == label or other.startswith(f"{label} #") for other in found.values())
+        found[name, settings] = f"{label} #{same + 1}" if same else label  # which differ in what is not named
     return found
 
 
@@ -344,14 +348,26 @@ def _differences(found: Sequence[Board]) -> str:
     for key, noun in (("track", "track"), ("split", "split"), ("evaluator_version", "evaluator")):
         values = list(dict.fromkeys(getattr(board, key) or "no split" for board in found))
         if len(values) > 1:
-            parts.append(f"{noun} ({', '.join(values)})")
+            parts.append(f"{noun} ({_few(values)})")
     if any(a.split == b.split and a.split_digest != b.split_digest for a in found for b in found):
         parts.append("recipe of the split")
-    for key in dict.fromkeys(key for board in found for key in board.settings):
-        values = list(dict.fromkeys(json.dumps(plain(board.settings.get(key))) for board in found))
-        if len(values) > 1:
-            parts.append(f"setting {key} ({', '.join(values)})")
+    by_data: dict[tuple[str, str], list[Board]] = {}  # other tracks have other settings, which tell nothing
+    for board in found:
+        by_data.setdefault((board.track, board.split), []).append(board)
+    differing: dict[str, dict[str, None]] = {}
+    for group in by_data.values():
+        for key in dict.fromkeys(key for board in group for key in board.settings):
+            values = dict.fromkeys(json.dumps(plain(board.settings.get(key))) for board in group)
+            if len(values) > 1:
+                differing.setdefault(key, {}).update(values)
+    parts += [f"setting {key} ({_few(list(values))})" for key, values in differing.items()]
     return ", ".join(parts)
+
+
+def _few(values: Sequence[str]) -> str:
+    """The first of them, and how many more there are."""
+    more = len(values) - MOST_LISTED
+    return ", ".join(values) if more <= 0 else f"{', '.join(values[:MOST_LISTED])} and {more} more"
 
 
 def as_plain(board: Board) -> dict[str, Any]:

@@ -43,6 +43,7 @@ class DensityTrack(Track):
     name = "density"
     title = "Oysters per square metre, from paths and masks."
     takes = ("slam", *IMAGES)
+    splits = ("slam", "segmentation")
     default_split = "slam-mini"
     default_methods = ("dead_reckoning",)
     evaluator = EVALUATOR
@@ -73,6 +74,7 @@ class DensityTrack(Track):
 
     def evaluate(self, request: Request) -> Evaluation:
         """Map, and score. Methods of the track SLAM give paths, those of images give masks."""
+        self.check(request)
         options, settings = request.options, self.settings(request.options)
         if request.template is not None or request.runs > 1:
             raise MethodError("density: maps are made of methods of Python, each run once, or of --poses and --masks")
@@ -81,7 +83,6 @@ class DensityTrack(Track):
         images = [method for method in methods if method.track in IMAGES]
         if "masks" in options and images:
             raise MethodError(f"--masks and {images[0].name}: expected masks from one of them")
-        self.check(request)
         self.have_weights(methods, request)
         again = replace(request, again=bool(options.get("again")), runs=1)
         runs: list[DensityRun] = []

@@ -86,6 +86,7 @@ class PictureSequence(RunSequence):
 class ImageTrack(Track):
     """A track of images."""
 
+    splits = ("segmentation",)
     default_split = "seg-mini"
     default_methods = ("all", "none", "colour")
     files = "masks, or annotations,"

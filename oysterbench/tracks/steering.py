@@ -76,6 +76,7 @@ class SteeringTrack(Track):
     name = "steering"
     title = "Policies that steer a vehicle over a reef, against an expert."
     takes = ("steering",)
+    splits = ("steering",)
     default_split = "steer-mini"
     default_methods = ("straight", "chance")
     evaluator = EVALUATOR
@@ -95,11 +96,9 @@ class SteeringTrack(Track):
         """None."""
 
     def check(self, request: Request) -> None:
-        """Refuse splits of other tracks."""
-        split = request.split
-        if split is None or split.steering is None:
-            got = "sequences of no split" if split is None else f"split {split.name} is of the track {split.track!r}"
-            raise RecipeError(f"{got}; expected one of the track {self.name!r}, such as {self.default_split}")
+        """Refuse sequences of no split, too: what there is to command is the split's."""
+        if request.split is None:
+            raise RecipeError(f"sequences of no split: expected a split of this track, such as {self.default_split}")
         super().check(request)
 
     def evaluate(self, request: Request) -> Evaluation:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from oysterbench.core.errors import MethodError
+from oysterbench.core.errors import MethodError, RecipeError
 
 if TYPE_CHECKING:
     from oysterbench.methods.adapters import MethodAdapter
@@ -149,6 +149,7 @@ class Track(ABC):
     """A track.
 
     takes:   tracks of the methods that take part, its own first
+    splits:  tracks of the splits that it is run on
     evaluator: name and version of what scores it
     files:   what --truth and --estimate are; empty where no files can be scored
     options: of its own
@@ -157,6 +158,7 @@ class Track(ABC):
     name: str
     title: str
     takes: tuple[str, ...]
+    splits: tuple[str, ...]
     default_split: str
     default_methods: tuple[str, ...]
     evaluator: str
@@ -192,9 +194,16 @@ class Track(ABC):
 
     def check(self, request: Request) -> None:
         """Refuse what cannot be evaluated, before anything is rendered. Raises OysterbenchError."""
-        if request.split is not None:
-            for name in request.sequences:
-                request.split.find_sequence(name)
+        split = request.split
+        if split is None:
+            return
+        if split.track not in self.splits:
+            raise RecipeError(
+                f"split {split.name} is of the track {split.track}, and {self.name} is run on splits of "
+                f"{' or '.join(self.splits)}, such as {self.default_split}; `oysterbench splits` lists what there is"
+            )
+        for name in request.sequences:
+            split.find_sequence(name)
 
     def adapters(self, request: Request) -> list[MethodAdapter]:
         """What is run. Raises MethodError where it cannot be found, or is of another track."""
@@ -221,9 +230,9 @@ class Track(ABC):
     def evaluate(self, request: Request) -> Evaluation:
         """Run methods on sequences, score and show what they predict."""
         # Everything that can be wrong with the request is found before the rendering begins.
+        self.check(request)
         settings = self.settings(request.options)
         adapters = self.adapters(request)
-        self.check(request)
         self.have_weights(adapters, request)
         sequences = self.run_sequences(request.split, self.rendered(request), request.options)
         runs: list[Any] = []

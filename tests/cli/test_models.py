@@ -34,7 +34,7 @@ class Place:
         self.unseen = small_set(folder / "unseen", {"two": ("val", 2)}, first=50)
         train(self.learnt, self.weights, SMALL, 3, torch.device("cpu"))
         self.digest = hashlib.sha256(self.weights.read_bytes()).hexdigest()
-        self.public = self.run("hub-key", folder / "key.pem").stdout.strip()
+        self.public = self.run("keygen", folder / "key.pem").stdout.strip()
 
     def run(self, *arguments, code=0, home=None, **environment):
         clean = {key: None for key in os.environ if key.startswith("OYSTERBENCH")}

@@ -25,7 +25,7 @@ class Place:
         self.recipe = folder / "tiny.toml"
         self.recipe.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
         self.write(self.data, digest(load_split(str(self.recipe))))
-        self.public = self.run("hub-key", folder / "key.pem").stdout.strip()
+        self.public = self.run("keygen", folder / "key.pem").stdout.strip()
         self.run("publish", self.recipe, self.tree, "--key", folder / "key.pem", "--data", self.data)
         self.whole = (self.data / "tiny-01.mcap").read_bytes()
 
