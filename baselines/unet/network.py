@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import nn
@@ -103,6 +103,13 @@ class PretrainedUNetwork(nn.Module):
             self.up.append(Block(deep + channels, width, settings.groups))
             deep = width
         self.head = nn.Conv2d(deep, settings.outputs, 1)
+
+    def train(self, mode: bool = True) -> Self:
+        """The encoder always normalises by what ImageNet was like: the statistics of eight crops, and a mean over those
+        of the last hundred steps, are far from what pictures are normalised by afterwards."""
+        super().train(mode)
+        self.encoder.eval()
+        return self
 
     def forward(self, pixels: torch.Tensor) -> torch.Tensor:
         """See the class."""

@@ -107,6 +107,19 @@ def test_a_network_on_an_encoder_learns_and_is_read_again(tmp_path, monkeypatch)
     assert model.logits(np.zeros((100, 200, 3), np.uint8)).shape == (2, 100, 200)
 
 
+def test_what_the_encoder_normalises_by_is_not_learnt_and_its_weights_are(monkeypatch):
+    monkeypatch.setattr(network, "pretrained", network.EfficientNetLite)
+    found = build_network(UNetworkSettings(groups=8, encoder="lite0", side=64), begun=True)
+    before = {key: value.clone() for key, value in found.state_dict().items()}
+    found.train()
+    optimiser = torch.optim.SGD(found.parameters(), lr=0.1)
+    found(torch.randn(2, 3, 64, 64)).square().mean().backward()
+    optimiser.step()
+    changed = {key for key, value in found.state_dict().items() if not torch.equal(value, before[key])}
+    assert not any("running" in key or "batches" in key for key in changed)
+    assert any(key.startswith("encoder.stem") for key in changed)
+
+
 @pytest.mark.parametrize("size", [(64, 80), (61, 83), (5, 7)])
 def test_pictures_of_any_size_are_answered_at_their_size(size, checkpoint):
     pixels = np.random.default_rng(0).integers(0, 255, (*size, 3), dtype=np.uint8)
