@@ -342,7 +342,7 @@ def test_a_rollout_without_a_step_is_refused(seconds):
 
 
 def test_a_split_of_another_track_has_no_rollouts(tiny_split):
-    with pytest.raises(RecipeError, match="is of the track slam"):
+    with pytest.raises(RecipeError, match="is of the track 'slam'"):
         plan_rollouts(tiny_split)
 
 
