@@ -20,6 +20,7 @@ from oysterbench.cli.learn import Installed, experiment, train, translate
 from oysterbench.cli.map import map_command
 from oysterbench.cli.models import COMMANDS as MODEL_COMMANDS
 from oysterbench.cli.outputs import print_rich
+from oysterbench.cli.release import release
 from oysterbench.cli.render import frames_bar, render
 from oysterbench.cli.run import run_command
 from oysterbench.cli.segment import segment_command
@@ -118,6 +119,7 @@ for _command in (
     translate,
     experiment,
     render,
+    release,
     splits,
     systems_command,
     tune_command,

@@ -13,6 +13,7 @@ import cv2
 from oysterbench.core.pictures import decode_picture
 from oysterbench.core.ros import decode, stamp_of
 from oysterbench.hub.canonical import sha256
+from oysterbench.hub.pixels import sampler
 from oysterbench.sensors.camera_messages import COLOUR
 from oysterbench.sequence.file import Reading, read_attachments, read_messages
 
@@ -21,8 +22,8 @@ RECORD = struct.Struct("<qq")  # stamp in ns, bytes that follow
 
 @dataclass(frozen=True)
 class Content:
-    """What a file says. topics: topic -> {"type", "messages", "sha256"}, of those that have messages; attachments:
-    name -> SHA-256."""
+    """What a file says. topics: topic -> {"type", "messages", "sha256"}, of those that have messages, and "pixels", of
+    pictures: some of their numbers; attachments: name -> SHA-256."""
 
     topics: dict[str, dict[str, Any]]
     attachments: dict[str, str]
@@ -45,12 +46,16 @@ def content_of(path: Path) -> Content:
         if not counts.get(channel.id, 0):
             continue
         kind = summary.schemas[channel.schema_id].name
-        whole = hashlib.sha256()
-        for message in read_messages(path, [channel.topic]):
+        whole, pixels = hashlib.sha256(), sampler(channel.topic, kind, counts[channel.id])
+        for number, message in enumerate(read_messages(path, [channel.topic])):
             payload = decoded_image(message.data) if kind == COLOUR else message.data
             whole.update(RECORD.pack(message.stamp_ns, len(payload)))
             whole.update(payload)
+            if pixels:
+                pixels.see(number, message.data)
         content[channel.topic] = {"type": kind, "messages": counts[channel.id], "sha256": whole.hexdigest()}
+        if pixels:
+            content[channel.topic]["pixels"] = pixels.text()
     attachments = {name: sha256(data) for name, data in sorted(read_attachments(path).items())}
     statistics = summary.statistics
     return Content(content, attachments, statistics.message_end_time - statistics.message_start_time)

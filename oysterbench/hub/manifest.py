@@ -50,7 +50,8 @@ class FileEntry(Pieced, msgspec.Struct, frozen=True):
 
 class Manifest(msgspec.Struct, frozen=True, dict=True):
     """A split's version. `recipe_digest` is absent (None) from a hidden split, whose `commitment` stands for its
-    truth: the SHA-256 of the truth package's manifest."""
+    truth: the SHA-256 of the truth package's manifest. made_with: of what was rendered for all, the versions of what
+    decides its bytes."""
 
     split: SplitName
     version: SplitVersion
@@ -61,6 +62,7 @@ class Manifest(msgspec.Struct, frozen=True, dict=True):
     files: tuple[FileEntry, ...]
     recipe_digest: Sha256 | None = None
     commitment: Sha256 | None = None
+    made_with: dict[str, str] | None = None
     piece_size: PieceSize = PIECE
     format: Literal["oysterbench-manifest/1"] = "oysterbench-manifest/1"
     licence: str = LICENCE

@@ -18,7 +18,7 @@ from oysterbench.sequence.read import CALIBRATION
 from oysterbench.sequence.types import is_measured
 from oysterbench.sequence.write import SequenceWriter
 
-PUBLIC_METADATA = ("sequence", "split", "split_version", "track", "rig", "oysterbench")
+PUBLIC_METADATA = ("sequence", "split", "split_version", "track", "rig", "generation")
 PUBLIC_ATTACHMENTS = (CALIBRATION, "classes.json")
 """What a hidden split shows besides measurements: lists of what may be seen, so that what is new stays hidden until it
 is listed. A topic is listed by the `leaves` of its kind of sensor."""

@@ -22,7 +22,7 @@ from oysterbench.sequence.read import CALIBRATION, METADATA, TRUE_CALIBRATION
 from oysterbench.sequence.truth import rig_topics, static_transforms
 from oysterbench.sequence.write import SequenceWriter
 from oysterbench.simulation.jobs import Job, bulky_sensors, plan, sources
-from oysterbench.version import VERSION
+from oysterbench.version import GENERATION
 
 
 def assemble(
@@ -51,7 +51,7 @@ def assemble(
                 "track": split.track,
                 "rig": rig.name,
                 "digest": made_by,
-                "oysterbench": VERSION,
+                "generation": str(GENERATION),
             },
         )
         writer.attachment(CALIBRATION, "application/json", json.dumps(calibration.given, indent=1).encode())

@@ -39,13 +39,10 @@ from oysterbench.simulation.assembly import assemble
 from oysterbench.simulation.jobs import Job, bulky_sensors, plan, sources
 from oysterbench.simulation.salt import HOW_TO_MAKE, LEAST_BYTES, Salt, is_strong
 from oysterbench.simulation.scheduling import run_alone, run_here, run_in_processes
-from oysterbench.version import VERSION
+from oysterbench.version import GENERATION, VERSION
 
 WORKER_S = 10.0
 """Of rendering that a worker must find to be worth its start, which takes some 4 s of processor time."""
-
-GENERATION = 4
-"""Raised whenever the same recipe begins to give other bytes, so that no cached file is taken for a new one."""
 
 PROGRAM = f"oysterbench {VERSION}, generation {GENERATION}"
 """What decides the bytes besides the recipe: workers elsewhere must have the same."""

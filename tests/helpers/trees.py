@@ -36,7 +36,7 @@ def write_sequence(path: Path, name: str, seconds: float = 1.0, digest: str = DI
     with open(path, "wb") as file:
         writer = SequenceWriter(file, types, compress)
         known = {"sequence": name, "split": FACTS["split"], "split_version": FACTS["version"], "track": "slam"}
-        writer.metadata(METADATA, {**known, "rig": "hand", "digest": digest, "oysterbench": "0.1.0"})
+        writer.metadata(METADATA, {**known, "rig": "hand", "digest": digest, "generation": "4"})
         writer.attachment(CALIBRATION, "application/json", json.dumps(calibration()).encode())
         writer.attachment("classes.json", "application/json", b"{}")
         writer.attachment("split.toml", "application/toml", SEED.encode())

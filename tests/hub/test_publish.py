@@ -259,7 +259,7 @@ def test_a_hidden_split_shows_measurements_only(hidden, secret_files):
     with pytest.raises(SequenceError, match="no truth"):
         sequence.truth()
     assert set(read_attachments(public)) == {"calibration.json", "classes.json"}
-    assert set(sequence.metadata) == {"sequence", "split", "split_version", "track", "rig", "oysterbench"}
+    assert set(sequence.metadata) == {"sequence", "split", "split_version", "track", "rig", "generation"}
     original = secret_files["dive-01"]
     for topic in shown:
         assert list(read_messages(public, [topic])) == list(read_messages(original, [topic]))

@@ -1,0 +1,67 @@
+"""The command that pins what a split's files are. `cli` takes it in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from oysterbench.cli.echo import echo, message
+
+FOLDER = click.Path(path_type=Path, file_okay=False)
+
+
+@click.command(short_help="Write the manifest that renders of a split are held against.")
+@click.argument("split_name", metavar="SPLIT")
+@click.option("--sequence", "names", multiple=True, metavar="NAME", help="Only this sequence; repeatable.")
+@click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home]")
+@click.option("--out", type=FOLDER, help="Folder of the manifest.  [default: the one in the package]")
+@click.option("--again", is_flag=True, help="Read sequences again that were read before.")
+def release(split_name: str, names: tuple[str, ...], data: Path | None, out: Path | None, again: bool) -> None:
+    """Read a rendered split and write its manifest, for those who maintain splits: hashes of every file and of what is
+    decoded from it, with the versions of what made them.
+
+    \b
+    Examples:
+      oysterbench release slam-mini
+      oysterbench release slam-val --sequence val-03     one of many; its file may go afterwards
+
+    What was read of each sequence is kept under the home, in `releases`. The manifest is written when all of them were
+    read. A release never changes: another manifest under its name is refused.
+    """
+    from importlib import resources
+
+    from oysterbench.cli.progress import bytes_bar
+    from oysterbench.core.errors import HubError
+    from oysterbench.core.files import home
+    from oysterbench.hub.publish import check_made_by
+    from oysterbench.hub.release import keep_read, not_read, put_together, write_release
+    from oysterbench.recipe import load_split
+    from oysterbench.sequence.truth import rig_topics
+    from oysterbench.simulation.generate import digest, sequence_files, split_folder
+
+    split = load_split(split_name)
+    if split.hidden:
+        raise HubError(f"{split.name} is a hidden split: nobody can render it; `oysterbench publish --hidden` pins it")
+    made_by = digest(split)
+    kept = home() / "releases" / f"{split.name}-{split.version}-{made_by[:12]}"
+    known = [sequence.name for sequence in split.sequence]
+    wanted = [split.find_sequence(name).name for name in names] or known
+    files = sequence_files(split, data or split_folder(split))
+    todo = {name: files[name] for name in (wanted if again else not_read(kept, wanted))}
+    check_made_by(todo, split.name, split.version, made_by, hidden=False)
+    done, total = 0, sum(path.stat().st_size for path in todo.values())
+    with bytes_bar(f"reading {split.name}") as progress:
+        for name, path in todo.items():
+            keep_read(kept, name, path, rig_topics(split.rig_of(split.find_sequence(name))))
+            done += path.stat().st_size
+            progress(done, total)
+    missing = not_read(kept, known)
+    if missing:
+        message(f"{split.name} {split.version}: {len(missing)} of {len(known)} to be read: {', '.join(missing)}")
+        return
+    facts = {"split": split.name, "version": split.version, "track": split.track, "summary": split.summary}
+    manifest = put_together(kept, {**facts, "rig": split.rig.name}, known, made_by)
+    folder = out or Path(str(resources.files("oysterbench_datasets"))) / "manifests"
+    message(f"{split.name} {split.version}: {len(manifest.files)} files, {manifest.size / 1e6:.1f} MB")
+    echo(write_release(manifest, folder))

@@ -1,0 +1,92 @@
+"""Releasing a split: the manifest that comes with oysterbench, and that everybody's render is held against.
+
+It is made sequence by sequence, so that a split need never be on a disk as a whole: what was read of each is kept, and
+put together when nothing is missing.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import msgspec
+
+from oysterbench.core.errors import HubError
+from oysterbench.core.files import write_atomically
+from oysterbench.hub.canonical import canonical, decode
+from oysterbench.hub.manifest import FileEntry, Manifest, describe_file
+from oysterbench.version import GENERATION, VERSION
+
+DECIDING = ("numpy", "scipy", "opencv-python-headless", "warp-lang", "trimesh", "mcap", "zstandard")
+"""Packages whose arithmetic, coding or compression decides the bytes of a sequence file."""
+
+
+class Read(msgspec.Struct, frozen=True):
+    """What was read of one sequence file, and where it was made."""
+
+    entry: FileEntry
+    made_with: dict[str, str]
+
+
+def made_with() -> dict[str, str]:
+    """Versions of what decides the bytes, here: of packages, Python, the kind of processor, and what is rendered."""
+    found = {"generation": str(GENERATION), "python": platform.python_version(), "processor": platform.machine()}
+    for name in DECIDING:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def keep_read(kept: Path, name: str, path: Path, topics: Collection[str]) -> None:
+    """Read the file of a sequence, and keep what it says in the folder `kept`. Raises HubError where one of the topics,
+    all those of its rig, has no message: the file is a part of what is to be released."""
+    read = Read(describe_file(path, f"{name}.mcap"), made_with())
+    absent = sorted({*topics} - {*read.entry.content})
+    if absent:
+        raise HubError(f"{path}: expected all topics of its rig, got none of {', '.join(absent)}; it was not taken")
+    write_atomically(kept / f"{name}.json", canonical(msgspec.to_builtins(read)))
+
+
+def not_read(kept: Path, names: Sequence[str]) -> list[str]:
+    """Which of the sequences were not read yet."""
+    return [name for name in names if not (kept / f"{name}.json").is_file()]
+
+
+def put_together(kept: Path, facts: Mapping[str, str], names: Sequence[str], recipe_digest: str) -> Manifest:
+    """The manifest of sequences that were read; facts: split, version, track, rig and summary.
+
+    Raises HubError where they were made with different versions of what decides the bytes.
+    """
+    reads = {name: decode((kept / f"{name}.json").read_bytes(), Read, f"{kept}/{name}.json") for name in sorted(names)}
+    first, *others = reads.items()
+    for name, read in others:
+        for what, here, there in _unlike(first[1].made_with, read.made_with):
+            raise HubError(
+                f"{name} was made with {what} {there}, and {first[0]} with {here}; nothing was written: render one of "
+                "them again with the other's, and release it with --again"
+            )
+    entries = tuple(read.entry for read in reads.values())
+    made = {"oysterbench": VERSION, "files": entries, "made_with": first[1].made_with}
+    return Manifest(**facts, **made, recipe_digest=recipe_digest)  # type: ignore[arg-type]
+
+
+def write_release(manifest: Manifest, folder: Path) -> Path:
+    """Write a manifest among the released ones. Raises HubError where another one has its name: releases stay."""
+    path = folder / f"{manifest.split}-{manifest.version}.json"
+    if path.is_file() and path.read_bytes() != manifest.data:
+        raise HubError(
+            f"{path}: {manifest.split} {manifest.version} has another manifest, and a release never changes; it was "
+            "left as it is: raise the version in the split's recipe, or delete the file if nobody has it yet"
+        )
+    write_atomically(path, manifest.data)
+    return path
+
+
+def _unlike(here: Mapping[str, str], there: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+    for what in sorted({*here, *there}):
+        if here.get(what) != there.get(what):
+            yield what, here.get(what, "none"), there.get(what, "none")

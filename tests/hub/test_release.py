@@ -1,0 +1,72 @@
+"""Releases: made sequence by sequence, of whole files, and never changed."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from oysterbench.core.errors import HubError
+from oysterbench.hub.manifest import describe_file, read_manifest
+from oysterbench.hub.release import DECIDING, keep_read, made_with, not_read, put_together, write_release
+from oysterbench.version import GENERATION
+from tests.helpers.trees import DIGEST, FACTS, write_split
+
+NAMES = ("dive-01", "dive-02")
+TOPICS = ("/cam_left/image", "/imu", "/truth/pose")
+
+
+@pytest.fixture
+def files(tmp_path):
+    return write_split(tmp_path / "data")
+
+
+def test_a_release_is_made_of_sequences_that_were_never_on_the_disk_together(files, tmp_path):
+    kept = tmp_path / "kept"
+    entries = {name: describe_file(path) for name, path in files.items()}
+    for name, path in files.items():
+        assert name in not_read(kept, NAMES)
+        keep_read(kept, name, path, TOPICS)
+        path.unlink()
+    assert not_read(kept, NAMES) == []
+    manifest = put_together(kept, FACTS, NAMES, DIGEST)
+    assert [(entry.sequence, entry) for entry in manifest.files] == sorted(entries.items())
+    path = write_release(manifest, tmp_path / "manifests")
+    assert path.name == "fake-val-1.0.json"
+    assert read_manifest(path.read_bytes(), "it") == manifest
+    assert manifest.made_with == made_with()
+
+
+def test_a_release_says_what_decides_its_bytes():
+    found = made_with()
+    assert found["generation"] == str(GENERATION)
+    assert {*DECIDING} <= {*found}
+    assert {"python", "processor"} <= {*found}
+
+
+def test_parts_made_with_different_versions_make_no_release(files, tmp_path):
+    for name, path in files.items():
+        keep_read(tmp_path, name, path, TOPICS)
+    other = tmp_path / "dive-02.json"
+    document = json.loads(other.read_bytes())
+    document["made_with"]["numpy"] = "9.9"
+    other.write_text(json.dumps(document))
+    with pytest.raises(HubError, match=r"dive-02 was made with numpy 9\.9, and dive-01 with"):
+        put_together(tmp_path, FACTS, NAMES, DIGEST)
+
+
+def test_a_file_that_lacks_a_topic_of_its_rig_is_not_released(files, tmp_path):
+    with pytest.raises(HubError, match="got none of /sonar_front/image; it was not taken"):
+        keep_read(tmp_path, "dive-01", files["dive-01"], (*TOPICS, "/sonar_front/image"))
+    assert not_read(tmp_path, NAMES) == [*NAMES]
+
+
+def test_a_release_never_changes(files, tmp_path):
+    for name, path in files.items():
+        keep_read(tmp_path, name, path, TOPICS)
+    manifest = put_together(tmp_path, FACTS, NAMES, DIGEST)
+    path = write_release(manifest, tmp_path)
+    assert write_release(manifest, tmp_path) == path
+    with pytest.raises(HubError, match="a release never changes"):
+        write_release(put_together(tmp_path, FACTS, NAMES[:1], DIGEST), tmp_path)
+    assert path.read_bytes() == manifest.data
