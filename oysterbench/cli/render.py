@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from oysterbench.cli.echo import echo
+from oysterbench.cli.echo import echo, message
 from oysterbench.notebook.progress import frames_bar, plain_progress
 from oysterbench.notebook.rendering import render_files
 
@@ -61,7 +61,8 @@ def render(
     workers, here or on a cluster, gives the same bytes. A hidden split needs its salt, which is read from a file or
     from OYSTERBENCH_SALT, as a command line can be read by others; its preview shows how it looks without one.
     """
-    from oysterbench.recipe import load_split
+    from oysterbench.recipe import load_split, split_names
+    from oysterbench.simulation.generate import digest
     from oysterbench.simulation.salt import salt_for
 
     if workers is not None and scheduler is not None:
@@ -77,6 +78,37 @@ def render(
     else:
         for path in files.values():
             echo(path)
+    if split_name in split_names() and not split.hidden and not as_preview:
+        _compare(split, files, digest(split, device=device), device)
+
+
+def _compare(split: SplitRecipe, files: dict[str, Path], made_by: str, device: str) -> None:
+    """Say whether the files are those that were released."""
+    from oysterbench.cli.progress import bytes_bar
+    from oysterbench.hub.manifest import released_manifest
+    from oysterbench.hub.verify import RIGHT, check_released
+
+    name = f"{split.name} {split.version}"
+    manifest = released_manifest(split.name, split.version)
+    if manifest is None:
+        message(f"{name}: no manifest of it was released, so that nothing could be compared")
+        return
+    if device == "cpu" and manifest.recipe_digest != made_by:
+        message(f"{name} was released by another recipe or generation, and is not what was rendered here")
+        return
+    done, total, same = 0, sum(path.stat().st_size for path in files.values()), 0
+    with bytes_bar(f"comparing {split.name} with what was released") as progress:
+        for path in files.values():
+            check = check_released(path, manifest)
+            same += check.state == RIGHT
+            if check.state != RIGHT:
+                message(f"{path}: {check.state} ({check.detail})")
+            done += path.stat().st_size
+            progress(done, total)
+    if same == len(files):
+        message(f"{name}: as released, {same} of {len(manifest.files)} files")
+    else:
+        message(f"{name}: {len(files) - same} of {len(files)} files are not, byte for byte, those released")
 
 
 def _preview(split: SplitRecipe, names: tuple[str, ...], folder: Path) -> dict[str, Path]:

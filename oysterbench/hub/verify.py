@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -15,6 +16,10 @@ from oysterbench.hub.canonical import decode, sha256
 from oysterbench.hub.index import IndexBody, SignedIndex
 from oysterbench.hub.manifest import NAME, VERSION_NAME, FileEntry, Manifest, read_manifest, released_manifest
 from oysterbench.hub.model import Model, read_model
+from oysterbench.hub.release import made_with
+
+if TYPE_CHECKING:
+    from oysterbench.hub.content import Content
 
 MANIFEST = "manifest.json"
 """Name of the manifest beside the files of a split."""
@@ -22,7 +27,8 @@ MANIFEST = "manifest.json"
 FOLDERS = ("blobs", "cards", "croissant", "manifests", "models", "pictures")
 """Of a tree, whose files are named by their hash."""
 
-RIGHT, REPACKED, DAMAGED, ABSENT, UNKNOWN = "right", "same content, other bytes", "damaged", "absent", "no manifest"
+RIGHT, REPACKED, ALIKE, OTHER = "right", "same content, other bytes", "alike", "other content"
+DAMAGED, ABSENT, UNKNOWN = "damaged", "absent", "no manifest"
 
 
 @dataclass(frozen=True)
@@ -36,11 +42,15 @@ class Check:
     @property
     def good(self) -> bool:
         """Whether the data can be used."""
-        return self.state in (RIGHT, REPACKED, UNKNOWN)
+        return self.state in (RIGHT, REPACKED, ALIKE, UNKNOWN)
 
 
 def check_file(path: Path, entry: FileEntry) -> Check:
-    """Read a file and compare it with its entry: bytes first and, where they differ, the content."""
+    """Read a file and compare it with its entry: bytes first and, where they differ, the content; where that differs,
+    too, some of the pixels.
+
+    A file is alike whose pictures are within one grey level on 99.9 % of these pixels, and that is the same otherwise.
+    """
     if not path.is_file():
         return Check(path, ABSENT)
     whole, wrong, size = hashlib.sha256(), [], 0
@@ -58,8 +68,8 @@ def check_file(path: Path, entry: FileEntry) -> Check:
         content = content_of(path)
     except SequenceError:
         content = None
-    if content and (content.topics, content.attachments) == (entry.content, entry.attachments):
-        return Check(path, REPACKED, "all messages and attachments are right, their packing is not")
+    if content is not None:
+        return _check_content(path, content, entry)
     if size != entry.size:
         return Check(path, DAMAGED, f"expected {entry.size} bytes, got {size}")
     return Check(
@@ -67,6 +77,58 @@ def check_file(path: Path, entry: FileEntry) -> Check:
         DAMAGED,
         f"{len(wrong)} of {len(entry.pieces)} pieces are wrong, the first at byte {wrong[0] * entry.piece_size}",
     )
+
+
+def _check_content(path: Path, content: Content, entry: FileEntry) -> Check:
+    """Compare what a whole file says with its entry."""
+    wrong: list[str] = []
+    alike: list[str] = []
+    for topic in sorted({*content.topics, *entry.content}):
+        here, there = content.topics.get(topic), entry.content.get(topic)
+        if here is None or there is None:
+            wrong.append(f"{topic} is {'absent' if here is None else 'not expected'}")
+        elif (here["type"], here["messages"]) != (there["type"], there["messages"]):
+            wrong.append(f"{topic} has {here['messages']} messages, expected {there['messages']}")
+        elif here["sha256"] != there["sha256"] and not ("pixels" in here and "pixels" in there):
+            wrong.append(f"{topic} differs")
+        elif here["sha256"] != there["sha256"]:
+            from oysterbench.hub.pixels import SHARE, share_within
+
+            share = share_within(topic, here["pixels"], there["pixels"])
+            told = f"{topic} is within a grey level on {100.0 * share:.5g} % of the pixels looked at"
+            (alike if share >= SHARE else wrong).append(told)
+    for name in sorted({*content.attachments, *entry.attachments}):
+        if content.attachments.get(name) != entry.attachments.get(name):
+            wrong.append(f"{name} differs")
+    if wrong:
+        return Check(path, OTHER, ", ".join([*wrong, *alike]))
+    if alike:
+        return Check(path, ALIKE, ", ".join(alike))
+    return Check(path, REPACKED, "all messages and attachments are right, their packing is not")
+
+
+def check_released(path: Path, manifest: Manifest) -> Check:
+    """Check a sequence file by a released manifest; where it differs, say what may be the cause.
+
+    Raises SequenceError where the file is damaged so that it does not say which sequence it is.
+    """
+    from oysterbench.sequence.read import McapSequence
+
+    known = McapSequence(path).metadata
+    entry = manifest.find(f"{known.get('sequence')}.mcap")
+    if entry is None:
+        return check_unknown(path)
+    check = check_file(path, entry)
+    if check.state not in (REPACKED, ALIKE, OTHER):
+        return check
+    if known.get("digest") != manifest.recipe_digest:
+        cause = "made by another recipe, generation or kind of device than the released one"
+    else:
+        here = made_with()
+        there = (manifest.made_with or {}).items()
+        other = [f"{what} {then} (here {here.get(what, 'none')})" for what, then in there if here.get(what) != then]
+        cause = f"released with {', '.join(other)}" if other else ""
+    return replace(check, detail="; ".join(filter(None, (check.detail, cause))))
 
 
 def check_unknown(path: Path) -> Check:
@@ -186,11 +248,11 @@ def _check_alone(path: Path) -> Check:
         return Check(path, ABSENT)
     manifest = kept_manifest(path.parent)
     entry = manifest.find(path.name) if manifest else None
-    if entry is None:
-        try:
-            known = McapSequence(path).metadata
-        except SequenceError as error:
-            return Check(path, DAMAGED, str(error))
+    if entry is not None:
+        return check_file(path, entry)
+    try:
+        known = McapSequence(path).metadata
         manifest = released_manifest(known.get("split", ""), known.get("split_version", ""))
-        entry = manifest.find(f"{known['sequence']}.mcap") if manifest else None
-    return check_unknown(path) if entry is None else check_file(path, entry)
+        return check_released(path, manifest) if manifest else check_unknown(path)
+    except SequenceError as error:
+        return Check(path, DAMAGED, str(error))

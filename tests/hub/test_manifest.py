@@ -12,7 +12,7 @@ from oysterbench.core.errors import HubError, IntegrityError
 from oysterbench.hub.canonical import canonical, parse, sha256
 from oysterbench.hub.content import content_of
 from oysterbench.hub.manifest import build_manifest, describe_file, read_manifest, released_manifest
-from oysterbench.hub.verify import ABSENT, DAMAGED, REPACKED, RIGHT, UNKNOWN, check_file, check_unknown, checks
+from oysterbench.hub.verify import ABSENT, DAMAGED, OTHER, REPACKED, RIGHT, UNKNOWN, check_file, check_unknown, checks
 from oysterbench.sensors import camera_messages
 from tests.helpers.hand_made_dive import write_dive
 from tests.helpers.trees import DIGEST, FACTS, write_sequence
@@ -104,7 +104,7 @@ def test_another_attachment_is_another_content(file, tmp_path, monkeypatch):
     other = write_sequence(tmp_path / "other.mcap", "dive-01")
     assert content_of(other).topics == content_of(file).topics
     assert content_of(other).attachments != content_of(file).attachments
-    assert check_file(other, describe_file(file)).state == DAMAGED
+    assert check_file(other, describe_file(file)).state == OTHER
 
 
 def changed(manifest, change):

@@ -1,0 +1,128 @@
+"""A render held against a release: to the byte, by what it says, or by its pixels; and what differs is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from oysterbench.hub.manifest import describe_file
+from oysterbench.hub.pixels import NUMBERS, share_within
+from oysterbench.hub.release import keep_read, put_together
+from oysterbench.hub.verify import ALIKE, OTHER, REPACKED, RIGHT, check_file, check_released, checks
+from oysterbench.sensors import camera_messages
+from tests.helpers import hand_made_dive
+from tests.helpers.trees import DIGEST, FACTS, write_sequence
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return write_sequence(tmp_path_factory.mktemp("data") / "dive-01.mcap", "dive-01")
+
+
+@pytest.fixture(scope="module")
+def entry(file):
+    return describe_file(file)
+
+
+@pytest.fixture
+def doctored(tmp_path, monkeypatch):
+    """Writes the dive with other pictures, or layers: what is given changes the pixels of each."""
+
+    def write(pictures=lambda pixels: pixels, layers=lambda layer, pixels: pixels):
+        colour, layer_message = camera_messages.colour_message, camera_messages.layer_message
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                hand_made_dive,
+                "colour_message",
+                lambda stamp, name, pixels, *how: colour(stamp, name, pictures(pixels.copy()), *how),
+            )
+            patch.setattr(
+                hand_made_dive,
+                "layer_message",
+                lambda stamp, name, layer, pixels: layer_message(stamp, name, layer, layers(layer, pixels.copy())),
+            )
+            return write_sequence(tmp_path / "dive-01.mcap", "dive-01")
+
+    return write
+
+
+def brighter(by, share=1.0):
+    """Changes a share of the pixels, spread evenly, by so many grey levels towards the middle."""
+
+    def change(pixels):
+        spread = np.random.default_rng(3).random(pixels.shape) < share
+        return np.where(spread, np.where(pixels > 127, pixels - by, pixels + by), pixels).astype(np.uint8)
+
+    return change
+
+
+def test_pictures_within_a_grey_level_are_alike_and_said_to_be(doctored, entry):
+    check = check_file(doctored(brighter(1)), entry)
+    assert (check.state, check.good) == (ALIKE, True)
+    assert "/cam_left/image is within a grey level on 100 % of the pixels looked at" in check.detail
+    assert "/cam_right/image is within a grey level on 100 % of the pixels looked at" in check.detail
+    assert "/imu" not in check.detail
+
+
+def test_few_pixels_further_off_are_forgiven_and_more_are_not(doctored, entry):
+    assert check_file(doctored(brighter(40, 0.0001)), entry).state == ALIKE
+    check = check_file(doctored(brighter(2, 0.02)), entry)
+    assert (check.state, check.good) == (OTHER, False)
+    assert "/cam_left/image is within a grey level on 9" in check.detail
+
+
+def test_a_label_that_is_off_by_one_is_another_label(doctored, entry):
+    check = check_file(doctored(layers=lambda layer, pixels: pixels + (layer == "instance")), entry)
+    assert check.state == OTHER
+    assert check.detail == "/cam_left/instance is within a grey level on 0 % of the pixels looked at"
+
+
+def test_a_millimetre_of_depth_is_alike_and_a_centimetre_is_not(doctored, entry):
+    def deeper(by):
+        return lambda layer, pixels: pixels + by * (layer == "depth")
+
+    assert check_file(doctored(layers=deeper(0.001)), entry).state == ALIKE
+    check = check_file(doctored(layers=deeper(0.01)), entry)
+    assert (check.state, check.detail.split()[0]) == (OTHER, "/cam_left/depth")
+
+
+def test_measurements_have_to_be_the_same(doctored, entry, monkeypatch):
+    monkeypatch.setattr(hand_made_dive, "RATE", 0.2000001)
+    check = check_file(doctored(), entry)
+    assert check.state == OTHER
+    assert "/imu differs" in check.detail
+
+
+def test_a_sequence_of_another_length_says_how_many_messages_are_missing(tmp_path, entry):
+    check = check_file(write_sequence(tmp_path / "dive-01.mcap", "dive-01", 0.5), entry)
+    assert check.state == OTHER
+    assert "/imu has 50 messages, expected 100" in check.detail
+
+
+def test_a_render_that_differs_says_which_versions_do(file, tmp_path, monkeypatch):
+    keep_read(tmp_path, "dive-01", file, ())
+    manifest = put_together(tmp_path, FACTS, ["dive-01"], DIGEST)
+    assert check_released(file, manifest).state == RIGHT
+    made = {**manifest.made_with, "numpy": "9.9"}
+    monkeypatch.setattr("oysterbench.hub.verify.made_with", lambda: made)
+    assert check_released(file, manifest).detail == ""
+    loose = write_sequence(tmp_path / "loose.mcap", "dive-01", compress=False)
+    check = check_released(loose, manifest)
+    assert check.state == REPACKED
+    assert check.detail.endswith(f"; released with numpy {manifest.made_with['numpy']} (here 9.9)")
+    other = write_sequence(tmp_path / "other.mcap", "dive-01", 0.5, digest="0" * 64)
+    assert "made by another recipe, generation or kind of device" in check_released(other, manifest).detail
+    monkeypatch.setattr("oysterbench.hub.verify.released_manifest", lambda *key: manifest)
+    assert [one.state for one in checks(str(loose))] == [REPACKED]
+
+
+def test_pixels_that_cannot_be_compared_are_like_none():
+    assert share_within("/cam/image", "", "") == 0.0
+    assert share_within("/cam/image", "|u1 AAEC", "|u1 AAECAw==") == 0.0
+    assert share_within("/cam/image", "|u1 AAEC", "<u2 AAEC") == 0.0
+    assert share_within("/cam/image", "|O AAEC", "|O AAEC") == 0.0
+    assert share_within("/cam/image", "|u1 AAEC", "|u1 AQMC") == pytest.approx(2 / 3)
+
+
+def test_a_share_of_a_thousandth_can_be_told():
+    assert 1.0 - 2.0 / NUMBERS < 0.999 < 1.0 - 1.0 / NUMBERS
