@@ -1,0 +1,104 @@
+"""The command `release`, and what `render` says of a release, as their users type them."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from oysterbench.cli import render as rendering
+from oysterbench.cli.main import main
+from oysterbench.hub import manifest as manifests
+from oysterbench.hub.manifest import read_manifest
+from oysterbench.recipe import load_split, split_names
+from oysterbench.simulation.generate import digest
+from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
+from tests.helpers.trees import FACTS, write_sequence
+
+RELEASED = sorted(Path(str(resources.files("oysterbench_datasets") / "manifests")).glob("*.json"))
+
+
+@pytest.fixture
+def recipe(tmp_path, monkeypatch):
+    """A recipe whose file was made by hand, of the topics of its rig."""
+    monkeypatch.setenv("OYSTERBENCH_HOME", str(tmp_path / "home"))
+    (tmp_path / "rig.toml").write_text(TINY_RIG)
+    path = tmp_path / "tiny.toml"
+    path.write_text(TINY_SPLIT.replace('rig = "tiny"', 'rig = "rig.toml"'))
+    monkeypatch.setitem(FACTS, "split", "tiny")
+    write_sequence(tmp_path / "data" / "tiny-01.mcap", "tiny-01", 0.3, digest(load_split(str(path))))
+    monkeypatch.setattr("oysterbench.sequence.truth.rig_topics", lambda rig: {"/imu": "sensor_msgs/msg/Imu"})
+    return path
+
+
+def run(*arguments, code=0):
+    done = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert done.exit_code == code, done.stderr
+    return done
+
+
+def test_a_split_is_released_from_its_files_which_may_go_afterwards(recipe, tmp_path):
+    options = ("--data", tmp_path / "data", "--out", tmp_path / "manifests")
+    done = run("release", recipe, "--sequence", "tiny-01", *options)
+    path = Path(done.stdout.strip())
+    assert path == tmp_path / "manifests" / "tiny-1.0.json"
+    first = path.read_bytes()
+    assert read_manifest(first, "it").recipe_digest == digest(load_split(str(recipe)))
+    (tmp_path / "data" / "tiny-01.mcap").unlink()
+    run("release", recipe, *options)
+    assert path.read_bytes() == first
+    assert "not there yet" in run("release", recipe, *options, "--again", code=1).stderr
+
+
+def test_a_hidden_split_is_not_released_so(tmp_path):
+    assert "slam-test is a hidden split" in run("release", "slam-test", code=1).stderr
+
+
+@pytest.fixture
+def rendered(recipe, tmp_path, monkeypatch):
+    """Takes the file made by hand for a render of a split of the package."""
+    name = "tiny"
+    monkeypatch.setattr(rendering, "render_files", lambda *of, **more: {"tiny-01": tmp_path / "data" / "tiny-01.mcap"})
+    monkeypatch.setattr("oysterbench.recipe.split_names", lambda: [name])
+    monkeypatch.setattr("oysterbench.recipe.load_split", lambda _: load_split(str(recipe)))
+    return lambda: run("render", name)
+
+
+def test_render_ends_by_saying_whether_the_files_are_those_released(rendered, recipe, tmp_path, monkeypatch):
+    released = {}
+    monkeypatch.setattr(manifests, "released_manifest", lambda *of: released.get(of))
+    assert "tiny 1.0: no manifest of it was released" in rendered().stderr
+    path = run("release", recipe, "--data", tmp_path / "data", "--out", tmp_path / "manifests").stdout.strip()
+    released["tiny", "1.0"] = read_manifest(Path(path).read_bytes(), path)
+    done = rendered()
+    assert done.stderr.endswith("tiny 1.0: as released, 1 of 1 files\n")
+    assert done.stdout == f"{tmp_path / 'data' / 'tiny-01.mcap'}\n"
+    write_sequence(tmp_path / "data" / "tiny-01.mcap", "tiny-01", 0.2, digest(load_split(str(recipe))))
+    told = rendered().stderr
+    assert "tiny-01.mcap: other content (" in told
+    assert "/imu has 20 messages, expected 30" in told
+    assert told.endswith("tiny 1.0: 1 of 1 files are not, byte for byte, those released\n")
+    released["tiny", "1.0"] = manifests.Manifest(
+        **FACTS, oysterbench="1.0.0", files=released["tiny", "1.0"].files, recipe_digest="0" * 64
+    )
+    assert "was released by another recipe or generation" in rendered().stderr
+
+
+@pytest.mark.parametrize("path", RELEASED, ids=lambda path: path.stem)
+def test_a_released_manifest_is_of_the_whole_split_that_this_program_renders(path):
+    manifest = read_manifest(path.read_bytes(), path.name)
+    assert manifest.data == path.read_bytes()
+    assert path.name == f"{manifest.split}-{manifest.version}.json"
+    assert manifest.split in split_names()
+    split = load_split(manifest.split)
+    if split.version != manifest.version:
+        return  # of before: it stays, and its recipe is another one now
+    assert manifest.recipe_digest == digest(split)
+    assert [entry.sequence for entry in manifest.files] == sorted(sequence.name for sequence in split.sequence)
+    assert manifest.made_with is not None
+
+
+def test_something_was_released():
+    assert "slam-mini-1.0" in [path.stem for path in RELEASED]
