@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from oysterbench.evaluate.slam import SlamSettings
 from oysterbench.results.records import plain
 
+if TYPE_CHECKING:
+    from oysterbench_leaderboard.store import RecordStore
+
 State = Literal["current", "superseded", "withdrawn"]
+
+LEAST_DIGITS = 8
+"""Of a record's digest that is given short."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +131,30 @@ class BoardPage:
     @property
     def pages(self) -> int:
         return max(1, -(-self.total // self.query.size))
+
+
+class BoardReader(Protocol):
+    """What every reader may ask: of a database (`index.BoardIndex`), or of the records in memory."""
+
+    @property
+    def store(self) -> RecordStore: ...
+
+    @property
+    def revision(self) -> str: ...
+
+    def boards(self, track: str | None = None) -> list[BoardInfo]: ...
+
+    def page(self, board: str, query: Query) -> BoardPage: ...
+
+    def row(self, digest: str) -> Row: ...
+
+    def method(self, method: str, team: str | None = None) -> list[Row]: ...
+
+    def methods(self) -> list[tuple[str, str, int]]: ...
+
+    def sequence_means(self, digest: str) -> dict[str, dict[str, float | None]]: ...
+
+    def problems(self) -> dict[str, str]: ...
 
 
 @dataclass(frozen=True)

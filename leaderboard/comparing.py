@@ -8,8 +8,7 @@ from dataclasses import replace
 
 from oysterbench.core.errors import ResultError
 from oysterbench.results.records import ResultRecord
-from oysterbench_leaderboard.board import Query, Row
-from oysterbench_leaderboard.index import LEAST_DIGITS, BoardIndex
+from oysterbench_leaderboard.board import LEAST_DIGITS, BoardReader, Query, Row
 from oysterbench_leaderboard.options import Place
 from oysterbench_leaderboard.tables import SHORT
 
@@ -25,7 +24,7 @@ def results_of(text: str, split: str | None, place: Place | None = None) -> list
     split: only these, where it is given. A record that is named by its digest carries it in its method's name, as
     another of the same method may stand beside it. Raises ResultError where several records could be meant, or none is.
     """
-    index = (place or Place()).index()
+    index = (place or Place()).reader()
     rows = [row for row in index.method(text) if row.state == "current"]
     if rows:
         return [
@@ -41,14 +40,14 @@ def results_of(text: str, split: str | None, place: Place | None = None) -> list
     return [replace(result, method=f"{record.method} {record.digest[:SHORT]}") for result in record.results]
 
 
-def _methods(index: BoardIndex, split: str | None) -> str:
+def _methods(index: BoardReader, split: str | None) -> str:
     """What could have been meant."""
     boards = [board for board in index.boards() if board.newest and split in (None, board.split)]
     there = sorted({row.method for board in boards for row in index.page(board.id, Query(size=MOST_NAMED)).rows})
     return f"the methods{f' on {split}' if split else ''} are: {', '.join(there) or 'none yet'}"
 
 
-def _one_of_each_board(text: str, rows: Sequence[Row], index: BoardIndex, split: str | None) -> list[Row]:
+def _one_of_each_board(text: str, rows: Sequence[Row], index: BoardReader, split: str | None) -> list[Row]:
     boards = {board.id: board for board in index.boards() if board.newest}
     chosen = [row for row in rows if row.board in boards and split in (None, boards[row.board].split)]
     if not chosen:

@@ -19,9 +19,10 @@ from oysterbench.core.errors import ResultError
 from oysterbench.core.files import home
 from oysterbench.evaluate.statistics import sequence_means
 from oysterbench.results.records import samples
-from oysterbench_leaderboard.board import BoardInfo, BoardPage, Query, Row
+from oysterbench_leaderboard.board import LEAST_DIGITS, BoardInfo, BoardPage, Query, Row
 from oysterbench_leaderboard.database import CONTENTS, ROWS, Database
 from oysterbench_leaderboard.index_writer import Contents, Progress, inputs_of, write
+from oysterbench_leaderboard.record_summary import RecordSummary
 from oysterbench_leaderboard.store import RecordStore
 
 MOST_ORDERS = 128
@@ -29,9 +30,6 @@ MOST_ORDERS = 128
 
 MOST_WANTED = 500
 """Rows that one statement fetches by their positions."""
-
-LEAST_DIGITS = 8
-"""Of a digest that is given short."""
 
 _PREFIX = re.compile(f"[0-9a-f]{{{LEAST_DIGITS},64}}")
 _COLUMNS = [ROWS.c[key] for key in Row.__dataclass_fields__]
@@ -130,6 +128,15 @@ class BoardIndex:
         with self.database.reading() as connection:
             found = connection.execute(select(*key, current).group_by(*key).order_by(*key)).all()
         return [(method, team, count) for method, team, count in found]
+
+    def scores(self, digests: Iterable[str]) -> dict[str, dict[str, float]]:
+        """Record -> sequence -> value of the ranking metric, of the sequences that it was run on; NaN where it has no
+        value."""
+        with self.database.reading() as connection:
+            asked = select(ROWS.c.digest, ROWS.c.summary_data).where(ROWS.c.digest.in_(list(digests)))
+            return {
+                row.digest: RecordSummary.decode(row.summary_data).scores.values for row in connection.execute(asked)
+            }
 
     def sequence_means(self, digest: str) -> dict[str, dict[str, float | None]]:
         """Sequence -> metric -> mean over runs, for a record."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from oysterbench.core.errors import ResultError
 
 if TYPE_CHECKING:
+    from oysterbench_leaderboard.board import BoardReader
     from oysterbench_leaderboard.index import BoardIndex
     from oysterbench_leaderboard.store import RecordStore
 
@@ -44,6 +46,14 @@ class Place:
         from oysterbench_leaderboard.index import open_index
 
         return open_index(self.store(), self.url)
+
+    def reader(self) -> BoardReader:
+        """What answers who only reads: the index, or where no library for it is installed, the records themselves."""
+        if self.url is not None or find_spec("sqlalchemy") is not None:
+            return self.index()
+        from oysterbench_leaderboard.memory import MemoryIndex
+
+        return MemoryIndex(self.store())
 
 
 def find_place(context: Any) -> Place:

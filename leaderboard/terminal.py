@@ -14,8 +14,7 @@ from oysterbench.core.errors import ResultError
 from oysterbench_leaderboard.options import Place, find_place
 
 if TYPE_CHECKING:
-    from oysterbench_leaderboard.board import BoardInfo
-    from oysterbench_leaderboard.index import BoardIndex
+    from oysterbench_leaderboard.board import BoardInfo, BoardReader
 
 TOP = 5
 """Rows of each board, where there are several."""
@@ -46,7 +45,7 @@ def show_boards(
     files = {"csv": csv_file, "tex": tex_file, "md": md_file}
     if as_json + list(files.values()).count(Path("-")) > 1:
         raise click.UsageError("--json, --csv, --tex, --md: expected one of them at most on stdout")
-    index = place.index()
+    index = place.reader()
     chosen = _chosen(index, track, split, board, every)
     size = rows or (MOST if len(chosen) == 1 else TOP)
     pages = [index.page(each.id, Query(text=words, size=size)) for each in chosen]
@@ -70,7 +69,9 @@ def show_boards(
         message(f"left out: {file[:12]}: {why}")
 
 
-def _chosen(index: BoardIndex, track: str | None, split: str | None, board: str | None, every: bool) -> list[BoardInfo]:
+def _chosen(
+    index: BoardReader, track: str | None, split: str | None, board: str | None, every: bool
+) -> list[BoardInfo]:
     known = index.boards()
     found = [
         each
@@ -120,7 +121,7 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
     from oysterbench_leaderboard.tables import record_table
 
     place = find_place(context)
-    index = place.index()
+    index = place.reader()
     row = index.row(digest)
     record = index.store.record(row.digest)
     if as_json:
@@ -183,7 +184,7 @@ def history_command(context: click.Context, method: str, team: str | None, as_js
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.tables import history_table
 
-    index = find_place(context).index()
+    index = find_place(context).reader()
     rows = index.method(method, team)
     if not rows:
         known = ", ".join(dict.fromkeys(name for name, _, _ in index.methods())) or "none yet"

@@ -16,7 +16,7 @@ from oysterbench.results.standings import ScoreTable
 from oysterbench_leaderboard.board import BoardInfo, Query
 from oysterbench_leaderboard.database import open_engine
 from oysterbench_leaderboard.index import BoardIndex, open_index
-from oysterbench_leaderboard.index_writer import evaluator_order
+from oysterbench_leaderboard.ranking import evaluator_order
 from oysterbench_leaderboard.store import StatusChange
 from oysterbench_leaderboard.tables import board_table
 from tests.helpers.boards_opened import ALL, opened, pages
