@@ -16,7 +16,7 @@ from oysterbench.core.files import appearing, locked, write_atomically
 from oysterbench.hub.canonical import sha256
 from oysterbench.hub.croissant import croissant
 from oysterbench.hub.index import Index, Release, read_own_index
-from oysterbench.hub.manifest import Manifest, build_manifest
+from oysterbench.hub.manifest import Manifest, build_manifest, released_manifest
 from oysterbench.hub.pages import index_page, pictures_of
 from oysterbench.hub.sign import public_hex
 from oysterbench.sequence.cut import cut_public, cut_truth
@@ -53,8 +53,25 @@ def publish(
             files, commitment = _without_truth(tree, truth, facts, files, Path(scratch), announce)
         announce(f"hashing {len(files)} sequences")
         manifest = build_manifest(facts, files, None if commitment else recipe_digest, commitment)
+        if commitment is None:
+            manifest = _as_released(manifest)
         _release(tree, keys, index, manifest, files, url, announce)
     return manifest
+
+
+def _as_released(manifest: Manifest) -> Manifest:
+    """The manifest that came with oysterbench, where there is one: that of the same files, or else HubError, for
+    clients take no others under its name."""
+    released = released_manifest(manifest.split, manifest.version)
+    if released is None:
+        return manifest
+    differing = [entry.name for entry in manifest.files if entry != released.find(entry.name)]
+    if differing or len(manifest.files) != len(released.files):
+        raise HubError(
+            f"{manifest.split} {manifest.version} was released with other files ({', '.join(differing[:5])}), and "
+            f"clients take those alone; nothing was published: `oysterbench verify {manifest.split}` says what differs"
+        )
+    return released
 
 
 def _without_truth(

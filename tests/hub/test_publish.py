@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from html.parser import HTMLParser
 
+import msgspec
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -389,3 +390,16 @@ def test_the_page_shows_every_release_and_its_links_lead_somewhere(tmp_path, fil
         assert (tmp_path / link).is_file(), link
     assert 'name="viewport"' in text
     assert "prefers-color-scheme: dark" in text
+
+
+def test_a_released_split_is_published_by_its_released_manifest_and_no_other_files_under_its_name(
+    tmp_path, files, key, monkeypatch
+):
+    released = msgspec.structs.replace(publish_split(tmp_path / "first", files, key), made_with={"numpy": "2.0"})
+    monkeypatch.setattr(publishing, "released_manifest", lambda *of: released)
+    assert publish_split(tmp_path / "tree", files, key).sha256 == released.sha256
+    assert (tmp_path / "tree" / "manifests" / f"{released.sha256}.json").read_bytes() == released.data
+    other = write_split(tmp_path / "other", "0" * 64)
+    with pytest.raises(HubError, match=r"was released with other files \(dive-01\.mcap, dive-02\.mcap\)"):
+        publish_split(tmp_path / "none", other, key)
+    assert not (tmp_path / "none" / "blobs").exists()
