@@ -1,5 +1,6 @@
 # make demo: from nothing to a table of how well two methods localise an ROV over a rendered reef.
 # make test: the tests, the linter and the type checker. make test-slow: the tests that take minutes, too.
+# make hub KEY=my-hub.pem: the minis, and the weights that were trained here, as a published tree to attach to a release.
 # make coverage: the tests, and how much of the code they run; the lines that they do not are in build/coverage/.
 
 PYTHON ?= python3
@@ -7,10 +8,21 @@ VENV ?= .venv
 # What nobody imports need not be compiled: that is most of torch, and a third of the time of installing.
 PIP = $(VENV)/bin/pip install --no-compile --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
-.PHONY: demo test unit kernels test-slow coverage lint clean
+.PHONY: hub demo test unit kernels test-slow coverage lint clean
 
 demo: $(VENV)/.demo
 	$(VENV)/bin/oysterbench eval --track slam
+
+HERE = import json, sys; print(*(one["model"] for one in json.load(sys.stdin)["models"] if one["file"]))
+
+hub: $(VENV)/.demo
+	@test -f "$(KEY)" || { echo "make hub KEY=FILE: expected a private key; '$(VENV)/bin/oysterbench keygen FILE' makes one"; exit 2; }
+	for split in slam-mini seg-mini steer-mini; do $(VENV)/bin/oysterbench render $$split && \
+		$(VENV)/bin/oysterbench publish $$split build/hub --key "$(KEY)" || exit; done
+	for model in $$($(VENV)/bin/oysterbench models --json | $(VENV)/bin/python -c '$(HERE)'); do \
+		$(VENV)/bin/oysterbench publish-model $$model build/hub --key "$(KEY)" || exit; done
+	tar --create --file build/hub.tar --sort name --exclude .lock --directory build hub
+	$(VENV)/bin/oysterbench verify build/hub > build/hub.txt && ls -l build/hub.tar
 
 test: $(VENV)/.dev # the type checker has one core's work for a minute or two, beside which kernels compile and tests begin
 	$(MAKE) --no-print-directory --jobs 2 lint unit
