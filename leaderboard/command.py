@@ -26,6 +26,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "rescore": (ADMIN, "rescore_command", "Score kept estimates with this version's evaluator."),
     "serve": (SERVER, "serve_command", "Serve the site, and take submissions."),
     "build": (SERVER, "build_command", "Write the whole site as files, for any web host."),
+    "frames": (SERVER, "frames_command", "Render the frame that stands for each data set."),
     "team": (TEAMS, "team", "Teams that may submit, and their tokens."),
     "submissions": (TEAMS, "submissions", "What was submitted, and what became of it."),
 }

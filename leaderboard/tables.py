@@ -81,12 +81,23 @@ def has_data_set(board: BoardInfo, rows: Sequence[Row]) -> bool:
     return not (metric is not None and metric.weight) and any(row.data_set is not None for row in rows)
 
 
+LEADING = ("val", "test", "", "train", "mini", "stress")
+"""Roles of splits, those on which methods are told apart first."""
+
+
+def role_of(split: str) -> str:
+    """What a split of ours is there for: "val", "test", "mini", "train", "stress"; empty for one of others, and for
+    sets that are framed like real pictures."""
+    role = split.partition("-")[2]
+    return role if role in ("val", "test", "mini", "train", "stress") else ""
+
+
 @cache
 def learnt_on(split: str) -> str:
     """What is said of a board whose pictures a method may have learnt from; nothing of the others."""
-    kind, _, role = split.partition("-")
-    if role in ("mini", "val", "test") or split not in split_names():
+    if role_of(split) in ("mini", "val", "test") or split not in split_names():
         return ""
+    kind = split.partition("-")[0]
     return f"{split} is there to learn on, and methods may have: what they are worth is on the boards of {kind}-val."
 
 

@@ -1,4 +1,4 @@
-"""`oysterbench leaderboard serve` and `build`: parse, call, print."""
+"""`oysterbench leaderboard serve`, `build` and `frames`: parse, call, print."""
 
 from __future__ import annotations
 
@@ -113,3 +113,34 @@ def build_command(context: click.Context, target: Path, folder: Path | None, url
     except OSError as error:
         raise ResultError(f"{target}: cannot be written: {error.strerror or error}") from None
     message(f"{target}: {count} files; open {target / 'index.html'}")
+
+
+@click.command("frames", short_help="Render the frame that stands for each data set.")
+@click.argument("splits", metavar="[SPLIT]...", nargs=-1)
+@click.option("--out", type=FOLDER, help="Folder of the pictures.  [default: where those of this version lie]")
+def frames_command(splits: tuple[str, ...], out: Path | None) -> None:
+    """Render the frame that the pages of the board show of each data set, as small WebP.
+
+    \b
+    Examples:
+      oysterbench leaderboard frames
+      oysterbench leaderboard frames seg-val seg-closeup
+
+    Which frame it is stands in datasets/frames/frames.toml. Of a hidden split it shows how such pictures look: it is
+    rendered without the secret.
+    """
+    from oysterbench.cli.render import frames_bar
+    from oysterbench.core.files import write_atomically
+    from oysterbench_leaderboard.site.frames import SUFFIX, choices, folder, render_picture
+
+    known = choices()
+    if unknown := [split for split in splits if split not in known]:
+        raise click.UsageError(f"no frame of {unknown[0]} is chosen: expected some of {', '.join(known)}")
+    target = out or Path(str(folder()))
+    wanted = splits or tuple(known)
+    with frames_bar("rendering frames") as progress:
+        for k, split in enumerate(wanted):
+            progress(k, len(wanted))
+            write_atomically(target / f"{split}{SUFFIX}", render_picture(known[split]))
+        progress(len(wanted), len(wanted))
+    message(f"{target}: {len(wanted)} pictures")

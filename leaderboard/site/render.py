@@ -12,9 +12,10 @@ from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, FileSystemLoader, PackageLoader, StrictUndefined
 
+from oysterbench.core.html import capital
 from oysterbench.core.page import STYLE
 from oysterbench.version import VERSION
-from oysterbench_leaderboard.site import numbers
+from oysterbench_leaderboard.site import frames, numbers
 from oysterbench_leaderboard.site.links import Links, ServerLinks
 from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.paths import slug
@@ -31,8 +32,9 @@ ASSETS = {
     "site.js": "text/javascript",
     "plots.js": "text/javascript",
     "icon.svg": "image/svg+xml",
+    **{frames.file_name(split): "image/webp" for split in frames.pictures()},
 }
-"""Files of style and script -> media type."""
+"""Files of style and script, and pictures -> media type."""
 
 
 @lru_cache(maxsize=8)
@@ -58,7 +60,7 @@ def environment(*folders: str | os.PathLike[str]) -> Environment:
         "ARROWS": numbers.ARROWS,
         "REPRESENTATIONS": REPRESENTATIONS,
     }
-    made.filters |= {"px": px, "slug": slug}
+    made.filters |= {"px": px, "slug": slug, "capital": capital}
     return made
 
 
@@ -94,7 +96,10 @@ def page_html(page: Page, links: Links) -> str:
 
 @lru_cache
 def asset(name: str) -> bytes:
-    """A file of style or script; the style sheet begins with the report's, whose colours and plots are the same."""
+    """A file of style or script, or a picture; the style sheet begins with the report's, whose colours and plots are
+    the same."""
+    if name.endswith(frames.SUFFIX):
+        return frames.pictures()[frames.split_of(name)]
     if name == "plots.js":
         return (resources.files("oysterbench.report") / "templates" / "report.js").read_bytes()
     own = (resources.files("oysterbench_leaderboard.site") / "static" / name).read_text(encoding="utf-8")

@@ -12,6 +12,7 @@ from oysterbench_leaderboard.record import TIERS
 from oysterbench_leaderboard.site.page import Page
 from oysterbench_leaderboard.site.pages.board import LONGEST_TEXT, MOST_ROWS, STATES, board_page, parse_query
 from oysterbench_leaderboard.site.pages.compare import compare_page
+from oysterbench_leaderboard.site.pages.compare_several import MOST, several_page
 from oysterbench_leaderboard.site.pages.data import data_page, split_page
 from oysterbench_leaderboard.site.pages.home import home_page
 from oysterbench_leaderboard.site.pages.literature import literature_page
@@ -84,18 +85,27 @@ BOARD_QUERY = (
 PAIR_QUERY = (
     Parameter("a", "digest of a record (8 digits or more), or a method", {"type": "string"}),
     Parameter("b", "digest of a record (8 digits or more), or a method", {"type": "string"}),
-    Parameter("r", "twice, in place of a and b", {"type": "array", "items": {"type": "string"}, "maxItems": 2}),
+    Parameter(
+        "r",
+        "any number of these, in place of a and b",
+        {"type": "array", "items": {"type": "string"}, "maxItems": MOST},
+    ),
 )
 
 BOARD = {"board": BoardInfo, "query": Query, "total": int, "pages": int, "rows": list[Row]}
 
 
-def _pair(asked: Asked) -> tuple[str, str]:
-    """What is to be compared, given as a and b or as two r."""
-    ticked = list(asked.get("r", ()))[:2]
+def _chosen(asked: Asked) -> tuple[str, ...]:
+    """What is to be compared, given as a and b or as several r."""
     a, b = ((asked.get(key) or [""])[-1] for key in ("a", "b"))
-    a, b = a or (ticked[0] if ticked else ""), b or (ticked[1] if len(ticked) > 1 else "")
-    return a.strip()[:100], b.strip()[:100]
+    ticked = [name for name in asked.get("r", ()) if name.strip()]
+    names = [a, b] if a or b else [*ticked, "", ""][: max(2, len(ticked))]
+    return tuple(name.strip()[:100] for name in names)
+
+
+def _compared(site: Site, names: Sequence[str]) -> Page:
+    """Two head to head, more side by side."""
+    return compare_page(site, *names) if len(names) == 2 else several_page(site, names)
 
 
 ROUTES = (
@@ -142,16 +152,18 @@ ROUTES = (
     ),
     Route(
         "/compare",
-        "Two records, or the current records of two methods, head to head.",
-        lambda site, given, asked: compare_page(site, *asked),
+        "Records, or the current records of methods: two head to head, more side by side.",
+        lambda site, given, asked: _compared(site, asked),
         {
-            "a": Row,
-            "b": Row,
-            "difference": Comparison,
-            "pairs": Objects,
+            "a": Row | None,
+            "b": Row | None,
+            "difference": Comparison | None,
+            "pairs": Objects | None,
+            "records": list[Row],
+            "means": dict[str, Any],
             "per_sequence": Objects,
         },
-        _pair,
+        _chosen,
         PAIR_QUERY,
     ),
     Route("/data", "All data sets.", lambda site, given, asked: data_page(site), {"data_sets": Objects}),

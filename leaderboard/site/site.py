@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -47,12 +47,16 @@ class Site:
         """A record as it was published."""
         return self.store.record(digest)
 
+    def conditions(self, board: str, digest: str) -> dict[str, Mapping[str, Any]]:
+        """What the sequences of a board are like, by one of its records."""
+        return self._once(
+            f"conditions of {board} by {digest}",
+            lambda: {result.sequence: result.conditions for result in self.record(digest).results},
+        )
+
     def has_disturbances(self, board: str, digest: str) -> bool:
         """Whether the sequences of a board are single disturbances, by one of its records."""
-        return self._once(
-            f"disturbances of {board}",
-            lambda: any("disturbance" in result.conditions for result in self.record(digest).results),
-        )
+        return any("disturbance" in like for like in self.conditions(board, digest).values())
 
     def status_changes(self, digest: str) -> list[StatusChange]:
         """What was announced of a record, the oldest first."""

@@ -16,17 +16,15 @@ FORGES = ("github.com", "gitlab.com", "codeberg.org", "bitbucket.org")
 MOST_NAME = 40
 
 
-def work_cell(code: str, paper: str) -> Cell:
-    """The name of the code, with that of the paper below it. code: where it is; paper: a citation, such as
-    "A. Author, B. Author: Title. Venue 2020, doi:..."."""
-    return Cell(
-        code or None,
-        code_name(code) or None,
-        about=paper,
-        small=paper_name(paper),
-        url=code if ADDRESS.fullmatch(code) else "",
-        small_url=paper_address(paper),
-    )
+def code_cell(code: str) -> Cell:
+    """The name of the program, which leads to it. code: where it is."""
+    return Cell(code or None, code_name(code) or None, url=code if ADDRESS.fullmatch(code) else "")
+
+
+def paper_cell(paper: str) -> Cell:
+    """First author and year, which lead to the paper. paper: a citation, such as "A. Author, B. Author: Title. Venue
+    2020, doi:..."."""
+    return Cell(paper or None, paper_name(paper) or None, about=paper, url=paper_address(paper))
 
 
 def code_name(place: str) -> str:

@@ -37,11 +37,23 @@ Value: TypeAlias = str | int | float | Interval | Estimate | None
 
 @dataclass(frozen=True)
 class Bar:
-    """An interval and its middle to be drawn, as shares (0 to 1) of the axis."""
+    """An interval and its middle to be drawn, as shares (0 to 1) of the axis; of what begins or ends beyond it, low is
+    below 0 or high above 1.
+
+    zero:  the share of the axis at which 0 lies, where that is within it
+    about: what the axis shows
+    """
 
     low: float
     middle: float
     high: float
+    zero: float | None = None
+    about: str = "interval drawn from 0 to 1"
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Of what is drawn of it."""
+        return max(0.0, self.low), min(1.0, self.high)
 
 
 @dataclass(frozen=True)
@@ -53,7 +65,7 @@ class Cell:
     kind:  how it looks: "best", "warn", "soft"
     about: said where a pointer rests, as the reason why there is no value
     small: second line below the text; mark: a word in a frame behind it
-    path:  page of the same site that it leads to; url: another address; small_url: of the second line
+    path:  page of the same site that it leads to; url: another address
     """
 
     value: Value = None
@@ -64,7 +76,6 @@ class Cell:
     mark: str = ""
     path: str = ""
     url: str = ""
-    small_url: str = ""
     bar: Bar | None = None
 
     @property

@@ -102,7 +102,7 @@ class Client:
 class Reading(HTMLParser):
     """What is in a page: elements with their attributes, links, and the text."""
 
-    VOID = frozenset(["meta", "link", "input", "br", "img", "hr"])
+    VOID = frozenset(["meta", "link", "input", "br", "img", "hr", "wbr"])
 
     def __init__(self, html: str) -> None:
         super().__init__(convert_charrefs=True)

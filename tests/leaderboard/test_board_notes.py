@@ -14,7 +14,7 @@ from oysterbench_leaderboard.site import render
 from oysterbench_leaderboard.site.pages.board import board_page
 from oysterbench_leaderboard.site.pages.record import record_page
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.site.works import work_cell
+from oysterbench_leaderboard.site.works import code_cell, paper_cell
 from oysterbench_leaderboard.store import RecordStore
 from oysterbench_leaderboard.tables import board_table
 from tests.helpers.records_made import record_made
@@ -67,7 +67,7 @@ def test_a_board_says_what_a_method_reads_and_when_and_where_it_is_from(said, sh
     assert (row.sensors, row.mode, row.code, row.paper) == shown
     table = board_page(site, info.track, info.split).tables[0]
     columns = {column.key for _, column in table.shown}
-    assert [key in columns for key in ("sensors", "code")] == [bool(shown[0]), bool(shown[2] or shown[3])]
+    assert [key in columns for key in ("sensors", "code", "paper")] == [bool(shown[0]), bool(shown[2]), bool(shown[3])]
 
 
 def test_a_record_names_its_code_and_paper_with_their_addresses(tmp_path):
@@ -105,14 +105,13 @@ def test_a_record_names_its_code_and_paper_with_their_addresses(tmp_path):
     ],
 )
 def test_a_paper_is_named_in_a_few_words_and_linked_where_it_has_an_address(citation, name, address):
-    cell = work_cell("https://github.com/reef/lab_slam.git", citation)
-    assert (cell.small, cell.small_url, cell.about) == (name, address, citation)
-    assert (cell.value, cell.text) == ("https://github.com/reef/lab_slam.git", "lab_slam")
-    html = html_table(Table("", (Column("code"),), (TableRow((cell,)),)))
-    assert html.count("<a ") == 1 + bool(address)
+    cell = paper_cell(citation)
+    assert (cell.text or "", cell.url, cell.about) == (name, address, citation)
+    html = html_table(Table("", (Column("paper"),), (TableRow((cell,)),)))
+    assert html.count("<a ") == bool(address)
 
 
 def test_code_is_named_as_where_it_lies_names_it():
     places = ("https://gitlab.com/reef/slam", "https://www.slam.org/x", "baselines/gtsam_vi", "ftp://x/y", "")
-    assert [work_cell(place, "").text for place in places] == ["slam", "slam.org", "gtsam_vi", "y", None]
-    assert [work_cell(place, "").url for place in places] == [*places[:2], "", "", ""]
+    assert [code_cell(place).text for place in places] == ["slam", "slam.org", "gtsam_vi", "y", None]
+    assert [code_cell(place).url for place in places] == [*places[:2], "", "", ""]

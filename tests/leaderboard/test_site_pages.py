@@ -103,7 +103,8 @@ def test_no_name_becomes_markup_and_no_script_stands_in_a_page(pages):
         read = Reading(html(page))
         for tag, attributes in read.elements:
             assert not any(key.startswith("on") or key == "style" for key in attributes), (name, tag, attributes)
-            assert tag != "img", name  # the nasty names hold the only ones
+            # The nasty names hold others.
+            assert tag != "img" or str(attributes["src"]).startswith("/static/frame-"), name
         assert all(one.get("src") for one in read.all("script")), name
         assert not any(link.strip().lower().startswith("javascript:") for link in read.links()), name
     shown_text = Reading(html(pages["/boards/slam/slam-val SLAM on slam-val"])).text
@@ -123,9 +124,8 @@ def test_ranks_are_those_of_the_index_and_ties_are_marked(site):
     assert [texts[1] for texts in method_page(site, "cod").table.texts] == ["=1 of 8"]
     # On a page of one row nothing else tells of the tie.
     assert board_page(site, "slam", "slam-val", None, Query(size=1)).table.texts[0][0] == "=1"
-    assert [card[0].text for cards in home_page(site).context["cards"].values() for c in cards for card in c.leaders][
-        :2
-    ] == ["=1", "=1"]
+    first = next(iter(home_page(site).context["cards"].values()))[0]
+    assert [leader.rank.text for leader in first.leaders[:2]] == ["=1", "=1"]
 
 
 def test_a_board_is_sorted_filtered_and_paged_as_asked(site):

@@ -32,7 +32,7 @@ from oysterbench.report.columns import metric_column
 from oysterbench.report.plots import Curve, recall_plot, scatter_plot
 from oysterbench.results.records import ResultRecord
 
-VOID = {"meta", "br", "img"}
+VOID = {"meta", "br", "img", "wbr"}
 JPEG = b"\xff\xd8\xff\xe0 not a picture \xff\xd9"
 
 

@@ -173,7 +173,8 @@ class Cells(HTMLParser):
         assert self.open == []
 
     def handle_starttag(self, tag, attrs):
-        self.open.append(tag)
+        if tag != "wbr":
+            self.open.append(tag)
         self.titles += [value for name, value in attrs if name == "title"]
         if tag == "tr":
             self.rows.append([])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import pairwise
@@ -17,23 +18,26 @@ from oysterbench_leaderboard.record import TIERS as ALL_TIERS
 from oysterbench_leaderboard.site import numbers
 from oysterbench_leaderboard.site.page import Later, Page, PageError
 from oysterbench_leaderboard.site.pages.compare import PAIRED
+from oysterbench_leaderboard.site.pages.heat import classes_heat, scores_of, sequences_heat
 from oysterbench_leaderboard.site.pages.ranks import RANK, TIERS, UNRANKED, rank_cells, state_mark
+from oysterbench_leaderboard.site.pages.speed import speed_card
 from oysterbench_leaderboard.site.pages.stress import stress_drawing
 from oysterbench_leaderboard.site.paths import board_path, record_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
-from oysterbench_leaderboard.site.works import work_cell
+from oysterbench_leaderboard.site.works import code_cell, paper_cell
 from oysterbench_leaderboard.tables import DATA_SET, NOT_RANKED, has_data_set, learnt_on
 
 MOST_ROWS = 1000
 LONGEST_TEXT = 100
 """Rows of a page and characters to look for, at most."""
 
-HIDDEN = ("place", "team", "mode", "paper", "sequences", "runs", "state", "record", "supersedes", "url")
+HIDDEN = ("place", "team", "tier", "mode", "sequences", "runs", "state", "record", "supersedes", "url")
 """Columns in CSV and JSON alone."""
 
 MODE = "Online: each from what was known at its time; offline: from all of the sequence."
 
-WORK = "That the method says it is, and the paper that it says describes it."
+CODE = "Where the method says that its program is."
+PAPER = "That the method says describes it."
 
 MOST_SHOWN = 5
 """Metrics beside the one that ranks, on the page; CSV and JSON have all of them."""
@@ -138,12 +142,20 @@ def board_page(site: Site, track: str, split: str, board: str | None = None, que
         "states": STATES,
         "others": [(board_path(other), other) for other in others],
         "permalink": board_path(info),
+        "heats": heats(site, info, found.rows),
+        "speed": speed_card(info, found.rows),
         "drawings": [drawing] if (drawing := stress_drawing(site, info, found.rows)) else [],
         "has_ranks": any(row.rank is not None for row in found.rows),
         "settings": {key: value for key, value in info.settings.items() if value not in (None, [], ())},
     }
     data = Later(lambda: _data(found))
     return Page(path, title, "board.html", context, (table,), data, asked_by(query))
+
+
+def heats(site: Site, info: BoardInfo, rows: Sequence[Row]) -> list[Table]:
+    """Scores of the rows by sequence and by conditions, each where it says more than the board's table."""
+    scores = scores_of(site, info, rows)
+    return [] if scores is None else [table for table in (sequences_heat(scores), classes_heat(scores)) if table]
 
 
 def _data(found: BoardPage) -> dict[str, Any]:
@@ -187,13 +199,15 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
     keys = [info.metric, *(key for key in info.columns if key != info.metric)]
     shown = {column.key for column in STANDING_OF_TRACK.get(info.track, ())[:MOST_SHOWN]}
     metric = metric_column(info.metric, sort=True)
+    axis = numbers.bars_axis([(row.low, row.high) for row in sorted(rows, key=lambda row: row.place or math.inf)])
+    drawn = "" if axis is None else f"{metric.text(axis[0])} to {metric.text(axis[1])}"
     described = any(row.sensors or row.mode for row in rows)
     columns = (
         Column("rank", "Rank", kind="number", sort="rank", about=RANK),
         Column("method", "Method", sort="method"),
         Column("sensors", "Sensors", "poses", hidden=not described, about=f"That the method says it uses. {MODE}"),
         metric,
-        interval_column(metric, "interval", "Interval", numbers.LEVEL),
+        interval_column(metric, "interval", "Interval", numbers.LEVEL if axis is None else f"{numbers.LEVEL}, {drawn}"),
         replace(
             metric,
             key="data_set",
@@ -204,9 +218,11 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
         ),
         *(replace(metric_column(key, sort=True), hidden=key not in shown) for key in keys[1:]),
         Column("failures", "Failed", "runs", "number", about="Runs that failed, and sequences not answered."),
-        Column("tier", "Tier", about="Who vouches for the numbers."),
-        Column("created", "Date", "UTC", sort="created"),
-        Column("code", "Code", "paper", hidden=not any(row.code or row.paper for row in rows), about=WORK),
+        Column(
+            "created", "Date", "tier", sort="created", about="Of the record, in UTC, and who vouches for its numbers."
+        ),
+        Column("code", "Code", hidden=not any(row.code for row in rows), about=CODE),
+        Column("paper", "Paper", hidden=not any(row.paper for row in rows), about=PAPER),
         *(
             Column(key, kind="number" if key in ("place", "sequences", "runs") else "text", hidden=True)
             for key in HIDDEN
@@ -220,15 +236,15 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
                 (
                     rank,
                     Cell(row.method, path=record_path(row.digest), small=row.team, mark=state_mark(row)),
-                    Cell(row.sensors or None, small=row.mode),
+                    Cell(row.sensors or None, kind="few", small=row.mode),
                     row.score,
-                    Cell(interval, bar=numbers.bar(row.low, row.score, row.high), kind="soft"),
+                    Cell(interval, bar=axis and numbers.bar(row.low, row.score, row.high, axis, drawn), kind="soft"),
                     row.data_set,
                     *(row.metrics.get(key) for key in keys[1:]),
                     Cell(row.failures, f"{row.failures} of {row.runs}", kind="warn" if row.failures else ""),
-                    Cell(row.tier, about=TIERS.get(row.tier, "")),
-                    Cell(row.created, row.created[:10]),
-                    work_cell(row.code, row.paper),
+                    Cell(row.created, row.created[:10], about=TIERS.get(row.tier, ""), small=row.tier),
+                    code_cell(row.code),
+                    paper_cell(row.paper),
                     *(row.digest if key == "record" else getattr(row, key) for key in HIDDEN),
                 ),
                 row.state if row.state != "current" else "",

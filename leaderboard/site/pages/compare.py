@@ -30,7 +30,7 @@ DIGEST = re.compile("[0-9a-f]{8,64}")
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two. label: its name where the other's is different, or else with what distinguishes them."""
+    """One of those compared. label: its name where the others' are different, or else with what distinguishes them."""
 
     label: str
     row: Row
@@ -44,13 +44,13 @@ def compare_page(site: Site, a: str, b: str) -> Page:
     """
     rows = _find(site, a, b)
     records = [site.record(row.digest) for row in rows]
-    sides = [Side(label, row, record) for label, row, record in zip(_labels(rows), rows, records, strict=True)]
+    sides = [Side(label, row, record) for label, row, record in zip(labels_of(rows), rows, records, strict=True)]
     info = next(info for info in site.index.boards() if info.id == rows[0].board)
     if rows[0].board != rows[1].board:
         why = remarks(boards_of([result for side in sides for result in standing.named(side.record, side.label)]))
         hints = {record_path(row.digest): f"{row.method} of {row.created[:10]}" for row in rows}
         raise PageError(f"these two records may not be compared: {why[0]}", 409, hints)
-    board = _board(info, sides)
+    board = whole_board(info, sides)
     pairs = board.compare(sides[0].label, sides[1].label)
     of_a, of_b = (board.runs_of(side.label) for side in sides)
     metric = metric_column(info.metric)
@@ -79,6 +79,8 @@ def compare_page(site: Site, a: str, b: str) -> Page:
         "b": asdict(sides[1].row),
         "difference": asdict(whole),
         "pairs": [{"condition": pair.condition, "value": pair.value, **asdict(pair.comparison)} for pair in pairs],
+        "records": [asdict(side.row) for side in sides],
+        "means": means_of(board, sides),
         "per_sequence": as_plain(board)["per_sequence"],
     }
     query = {"a": rows[0].digest, "b": rows[1].digest}
@@ -90,7 +92,7 @@ def _find(site: Site, a: str, b: str) -> list[Row]:
     for name, value in (("a", a), ("b", b)):
         if not value.strip():
             raise PageError(f"{name}: expected a record's digest or a method, got nothing", 400, {"/": "all boards"})
-    found = [_records(site, a), _records(site, b)]
+    found = [records_of(site, a), records_of(site, b)]
     boards = {info.id: i for i, info in enumerate(site.index.boards())}
     pairs = [(x, y) for x in found[0] for y in found[1] if x.board == y.board and x.digest != y.digest]
     pairs.sort(key=lambda pair: (boards[pair[0].board], -_stamp(pair[0]), -_stamp(pair[1])))
@@ -105,7 +107,7 @@ def _stamp(row: Row) -> int:
     return int(re.sub(r"\D", "", row.created)[:14] or 0)
 
 
-def _records(site: Site, name: str) -> list[Row]:
+def records_of(site: Site, name: str) -> list[Row]:
     """A record by its digest, or the current ones of a method."""
     if DIGEST.fullmatch(name):
         try:
@@ -121,20 +123,29 @@ def _records(site: Site, name: str) -> list[Row]:
     return current or rows
 
 
-def _labels(rows: Sequence[Row]) -> list[str]:
-    if rows[0].method != rows[1].method:
-        return [row.method for row in rows]
-    if rows[0].team != rows[1].team:
-        return [f"{row.method} ({row.team})" for row in rows]
-    return [f"{row.method} ({row.digest[:8]})" for row in rows]
+def labels_of(rows: Sequence[Row]) -> list[str]:
+    """Methods, with what tells those of one name apart: their teams, or else their records."""
+    same = [[other for other in rows if other.method == row.method] for row in rows]
+    teams = [len({other.team for other in several}) == len(several) for several in same]
+    return [
+        row.method if len(several) == 1 else f"{row.method} ({row.team if by_team else row.digest[:8]})"
+        for row, several, by_team in zip(rows, same, teams, strict=True)
+    ]
 
 
-def _board(info: BoardInfo, sides: Sequence[Side]) -> Board:
-    """Both on all sequences of the board: what one was not run on, or failed on, counts as it does there."""
+def means_of(board: Board, sides: Sequence[Side]) -> dict[str, dict[str, float]]:
+    """Label -> metric -> mean over the sequences of the board, for JSON."""
+    runs = {side.label: board.runs_of(side.label) for side in sides}
+    return {label: {key: of.summary(key, board.sequences).mean for key in board.keys} for label, of in runs.items()}
+
+
+def whole_board(info: BoardInfo, sides: Sequence[Side]) -> Board:
+    """All on all sequences of the board: what one was not run on, or failed on, counts as it does there."""
     named = [standing.named(side.record, side.label) for side in sides]
     everyone: list[ResultRecord] = []
-    for own, other in ((named[0], named[1]), (named[1], named[0])):
-        everyone += standing.filled(own, info.sequences, other)
+    for k, own in enumerate(named):
+        others = [result for i, other in enumerate(named) if i != k for result in other]
+        everyone += standing.filled(own, info.sequences, others)
     return standing.board(everyone)
 
 

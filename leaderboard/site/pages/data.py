@@ -11,6 +11,7 @@ from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
 from oysterbench.results.records import plain
 from oysterbench_leaderboard.board import BoardInfo
 from oysterbench_leaderboard.site.datasets import Conditions, DataSet, all_data_sets, conditions_of
+from oysterbench_leaderboard.site.frames import file_name
 from oysterbench_leaderboard.site.page import Page, PageError
 from oysterbench_leaderboard.site.paths import board_path, data_path, slug, split_path
 from oysterbench_leaderboard.site.site import Site
@@ -73,6 +74,7 @@ def split_page(site: Site, split: str) -> Page:
     table = conditions_table(found, like)
     context = {
         "found": found,
+        "frame": file_name(found.name),
         "minutes": "" if found.duration_s is None else f"{found.duration_s / 60:.1f}",
         "megabytes": "" if found.size is None else f"{found.size / 1e6:.0f}",
         "boards": [(split_path(b.track, b.split) if b.newest else board_path(b), b) for b in boards],

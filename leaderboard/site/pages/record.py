@@ -26,7 +26,7 @@ from oysterbench_leaderboard.site.pages.compare import PAIRED
 from oysterbench_leaderboard.site.pages.ranks import TIERS, rank_cells
 from oysterbench_leaderboard.site.paths import board_path, method_path, record_path
 from oysterbench_leaderboard.site.site import Site, curves_of
-from oysterbench_leaderboard.site.works import work_cell
+from oysterbench_leaderboard.site.works import code_cell, paper_address
 from oysterbench_leaderboard.tables import DATA_SET, has_data_set
 
 HIDDEN = "The split is hidden: of most metrics the mean alone is told, and by sequence in steps, if at all."
@@ -78,7 +78,8 @@ def record_page(site: Site, digest: str) -> Page:
         "notes": notes,
         "rivals": rivals(site, info, row),
         "drawings": drawings({record.method: curves_of(site, record)}),
-        "work": work_cell(row.code, row.paper),
+        "code": code_cell(row.code),
+        "paper": paper_address(row.paper),
         "remarks": failures_and_notes(results),
         "making": making(record),
         "raw": f"{record_path(row.digest)}/record",

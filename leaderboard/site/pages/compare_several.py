@@ -1,0 +1,117 @@
+"""Three records or more side by side: scores, where they differ, and which of every two is better."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from oysterbench.core.page import STYLES
+from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
+from oysterbench.report.table import ABSENT, Cell, Column, Table, TableRow
+from oysterbench.results.comparison import Board, as_plain
+from oysterbench.results.records import plain
+from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.site import numbers
+from oysterbench_leaderboard.site.charts import drawings
+from oysterbench_leaderboard.site.page import Page, PageError
+from oysterbench_leaderboard.site.pages.compare import Side, labels_of, means_of, records_of, whole_board
+from oysterbench_leaderboard.site.pages.heat import classes_heat, scores_of, sequences_heat
+from oysterbench_leaderboard.site.pages.ranks import rank_cells
+from oysterbench_leaderboard.site.paths import board_path, record_path
+from oysterbench_leaderboard.site.site import Site, curves_of
+from oysterbench_leaderboard.tables import LEADING, role_of
+
+MOST = 50
+"""Records that one page sets against each other: every two of them."""
+
+OF_TWO = ("a", "b", "difference", "pairs")
+"""Keys of the JSON that a comparison of two has alone."""
+
+KINDS = {"better": "best", "worse": "warn"}
+"""What a comparison finds -> how its cell looks."""
+
+
+def several_page(site: Site, names: Sequence[str]) -> Page:
+    """Records by their digests, or methods by their names: then the records on the first board that has all.
+
+    Raises PageError where there are too many, one is unknown, or no board has all of them.
+    """
+    if len(names) > MOST:
+        raise PageError(f"r: expected {MOST} records at most, got {len(names)}", 400, {"/": "all boards"})
+    info, rows = _common(site, names)
+    sides = [Side(label, row, site.record(row.digest)) for label, row in zip(labels_of(rows), rows, strict=True)]
+    board = whole_board(info, sides)
+    scores = scores_of(site, info, rows)
+    heats = [] if scores is None else [sequences_heat(scores), classes_heat(scores)]
+    tables = [_metrics(board, sides), _pairs(board, info, sides), *filter(None, heats)]
+    drawn = sides[:STYLES]
+    context = {
+        "info": info,
+        "board": board_path(info),
+        "metric": metric_column(info.metric),
+        "count": len(sides),
+        "unshown": len(sides) - len(drawn),
+        "drawings": drawings({side.label: curves_of(site, side.record) for side in drawn}),
+    }
+    data = {
+        **dict.fromkeys(OF_TWO),
+        "records": [asdict(row) for row in rows],
+        "means": means_of(board, sides),
+        "per_sequence": as_plain(board)["per_sequence"],
+    }
+    title = f"{len(sides)} records on {info.split}"
+    return Page("/compare", title, "compare_several.html", context, tuple(tables), plain(data), {"r": list(names)})
+
+
+def _common(site: Site, names: Sequence[str]) -> tuple[BoardInfo, list[Row]]:
+    """The first board that has all of them, and there the newest of each; the best first."""
+    found = [records_of(site, name) for name in names]
+    for info in sorted(site.index.boards(), key=lambda info: LEADING.index(role_of(info.split))):
+        here = [next((row for row in several if row.board == info.id), None) for several in found]
+        rows = list({row.digest: row for row in here if row is not None}.values())
+        if None not in here and len(rows) > 1:
+            return info, sorted(rows, key=lambda row: (row.place is None, row.place or 0, row.digest))
+    hints = {record_path(several[0].digest): several[0].method for several in found}
+    raise PageError("these records are on no board together: expected some of one board", 409, hints)
+
+
+def _metrics(board: Board, sides: Sequence[Side]) -> Table:
+    """A row per record: rank, and the mean of every metric of the track's tables that has a direction."""
+    keys = dict.fromkeys(
+        column.key
+        for column in (metric_column(board.metric), *STANDING_OF_TRACK[board.track], *OF_TRACK[board.track])
+        if column.better and column.key in board.keys
+    )
+    columns = (Column("rank", "Rank", kind="number"), Column("method", "Method"), *(metric_column(key) for key in keys))
+    lines = []
+    for side, rank in zip(sides, rank_cells([side.row for side in sides]), strict=True):
+        of = board.runs_of(side.label)
+        means = (numbers.finite(of.summary(key, board.sequences).mean) for key in keys)
+        lines.append(TableRow((rank, Cell(side.label, path=record_path(side.row.digest), small=side.row.team), *means)))
+    notes = ("Errors are of what was answered: read them beside coverage.",) if "coverage" in keys else ()
+    return Table(f"Means over {numbers.count(len(board.sequences), 'sequence')}", columns, tuple(lines), notes)
+
+
+def _pairs(board: Board, info: BoardInfo, sides: Sequence[Side]) -> Table:
+    """Whether the record of a row is better than that of a column, by how much, each with a link to both."""
+    difference = numbers.difference_column(info.metric)
+    columns = [Column("method", "Is this one better?"), *(Column(side.row.digest, side.label) for side in sides)]
+    lines = []
+    for a in sides:
+        cells = [Cell(a.label)]
+        for b in sides:
+            if a is b:
+                cells.append(Cell(None, ABSENT))
+                continue
+            found = board.runs_of(a.label).compare(board.runs_of(b.label), board.metric, board.sequences)
+            verdict = found.verdict if found.interval.known else "too few to tell"
+            text = difference.text(numbers.finite(found.difference))
+            about = f"{a.label} less {b.label}; 95 %: {difference.text(found.interval)}"
+            small = verdict if verdict in KINDS or not found.interval.known else "no difference shown"
+            cells.append(Cell(found.difference, text, KINDS.get(verdict, "soft"), about, small))
+        lines.append(TableRow(tuple(cells)))
+    notes = (
+        f"{metric_column(info.metric).heading} of the row less that of the column, and whether the interval of the "
+        "paired differences on the same sequences leaves zero out (95 %, bootstrap; no correction for their number).",
+    )
+    return Table("Every two", tuple(columns), tuple(lines), notes, "pairs")

@@ -1,0 +1,134 @@
+"""Scores as heat maps: methods down, sequences or classes of conditions across."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from oysterbench.evaluate.conditions import CONDITIONS, STRATA
+from oysterbench.evaluate.metrics import FAILED, find_metric
+from oysterbench.report.columns import metric_column
+from oysterbench.report.table import Cell, Column, Table, TableRow
+from oysterbench_leaderboard.board import BoardInfo, Row
+from oysterbench_leaderboard.site.paths import record_path
+from oysterbench_leaderboard.site.site import Site
+
+LEVELS = 10
+"""Shades of a heat map; `style.css` has as many."""
+MOST_COLUMNS = 24
+"""Sequences of a heat map: a split of more is shown by its classes alone."""
+MOST_ROWS = 25
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Of the rows of a board on each of its sequences; what a record lacks counts as failed."""
+
+    info: BoardInfo
+    rows: Sequence[Row]
+    values: Mapping[str, Mapping[str, float]]
+    like: Mapping[str, Mapping[str, object]]
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The worst and the best; of what is better the higher, from 0 on."""
+        known = [value for of in self.values.values() for value in of.values() if math.isfinite(value)] or [0.0]
+        return min(0.0, *known), max(*known, 1e-12)
+
+
+def scores_of(site: Site, info: BoardInfo, rows: Sequence[Row]) -> Scores | None:
+    """Of the first rows; None where nothing is known by sequence, as on a hidden split, or there are no rows."""
+    rows = rows[:MOST_ROWS]
+    found = site.index.scores(row.digest for row in rows)
+    failed = FAILED[info.track].get(info.metric, math.nan)
+    values = {row.digest: {name: found[row.digest].get(name, failed) for name in info.sequences} for row in rows}
+    known = any(math.isfinite(value) for of in found.values() for value in of.values())
+    return Scores(info, rows, values, site.conditions(info.id, rows[0].digest)) if rows and known else None
+
+
+def sequences_heat(scores: Scores) -> Table | None:
+    """A column per sequence; None where there are too many, or one alone, which the board's own table shows."""
+    names = scores.info.sequences
+    if not 2 <= len(names) <= MOST_COLUMNS:
+        return None
+    columns = [Column(name, name, _said(scores.like.get(name, {}))) for name in names]
+    values = {row.digest: [scores.values[row.digest][name] for name in names] for row in scores.rows}
+    metric = metric_column(scores.info.metric).heading
+    return _heat(scores, f"{metric} by sequence", columns, values, ())
+
+
+def classes_heat(scores: Scores) -> Table | None:
+    """A column per class of each condition that has several: means over its sequences; None where there is none.
+
+    Of what is weighed in its mean, as IoU is by pixels, the sequences of a class have one vote each, which is said.
+    """
+    columns, groups = [], []
+    for condition in STRATA:
+        classes: dict[str, list[str]] = {}
+        for name in scores.info.sequences:
+            value = scores.like.get(name, {}).get(condition)
+            if value is not None:
+                classes.setdefault(f"{value:g}" if isinstance(value, float) else str(value), []).append(name)
+        if len(classes) > 1:
+            for value, names in sorted(classes.items()):
+                name = CONDITIONS[condition].name
+                heading, unit = (f"{name} {value}", "") if value.isdigit() else (value, f"{name}, ")
+                columns.append(
+                    Column(f"{condition} {value}", heading, f"{unit}n = {len(names)}", about=", ".join(names))
+                )
+                groups.append(names)
+    if not 2 <= len(columns) <= MOST_COLUMNS:
+        return None
+    values = {row.digest: [_mean(scores.values[row.digest], names) for names in groups] for row in scores.rows}
+    metric = find_metric(scores.info.metric)
+    weighed = " A sequence has one vote here, whatever its pixels." if metric is not None and metric.weight else ""
+    notes = (f"Means over the sequences of a class; n is how many they are.{weighed}",)
+    return _heat(scores, f"{metric_column(scores.info.metric).heading} by conditions", columns, values, notes)
+
+
+def _heat(
+    scores: Scores,
+    title: str,
+    columns: Sequence[Column],
+    values: Mapping[str, Sequence[float]],
+    notes: tuple[str, ...],
+) -> Table:
+    metric, (low, high) = metric_column(scores.info.metric), scores.ends
+    lines = []
+    for row in scores.rows:
+        cells = [
+            Cell(value, metric.text(value), heat_kind(value, low, high, metric.better == "lower"))
+            for value in values[row.digest]
+        ]
+        lines.append(TableRow((Cell(row.method, path=record_path(row.digest)), *cells)))
+    shown = [Column("method", "Method"), *(_number(column) for column in columns)]
+    return Table(title, tuple(shown), tuple(lines), notes)
+
+
+def _number(column: Column) -> Column:
+    return Column(column.key, column.heading, column.unit, "number", about=column.about)
+
+
+def heat_kind(value: float, low: float, high: float, lower_is_better: bool = False) -> str:
+    """The class of a cell: heat-0 of 0, or of the worst, to heat-10 of the best; "below" of what is less than 0.
+
+    >>> heat_kind(0.5, 0.0, 1.0), heat_kind(-0.1, -0.2, 1.0), heat_kind(math.nan, 0.0, 1.0)
+    ('heat-5', 'below', 'soft')
+    """
+    if not math.isfinite(value):
+        return "soft"
+    if value < 0 and not lower_is_better:
+        return "below"
+    share = value / high if high > 0 else 0.0
+    return f"heat-{round(LEVELS * (1.0 - share if lower_is_better else share))}"
+
+
+def _mean(values: Mapping[str, float], names: Sequence[str]) -> float:
+    known = [values[name] for name in names if math.isfinite(values[name])]
+    return math.fsum(known) / len(known) if known else math.nan
+
+
+def _said(like: Mapping[str, object]) -> str:
+    """Of a sequence, below its name: what tells it apart, in few letters."""
+    return str(like.get("water", "")) if like else ""
