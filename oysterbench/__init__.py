@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from oysterbench.core.trajectory import Trajectory, read_trajectory
     from oysterbench.evaluate.slam import SlamResult, SlamSettings
     from oysterbench.notebook.doctor import doctor
+    from oysterbench.notebook.mapping import oyster_map
     from oysterbench.notebook.score import score
     from oysterbench.notebook.split import Split, split, splits
     from oysterbench.sequence import Sequence
@@ -53,6 +54,7 @@ __all__ = [
     "labelled",
     "metrics",
     "open",
+    "oyster_map",
     "read_trajectory",
     "score",
     "split",
@@ -70,6 +72,7 @@ _HOMES = {
     "doctor": "oysterbench.notebook.doctor",
     "labelled": "oysterbench.annotations:open_labelled",
     "metrics": "",
+    "oyster_map": "oysterbench.notebook.mapping",
     "read_trajectory": "oysterbench.core.trajectory",
     "score": "oysterbench.notebook.score",
     "split": "oysterbench.notebook.split",

@@ -16,7 +16,7 @@ from oysterbench.core.documents import read_json
 from oysterbench.core.errors import HubError, NetworkError
 from oysterbench.core.text import in_one_line
 from oysterbench.hub.pool import open_pool
-from oysterbench.hub.sources import RETRIED, Patience, retry_after_s
+from oysterbench.hub.sources import HOST, RETRIED, Patience, retry_after_s
 from oysterbench.hub.transfer import pause_s
 from oysterbench.version import VERSION
 from oysterbench_leaderboard.submissions.package import Package
@@ -49,7 +49,8 @@ class Client:
     def __init__(self, url: str, token: str = "", patience: Patience | None = None) -> None:
         parts = urllib.parse.urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise HubError(f"--to: expected the address of a leaderboard, https://..., got {url!r}")
+            meant = f"; did you mean http://{url}?" if HOST.fullmatch(url) else ""
+            raise HubError(f"--to: expected the address of a leaderboard, https://..., got {url!r}{meant}")
         self.url = url.rstrip("/")
         self.open = parts.scheme == "http" and parts.hostname not in ("localhost", "127.0.0.1", "::1")
         self._patience = patience or Patience()

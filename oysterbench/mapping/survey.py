@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,10 +24,13 @@ from oysterbench.mapping.unassociated import UnassociatedCount
 from oysterbench.mapping.views import PoseInterpolator, check_time
 from oysterbench.sequence.types import Sequence
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 CUT_WEIGHT = 0.5  # of oysters that the edge of what was seen cuts, half have their middle inside
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OysterMap:
     """A map of a sequence, in the world frame of its trajectory.
 
@@ -66,6 +70,33 @@ class OysterMap:
     def total(self) -> Total:
         """Over all that was seen."""
         return total(self.oysters, self.grid, self.depth_sigma, len(self.path), self.unassociated)
+
+    def table(self) -> pd.DataFrame:
+        """A row for each oyster: x_m, y_m, z_m in the world frame of the trajectory; state (live, dead or unknown);
+        views, pictures that show it; weight, what it counts, 1/2 where no picture shows it whole."""
+        import pandas as pd
+
+        rows = [(*map(float, one.centre), one.state, one.views, one.weight) for one in self.oysters]
+        return pd.DataFrame(rows, columns=["x_m", "y_m", "z_m", "state", "views", "weight"])
+
+    def __repr__(self) -> str:
+        return f"<OysterMap of {self.name}: {self._outline}>"
+
+    def _repr_html_(self) -> str:
+        from oysterbench.core.display import CardTable, card
+
+        found = self.total
+        rows = [
+            ("oysters", f"{found.count:.0f}", f"{found.count_low:.0f} to {found.count_high:.0f}"),
+            ("live per m²", f"{found.live_per_m2:.1f}", f"{found.low_per_m2:.1f} to {found.high_per_m2:.1f}"),
+        ]
+        lead = f"{self._outline}; depths: {self.depth}"
+        return card(f"Oysters of {self.name}", lead, [CardTable(("", "found", "95 % interval"), rows)], (), self.notes)
+
+    @property
+    def _outline(self) -> str:
+        found = self.total
+        return f"{found.count:.0f} oysters on {found.area_m2:.1f} m², {found.live:.0f} live, {found.dead:.0f} dead"
 
 
 def build_map(

@@ -36,11 +36,8 @@ def render_files(
 
     folder = folder or split_folder(split, salt, device)
     missing = _missing(split, folder, names)
-    if missing and scheduler is None and find_spec("warp") is None:
-        raise MachineError(
-            f"{split.name}: {missing[0].name} is not here, and what renders it is not installed: pip install "
-            "'oysterbench[render]'; or set a hub that has it (OYSTERBENCH_HUB)"
-        )
+    if missing and scheduler is None:
+        check_renderer(f"{split.name}: {missing[0].name} is not here, and")
     if workers is None:
         workers = default_workers(sum(cost.estimated(split, sequence) for sequence in missing))
     workers = check_workers(workers)
@@ -48,6 +45,15 @@ def render_files(
         _announce(split, missing, workers)
     with nullcontext() if quiet else frames_bar(f"rendering {split.name}") as progress:
         return generate_split(split, folder, workers, progress, salt, device, scheduler, names)
+
+
+def check_renderer(wanted: str) -> None:
+    """Raise MachineError, with what to type, where what renders is not installed. wanted: begins the sentence"""
+    if find_spec("warp") is None:
+        raise MachineError(
+            f"{wanted} what renders is not installed: pip install 'oysterbench[render]'; or set a hub that has it "
+            "(OYSTERBENCH_HUB)"
+        )
 
 
 def _missing(split: SplitRecipe, folder: Path, names: tuple[str, ...]) -> list[SequenceRecipe]:

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.names import instead
+from oysterbench.notebook.progress import frames_bar
+from oysterbench.notebook.rendering import check_renderer
 from oysterbench.notebook.sources import RecipeSource, Source, find_source
 from oysterbench.sequence.types import Sequence
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas as pd
+    from numpy.typing import NDArray
 
     from oysterbench.annotations import LabelledSet
     from oysterbench.recipe import SplitRecipe
@@ -189,6 +194,33 @@ class Split:
 
         sequence = open_sequence(path)
         return {"duration_s": sequence.duration_s, "cameras": len(sequence.cameras)}
+
+    def preview(self, name: str | None = None) -> NDArray[np.uint8]:
+        """A sheet of small frames of a sequence, rendered in seconds: how a recipe looks, before it is rendered.
+
+        Parameters
+        ----------
+        name : str, optional
+            Of the sequence; the first by default.
+
+        Returns
+        -------
+        (H, W, 3) array of uint8
+            RGB, frames evenly over the time of the sequence, each over its camera and time.
+
+        Raises
+        ------
+        oysterbench.core.errors.SequenceError
+            There is no such sequence, or only files are known and no recipe.
+        """
+        from oysterbench.simulation.gallery import preview
+
+        if self.recipe is None:
+            raise SequenceError(f"{self.name}: only files are known, and no recipe: there is nothing to preview")
+        check_renderer(f"{self.name}:")
+        shown = self._name(self.names[0] if name is None else name)
+        with nullcontext(lambda done, total: None) if self._quiet else frames_bar(f"previewing {shown}") as progress:
+            return preview(self.recipe, shown, progress)
 
     def labelled(self) -> LabelledSet:
         """The labelled pictures of all sequences, each read when it is asked for.

@@ -16,6 +16,8 @@ MIN_SHARE = 0.25
 """Of the squared errors: what one lag must explain before an offset is sought, which takes longer."""
 MIN_SIGMAS = 5.0
 """By which an offset must differ from none."""
+LEAST_POSES, MOST_POSES = 20, 5000
+"""That are looked at."""
 MIN_GAIN = 0.2
 """Of the ATE: what mending the clock must take away."""
 
@@ -26,7 +28,8 @@ def lag_notes(
     """A note where the estimate's stamps are off and that costs much of the ATE; else nothing.
 
     matched, aligned: matched true and aligned estimated poses (N,). A lag shows as an error along the velocity, as
-    p(t - d) - p(t) = -d v to first order; where that explains much, the offset is sought by `estimate_offset`.
+    p(t - d) - p(t) = -d v to first order; where that explains much of what no alignment could take away, the offset is
+    sought by `estimate_offset`.
     """
     if _share(matched, aligned) < MIN_SHARE:
         return []
@@ -44,21 +47,33 @@ def lag_notes(
         return []
     side = "late" if offset.offset_s < 0 else "early"
     return [
-        f"the estimate's stamps seem to be {abs(offset.offset_s):.3f} s {side}: without that the ATE were "
-        f"{mended:.3g} m instead of {now:.3g} m; --time-offset estimate (time_offset_s='estimate') mends it"
+        f"the estimate's stamps seem to be {abs(offset.offset_s):.3f} s {side}: corrected, the ATE would be "
+        f"{mended:.3g} m instead of {now:.3g} m; --time-offset estimate (time_offset_s='estimate') corrects it"
     ]
 
 
 def _share(matched: Trajectory, aligned: Trajectory) -> float:
-    """Share (0 to 1) of the squared position errors that a lag explains."""
-    if len(matched.stamps_ns) < 3:
+    """Share (0 to 1) that a lag explains of the squared position errors that no alignment takes away."""
+    if len(matched.stamps_ns) < LEAST_POSES:
         return 0.0
     seconds = (matched.stamps_ns - matched.stamps_ns[0]) * 1e-9
-    velocity = np.gradient(matched.positions, seconds, axis=0)
-    error = aligned.positions - matched.positions
-    velocity, error = velocity - velocity.mean(axis=0), error - error.mean(axis=0)
+    thin = slice(None, None, 1 + len(seconds) // MOST_POSES)
+    velocity = np.gradient(matched.positions, seconds, axis=0)[thin]
+    error = (aligned.positions - matched.positions)[thin]
+    velocity, error = _unaligned(matched.positions[thin], velocity, error)
     squares = float(np.vdot(velocity, velocity) * np.vdot(error, error))
     return float(np.vdot(velocity, error)) ** 2 / squares if squares > 0 else 0.0
+
+
+def _unaligned(positions: Array, *fields: Array) -> list[Array]:
+    """Fields (N, 3) along positions (N, 3), without what a small translation, rotation and change of scale does."""
+    centred = positions - positions.mean(axis=0)
+    moved = [np.broadcast_to(axis, centred.shape) for axis in np.eye(3)]
+    turned = [np.cross(axis, centred) for axis in np.eye(3)]
+    basis = np.stack([*moved, *turned, centred], axis=-1).reshape(-1, 7)
+    flat = np.stack([field.ravel() for field in fields], axis=1)
+    rest = flat - basis @ np.linalg.lstsq(basis, flat, rcond=None)[0]
+    return [column.reshape(-1, 3) for column in rest.T]
 
 
 def _rms(difference: Array) -> float:

@@ -1,0 +1,5 @@
+# A network of one's own: from an empty folder to its IoU on a reef that it has not seen, beside a rule of thumb.
+pip install "oysterbench[render,learn]"
+python my_net.py
+oysterbench run my_net:MyNet colour --split seg-mini --sequence mini-02 --out mine
+oysterbench compare mine --report comparison.html
