@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.version import Version
 
+from oysterbench.version import VERSION
 from tests.helpers.paths import ROOT
 
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -56,3 +59,12 @@ def test_no_version_with_a_known_hole_may_be_installed(advisory):
         least = max((Version(part.version) for part in requirement.specifier if part.operator == ">="), default=None)
         assert least is not None, f"{requirement} has no minimum"
         assert least >= Version(advisory["fixed"]), f"{requirement}: {advisory['id']} is fixed in {advisory['fixed']}"
+
+
+def test_the_citation_the_changelog_and_the_package_are_of_one_version():
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == VERSION
+    assert citation["license"] == PYPROJECT["project"]["license"]
+    first = re.search(r"^## \[([\d.]+)\]", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert first is not None
+    assert first[1] == VERSION

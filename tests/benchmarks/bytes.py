@@ -2,7 +2,7 @@
 `--out here.json` in the one, with `--against here.json` in the other.
 
 Of each split some parts, frames and pings spread over a sequence and its small sensors, are hashed: seconds each, where
-the split takes hours. `--target native` compiles the kernels for this processor; NumPy's, OpenCV's and OpenBLAS's own
+the split takes hours. `--target x86-64-v4` compiles the kernels for another processor; NumPy's, OpenCV's and OpenBLAS's own
 paths are chosen by their variables (NPY_DISABLE_CPU_FEATURES, OPENCV_CPU_DISABLE, OPENBLAS_CORETYPE).
 """
 
@@ -31,7 +31,8 @@ def main() -> None:
     if options.target:
         from oysterbench.render import target
 
-        target.KERNEL_OPTIONS["cpu_compiler_flags"] = f"-target-cpu {options.target}"
+        flags = target.COMPILER_FLAGS.partition(" -target-cpu")[0]
+        target.KERNEL_OPTIONS["cpu_compiler_flags"] = f"{flags} -target-cpu {options.target}"
 
     found = {}
     for named in options.splits:
