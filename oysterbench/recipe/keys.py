@@ -12,6 +12,7 @@ from dataclasses import field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from oysterbench.core.errors import RecipeError
+from oysterbench.core.names import did_you_mean, nearest
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -65,9 +66,9 @@ def build(kind: type[Kind], table: Any, where: str, prefix: str) -> Kind:
     fields = {f.name: f for f in dataclasses.fields(kind)}
     for key in table:
         if key not in fields:
-            raise RecipeError(
-                f"{where}: unknown key {prefix + key!r}; known keys here: {', '.join(_documented(fields))}"
-            )
+            known = _documented(fields)
+            meant = did_you_mean(nearest(key, known))
+            raise RecipeError(f"{where}: unknown key {prefix + key!r}; {meant}known keys here: {', '.join(known)}")
     values = {}
     for name, definition in fields.items():
         if name in table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 from pathlib import Path
 
 import pytest
@@ -14,3 +15,10 @@ def minis(tmp_path_factory) -> Path:
     them already."""
     named = os.environ.get("OYSTERBENCH_TEST_HOME")
     return Path(named) if named else tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture
+def free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])

@@ -65,7 +65,7 @@ def test_a_rig_may_lie_beside_its_recipe(tmp_path):
         ("oysters = 60", "density_per_m2 = -1", r"'sequence\.reef\.density_per_m2': expected 0 to 1000, got -1"),
         ("oysters = 60", 'oysters = 60\nbottom = "tar"', r"expected one of sand, mud, gravel, shell, got 'tar'"),
         ("oysters = 60", "oysters = 60\nsilt = 1.5", r"'sequence\.reef\.silt': expected 0 to 1, got 1\.5"),
-        ("oysters = 60", "oyster = 60", r"unknown key 'sequence\.reef\.oyster'; known keys here: size_m"),
+        ("oysters = 60", "oyster = 60", r"unknown key 'sequence\.reef\.oyster'; did you mean oysters or .*known keys here: size_m"),
         ("altitude_m = 0.9", "altitude_m = 3.0", r"the vehicle would leave the water.*got 3"),
         ("radius_m = 1.0", "radius_m = 2.4", r"the path leaves the reef; expected at most 1\.88.*got 2\.4"),
         ('track = "slam"', 'track = "swim"', r"key 'track': expected one of slam, segmentation, steering, got 'swim'"),
