@@ -8,7 +8,8 @@ from html import escape
 
 import numpy as np
 
-from oysterbench.report.plots import BOTTOM, INNER, LEFT, TOP, WIDTH, Axis, nice_ticks
+from oysterbench.report.axes import Axis, nice_ticks
+from oysterbench.report.plots import BOTTOM, INNER, LEFT, TOP, WIDTH
 
 TALL = 190.0
 MOST_BARS = 24

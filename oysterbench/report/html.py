@@ -5,12 +5,10 @@ This gathers what the template `report.html` shows.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +23,7 @@ from oysterbench.report.columns import metric_column
 from oysterbench.report.consistency import consistency_table
 from oysterbench.report.density import DensityRun, map_cards
 from oysterbench.report.images import LEGEND, DatasetRow, ImageRun, curves_group, dataset_tables, sample_pictures
+from oysterbench.report.making import flattened, making
 from oysterbench.report.plots import Curve, point_swatch, scatter_plot, swatch
 from oysterbench.report.renderers.html import FOLDER
 from oysterbench.report.sequences import SequencePlots, SlamRun, sequence_plots
@@ -44,6 +43,7 @@ from oysterbench.results.comparison import Board, boards, remarks
 from oysterbench.results.records import ResultRecord
 
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
+LEAST_POINTS = 6  # sequences of a board, below which points over a condition show nothing but chance
 NOTHING = TrackMetrics("Results", {}, (), (), "", {})
 """Of a report of no runs."""
 
@@ -147,8 +147,8 @@ def html_report(
         "sequences": _sequences(slam, sequences, styles),
         "not_drawn": slam and not drawn,
         "command": command,
-        "making": _making(records),
-        "conditions": {record.sequence: _settings(record.conditions) for record in records if record.conditions},
+        "making": making(records),
+        "conditions": {record.sequence: dict(flattened(record.conditions)) for record in records if record.conditions},
         **_definitions(records, track),
     }
     return environment(FOLDER).get_template("report.html").render(**context)
@@ -188,7 +188,7 @@ def _board(board: Board, styles: Mapping[str, int], compared: bool) -> BoardPart
 
 def _over_conditions(board: Board, styles: Mapping[str, int]) -> PlotGroup | None:
     varying = list(board.varying().items())[:SHOWN_CONDITIONS]
-    if not varying:
+    if not varying or len(board.sequences) < LEAST_POINTS:
         return None
     cards = [card for key, values in varying for card in _over(board, key, values, styles)]
     heading = f"Over conditions on {board.name}"
@@ -221,39 +221,6 @@ def _over(board: Board, condition: str, values: Mapping[str, float], styles: Map
             top = 1.0 if key == board.metric and not metric.unit else None
             cards.append(Card(title, scatter_plot(curves, title, x_label, y_label, top)))
     return cards
-
-
-def _making(records: Sequence[ResultRecord]) -> dict[str, list[str]]:
-    """Settings, versions and machine, each distinct value once."""
-    lines: dict[str, list[str]] = {}
-
-    def add(label: str, value: str) -> None:
-        if value and value not in lines.setdefault(label, []):
-            lines[label].append(value)
-
-    for record in records:
-        add("Split", f"{record.split}, recipe {record.split_digest[:16]}" if record.split_digest else record.split)
-        add("Evaluator", record.evaluator_version)
-        add("Settings", _settings(record.settings))
-        add("oysterbench", record.oysterbench_version)
-        add("Machine", _settings(record.hardware))
-        add("Created", record.created)
-    for record in records:
-        add(f"Settings of {record.method}", _settings(record.method_settings))
-        add(f"{record.method} reports", _settings(record.info))
-    seeds: dict[str, list[str]] = {}
-    for record in records:
-        if record.seed is not None:
-            seeds.setdefault(record.method, []).append(str(record.seed))
-    for method, given in seeds.items():
-        add(f"Seeds of {method}", ", ".join(dict.fromkeys(given)))
-    return lines
-
-
-def _settings(values: Mapping[str, Any]) -> str:
-    """Keys and values in one line; long values are cut, since the whole is in the JSON."""
-    texts = {k: v if isinstance(v, str) else json.dumps(v, default=str) for k, v in values.items()}
-    return ", ".join(f"{k} = {v if len(v) <= 2000 else v[:1997] + '...'}" for k, v in texts.items())
 
 
 def _definitions(records: Sequence[ResultRecord], track: TrackMetrics) -> dict[str, list[Definition]]:

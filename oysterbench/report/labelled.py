@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from oysterbench.report.plots import BOTTOM, TOP, Axis, nice_ticks
+from oysterbench.report.axes import Axis, nice_ticks
+from oysterbench.report.plots import BOTTOM, TOP
 
 WIDE, TALL, LEFT, RIGHT = 760.0, 360.0, 56.0, 20.0
 LETTER = 6.6  # of a label's letters, wide

@@ -9,11 +9,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from oysterbench.core.geometry import Array
+from oysterbench.report.axes import Axis
 
 WIDTH, LEFT, RIGHT, TOP, BOTTOM = 480.0, 56.0, 16.0, 32.0, 46.0
 INNER = WIDTH - LEFT - RIGHT
@@ -35,51 +38,6 @@ class Curve:
     x: Array
     y: Array
     style: int
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A range of values and the pixels it is drawn on (upwards the end lies before the begin); ticks by `spacing`."""
-
-    low: float
-    high: float
-    begin: float
-    end: float
-    spacing: float = 75.0
-    logarithmic: bool = False
-    named: tuple[tuple[float, str], ...] = ()  # ticks, in place of those that spacing gives
-
-    def place(self, values: Array | float) -> Array:
-        """Pixels of values."""
-        low, high, values = self.low, self.high, np.asarray(values, dtype=float)
-        if self.logarithmic:
-            low, high, values = math.log10(low), math.log10(high), np.log10(np.maximum(values, self.low))
-        return self.begin + (values - low) / (high - low) * (self.end - self.begin)
-
-    def ticks(self) -> list[tuple[float, str]]:
-        """Values and labels, as many as fit."""
-        room = abs(self.end - self.begin)
-        if self.named:
-            return list(self.named)
-        if self.logarithmic:
-            powers = range(math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9) + 1)
-            return [(10.0**power, _number(10.0**power, max(0, -power))) for power in powers]
-        return nice_ticks(self.low, self.high, max(3, round(room / self.spacing)))
-
-
-def nice_ticks(low: float, high: float, count: int) -> list[tuple[float, str]]:
-    """Round values within [low, high] and their labels: the finest steps of 1, 2 or 5 that give count + 2 at most."""
-    exponent = math.floor(math.log10((high - low) / (count + 2)))
-    for power, factor in ((exponent + k, factor) for k in (0, 1) for factor in (1, 2, 5)):
-        step = factor * 10.0**power
-        first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-        if last - first + 1 <= count + 2:
-            break
-    return [(k * step, _number(k * step, max(0, -power))) for k in range(first, last + 1)]
-
-
-def _number(value: float, decimals: int) -> str:
-    return f"{value + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
 
 
 def map_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, least_height: float = 110.0) -> str:
@@ -144,6 +102,19 @@ def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, s
         y_axis = Axis(0.0, top * 1.08, TOP + height, TOP, 44.0)
     thinned = [thin(curve) for curve in curves]
     return _drawing(thinned, x_axis, y_axis, title, x_label, y_label, "", "", zoom="free")
+
+
+def signed_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
+    """Curves over time in s within `span`, with a line at zero, as far up as down.
+
+    Where one is LOG_RATIO times as large as another, it leaves the picture, which is said: others would be flat.
+    """
+    tops = [top for curve in curves if (top := float(np.max(np.abs(_known(curve.y))))) > 1e-12]
+    top = 1.08 * max([top for top in tops if top <= LOG_RATIO * min(tops)], default=1.0)
+    x_axis, y_axis = _time_axis(span), Axis(-top, top, TOP + 150.0, TOP, 40.0)
+    note = _note([curve.label for curve in curves if _leaves(curve.y, -top, top)])
+    zero = f'<path class="zero" d="M{LEFT} {TOP + 75.0:.1f}H{LEFT + INNER}"/>'
+    return _drawing(curves, x_axis, y_axis, title, x_label, y_label, note, zero)
 
 
 def nees_plot(
@@ -266,6 +237,15 @@ def thin(curve: Curve) -> Curve:
             keep.update((int(part[np.nanargmin(values)]), int(part[np.nanargmax(values)])))
     index = np.array(sorted(keep))
     return Curve(curve.label, curve.x[index], curve.y[index], curve.style)
+
+
+def broken(stamps_ns: NDArray[np.int64], x: NDArray[Any], y: NDArray[Any]) -> tuple[Array, Array]:
+    """x and y with a NaN wherever the stamps jump by more than 4 of their median steps and by more than 0.25 s."""
+    steps = np.diff(stamps_ns)
+    if not len(steps):
+        return x, y
+    jumps = np.flatnonzero((steps > 4 * np.median(steps)) & (steps > 250_000_000)) + 1
+    return np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
 
 
 def point_swatch(style: int) -> str:

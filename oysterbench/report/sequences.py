@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from oysterbench.core.geometry import Array
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds
 from oysterbench.evaluate.slam.scoring import SlamResult
 from oysterbench.report.cards import Card, Picture
+from oysterbench.report.components import component_cards
 from oysterbench.report.consistency import consistency_cards, health_cards
-from oysterbench.report.plots import Curve, height_plot, map_plot, recall_plot, thin, time_plot
+from oysterbench.report.plots import Curve, broken, height_plot, map_plot, recall_plot, thin, time_plot
 from oysterbench.results.records import ResultRecord
 
 TIME = "time since start [s]"
@@ -72,6 +71,7 @@ def sequence_plots(runs: Sequence[SlamRun], name: str, styles: Mapping[str, int]
     healths = {run.record.method: run.health for run in drawn if run.result is not None and run.health is not None}
     rows = (
         _errors(truth, end_s, scored, styles),
+        *component_cards(truth, scored, styles),
         _last(truth, scored, styles),
         consistency_cards(truth, scored, styles),
         health_cards(truth, scored, healths, styles),
@@ -113,7 +113,7 @@ def _maps(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> tuple
     heights = []
     for label, trajectory, style in shown:
         seconds = (trajectory.stamps_ns - begin_ns) * 1e-9
-        heights.append(Curve(label, *_broken(trajectory.stamps_ns, seconds, trajectory.positions[:, 2]), style))
+        heights.append(Curve(label, *broken(trajectory.stamps_ns, seconds, trajectory.positions[:, 2]), style))
     title = "Height over time"
     height = Card(title, height_plot(heights, title, TIME, axes[2], (0.0, end_s)))
     return seen("Seen from above", 0, 1, 400.0), seen("Seen from the side", side, 2, 110.0), height
@@ -124,16 +124,7 @@ def _outline(label: str, trajectory: Trajectory, style: int, i: int, j: int) -> 
     step = max(1, len(trajectory) // MAP_POINTS)
     index = np.unique(np.r_[0 : len(trajectory) : step, len(trajectory) - 1])
     stamps, positions = trajectory.stamps_ns[index], trajectory.positions[index]
-    return Curve(label, *_broken(stamps, positions[:, i], positions[:, j]), style)
-
-
-def _broken(stamps_ns: NDArray[np.int64], x: NDArray[Any], y: NDArray[Any]) -> tuple[Array, Array]:
-    """x and y with a NaN wherever the stamps jump by more than 4 of their median steps and by more than 0.25 s."""
-    steps = np.diff(stamps_ns)
-    if not len(steps):
-        return x, y
-    jumps = np.flatnonzero((steps > 4 * np.median(steps)) & (steps > 250_000_000)) + 1
-    return np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
+    return Curve(label, *broken(stamps, positions[:, i], positions[:, j]), style)
 
 
 def _errors(truth: Trajectory, end_s: float, scored: Scored, styles: Mapping[str, int]) -> tuple[Card, ...]:
@@ -146,9 +137,7 @@ def _errors(truth: Trajectory, end_s: float, scored: Scored, styles: Mapping[str
         curves = []
         for method, result in scored:
             seconds = (result.stamps_ns - truth.stamps_ns[0]) * 1e-9
-            curves.append(
-                thin(Curve(method, *_broken(result.stamps_ns, seconds, getattr(result, key)), styles[method]))
-            )
+            curves.append(thin(Curve(method, *broken(result.stamps_ns, seconds, getattr(result, key)), styles[method])))
         cards.append(Card(title, time_plot(curves, title, TIME, unit, (0.0, end_s))))
     return tuple(cards)
 
@@ -163,7 +152,7 @@ def _last(truth: Trajectory, scored: Scored, styles: Mapping[str, int]) -> tuple
     along, curves = [], []
     for method, result in scored:
         x = np.interp((result.stamps_ns - truth.stamps_ns[0]) * 1e-9, seconds, way)
-        along.append(thin(Curve(method, *_broken(result.stamps_ns, x, result.error_m), styles[method])))
+        along.append(thin(Curve(method, *broken(result.stamps_ns, x, result.error_m), styles[method])))
         if result.recall is not None:
             multiples = np.asarray(result.recall.error_m) / result.recall.scale_m
             curves.append(Curve(method, multiples, np.asarray(result.recall.share), styles[method]))

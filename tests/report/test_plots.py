@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oysterbench.core import page
-from oysterbench.report.plots import Curve, map_plot, nice_ticks, thin, time_plot
+from oysterbench.report.axes import nice_ticks
+from oysterbench.report.plots import Curve, map_plot, signed_plot, thin, time_plot
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-4, 1e6), st.integers(3, 9))
@@ -56,6 +57,19 @@ def test_the_last_whole_second_gets_its_tick(end, last):
     svg = time_plot([Curve("a", t, 1 + t, 1)], "e", "t [s]", "error [m]", (0.0, end))
     texts = ElementTree.fromstring(svg).findall(".//text[@class='tick']")
     assert [text.text for text in texts if text.get("text-anchor") == "middle"][-1] == last
+
+
+def test_signed_errors_have_zero_in_the_middle_and_a_large_one_does_not_flatten_the_others():
+    t = np.arange(5.0)
+    small, large = Curve("small", t, 0.1 * np.sin(t), 1), Curve("large", t, 100.0 * t, 2)
+    svg = signed_plot([small, large], "e", "t [s]", "error [m]", (0, 4))
+    assert "large leaves this picture" in svg
+    assert float(re.search(r'class="zero" d="M56.0 (\S+)H', svg).group(1)) == 32.0 + 75.0
+    ys = [float(y) for y in re.findall(r"[ML]\S+ ([\d.]+)", re.search('data-label="small" d="([^"]*)"', svg).group(1))]
+    assert ys[0] == 107.0
+    assert min(ys) == pytest.approx(107.0 - 75.0 * max(small.y) / (1.08 * max(abs(small.y))), abs=0.01)
+    assert "leaves" not in signed_plot([small], "e", "t [s]", "error [m]", (0, 4))
+    assert "leaves" not in signed_plot([Curve("none", t, 0 * t, 1)], "e", "t [s]", "error [m]", (0, 4))
 
 
 def test_a_curve_is_lifted_where_it_is_broken():

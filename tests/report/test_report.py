@@ -195,7 +195,9 @@ def test_report_is_well_formed_and_holds_everything():
         "Height over time",
         "Position error over time",
         "Rotation error over time",
-        "align = posyaw",
+        "alignposyaw",
+        "Error of east x",
+        "Error of yaw",
         EVALUATOR,
         "mine on mini-01 failed: it <crashed> & burned",
         "1.00 s",
@@ -262,6 +264,21 @@ def test_several_sequences_begin_with_the_standings_and_end_with_conditions():
     assert re.search(r"(?s)good\s*bad\s*everywhere\s*\+0\.\d{3}.*?better", text.replace("</td>", " "))
 
 
+def test_points_over_a_condition_are_drawn_from_six_sequences_on():
+    few = [run_ for run_ in many() if run_.record.sequence != many()[-1].record.sequence]
+    names = sorted({run_.record.sequence for run_ in few})
+    assert len(names) == 6
+    assert "Over conditions on" in html_report(few, "x")
+    assert "Over conditions on" not in html_report([r for r in few if r.record.sequence != names[0]], "x")
+
+
+def test_settings_are_folded_into_a_table_of_one_line_each():
+    tags = parsed(html_report([run("a", method_settings={"levels": 3, "flow": {"window_px": 21}})], "x"))
+    rows = re.findall(r"(?m)^(flow\.window_px|levels)(.*)$", tags.text)
+    assert rows == [("levels", "3"), ("flow.window_px", "21")]
+    assert "Settings, versions and machine" in tags.text
+
+
 def test_a_comparison_without_paths_is_a_page():
     text = parsed(html_report([SlamRun(run_.record) for run_ in many()], "oysterbench compare a b")).text
     assert "Paths are drawn in the report of each evaluation" in text
@@ -315,7 +332,7 @@ def test_methods_have_points_of_different_shapes():
 def test_plots_are_described_for_those_who_do_not_see_them():
     tags = parsed(html_report([run("gtsam_vi")], "oysterbench eval"))
     labels = [value for tag, name, value in tags.attributes if tag == "svg" and name == "aria-label"]
-    assert len(labels) == 7
+    assert len(labels) == 7 + 6
     assert all("gtsam_vi" in label for label in labels)
     assert all(value for tag, name, value in tags.attributes if tag == "img" and name == "alt")
 

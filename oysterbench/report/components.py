@@ -1,0 +1,49 @@
+"""Errors along each axis over time: of the position in the map, of the attitude in the body."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.evaluate.slam.scoring import SlamResult
+from oysterbench.report.cards import Card
+from oysterbench.report.plots import Curve, broken, signed_plot, thin
+
+TIME = "time since start [s]"
+POSITION = ("east x", "north y", "up z")
+ATTITUDE = ("roll", "pitch", "yaw")
+
+
+def position_errors(result: SlamResult) -> Array:
+    """(N, 3) m in `map`: matched estimate less truth."""
+    return np.asarray(result.estimate.positions - result.truth.positions, dtype=float)
+
+
+def attitude_errors_deg(result: SlamResult) -> Array:
+    """(N, 3) deg: the rotation vector that takes the true body into the estimated one, about the true body's own axes x
+    forward (roll), y left (pitch), z up (yaw); its length is the angle between them."""
+    between = Rotation.from_quat(result.truth.quaternions).inv() * Rotation.from_quat(result.estimate.quaternions)
+    return np.asarray(between.as_rotvec(degrees=True), dtype=float)
+
+
+def component_cards(
+    truth: Trajectory, scored: Sequence[tuple[str, SlamResult]], styles: Mapping[str, int]
+) -> tuple[tuple[Card, ...], tuple[Card, ...]]:
+    """A row of three cards for the position, and one for the attitude."""
+    errors = {method: np.hstack((position_errors(of), attitude_errors_deg(of))) for method, of in scored}
+    end_s = float(truth.stamps_ns[-1] - truth.stamps_ns[0]) * 1e-9
+    cards = []
+    for k, name in enumerate((*POSITION, *ATTITUDE)):
+        curves = []
+        for method, result in scored:
+            seconds = (result.stamps_ns - truth.stamps_ns[0]) * 1e-9
+            drawn = broken(result.stamps_ns, seconds, errors[method][:, k])
+            curves.append(thin(Curve(method, *drawn, styles[method])))
+        title = f"Error of {name}"
+        unit = "m" if k < len(POSITION) else "deg"
+        cards.append(Card(title, signed_plot(curves, title, TIME, f"error [{unit}]", (0.0, end_s))))
+    return tuple(cards[:3]), tuple(cards[3:])

@@ -1,0 +1,66 @@
+"""How the numbers of a report came about: settings, versions and machine, a line for each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from oysterbench.results.records import ResultRecord
+
+LONGEST = 600
+"""Characters of a value; the JSON holds the whole."""
+MOST_VALUES = 8
+"""Different values of one setting; the JSON holds them all."""
+
+Groups = dict[str, dict[str, list[str]]]
+"""Heading -> setting -> its distinct values, in the order of the runs."""
+
+
+def making(records: Sequence[ResultRecord]) -> Groups:
+    """All that the runs say of how they were made: of the evaluation, of each method, of the machine."""
+    found: Groups = {}
+    for record in records:
+        of_method = record.method
+        digest = f", recipe {record.split_digest[:16]}" if record.split_digest else ""
+        _add(found, "Evaluation", {"split": record.split + digest, "evaluator": record.evaluator_version})
+        _add(found, "Evaluation", record.settings)
+        _add(found, f"{of_method}: settings", record.method_settings)
+        _add(found, f"{of_method}: settings", {} if record.seed is None else {"seed": record.seed})
+        _add(found, f"{of_method}: what it reports", record.info)
+        _add(found, "Versions and machine", {"oysterbench": record.oysterbench_version, **record.hardware})
+        _add(found, "Versions and machine", {"created": record.created})
+    return {heading: {key: _few(values) for key, values in of.items()} for heading, of in found.items() if of}
+
+
+def _add(found: Groups, heading: str, values: Mapping[str, Any]) -> None:
+    group = found.setdefault(heading, {})
+    for key, text in flattened(values):
+        if text and text not in group.setdefault(key, []):
+            group[key].append(text)
+
+
+def flattened(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Keys, those of what lies inside others with a dot, and values as text.
+
+    >>> list(flattened({"a": {"b": 1.5, "c": None}, "d": "x"}))
+    [('a.b', '1.5'), ('a.c', 'none'), ('d', 'x')]
+    """
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from flattened(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", text_of(value)
+
+
+def text_of(value: Any) -> str:
+    """A value in a line; long ones are cut."""
+    if value is None:
+        return "none"
+    text = value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 1]}\N{HORIZONTAL ELLIPSIS}"
+
+
+def _few(values: list[str]) -> list[str]:
+    more = len(values) - MOST_VALUES
+    return values if more <= 0 else [*values[:MOST_VALUES], f"and {more} more"]
