@@ -1,6 +1,7 @@
 # make demo: from nothing to a table of how well two methods localise an ROV over a rendered reef.
 # make test: the tests, the linter and the type checker. make test-slow: the tests that take minutes, too.
 # make hub KEY=my-hub.pem: the minis, and the weights that were trained here, as a published tree to attach to a release.
+# make docs: the documentation site in build/docs, without a warning and without a dead link.
 # make coverage: the tests, and how much of the code they run; the lines that they do not are in build/coverage/.
 
 PYTHON ?= python3
@@ -8,7 +9,7 @@ VENV ?= .venv
 # What nobody imports need not be compiled: that is most of torch, and a third of the time of installing.
 PIP = $(VENV)/bin/pip install --no-compile --quiet --disable-pip-version-check --constraint .ci/constraints.txt
 
-.PHONY: hub demo test unit kernels test-slow coverage lint clean
+.PHONY: hub demo test unit kernels test-slow docs coverage lint clean
 
 demo: $(VENV)/.demo
 	$(VENV)/bin/oysterbench eval --track slam
@@ -36,6 +37,10 @@ kernels: $(VENV)/.dev # once, before several processes of the tests do so side b
 test-slow: kernels
 	$(VENV)/bin/pytest -m "slow or not slow"
 
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(VENV)/bin/python -m mkdocs build --strict --quiet
+	$(VENV)/bin/python -m docs.check build/docs
+
 coverage: $(VENV)/.dev
 	$(VENV)/bin/pytest -n auto --dist loadfile --cov --cov-report term:skip-covered --cov-report html:build/coverage
 
@@ -56,6 +61,11 @@ $(VENV)/.demo: $(VENV)/bin/pip pyproject.toml .ci/constraints.txt
 $(VENV)/.dev: $(VENV)/bin/pip pyproject.toml .ci/constraints.txt
 	@echo "installing oysterbench and what the tests need into $(VENV)"
 	$(PIP) --editable ".[dev]"
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/bin/pip pyproject.toml .ci/constraints.txt
+	@echo "installing oysterbench and what the site needs into $(VENV)"
+	$(PIP) --editable ".[docs]"
 	@touch $@
 
 clean:

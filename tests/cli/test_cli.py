@@ -19,7 +19,6 @@ from oysterbench.cli.main import main
 from oysterbench.recipe import load_split
 from oysterbench.simulation.generate import generate_split
 from tests.helpers.command import assert_one_line, run, start
-from tests.helpers.paths import ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 from tests.helpers.waiting import until
 
@@ -44,12 +43,6 @@ def test_help_shows_examples_and_every_command_has_its_own(recipe):
     assert "Examples:" in start("--help").stdout
     for name in main.commands:
         assert "Examples:" in run(name, "--help").stdout
-
-
-def test_the_readme_names_every_command():
-    readme = (ROOT / "README.md").read_text()
-    for name in main.commands:
-        assert f"oysterbench {name}" in readme
 
 
 def test_version():

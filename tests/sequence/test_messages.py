@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 
 import numpy as np
 import pytest
@@ -14,11 +13,9 @@ from rosbags.typesys import Stores, get_typestore
 import oysterbench
 from oysterbench.core.ros import EPOCH_NS, stamp_of
 from oysterbench.recipe import RigRecipe, parse_split
-from oysterbench.sensors.camera_messages import LAYERS
 from oysterbench.sensors.registry import rig_frames, sensor_kinds
 from oysterbench.sequence.truth import rig_topics
 from tests.helpers import hand_made_dive as dive
-from tests.helpers.paths import ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT
 
 EVERY_SENSOR = """
@@ -224,15 +221,3 @@ def test_a_rig_has_the_topics_and_frames_of_its_sensors():
     }
     bare = rig_topics(parse_split(TINY_SPLIT, "tiny.toml", rig_source=TINY_RIG).rig)
     assert not {"/dvl/velocity", "/pressure", "/magnetometer"} & set(bare)
-
-
-def test_the_readme_names_every_topic():
-    readme = (ROOT / "README.md").read_text()
-    rig = rig_of_every_kind()
-    assert {sensor.block for sensor in (*rig.sensors, *rig.camera)} == set(sensor_kinds())
-    names = "|".join(sensor.name for sensor in (*rig.sensors, *rig.camera) if not sensor.single)
-    for topic in set(rig_topics(rig)) - {"/tf_static"}:
-        name = re.sub(f"^/({names})/", "/NAME/", topic)
-        assert f"`{name}`" in readme or name.rsplit("/")[-1] in LAYERS, topic
-    for kind in sensor_kinds().values():
-        assert re.search(rf"^\| .*{kind.title.removesuffix(' sensor')}.* \|", readme, re.M), kind.title
