@@ -141,4 +141,5 @@ def _sorted(rows: Iterable[dict[str, Any]], board: BoardInfo, query: Query) -> l
     absent = (lambda row: row["place"]) if query.sort == "rank" and query.descending else value
     found = sorted(rows, key=lambda row: int(row["position"]))
     known = sorted((row for row in found if absent(row) is not None), key=value, reverse=query.descending)
-    return known + [row for row in found if absent(row) is None]
+    rest = [row for row in found if absent(row) is None]
+    return known + (rest[::-1] if query.sort == "rank" and query.descending else rest)
