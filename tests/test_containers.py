@@ -71,7 +71,7 @@ def test_the_command_that_a_container_starts_exists():
     assert "oysterbench" in PROJECT["project"]["scripts"]
 
 
-def test_all_extras_but_that_for_developers_are_in_all():
+def test_all_extras_but_those_for_developers_are_in_all():
     extras = PROJECT["project"]["optional-dependencies"]
     (every,) = extras["all"]
     assert {*re.findall(r"[\w]+", every.partition("[")[2])} == {*extras} - {"all", "docs", "dev"}

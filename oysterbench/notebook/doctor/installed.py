@@ -25,10 +25,12 @@ EXTRAS = {
     "board": "hosts a board that takes submissions",
     "postgres": "keeps a board's submissions in PostgreSQL",
     "s3": "keeps a board's files in an object store",
+    "rerun": "shows sequences in Rerun",
+    "parquet": "writes data sets as Parquet, for Hugging Face",
 }
-"""Extra -> what it is for. `all` is all of them, and `dev` for those who work on this program."""
+"""Extra -> what it is for. `all` is all of them; `dev` and `docs` are for those who work on this program."""
 
-OF_OTHERS = ("all", "dev")
+OF_OTHERS = ("all", "dev", "docs")
 
 
 def look_at_packages() -> Iterator[Finding]:
