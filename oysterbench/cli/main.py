@@ -14,6 +14,7 @@ from oysterbench.cli.compare import compare_command
 from oysterbench.cli.doctor import doctor
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.eval import eval_command
+from oysterbench.cli.export import export
 from oysterbench.cli.hub import COMMANDS as HUB_COMMANDS
 from oysterbench.cli.interrupts import interruption
 from oysterbench.cli.learn import Installed, experiment, train, translate
@@ -27,6 +28,7 @@ from oysterbench.cli.segment import segment_command
 from oysterbench.cli.splits import splits
 from oysterbench.cli.systems import systems_command
 from oysterbench.cli.tune import tune_command
+from oysterbench.cli.view import view
 from oysterbench.core.errors import OysterbenchError
 from oysterbench.version import VERSION
 
@@ -125,6 +127,8 @@ for _command in (
     tune_command,
     *HUB_COMMANDS,
     *MODEL_COMMANDS,
+    export,
+    view,
     doctor,
 ):
     main.add_command(_command)
@@ -160,82 +164,6 @@ def info(sequence: Path, as_json: bool) -> None:
     for row in facts["topics"]:
         table.add_row(row["topic"], row["type"], str(row["messages"]), f"{row['rate_hz']:g}")
     print_rich(table)
-
-
-class ExportCommand(click.Command):
-    """Lists the formats that there are, which takes too long for `oysterbench --help`."""
-
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        from oysterbench.sequence.export import FORMATS
-
-        with formatter.section("Formats"):
-            formatter.write_dl(list(FORMATS.items()))
-
-
-def _known_format(ctx: click.Context, parameter: click.Parameter, value: str) -> str:
-    from oysterbench.sequence.export import FORMATS
-
-    if value not in FORMATS:
-        raise click.BadParameter(f"{value!r} is not one of {', '.join(FORMATS)}.", ctx, parameter)
-    return value
-
-
-@main.command(cls=ExportCommand, short_help="Export a sequence: EuRoC, TUM, KITTI, COCO, Kalibr, ROS bag, PLY.")
-@click.argument("sequence", type=click.Path(path_type=Path))
-@click.option("--format", "form", metavar="FORMAT", callback=_known_format, required=True, help="What to write.")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, which must not be there yet.")
-@click.option("--truth/--no-truth", default=True, show_default=True, help="With or without what no method may see.")
-@click.option("--json", "as_json", is_flag=True, help="Print the folder and what there is to say as JSON.")
-def export(sequence: Path, form: str, out: Path, truth: bool, as_json: bool) -> None:
-    """Export a sequence in a format of others, as a folder that is there whole or not at all.
-
-    \b
-    Examples:
-      oysterbench export mini-01.mcap --format euroc --out mini-01-euroc
-      oysterbench export mini-01.mcap --format euroc --out for-a-method --no-truth
-      oysterbench export mini-01.mcap --format tum --out mini-01-tum
-      oysterbench export mini-01.mcap --format coco --out mini-01-coco
-      oysterbench export mini-01.mcap --format rosbag --out mini-01-bag
-      oysterbench export mini-01.mcap --format mcap --out for-ros2 --no-truth
-    """
-    from oysterbench.sequence import open_sequence
-    from oysterbench.sequence.export import export_sequence
-
-    folder, notes = export_sequence(open_sequence(sequence), form, out, truth)
-    if as_json:
-        echo(json.dumps({"folder": str(folder), "format": form, "notes": notes}, indent=2))
-        return
-    for note in notes:
-        message(note)
-    echo(folder)
-
-
-@main.command(short_help="One HTML page to look through a sequence.")
-@click.argument("sequence", type=click.Path(path_type=Path))
-@click.option("--start", "begin_s", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Where to begin.")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), metavar="S", help="How long.  [default: all]")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="File.  [default: NAME.html]")
-def view(sequence: Path, begin_s: float, seconds: float | None, out: Path | None) -> None:
-    """Make one HTML page that plays a sequence: cameras, layers, sonar fans, strips of the scalar sensors, the path
-    with what moves along it, and when faults struck.
-
-    \b
-    Examples:
-      oysterbench view mini-01.mcap
-      oysterbench view mini-01.mcap --out preview.html
-      oysterbench view mini-01.mcap --start 5 --seconds 10
-
-    The page needs no other file and no network, and stays small however long the sequence is: of a long one it shows
-    moments, of some 10 s every frame, as a film.
-    """
-    from oysterbench.core.files import write_atomically
-    from oysterbench.report.viewer import view_page
-    from oysterbench.sequence import open_sequence
-
-    opened = open_sequence(sequence)
-    path = out or Path(f"{opened.name}.html")
-    write_atomically(path, view_page(opened, begin_s, seconds).encode())
-    echo(path)
 
 
 @main.command(short_help="One sheet of pictures over every effect of a recipe.")

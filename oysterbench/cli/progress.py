@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from oysterbench.cli.echo import message
-from oysterbench.cli.render import plain_progress
+from oysterbench.cli.render import frames_bar, plain_progress
 from oysterbench.core.text import printable
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from oysterbench.methods.hearing import Heard, Told
     from oysterbench.simulation.generate import Progress
 
+LATE_S = 2.0  # of work that is done sooner, no progress is shown
 QUIET_S = 30.0  # between two lines that a run says of something else than its progress
 BAR_WIDTH = 16  # characters
 
@@ -103,3 +104,16 @@ def bytes_bar(title: str) -> Iterator[Progress]:
     with Progress(*columns, console=console) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def late_bar(title: str, unit: str) -> Iterator[Progress]:
+    """As `frames_bar`, but nothing is shown of what is done within `LATE_S`."""
+    began = time.monotonic()
+    with frames_bar(title, unit) as progress:
+
+        def tell(done: int, total: int) -> None:
+            if time.monotonic() >= began + LATE_S:
+                progress(done, total)
+
+        yield tell

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import shutil
@@ -53,6 +54,39 @@ def appearing(path: str | os.PathLike[str], prefix: str | None = None, mode: int
     except BaseException:
         os.unlink(temporary)
         raise
+
+
+@contextlib.contextmanager
+def appearing_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A folder to fill, which appears under its name when the block ends well, and leaves nothing when it does not.
+
+    What a killed process left of the same folder is cleared first. Raises OSError where `path` is there already and is
+    not an empty folder, and where another process fills the same one.
+    """
+    folder = Path(path)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise FileExistsError(errno.EEXIST, "is there already; it was left as it is", str(folder))
+    whole = folder.absolute()
+    whole.parent.mkdir(parents=True, exist_ok=True)
+    draft = whole.parent / f".{whole.name}.draft"
+    draft.mkdir(exist_ok=True)
+    handle = os.open(draft, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise BlockingIOError(errno.EAGAIN, "another process is writing it", str(folder)) from None
+        try:
+            for left in draft.iterdir():
+                shutil.rmtree(left) if left.is_dir() and not left.is_symlink() else left.unlink()
+            with naming(folder):
+                yield draft
+            draft.replace(whole)
+        except BaseException:
+            shutil.rmtree(draft, ignore_errors=True)
+            raise
+    finally:
+        os.close(handle)
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oysterbench.recipe import CLASSES
-from oysterbench.sensors.panels import BACKGROUND, WIDTH, Panel, blank, coloured, jpeg, latest
+from oysterbench.sensors.panels import BACKGROUND, WIDTH, Frame, Panel, blank, coloured, jpeg, latest
 
 CLASS_COLOURS = {
     "bottom": (194, 178, 128),
@@ -49,9 +49,8 @@ def camera_panels(sequence: Any, name: str) -> list[Panel]:
         layer = topic.removeprefix(f"/{name}/")
         if layer in LAYER_PICTURES and layer != topic and count:
             meaning, _ = LAYER_PICTURES[layer]
-            title = f"{name} {layer}: {meaning}"
             each = HEADER + size[0] * size[1] // 8
-            panels.append(Panel(title, *size, partial(_layers, sequence, name, layer, size), each))
+            panels.append(Panel(layer, *size, partial(_layers, sequence, name, layer, size), each, name, meaning))
     return panels
 
 
@@ -61,14 +60,20 @@ def layer_picture(layer: str, pixels: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray(draw(pixels), dtype=np.uint8)
 
 
-def _frames(sequence: Any, name: str, size: tuple[int, int], times: NDArray[np.int64]) -> Iterator[bytes]:
+def _frames(sequence: Any, name: str, size: tuple[int, int], times: NDArray[np.int64]) -> Iterator[Frame]:
     for image in latest(sequence.images, name, times):
-        yield _shown(None if image is None else image.pixels, size, cv2.INTER_AREA)
+        if image is None:
+            yield Frame(jpeg(blank(*size)), None)
+        else:
+            yield Frame(_shown(image.pixels, size, cv2.INTER_AREA), image.stamp_ns)
 
 
-def _layers(sequence: Any, name: str, layer: str, size: tuple[int, int], times: NDArray[np.int64]) -> Iterator[bytes]:
+def _layers(sequence: Any, name: str, layer: str, size: tuple[int, int], times: NDArray[np.int64]) -> Iterator[Frame]:
     for image in latest(partial(_read_layer, sequence, layer), name, times):
-        yield _shown(None if image is None else layer_picture(layer, image.pixels), size, cv2.INTER_NEAREST)
+        if image is None:
+            yield Frame(jpeg(blank(*size)), None)
+        else:
+            yield Frame(_shown(layer_picture(layer, image.pixels), size, cv2.INTER_NEAREST), image.stamp_ns)
 
 
 def _read_layer(sequence: Any, layer: str, name: str, start_ns: int, end_ns: int) -> Iterator[Any]:
@@ -76,9 +81,7 @@ def _read_layer(sequence: Any, layer: str, name: str, start_ns: int, end_ns: int
     return found
 
 
-def _shown(pixels: NDArray[Any] | None, size: tuple[int, int], how: int) -> bytes:
-    if pixels is None:
-        return jpeg(blank(*size))
+def _shown(pixels: NDArray[Any], size: tuple[int, int], how: int) -> bytes:
     return jpeg(cv2.cvtColor(cv2.resize(pixels, size, interpolation=how), cv2.COLOR_RGB2BGR))
 
 

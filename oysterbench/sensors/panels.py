@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,15 +19,27 @@ EARLY_NS = 20_000_000  # by which jitter makes a sample early at most
 WHITE_PERCENTILE = 99.7  # of the amplitudes of a picture: what is shown brightest
 
 
+class Frame(NamedTuple):
+    """A picture as it is shown: JPEG, and the stamp of what it shows; None before there is anything."""
+
+    data: bytes
+    stamp_ns: int | None
+
+
 @dataclass(frozen=True)
 class Panel:
-    """A picture that changes: title, size in px, about how many bytes a frame takes, and the JPEG at each moment."""
+    """A picture that changes: title, size in px, about how many bytes a frame takes, and the frame at each moment.
+
+    over, meaning: of a layer of truth, the title of the panel that it lies over, and what its colours mean.
+    """
 
     title: str
     width: int
     height: int
-    frames: Callable[[NDArray[np.int64]], Iterator[bytes]]
+    frames: Callable[[NDArray[np.int64]], Iterator[Frame]]
     bytes_each: int
+    over: str = ""
+    meaning: str = ""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, link
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
-    from oysterbench.sensors.panels import Panel
+    from oysterbench.sensors.panels import Frame, Panel
 
 HEAD = "sensor_msgs/msg/JointState"
 COLUMNS, ROWS = 24, 240  # of rays over the beam's main lobe
@@ -186,11 +186,11 @@ class Scanner(SensorKind[ScannerRecipe, ScannerCalibration, ScanPing]):
         return [Panel(title, WIDTH, WIDTH, partial(_frames, sequence, name), WIDTH * WIDTH // 6)]
 
 
-def _frames(sequence: Any, name: str, times: NDArray[np.int64]) -> Iterator[bytes]:
+def _frames(sequence: Any, name: str, times: NDArray[np.int64]) -> Iterator[Frame]:
     """What the head has heard so far, each angle as it was heard last."""
     import cv2
 
-    from oysterbench.sensors.panels import WIDTH, Fan, jpeg, white_of
+    from oysterbench.sensors.panels import WIDTH, Fan, Frame, jpeg, white_of
 
     ranges = sequence.scanners[name].ranges_m
     angles = np.linspace(-np.pi, np.pi, 361)
@@ -198,13 +198,14 @@ def _frames(sequence: Any, name: str, times: NDArray[np.int64]) -> Iterator[byte
     fan = Fan.of(angles, ranges)
     pings = sequence.scans(name)
     ping = next(pings, None)
-    half = np.radians(1.0)
+    half, latest_ns = np.radians(1.0), None
     for time in times:
         while ping is not None and ping.stamp_ns <= time:
             off = np.abs((angles - ping.angle + np.pi) % (2 * np.pi) - np.pi)
             heard[:, off <= half] = ping.amplitudes[:, None]
+            latest_ns = ping.stamp_ns
             ping = next(pings, None)
-        yield jpeg(cv2.resize(fan.draw(heard, white_of(heard)), (WIDTH, WIDTH)))
+        yield Frame(jpeg(cv2.resize(fan.draw(heard, white_of(heard)), (WIDTH, WIDTH))), latest_ns)
 
 
 KIND = Scanner()

@@ -28,7 +28,7 @@ from oysterbench.sensors.kind import Export, Instants, Row, SensedWorld, SensorK
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
-    from oysterbench.sensors.panels import Panel
+    from oysterbench.sensors.panels import Frame, Panel
 
 SIDES = {"port": 90.0, "starboard": -90.0}
 """Azimuth of each fan's axis, deg to the left of the mount's x."""
@@ -270,21 +270,22 @@ class Sidescan(SensorKind[SidescanRecipe, SidescanCalibration, SidescanPing]):
         return [Panel(title, WIDTH, PANEL_PINGS, frames, WIDTH * PANEL_PINGS // 4)]
 
 
-def _waterfalls(sequence: Any, name: str, times: NDArray[np.int64]) -> Iterator[bytes]:
+def _waterfalls(sequence: Any, name: str, times: NDArray[np.int64]) -> Iterator[Frame]:
     """The last PANEL_PINGS pings at each moment, the newest on top."""
-    from oysterbench.sensors.panels import WIDTH, blank, coloured, grey_of, jpeg, white_of
+    from oysterbench.sensors.panels import WIDTH, Frame, blank, coloured, grey_of, jpeg, white_of
 
     picture = blank(WIDTH, PANEL_PINGS)
     pings = sequence.measurements(name)
     ping = next(pings, None)
-    white = None
+    white, latest_ns = None, None
     for time in times:
         while ping is not None and ping.stamp_ns <= time:
             white = white or white_of(ping.line)
             line = cv2.resize(grey_of(ping.line, white)[None], (WIDTH, 1), interpolation=cv2.INTER_AREA)
             picture = np.concatenate([coloured(np.asarray(line)), picture[:-1]])
+            latest_ns = ping.stamp_ns
             ping = next(pings, None)
-        yield jpeg(picture)
+        yield Frame(jpeg(picture), latest_ns)
 
 
 KIND = Sidescan()

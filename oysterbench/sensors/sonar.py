@@ -32,7 +32,7 @@ from oysterbench.sensors.kind import Instants, SensedWorld, SensorKind, link, to
 
 if TYPE_CHECKING:
     from oysterbench.render.rays import RayCaster
-    from oysterbench.sensors.panels import Fan, Panel
+    from oysterbench.sensors.panels import Fan, Frame, Panel
 
 ROWS = 200  # of rays over the elevations
 PROBE_COLUMNS = 12  # of the rays that tell where elevations have to be dense
@@ -348,16 +348,16 @@ class Sonar(SensorKind[SonarRecipe, SonarCalibration, Any]):
         return [Panel(title, WIDTH, fan.height, partial(_frames, sequence, name, fan), WIDTH * fan.height // 5)]
 
 
-def _frames(sequence: Any, name: str, fan: Fan, times: NDArray[np.int64]) -> Iterator[bytes]:
-    from oysterbench.sensors.panels import WIDTH, blank, jpeg, latest, white_of
+def _frames(sequence: Any, name: str, fan: Fan, times: NDArray[np.int64]) -> Iterator[Frame]:
+    from oysterbench.sensors.panels import WIDTH, Frame, blank, jpeg, latest, white_of
 
     white = None
     for ping in latest(sequence.sonar, name, times):
         if ping is None:
-            yield jpeg(blank(WIDTH, fan.height))
+            yield Frame(jpeg(blank(WIDTH, fan.height)), None)
             continue
         white = white or white_of(ping.pixels)
-        yield jpeg(fan.draw(ping.pixels, white))
+        yield Frame(jpeg(fan.draw(ping.pixels, white)), ping.stamp_ns)
 
 
 KIND = Sonar()

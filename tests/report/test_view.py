@@ -12,12 +12,16 @@ import cv2
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 import oysterbench
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.ros import EPOCH_NS
+from oysterbench.core.trajectory import Trajectory, write_tum
+from oysterbench.evaluate.slam import SlamSettings
 from oysterbench.recipe import CLASSES
 from oysterbench.recipe.rig import LAYERS
+from oysterbench.report.viewer.estimates import estimated_paths
 from oysterbench.report.viewer.faults import SHORTEST, fault_plot
 from oysterbench.report.viewer.page import BYTES, STEPS, moments, pictures, view_page
 from oysterbench.report.viewer.path import path_plot
@@ -25,6 +29,7 @@ from oysterbench.sensors.camera_panels import LAYER_PICTURES, layer_picture
 from oysterbench.sensors.panels import BACKGROUND, WIDTH, Fan, Panel, latest
 from oysterbench.sequence.export import export_sequence
 from tests.helpers import hand_made_dive as dive
+from tests.helpers.browser import CHROMIUM, browsing
 
 
 @pytest.fixture(scope="module")
@@ -123,10 +128,99 @@ def test_a_frame_that_jitter_makes_early_is_shown_once():
     assert list(latest(read, "cam", np.arange(4) * 100_000_000)) == [0, 1, 2, 3]
 
 
-def test_layers_of_truth_are_shown_beside_their_camera(page):
-    titles = re.findall(r'<img class="panel" alt="([^"]+)"', page)
-    wanted = ["cam_left", "cam_left depth", "cam_left class", "cam_left instance", "cam_left visibility", "cam_right"]
-    assert [title.partition(":")[0] for title in titles[:6]] == wanted
+def test_each_picture_says_of_which_stamp_it_is(data, sequence):
+    cam, depth = data["panels"][0]["stamps"], data["panels"][1]["stamps"]
+    taken = [image.stamp_ns for image in sequence.images("cam_left")]
+    assert [int(data["origin"]) + since for since in cam] == taken
+    layers = {image.stamp_ns - int(data["origin"]) for image in sequence.layer("cam_left", "depth")}
+    assert set(depth) == layers
+    assert all(shown <= picture for shown, picture in zip(depth, cam, strict=True))
+
+
+def test_the_state_is_told_in_motion_under_the_surface_and_by_the_compass(data):
+    for second, (speed, depth, heading) in zip(data["seconds"], data["state"], strict=True):
+        assert speed == pytest.approx(dive.SPEED, abs=0.02)
+        assert depth == pytest.approx(-dive.FLIGHT_Z, abs=0.01)
+        assert heading == pytest.approx(90 - np.degrees(dive.RATE * second), abs=0.6)
+
+
+def test_north_is_shown_only_where_the_layout_says_where_it_is(sequence, page, tmp_path):
+    assert 'class="north"' in page
+    assert "east to the right" in page
+    folder, _ = export_sequence(sequence, "euroc", tmp_path / "euroc")
+    other = view_page(oysterbench.open(folder))
+    assert 'class="north"' not in other
+    assert "east to the right" not in other
+    assert [state[1:] for state in data_of(other)["state"]] == [[None, None]] * 20
+
+
+def test_estimates_are_drawn_beside_the_truth_to_which_they_were_brought(sequence, tmp_path):
+    truth = sequence.truth()
+    turned = Rotation.from_euler("z", 40, degrees=True)
+    quaternions = (turned * Rotation.from_quat(truth.quaternions)).as_quat()
+    off = Trajectory(truth.stamps_ns, turned.apply(truth.positions) + np.array([5.0, 1.0, 0.3]), quaternions)
+    write_tum(tmp_path / "mine.tum", off)
+    (estimate,) = estimated_paths(sequence, [tmp_path / "mine.tum"], SlamSettings())
+    assert estimate.rmse_m < 1e-6
+    np.testing.assert_allclose(estimate.poses.positions, truth.positions, atol=1e-6)
+    np.testing.assert_allclose(estimate.poses.matrices, truth.matrices, atol=1e-6)
+    page = view_page(sequence, estimates=[estimate])
+    (drawn,) = re.findall(r'<path class="estimate e0" d="([^"]+)"', page)
+    (true,) = re.findall(r'<path class="c1" d="([^"]+)"/>\n<path class="estimate', page)
+    assert drawn == true
+    assert "mine, ATE" in page
+    assert "estimate" not in re.sub(r"<style>.*?</style>", "", view_page(sequence), flags=re.S)
+
+
+def test_two_files_of_one_name_are_told_apart(sequence, tmp_path):
+    paths = [tmp_path / folder / "truth.tum" for folder in "ab"]
+    for path in paths:
+        path.parent.mkdir()
+        write_tum(path, sequence.truth())
+    assert [one.name for one in estimated_paths(sequence, paths, SlamSettings())] == ["truth-2", "truth-3"]
+
+
+def test_an_estimate_needs_a_truth(sequence, tmp_path):
+    write_tum(tmp_path / "mine.tum", sequence.truth())
+    blind, _ = export_sequence(sequence, "euroc", tmp_path / "blind", truth=False)
+    with pytest.raises(SequenceError, match=r"--estimate is shown beside the truth: .* has no truth"):
+        estimated_paths(oysterbench.open(blind), [tmp_path / "mine.tum"], SlamSettings())
+
+
+def test_progress_is_told_to_the_last_picture(sequence):
+    told = []
+    view_page(sequence, progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (160, 160)
+    assert [done for done, _ in told] == list(range(1, 161))
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_layer_is_chosen_by_a_click_and_the_film_keeps_its_speed(page, tmp_path):
+    (tmp_path / "page.html").write_text(page)
+    with browsing() as browser:
+        browser.look(390)
+        browser.go(f"file://{tmp_path}/page.html")
+        hidden = "getComputedStyle(document.querySelector('.over')).display"
+        assert browser.value(hidden) == "none"
+        browser.value("document.querySelector('[data-layer=\"2\"]').click()")
+        assert browser.value(hidden) == "block"
+        assert browser.value("document.querySelector('.over').src.endsWith(data.panels[2].frames[0])")
+        assert not browser.value("document.querySelector('.classes').hidden")
+        browser.value("show(7)")
+        shown = browser.value("document.querySelector('.stamp').textContent")
+        assert int(shown) == EPOCH_NS + data_of(page)["panels"][2]["stamps"][7]
+        assert browser.value("document.documentElement.scrollWidth") <= 390
+        assert browser.messages == []
+
+
+def test_layers_of_truth_can_be_laid_over_their_camera(page):
+    figures = re.split(r'(?=<figure class="sensor")', page)[1:]
+    titles = [re.findall(r'<img class="panel" alt="([^"]+)"', figure)[0].partition(",")[0] for figure in figures]
+    assert titles == ["cam_left", "cam_right", "fls", "msis"]
+    layers = [re.findall(r'data-layer="(\d*)"[^>]*>(\w+)</button>', figure) for figure in figures]
+    assert layers[0] == [("", "picture"), ("1", "depth"), ("2", "class"), ("3", "instance"), ("4", "visibility")]
+    assert layers[1:] == [[], [], []]
+    assert [('class="classes"' in figure) for figure in figures] == [True, False, False, False]
 
 
 def test_a_layer_picture_tells_values_apart():
@@ -259,7 +353,7 @@ def test_the_page_is_bounded_however_many_sensors_there_are(sequence):
     assert len(moments(0, 10**12, [])) == STEPS
     for panel in pictures(sequence):
         start = EPOCH_NS
-        sizes = [len(data) for data in panel.frames(np.array([start, start + 10**9]))]
+        sizes = [len(frame.data) for frame in panel.frames(np.array([start, start + 10**9]))]
         assert max(sizes) < 2.0 * panel.bytes_each, f"{panel.title}: noise is the worst that there is"
 
 

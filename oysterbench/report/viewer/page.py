@@ -1,4 +1,5 @@
-"""A sequence as one HTML page that needs nothing else: cameras, sonar fans, strips of the scalar sensors, the path.
+"""A sequence as one HTML page that needs nothing else: cameras with the layers of truth over them, sonar fans, strips
+of the scalar sensors, the path.
 
 The page plays. Of a part that is short enough it shows every frame, at the pace at which the camera took them.
 """
@@ -8,15 +9,21 @@ from __future__ import annotations
 import base64
 import json
 from collections import Counter
+from collections.abc import Callable
+from collections.abc import Sequence as Several
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.html import render
+from oysterbench.report.viewer.estimates import EstimatedPath
 from oysterbench.report.viewer.faults import fault_plot
 from oysterbench.report.viewer.path import path_plot
 from oysterbench.report.viewer.strips import strips
+from oysterbench.sensors.camera_panels import CLASS_COLOURS
 from oysterbench.sensors.panels import Panel
 from oysterbench.sequence.types import Sequence
 
@@ -27,21 +34,43 @@ BYTES = 14_000_000
 """Size of all pictures together, at most; with many sensors there are fewer moments."""
 
 
-def view_page(sequence: Sequence, begin_s: float = 0.0, seconds: float | None = None) -> str:
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A panel on the page. number: among the pictures of the page's data; layers: those that can be laid over it."""
+
+    number: int
+    panel: Panel
+    first: str
+    layers: list[Shown]
+
+
+def view_page(
+    sequence: Sequence,
+    begin_s: float = 0.0,
+    seconds: float | None = None,
+    estimates: Several[EstimatedPath] = (),
+    progress: Progress = lambda done, total: None,
+) -> str:
     """The page of a sequence, as a whole HTML document of at most some 20 MB, however long the sequence is.
 
-    Of all of it, or of `seconds` from begin_s on. Raises SequenceError where that lies outside.
+    Of all of it, or of `seconds` from begin_s on. estimates: drawn beside the true path; progress: told of each
+    picture. Raises SequenceError where the part lies outside.
     """
-    start, end = _span(sequence, begin_s, seconds)
+    start, end = span_of(sequence, begin_s, seconds)
     panels = pictures(sequence)
     times = moments(start, end, panels, _fastest_hz(sequence))
-    shown = [[base64.b64encode(data).decode() for data in panel.frames(times)] for panel in panels]
-    path = path_plot(sequence, times)
+    drawn = _drawn(panels, times, start, progress)
+    path = path_plot(sequence, times, estimates)
     data = {
         "begin": begin_s,
+        "origin": str(start),
         "seconds": [round(float(second), 3) for second in (times - start) * 1e-9],
-        "panels": [{"frames": frames} for frames in shown],
+        "panels": drawn,
         "path": [] if path is None else path.poses,
+        "state": [] if path is None else path.states,
         "moving": [] if path is None else list(path.moving.values()),
     }
     context = {
@@ -50,13 +79,39 @@ def view_page(sequence: Sequence, begin_s: float = 0.0, seconds: float | None = 
         "facts": _facts(sequence, begin_s, (end - start) * 1e-9),
         "begin": begin_s,
         "last": len(times) - 1,
-        "panels": list(zip(panels, shown, strict=True)),
+        "panels": _stacked(panels, [one["frames"][0] for one in drawn]),
+        "classes": {name: "#{:02x}{:02x}{:02x}".format(*colour) for name, colour in CLASS_COLOURS.items()},
         "path": path,
         "plots": strips(sequence, start, end),
         "faults": fault_plot(sequence, start, end),
         "data": Markup(json.dumps(data).replace("<", "\\u003c")),
     }
     return render("view.html", context, __package__)
+
+
+def _drawn(panels: list[Panel], times: np.ndarray, start_ns: int, progress: Progress) -> list[dict[str, Any]]:
+    """Of each panel the pictures, and what they are of: ns since the start; None before there is anything."""
+    total, done = len(panels) * len(times), 0
+    found = []
+    for panel in panels:
+        frames, stamps = [], []
+        for frame in panel.frames(times):
+            frames.append(base64.b64encode(frame.data).decode())
+            stamps.append(None if frame.stamp_ns is None else int(frame.stamp_ns) - start_ns)
+            done += 1
+            progress(done, total)
+        found.append({"frames": frames, "stamps": stamps})
+    return found
+
+
+def _stacked(panels: list[Panel], firsts: list[str]) -> list[Shown]:
+    """Panels that stand by themselves, each with its layers."""
+    all_shown = [Shown(k, panel, firsts[k], []) for k, panel in enumerate(panels)]
+    under = {shown.panel.title: shown for shown in all_shown if not shown.panel.over}
+    for shown in all_shown:
+        if shown.panel.over:
+            under[shown.panel.over].layers.append(shown)
+    return list(under.values())
 
 
 def pictures(sequence: Sequence) -> list[Panel]:
@@ -82,7 +137,8 @@ def _fastest_hz(sequence: Sequence) -> float:
     return max((camera.rate_hz for camera in sequence.cameras.values()), default=0.0)
 
 
-def _span(sequence: Sequence, begin_s: float, seconds: float | None) -> tuple[int, int]:
+def span_of(sequence: Sequence, begin_s: float, seconds: float | None) -> tuple[int, int]:
+    """First and last stamp of a part of a sequence. Raises SequenceError where it lies outside."""
     first = next(iter(sequence.imu()), None)
     if first is None:
         raise SequenceError(f"{sequence.name} has no inertial sample: nothing to show")

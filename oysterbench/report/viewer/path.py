@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence as Several
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,10 @@ from numpy.typing import NDArray
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
+from oysterbench.core.trajectory import Trajectory
+from oysterbench.report.viewer.estimates import EstimatedPath
 from oysterbench.report.viewer.strips import round_values
+from oysterbench.sequence.display import has_truth
 from oysterbench.sequence.types import Sequence
 
 SIDE = 400
@@ -20,7 +24,10 @@ class PathPlot:
     """The path from above, with markers that the page moves.
 
     dots, line: oysters and path, as paths of SVG; bar_px, bar_m: the length of the scale; poses: per moment x, y
-    (px) and heading (deg); moving: class -> per moment where those are that move by themselves, as a path of SVG.
+    (px) and heading (deg); moving: class -> per moment where those are that move by themselves, as a path of SVG;
+    estimates: what is written of each, and its path; north: whether up on the page is known to be north; states: per
+    moment the true speed (m/s), depth (m) and heading (deg from north, clockwise), the last two where `map` is known to
+    lie at the surface and by the compass.
     """
 
     title: str
@@ -30,6 +37,9 @@ class PathPlot:
     bar_m: float
     poses: list[list[float]]
     moving: dict[str, list[str]]
+    estimates: list[tuple[str, str]]
+    north: bool
+    states: list[list[float | None]]
     side: int = SIDE
 
 
@@ -45,25 +55,27 @@ class Window:
         scale = SIDE / (2 * self.half)
         return np.asarray(SIDE / 2 + (points - self.centre) * [scale, -scale])
 
+    def line(self, points: Array) -> str:
+        """A path (N, 2) m, thinned to what can be seen, as a path of SVG."""
+        every = max(len(points) // 1000, 1)
+        return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in self.place(points[::every]))
+
     def dots(self, points: Array) -> str:
         """Those of points (N, 2) m that lie within, as a path of SVG."""
         near = points[np.all(np.abs(points - self.centre) < self.half, axis=1)]
         return "".join(f"M{x:.0f} {y:.0f}h.1" for x, y in self.place(near))
 
 
-def path_plot(sequence: Sequence, times: NDArray[np.int64]) -> PathPlot | None:
+def path_plot(sequence: Sequence, times: NDArray[np.int64], estimates: Several[EstimatedPath] = ()) -> PathPlot | None:
     """From the truth, with the oysters where they are known; None where the sequence has no truth."""
     try:
         truth = sequence.truth()
     except SequenceError:
         return None
     xy = truth.positions[:, :2]
-    low, high = xy.min(axis=0), xy.max(axis=0)
-    window = Window((low + high) / 2, max(float((high - low).max()) * 0.6, 0.5))
+    window = _window(xy, [estimate.poses.positions[:, :2] for estimate in estimates])
     dots = window.dots(_oysters(sequence))
-    every = max(len(xy) // 1000, 1)
-    line = "L".join(f"{x:.1f} {y:.1f}" for x, y in window.place(xy[::every]))
-    bar = round_values(0.0, window.half, 2)[-1]
+    bar = round_values(0.0, window.half, 4)[-1]
     at = truth.at(np.clip(times, truth.stamps_ns[0], truth.stamps_ns[-1]))
     forward = at.matrices[:, :2, 0]
     heading = np.degrees(np.arctan2(-forward[:, 1], forward[:, 0]))  # y of the page points down
@@ -73,8 +85,34 @@ def path_plot(sequence: Sequence, times: NDArray[np.int64]) -> PathPlot | None:
     ]
     moving = {name: [window.dots(points) for points in found] for name, found in _moving(sequence, times).items()}
     kinds = "path and oysters" if dots else "path"
+    north = has_truth(sequence)  # in a sequence file, whose `map` is east, north and up; no other layout says
+    title = f"{kinds} from above" + (", east to the right" if north else "; where north is, nobody says")
+    beside = [(estimate.label, window.line(estimate.poses.positions[:, :2])) for estimate in estimates]
     bar_px = bar * SIDE / (2 * window.half)
-    return PathPlot(f"{kinds} from above, east to the right", dots, f"M{line}", bar_px, bar, poses, moving)
+    states = _states(truth, at, times, north)
+    return PathPlot(title, dots, window.line(xy), bar_px, bar, poses, moving, beside, north, states)
+
+
+def _window(true: Array, others: list[Array]) -> Window:
+    """Around the true path (N, 2) m, and the others as far as twice its size."""
+    low, high = true.min(axis=0), true.max(axis=0)
+    reach = max(float((high - low).max()) / 2, 0.5)
+    kept = [np.clip(points, low - reach, high + reach) for points in others]
+    found = np.concatenate([true, *kept])
+    low, high = found.min(axis=0), found.max(axis=0)
+    return Window((low + high) / 2, max(float((high - low).max()) * 0.6, 0.5))
+
+
+def _states(truth: Trajectory, at: Trajectory, times: NDArray[np.int64], north: bool) -> list[list[float | None]]:
+    seconds = 1e-9 * (truth.stamps_ns - truth.stamps_ns[0])
+    asked = 1e-9 * (times - truth.stamps_ns[0])
+    along = np.linalg.norm(np.gradient(truth.positions, seconds, axis=0), axis=1) if len(truth) > 1 else seconds
+    speeds = np.interp(asked, seconds, along)
+    headings = np.degrees(np.arctan2(at.matrices[:, 0, 0], at.matrices[:, 1, 0])) % 360
+    return [
+        [round(float(speed), 2), *((round(float(-z), 2), round(float(heading))) if north else (None, None))]
+        for speed, z, heading in zip(speeds, at.positions[:, 2], headings, strict=True)
+    ]
 
 
 def _oysters(sequence: Sequence) -> Array:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array
 from oysterbench.sensors.kind import XYZ, Strip
+from oysterbench.sequence.truth import TRUTH
 from oysterbench.sequence.types import Sequence, imu_arrays
 
 WIDTH, HEIGHT = 1080, 120
@@ -47,10 +48,23 @@ def _wanted(sequence: Sequence) -> list[Strip]:
 
 def strips(sequence: Sequence, start_ns: int, end_ns: int) -> list[StripPlot]:
     """A plot for each, over the same span of time."""
+    return [_plot(strip, table, start_ns, end_ns) for strip, table in strip_tables(sequence)]
+
+
+def strip_tables(sequence: Sequence) -> list[tuple[Strip, pd.DataFrame]]:
+    """What is plotted of the scalar sensors, with the tables, indexed by stamp_ns, that have its columns."""
     inertial = _inertial_table(sequence)
     tables = [(strip, inertial if strip.topic == IMU else sequence.frame(strip.topic)) for strip in _wanted(sequence)]
-    tables += _taken(sequence)
-    return [_plot(strip, table, start_ns, end_ns) for strip, table in tables]
+    return [*_speed(sequence), *tables, *_taken(sequence)]
+
+
+def _speed(sequence: Sequence) -> list[tuple[Strip, pd.DataFrame]]:
+    """The true speed of base_link; none without the truth, or where it says no velocity."""
+    if TRUTH not in (topic for topic, _, _ in sequence.contents()):
+        return []
+    table = sequence.frame(TRUTH)
+    speed = np.linalg.norm(table[[f"velocity_{axis}" for axis in XYZ]].to_numpy(), axis=1)
+    return [(Strip(TRUTH, "true speed, m/s", ("speed",)), pd.DataFrame({"speed": speed}, index=table.index))]
 
 
 def _taken(sequence: Sequence) -> list[tuple[Strip, pd.DataFrame]]:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 
 from oysterbench.core.errors import SequenceError
+from oysterbench.core.files import appearing_folder
 from oysterbench.sensors.registry import export_formats
+from oysterbench.sequence.export.steps import Progress, Steps
 from oysterbench.sequence.types import Sequence
 
 SHARED_FORMATS = {
@@ -22,6 +22,7 @@ SHARED_FORMATS = {
     "kalibr": "Kalibr calibration: camchain-imucam.yaml and imu.yaml",
     "rosbag": "ROS 1 bag with EuRoC's topics: /cam0/image_raw (mono8), /imu0; and Kalibr's files",
     "mcap": "the sequence file itself, for ROS 2; with --no-truth what was measured alone",
+    "foxglove": "the same, and a layout that opens it in Foxglove or Lichtblick: cameras, sonars, path, plots",
     "ply": "point clouds in map as binary PLY: of depth images through the poses, and of sonar clouds",
 }
 """Formats of several sensors, and what they are: each is the module of its name, `write(sequence, folder, truth)`."""
@@ -29,41 +30,39 @@ SHARED_FORMATS = {
 FORMATS = SHARED_FORMATS | {form: export.summary for form, (_, export) in export_formats().items()}
 """All formats and what they are, those of single kinds of sensor (`SensorKind.exports`) included."""
 
-Write = Callable[[Sequence, Path, bool], list[str]]
-"""Fills a folder, and returns what the user should know about it, a line each."""
+Write = Callable[[Sequence, Path, bool, Steps], list[str]]
+"""Fills a folder, counting what it writes, and returns what the user should know about it, a line each."""
 
 
 def export_sequence(
-    sequence: Sequence, form: str, out: str | os.PathLike[str], truth: bool = True
+    sequence: Sequence,
+    form: str,
+    out: str | os.PathLike[str],
+    truth: bool = True,
+    progress: Progress = lambda done, total: None,
 ) -> tuple[Path, list[str]]:
     """Write a sequence in a format (`FORMATS`) as the folder `out`, which is there whole or not at all.
 
     truth: with poses, depth, classes and instances where the format has a place for them; without, only what a method
-    may see. Returns the folder and what there is to say about it. Raises SequenceError where `out` is there already,
-    or the sequence lacks what the format needs.
+    may see. progress: told of each picture that is written. Returns the folder and what there is to say about it.
+    Raises SequenceError where `out` is there already, or the sequence lacks what the format needs.
     """
     if form not in FORMATS:
         raise SequenceError(f"unknown format {form!r}; formats: {', '.join(FORMATS)}")
     folder = Path(out)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SequenceError(f"{folder} is there already; it was left as it is: delete it or choose another --out")
-    folder.parent.mkdir(parents=True, exist_ok=True)
     write: Write = import_module(f"{__name__}.{form}").write if form in SHARED_FORMATS else partial(_write_kind, form)
-    temporary = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
-        temporary.chmod(0o755)
-        notes = write(sequence, temporary, truth)
-        temporary.replace(folder)
-    except BaseException:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise
+    with appearing_folder(folder) as draft:
+        notes = write(sequence, draft, truth, Steps(progress))
     return folder, notes
 
 
-def _write_kind(form: str, sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+def _write_kind(form: str, sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """Every sensor of the kind that a format is of."""
     kind, export = export_formats()[form]
     names = sequence.calibrations(kind)
     if not names:
         raise SequenceError(f"{sequence.name} has no {kind.title}; the format {form} needs one")
-    return [note for name in names for note in export.write(sequence, name, folder, truth)]
+    steps.expect(len(names))
+    return [note for name in steps.counted(names) for note in export.write(sequence, name, folder, truth)]

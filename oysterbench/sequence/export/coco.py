@@ -14,12 +14,13 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.polygons import mask_polygons
 from oysterbench.recipe import CLASSES
 from oysterbench.sequence.export.parts import frames_with_layers, labelled_cameras, write_png
+from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import Sequence
 
 LICENCE = {"id": 1, "name": "CC BY 4.0", "url": "https://creativecommons.org/licenses/by/4.0/"}
 
 
-def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """Of every camera with the layers class and instance, the frames that have them. Ids are from 1."""
     cameras = labelled_cameras(sequence, "visibility")
     if not truth or not cameras:
@@ -27,12 +28,13 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
             f"{sequence.name}: COCO is made of the layers class and instance, which are truth: expected a camera that "
             f"has them and no --no-truth, got {'--no-truth' if not truth else 'no such camera'}"
         )
+    steps.expect(frames(sequence, cameras, "class"))
     (folder / "images").mkdir()
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     living = sequence.living()
     for camera, layers in cameras.items():
-        for image, found in frames_with_layers(sequence, camera, layers):
+        for image, found in steps.counted(frames_with_layers(sequence, camera, layers)):
             file = f"{camera}_{image.stamp_ns}.png"
             write_png(folder / "images" / file, image.pixels)
             height, width = found["class"].shape

@@ -14,6 +14,7 @@ from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.export.kalibr import write_calibration
 from oysterbench.sequence.export.parts import number, numbers, sensor_poses, write_lines, write_png
 from oysterbench.sequence.export.readme import truth_line, write_readme
+from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.truth import TRUTH
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration, Sequence
 
@@ -33,16 +34,17 @@ OWN = (
 DISTORTION_MODELS = {"plumb_bob": "radial-tangential", "equidistant": "equidistant"}
 
 
-def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """Images as PNG, inertial samples and state with all their digits."""
     root = folder / "mav0"
     T_imu_base = invert(sequence.imu_calibration.T_base_imu)
+    steps.expect(frames(sequence, sequence.cameras))
     for index, (name, camera) in enumerate(sequence.cameras.items()):
         place = root / f"cam{index}"
         (place / "data").mkdir(parents=True)
         write_lines(place / "sensor.yaml", _camera_yaml(name, camera, T_imu_base @ camera.T_base_cam))
         rows = ["#timestamp [ns],filename"]
-        for image in sequence.images(name):
+        for image in steps.counted(sequence.images(name)):
             write_png(place / "data" / f"{image.stamp_ns}.png", image.pixels)
             rows.append(f"{image.stamp_ns},{image.stamp_ns}.png")
         write_lines(place / "data.csv", rows)

@@ -10,12 +10,13 @@ import numpy as np
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench.sequence.export.parts import number, numbers, port_notes, write_lines
+from oysterbench.sequence.export.steps import Steps
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
 DISTORTION_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
 
 
-def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """camchain-imucam.yaml and imu.yaml, for the topics of a sequence file."""
     return write_calibration(sequence, folder, truth, [f"/{name}/image" for name in sequence.cameras], "/imu")
 

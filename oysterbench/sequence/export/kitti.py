@@ -25,10 +25,11 @@ from oysterbench.sequence.export.parts import (
     write_png,
 )
 from oysterbench.sequence.export.readme import README, head, truth_line
+from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import Sequence
 
 
-def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """Of the first camera that is the left one of a stereo pair, or else of the first."""
     names = list(sequence.cameras)
     left = next((name for name in names if stereo_partner(sequence, name)), None) or any_camera(sequence, "kitti")
@@ -37,7 +38,8 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     matrix, turns = sequence.cameras[left].matrix, rectify(sequence, pair)
     place = folder / "sequences" / "00"
     place.mkdir(parents=True)
-    stamps = [{image.stamp_ns for image in sequence.images(name)} for name in pair]
+    steps.expect(2 * frames(sequence, pair))  # once for their stamps, once to be written
+    stamps = [{image.stamp_ns for image in steps.counted(sequence.images(name))} for name in pair]
     kept = sorted(set.intersection(*stamps))
     notes = [f"image_{index} is {name}" for index, name in enumerate(pair)]
     notes += port_notes(sequence, pair)
@@ -51,8 +53,9 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     if not kept:
         raise SequenceError(f"{sequence.name}: no frame that every camera and the truth have; nothing to export")
     for index, name in enumerate(pair):
-        _write_images(sequence, name, matrix, turns[index], set(kept), place / f"image_{index}")
-    write_lines(place / "calib.txt", _projections(sequence, pair, matrix))
+        _write_images(sequence, name, matrix, turns[index], set(kept), place / f"image_{index}", steps)
+    calibration = [*_projections(sequence, pair, matrix), f"Tr: {_row(_of_body(sequence, left, turns[0]))}"]
+    write_lines(place / "calib.txt", calibration)
     write_lines(place / "times.txt", (f"{(stamp - kept[0]) * 1e-9:.9e}" for stamp in kept))
     write_lines(
         folder / README, [head(sequence, "KITTI odometry"), "", *_about(sequence, pair, matrix, kept[0], truth)]
@@ -74,6 +77,7 @@ def _about(sequence: Sequence, pair: list[str], matrix: Array, first_ns: int, tr
         lines.append(f"The right camera is {-right[3] / right[0]:.6f} m to the right (P1: -fx times that).")
     return [
         *lines,
+        "calib.txt: P0 to P3 project from image_0's frame; Tr takes points of base_link into it, as there is no laser.",
         "The images were undistorted, and those of a pair rectified: they have no distortion left.",
         f"times.txt is in s from the first image, whose stamp is {first_ns} ns; the layout has no IMU.",
         truth_line(truth, "poses/00.txt"),
@@ -92,11 +96,19 @@ def _projections(sequence: Sequence, pair: list[str], matrix: Array) -> list[str
     return [f"P{index}: {row}" for index, row in enumerate(rows * (4 // len(rows)))]
 
 
-def _write_images(sequence: Sequence, name: str, matrix: Array, turn: Array, kept: set[int], folder: Path) -> None:
+def _of_body(sequence: Sequence, left: str, turn: Array) -> Array:
+    """(3, 4), Tr of calib.txt: in KITTI from the laser scanner into image_0, here from base_link, whose axes are the
+    same: x forward, y left, z up. Common loaders, such as pykitti, do not open a folder without it."""
+    return (transform(turn, np.zeros(3)) @ invert(sequence.cameras[left].T_base_cam))[:3]
+
+
+def _write_images(
+    sequence: Sequence, name: str, matrix: Array, turn: Array, kept: set[int], folder: Path, steps: Steps
+) -> None:
     folder.mkdir()
     maps = undistorting_maps(sequence.cameras[name], matrix, turn)
-    frames = (image for image in sequence.images(name) if image.stamp_ns in kept)
-    for index, image in enumerate(frames):
+    chosen = (image for image in steps.counted(sequence.images(name)) if image.stamp_ns in kept)
+    for index, image in enumerate(chosen):
         pixels = image.pixels if maps is None else np.asarray(cv2.remap(image.pixels, *maps, cv2.INTER_LINEAR))
         write_png(folder / f"{index:06d}.png", cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
 

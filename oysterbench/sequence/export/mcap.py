@@ -7,10 +7,11 @@ from pathlib import Path
 
 from oysterbench.core.errors import SequenceError
 from oysterbench.sequence.cut import cut_public
+from oysterbench.sequence.export.steps import Steps
 from oysterbench.sequence.types import Sequence
 
 
-def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """NAME.mcap."""
     source = getattr(sequence, "path", None)
     if source is None or not Path(source).is_file():

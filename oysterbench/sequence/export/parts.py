@@ -16,20 +16,16 @@ from oysterbench.core.errors import SequenceError
 from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import Image
 from oysterbench.core.trajectory import Trajectory
+from oysterbench.sequence.pictures import png_bytes
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
 UNTURNED = np.eye(3)
 PAIR_RAD = np.radians(3.0)  # of one camera of a stereo pair against the other, and of its base against the x axis
-PNG_LEVEL = 1  # of 9, all of them lossless; the higher ones take four times the time for 5 %
 
 
 def write_png(path: Path, pixels: NDArray[Any]) -> None:
     """(H, W, 3) uint8 RGB, or (H, W) uint8 or uint16, as PNG."""
-    ordered = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR) if pixels.ndim == 3 else pixels
-    done, data = cv2.imencode(".png", ordered, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
-    if not done:
-        raise SequenceError(f"{path.name}: could not be encoded as PNG")
-    path.write_bytes(data.tobytes())
+    path.write_bytes(png_bytes(pixels))
 
 
 def number(value: float) -> str:

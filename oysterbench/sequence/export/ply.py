@@ -14,6 +14,7 @@ from oysterbench.core.geometry import Array
 from oysterbench.core.ply import write_ply
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.sequence.export.parts import frames_with_layers, sensor_poses
+from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
 VOXEL_M = 0.01
@@ -34,7 +35,7 @@ POINT = np.dtype(
 ECHO = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("class", "u1"), ("instance", "<u2")])
 
 
-def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """A file per camera with depth, and per sonar with a cloud."""
     topics = {topic for topic, _, _ in sequence.contents()}
     cameras = [name for name in sequence.cameras if f"/{name}/depth" in topics]
@@ -46,18 +47,19 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
         )
     path, sequence = sequence.truth(), sequence.truly_calibrated()
     notes = []
+    steps.expect(frames(sequence, cameras, "depth") + frames(sequence, sonars, "cloud"))
     for name in cameras:
-        cloud = camera_cloud(sequence, name, path, topics)
+        cloud = camera_cloud(sequence, name, path, topics, steps)
         write_ply(folder / f"{name}.ply", cloud, f"{sequence.name}, {name}, in map, m")
         notes.append(f"{name}.ply: {len(cloud)} points, one per {1000 * VOXEL_M:g} mm")
     for name in sonars:
-        cloud = sonar_cloud(sequence, name, path)
+        cloud = sonar_cloud(sequence, name, path, steps)
         write_ply(folder / f"{name}.ply", cloud, f"{sequence.name}, {name}, in map, m")
         notes.append(f"{name}.ply: {len(cloud)} returns")
     return notes
 
 
-def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[str]) -> NDArray[Any]:
+def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[str], steps: Steps) -> NDArray[Any]:
     """(N,) POINT: the pixels with depth of all frames that the truth spans, in map, thinned to one per voxel."""
     calibration = sequence.cameras[camera]
     rays = pixel_rays(calibration)
@@ -65,7 +67,7 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
     layers = ["depth", *(name for name in ("class", "instance") if f"/{camera}/{name}" in topics)]
     kept = [np.zeros(0, dtype=POINT)]
     known = np.zeros(0, dtype=np.int64)
-    for image, found in frames_with_layers(sequence, camera, layers):
+    for image, found in steps.counted(frames_with_layers(sequence, camera, layers)):
         taken_ns = calibration.taken_ns(image.stamp_ns)
         if not _spans(path, taken_ns):
             continue
@@ -86,10 +88,10 @@ def camera_cloud(sequence: Sequence, camera: str, path: Trajectory, topics: set[
     return np.concatenate(kept)
 
 
-def sonar_cloud(sequence: Sequence, sonar: str, path: Trajectory) -> NDArray[Any]:
+def sonar_cloud(sequence: Sequence, sonar: str, path: Trajectory, steps: Steps) -> NDArray[Any]:
     """(N,) ECHO: the returns of all pings that the truth spans, in map."""
     kept = [np.zeros(0, dtype=ECHO)]
-    for cloud in sequence.clouds(sonar):
+    for cloud in steps.counted(sequence.clouds(sonar)):
         if not _spans(path, cloud.stamp_ns):
             continue
         points = _in_map(path, cloud.stamp_ns, sequence.sonars[sonar].T_base_sensor, cloud.points.astype(float))

@@ -23,6 +23,7 @@ from oysterbench.core.measurements import Image, ImuMeasurement
 from oysterbench.sequence.export.kalibr import write_calibration
 from oysterbench.sequence.export.parts import sensor_poses
 from oysterbench.sequence.export.readme import truth_line, write_readme
+from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import Sequence
 
 IMAGE, IMU, POSE = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped"
@@ -31,7 +32,7 @@ UNKNOWN = np.array([-1.0, *[0.0] * 8])
 """Covariance (9,) by which sensor_msgs/Imu says that it has no orientation."""
 
 
-def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """NAME.bag, camchain-imucam.yaml and imu.yaml."""
     topics = {name: f"/cam{index}/image_raw" for index, name in enumerate(sequence.cameras)}
     types = dict.fromkeys(topics.values(), IMAGE) | {IMU_TOPIC: IMU} | ({TRUTH_TOPIC: POSE} if truth else {})
@@ -39,6 +40,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     sources: list[Iterator[Any]] = [sequence.stream()]
     if truth:
         sources.append(_truth(sequence))
+    steps.expect(frames(sequence, sequence.cameras))
     with Writer(folder / f"{sequence.name}.bag") as bag:
         connections = {
             topic: bag.add_connection(topic, kind, typestore=messages.types) for topic, kind in types.items()
@@ -46,6 +48,8 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
         for item in heapq.merge(*sources, key=lambda item: item.stamp_ns):
             topic, data = messages.encoded(item)
             bag.write(connections[topic], item.stamp_ns, data)
+            if isinstance(item, Image):
+                steps.done()
     notes = write_calibration(sequence, folder, truth, topics.values(), IMU_TOPIC)
     labels = {topic: name for name, topic in topics.items()}
     own = (

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.trajectory import Trajectory, ns_to_seconds, write_tum
 from oysterbench.sequence.export.parts import any_camera, port_notes, sensor_poses, write_lines, write_png
 from oysterbench.sequence.export.readme import truth_line, write_readme
+from oysterbench.sequence.export.steps import Steps, frames
 from oysterbench.sequence.types import CameraCalibration, Sequence
 
 OWN = ("Stamps are in s. accelerometer.txt is of the IMU, in its frame; the layout has no place for a gyroscope.",)
@@ -18,13 +19,15 @@ DEPTH_STEPS = 5000.0
 PLACE = f"groundtruth.txt, of the camera, and in depth/, {DEPTH_STEPS:g} to the metre"
 
 
-def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
+def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
     """Of one camera: the first with depth, or else the first."""
     depth_of = {topic.split("/")[1] for topic, _, _ in sequence.contents() if topic.endswith("/depth")}
     name = next((camera for camera in sequence.cameras if camera in depth_of), None) or any_camera(sequence, "tum")
+    with_depth = truth and name in depth_of
+    steps.expect(frames(sequence, [name]) + (frames(sequence, [name], "depth") if with_depth else 0))
     (folder / "rgb").mkdir()
     rows = [f"# color images of {name}", "# timestamp filename"]
-    for image in sequence.images(name):
+    for image in steps.counted(sequence.images(name)):
         file = f"rgb/{ns_to_seconds(image.stamp_ns)}.png"
         write_png(folder / file, image.pixels)
         rows.append(f"{ns_to_seconds(image.stamp_ns)} {file}")
@@ -42,7 +45,7 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     notes += port_notes(sequence, [name])
     if not truth:
         return [*notes, "depth is truth here: left out"] if name in depth_of else notes
-    far = _write_depth(sequence, name, folder) if name in depth_of else 0
+    far = _write_depth(sequence, name, folder, steps) if with_depth else 0
     if far:
         notes.append(f"{far} pixels of depth beyond {65535 / DEPTH_STEPS:g} m do not fit the format: they are 0")
     path = sequence.truth()
@@ -52,11 +55,11 @@ def write(sequence: Sequence, folder: Path, truth: bool) -> list[str]:
     return notes
 
 
-def _write_depth(sequence: Sequence, name: str, folder: Path) -> int:
+def _write_depth(sequence: Sequence, name: str, folder: Path, steps: Steps) -> int:
     """Depth images, 0 = none. Returns how many pixels are too far for the format."""
     (folder / "depth").mkdir()
     rows, far = [f"# depth maps of {name}, {DEPTH_STEPS:g} to the metre", "# timestamp filename"], 0
-    for image in sequence.layer(name, "depth"):
+    for image in steps.counted(sequence.layer(name, "depth")):
         file = f"depth/{ns_to_seconds(image.stamp_ns)}.png"
         steps = np.rint(image.pixels * DEPTH_STEPS)
         far += int(np.count_nonzero(steps > 65535))

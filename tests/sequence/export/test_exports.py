@@ -226,7 +226,9 @@ def test_kitti_is_a_stereo_pair_with_poses_of_the_left_camera(sequence, folders)
 
 def test_kitti_projects_a_point_where_each_camera_sees_it(sequence, folders):
     lines = rows(folders["kitti"] / "sequences" / "00" / "calib.txt")
-    assert [line[0] for line in lines] == ["P0:", "P1:", "P2:", "P3:"]
+    assert [line[0] for line in lines] == ["P0:", "P1:", "P2:", "P3:", "Tr:"]
+    T_left_base = np.vstack([np.array(lines[4][1:], dtype=float).reshape(3, 4), [0, 0, 0, 1]])
+    np.testing.assert_allclose(T_left_base @ T_BASE_LEFT, np.eye(4), atol=1e-9)
     point = np.array([0.1, -0.05, 1.3, 1.0])  # in the left camera's frame
     for line, name in zip(lines, ("cam_left", "cam_right"), strict=False):
         camera = sequence.cameras[name]

@@ -1,0 +1,106 @@
+"""The command that writes sequences and labelled sets in the formats of others: parse, call, print."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from oysterbench.cli.echo import echo, message
+from oysterbench.core.errors import OptionError, SequenceError
+
+
+class ExportCommand(click.Command):
+    """Lists the formats that there are, which takes too long for `oysterbench --help`."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        from oysterbench.annotations.export import SET_FORMATS
+        from oysterbench.sequence.export import FORMATS
+
+        with formatter.section("Formats of a sequence"):
+            formatter.write_dl(list(FORMATS.items()))
+        with formatter.section("Formats of labelled pictures"):
+            formatter.write_dl(list(SET_FORMATS.items()))
+
+
+def _known_format(ctx: click.Context, parameter: click.Parameter, value: str) -> str:
+    from oysterbench.annotations.export import SET_FORMATS
+    from oysterbench.core.names import instead
+    from oysterbench.sequence.export import FORMATS
+
+    known = [*FORMATS, *SET_FORMATS]
+    if value not in known:
+        raise click.BadParameter(f"{value!r} is no format; {instead(value, known, 'oysterbench export --help')}.")
+    return value
+
+
+@click.command(cls=ExportCommand, short_help="Export a sequence or labelled pictures: EuRoC, KITTI, ROS bag, YOLO, ...")
+@click.argument("what", nargs=-1, required=True, metavar="SEQUENCE|SPLIT...")
+@click.option("--format", "form", metavar="FORMAT", callback=_known_format, required=True, help="What to write.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder, which must not be there yet.")
+@click.option("--truth/--no-truth", default=True, show_default=True, help="With or without what no method may see.")
+@click.option("--json", "as_json", is_flag=True, help="Print the folder and what there is to say as JSON.")
+def export(what: tuple[str, ...], form: str, out: Path, truth: bool, as_json: bool) -> None:
+    """Export a sequence, or the labelled pictures of splits, in a format of others.
+
+    \b
+    Examples:
+      oysterbench export mini-01.mcap --format euroc --out mini-01-euroc
+      oysterbench export mini-01.mcap --format euroc --out for-a-method --no-truth
+      oysterbench export mini-01.mcap --format tum --out mini-01-tum
+      oysterbench export mini-01.mcap --format coco --out mini-01-coco
+      oysterbench export mini-01.mcap --format rosbag --out mini-01-bag
+      oysterbench export mini-01.mcap --format mcap --out for-ros2 --no-truth
+      oysterbench export mini-01.mcap --format foxglove --out for-foxglove
+      oysterbench export seg-train seg-val --format yolo --out oysters-yolo
+      oysterbench export seg-train seg-val --format parquet --out oysters-hf
+      oysterbench export seg-train --format webdataset --out oysters-tars
+
+    A sequence is a file (.mcap) or a folder in EuRoC layout. Labelled pictures are of splits, which are rendered where
+    they are not here, of recipes (.toml), of sequence files, or of folders with images and labels. A name that ends in
+    -train, -val or -test says which part its pictures are.
+
+    The folder is there whole or not at all; an interrupted export leaves nothing, and begins anew.
+    """
+    from oysterbench.annotations.export import SET_FORMATS
+
+    folder, notes = _export_sets(what, form, out, truth) if form in SET_FORMATS else _export_one(what, form, out, truth)
+    if as_json:
+        echo(json.dumps({"folder": str(folder), "format": form, "notes": notes}, indent=2))
+        return
+    for note in notes:
+        message(note)
+    echo(folder)
+
+
+def _export_one(what: tuple[str, ...], form: str, out: Path, truth: bool) -> tuple[Path, list[str]]:
+    from oysterbench.annotations.export import SET_FORMATS
+    from oysterbench.cli.progress import late_bar
+    from oysterbench.recipe import split_names
+    from oysterbench.sequence import open_sequence
+    from oysterbench.sequence.export import export_sequence
+
+    sets = ", ".join(SET_FORMATS)
+    if len(what) > 1:
+        raise OptionError(f"the format {form} is of one sequence, got {len(what)}; several go into {sets}")
+    if what[0] in split_names() and not Path(what[0]).exists():
+        raise SequenceError(
+            f"{what[0]} is a split, and the format {form} is of one sequence: expected its file (.mcap), which "
+            f"`oysterbench download {what[0]}` prints; splits as a whole go into {sets}"
+        )
+    opened = open_sequence(Path(what[0]))
+    with late_bar(f"exporting {opened.name}", "pictures") as progress:
+        return export_sequence(opened, form, out, truth, progress)
+
+
+def _export_sets(what: tuple[str, ...], form: str, out: Path, truth: bool) -> tuple[Path, list[str]]:
+    from oysterbench.annotations.export import export_set
+    from oysterbench.cli.labelled import open_data
+    from oysterbench.cli.progress import late_bar
+
+    if not truth:
+        raise OptionError(f"--no-truth: the format {form} is of pictures with their labels, which are truth")
+    sets = [open_data(name) for name in what]
+    with late_bar(f"exporting {', '.join(one.name for one in sets)}", "pictures") as progress:
+        return export_set(sets, form, out, progress)

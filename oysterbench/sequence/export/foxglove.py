@@ -1,0 +1,199 @@
+"""A layout of Foxglove that opens a sequence's file with cameras, sonars, path and plots laid out.
+
+The file is what the app writes under "Export layout to file" and reads under "Import from file": panels by their ids,
+`TYPE!NAME`, and a binary tree of where they stand. Keys of the panels are those of Foxglove's SDK (foxglove.layouts).
+Lichtblick reads the same.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence as Several
+from pathlib import Path
+from typing import Any
+
+from oysterbench.core.errors import SequenceError
+from oysterbench.core.ros import BASE, IMAGE, MAP, POINTS
+from oysterbench.recipe import CLASSES
+from oysterbench.sensors.camera_messages import CAMERA_INFO, COLOUR, LAYERS
+from oysterbench.sensors.panels import white_of
+from oysterbench.sequence.export import mcap
+from oysterbench.sequence.export.steps import Steps
+from oysterbench.sequence.truth import TF, TRANSFORMS, TRUTH, TRUTH_POSE
+from oysterbench.sequence.types import Sequence
+
+LAYOUT = "foxglove-layout.json"
+
+PANEL_SCHEMAS = {
+    "Image": (COLOUR, IMAGE),
+    "calibration": (CAMERA_INFO,),
+    "3D": ("geometry_msgs/msg/PoseStamped", POINTS, CAMERA_INFO, TRANSFORMS),
+}
+"""Panel, or part of one -> the types of messages that it shows, of those that sequences hold; a plot takes all."""
+
+SHOWN_ENCODINGS = ("mono8", "16UC1", "32FC1")
+"""Of layers, those that the image panel can show: it takes no pictures of two or three floating-point numbers."""
+
+GREATEST = {"depth": 8000, "class": max(CLASSES), "instance": 2000, "dynamic": 1, "visibility": 1, "transmittance": 1}
+"""Layer -> value that is shown brightest; depth in mm."""
+
+PLOTS: dict[str, tuple[tuple[str, str, tuple[str, ...]], ...]] = {
+    "sensor_msgs/msg/Imu": (
+        ("angular rate, rad/s", "angular_velocity", ("x", "y", "z")),
+        ("specific force, m/s²", "linear_acceleration", ("x", "y", "z")),
+    ),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": (("velocity, m/s", "twist.twist.linear", ("x", "y", "z")),),
+    "sensor_msgs/msg/FluidPressure": (("pressure, Pa", "fluid_pressure", ()),),
+    "sensor_msgs/msg/Range": (("range, m", "range", ()),),
+    "sensor_msgs/msg/MagneticField": (("magnetic field, T", "magnetic_field", ("x", "y", "z")),),
+    "nav_msgs/msg/Odometry": (("speed, m/s", "twist.twist.linear", ("x", "y", "z")),),
+}
+"""Type -> plots of a topic of it: unit, field, and the parts of that field that share the plot."""
+
+COLOURS = ("#4e98e2", "#f5774d", "#2ecf9f")
+"""Of x, y and z, as in the pages of `oysterbench view`."""
+
+Node = str | dict[str, Any]
+
+
+def write(sequence: Sequence, folder: Path, truth: bool, steps: Steps) -> list[str]:
+    """NAME.mcap, whole or cut as in the format mcap, and the layout for it."""
+    notes = mcap.write(sequence, folder, truth, steps)
+    text = layout_text(sequence if truth else sequence.for_method())
+    (folder / LAYOUT).write_text(text, encoding="utf-8")
+    return [*notes, f"in Foxglove: open {sequence.name}.mcap, then Layouts, Import from file, {LAYOUT}"]
+
+
+def layout_text(sequence: Sequence) -> str:
+    """The layout as JSON."""
+    return json.dumps(layout(sequence), indent=2, ensure_ascii=False) + "\n"
+
+
+def layout(sequence: Sequence) -> dict[str, Any]:
+    """The layout for a sequence's own topics, as JSON values. Raises SequenceError where it is no MCAP file."""
+    types = {topic: kind for topic, kind, count in sequence.contents() if count}
+    if "/imu" not in types:
+        raise SequenceError(f"{sequence.name}: a layout is of the topics of a sequence file (.mcap), and this is none")
+    panels: dict[str, Any] = {}
+    cameras = [_image(panels, name, f"/{name}/image", f"/{name}/camera_info") for name in sequence.cameras]
+    sonars = [_sonar(panels, sequence, name) for name in sequence.sonars if f"/{name}/image" in types]
+    layers = _layers(panels, sequence, types)
+    left = [*cameras, *([layers] if layers else []), *sonars]
+    right = [_scene(panels, sequence, types), *_from_above(panels, types)]
+    columns = [_stacked("column", left), _stacked("column", [_stacked("row", right), _plots(panels, types)])]
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _stacked("row", [column for column in columns if column]),
+    }
+
+
+def _image(panels: dict[str, Any], name: str, topic: str, calibration: str | None = None, **shown: Any) -> str:
+    mode = {"imageTopic": topic, **({"calibrationTopic": calibration} if calibration else {}), **shown}
+    return _panel(panels, f"Image!{name}", {"imageMode": mode, "foxglovePanelTitle": topic})
+
+
+def _sonar(panels: dict[str, Any], sequence: Sequence, name: str) -> str:
+    """Beams across, ranges down: the panel draws no fan. As bright as the first ping asks for."""
+    first = next(sequence.sonar(name), None)
+    white = 65535.0 if first is None else white_of(first.pixels)
+    return _image(panels, name, f"/{name}/image", **_scale(white))
+
+
+def _scale(greatest: float) -> dict[str, Any]:
+    return {"colorMode": "colormap", "colorMap": "turbo", "minValue": 0, "maxValue": greatest}
+
+
+def _layers(panels: dict[str, Any], sequence: Sequence, types: dict[str, str]) -> str | None:
+    """A tab for each layer of truth; None without any."""
+    tabs = []
+    for name in sequence.cameras:
+        for layer, encoding in LAYERS.items():
+            topic = f"/{name}/{layer}"
+            if topic in types and encoding in SHOWN_ENCODINGS:
+                scale = _scale(GREATEST[layer])
+                panel = _image(panels, f"{name}_{layer}", topic, f"/{name}/camera_info", **scale)
+                tabs.append({"title": f"{name} {layer}", "layout": panel})
+    return _panel(panels, "Tab!layers", {"activeTabIdx": 0, "tabs": tabs}) if tabs else None
+
+
+def _scene(panels: dict[str, Any], sequence: Sequence, types: dict[str, str]) -> str:
+    """Frames by /tf and /tf_static, pose, clouds, and where the cameras look, in `map` or, without truth, in the
+    body."""
+    true = TF in types
+    topics: dict[str, Any] = {f"/{name}/camera_info": {"visible": True, "distance": 0.5} for name in sequence.cameras}
+    if TRUTH_POSE in types:
+        topics[TRUTH_POSE] = {"visible": True, "type": "arrow", "arrowScale": [0.6, 0.1, 0.1], "color": "#f5774dff"}
+    for topic, kind in types.items():
+        if kind == POINTS:
+            topics[topic] = {"visible": True, "pointSize": 3, "colorMode": "colormap", "colorMap": "turbo",
+                             "colorField": "z", "decayTime": 5 if true else 0}  # fmt: skip
+    grid = {"visible": True, "layerId": "foxglove.Grid", "instanceId": "grid", "label": "metres", "size": 20,
+            "divisions": 20, "lineWidth": 1, "color": "#80808066", "frameId": MAP if true else BASE}  # fmt: skip
+    return _panel(
+        panels,
+        "3D!scene",
+        {
+            "foxglovePanelTitle": "path and frames" if true else "frames of the vehicle",
+            "cameraState": {"distance": 8, "perspective": True, "phi": 50, "thetaOffset": 45, "fovy": 45,
+                            "near": 0.05, "far": 5000, "target": [0, 0, 0], "targetOffset": [0, 0, 0],
+                            "targetOrientation": [0, 0, 0, 1]},
+            "followMode": "follow-position",
+            "followTf": BASE,
+            **({"fixedFrame": MAP} if true else {}),
+            "scene": {"transforms": {"axisScale": 0.3, "showLabel": False}},
+            "transforms": {f"frame:{BASE}": {"visible": True}},
+            "layers": {"grid": grid},
+            "topics": topics,
+        },
+    )  # fmt: skip
+
+
+def _from_above(panels: dict[str, Any], types: dict[str, str]) -> list[str]:
+    """The whole path from above, as a plot of y over x."""
+    if TRUTH not in types:
+        return []
+    at = f"{TRUTH}.pose.pose.position"
+    path = {"value": f"{at}.y", "enabled": True, "label": "true path", "timestampMethod": "headerStamp"}
+    config = {"paths": [path], "xAxisVal": "custom", "xAxisPath": {"value": f"{at}.x", "enabled": True},
+              "axisScalesMode": "lockedScales", "xAxisLabel": "east, m", "yAxisLabel": "north, m",
+              "showLegend": False, "foxglovePanelTitle": "path from above"}  # fmt: skip
+    return [_panel(panels, "Plot!from_above", config)]
+
+
+def _plots(panels: dict[str, Any], types: dict[str, str]) -> Node | None:
+    """Curves over time, a tab for each topic that has some; those of a topic one under the other."""
+    tabs = []
+    for topic, kind in types.items():
+        made = [_plot(panels, topic, *plot) for plot in PLOTS.get(kind, ())]
+        if made:
+            tabs.append({"title": topic, "layout": _stacked("column", made)})
+    return _panel(panels, "Tab!plots", {"activeTabIdx": 0, "tabs": tabs}) if tabs else None
+
+
+def _plot(panels: dict[str, Any], topic: str, unit: str, field: str, parts: tuple[str, ...]) -> str:
+    paths = [
+        {"value": ".".join([topic, field, *part]), "enabled": True, "label": "".join(part) or field, "color": colour,
+         "timestampMethod": "headerStamp", "showLine": True}
+        for part, colour in zip([(part,) for part in parts] or [()], COLOURS, strict=False)
+    ]  # fmt: skip
+    config = {"paths": paths, "xAxisVal": "timestamp", "isSynced": True, "yAxisLabel": unit, "showLegend": bool(parts),
+              "legendDisplay": "floating", "foxglovePanelTitle": f"{topic} {unit}"}  # fmt: skip
+    return _panel(panels, f"Plot!{topic.strip('/').replace('/', '_')}_{field.replace('.', '_')}", config)
+
+
+def _panel(panels: dict[str, Any], key: str, config: dict[str, Any]) -> str:
+    panels[key] = config
+    return key
+
+
+def _stacked(direction: str, nodes: Several[Node | None]) -> Node | None:
+    """Nodes side by side ("row") or one under the other ("column"), all of one size, as a binary tree."""
+    there = [node for node in nodes if node is not None]
+    if len(there) < 2:
+        return there[0] if there else None
+    share = 100.0 / len(there)
+    rest = _stacked(direction, there[1:])
+    return {"direction": direction, "first": there[0], "second": rest, "splitPercentage": round(share, 3)}
