@@ -1,0 +1,59 @@
+"""Labelled sets in the formats of those who train networks, a file per format: `export_set` writes one as a folder."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+
+from oysterbench.annotations.export.examples import Parts, parted
+from oysterbench.annotations.image import LabelledSet
+from oysterbench.core.errors import LabelError
+from oysterbench.core.files import appearing_folder
+
+SET_FORMATS = {
+    "yolo": "YOLO: segment/ and detect/, each with data.yaml, images/ and labels/ of train and val; oysters",
+    "webdataset": "WebDataset: tar shards of pictures, classes, instances and JSON, with a card for Hugging Face",
+    "parquet": "Hugging Face: a data-set card (README.md) and Parquet shards (needs oysterbench[parquet])",
+}
+"""Formats of labelled pictures, and what they are: each is the module of its name, `write(parts, folder, step)`."""
+
+Progress = Callable[[int, int], None]
+"""Called with what is done, and what there is to do."""
+
+Write = Callable[[str, Parts, Path, Callable[[], None]], list[str]]
+"""Fills a folder with the parts of a set of a name, tells of each picture, and returns what there is to say."""
+
+
+def export_set(
+    sets: Sequence[LabelledSet],
+    form: str,
+    out: str | os.PathLike[str],
+    progress: Progress = lambda done, total: None,
+) -> tuple[Path, list[str]]:
+    """Write labelled sets in a format (`SET_FORMATS`) as the folder `out`, which is there whole or not at all.
+
+    Which part (train, val, test) an image is of: as its own set says; else by the set's name where that ends in -train,
+    -val or -test; else train. The same sets give the same bytes. Returns the folder and what there is to say about it.
+    Raises LabelError where `out` is there already, or two images have one name, and MissingExtraError where a format
+    needs what is not installed.
+    """
+    if form not in SET_FORMATS:
+        raise LabelError(f"unknown format {form!r}; formats: {', '.join(SET_FORMATS)}")
+    folder = Path(out)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise LabelError(f"{folder} is there already; it was left as it is: delete it or choose another --out")
+    write: Write = import_module(f"{__name__}.{form}").write
+    parts = parted(sets)
+    total, done = sum(map(len, parts.values())), 0
+    progress(done, total)
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        progress(done, total)
+
+    with appearing_folder(folder) as draft:
+        notes = write("+".join(one.name for one in sets), parts, draft, step)
+    return folder, notes

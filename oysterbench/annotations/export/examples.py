@@ -1,0 +1,132 @@
+"""The images of sets as exports take them: divided into parts, named for files, their pictures as they were stored."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.annotations.image import OYSTER, Entry, LabelledImage, LabelledSet
+from oysterbench.core.errors import LabelError
+from oysterbench.core.pictures import decode_picture
+from oysterbench.recipe import CLASSES
+from oysterbench.sequence import Sequence as OpenSequence
+from oysterbench.sequence import open_sequence
+from oysterbench.sequence.pictures import encoded_pictures, png_bytes
+
+TRAIN, VAL, TEST = "train", "val", "test"
+Parts = dict[str, list[Entry]]
+"""Part -> its images, in order; only those that have some."""
+
+SUFFIXES = {"jpeg": "jpg", "png": "png"}
+
+
+@dataclass(frozen=True)
+class Example:
+    """An image as it is written. key: its name, for files; suffix, data: the picture as an image file."""
+
+    key: str
+    image: LabelledImage
+    suffix: str
+    data: bytes
+
+    def objects(self) -> list[dict[str, Any]]:
+        """What is labelled one by one: number, class, box [x, y, width, height] px, area in px, and of oysters whether
+        they are live or dead; unknown where nobody says."""
+        instances, classes = self.image.instances, self.image.classes
+        found = []
+        for number in np.unique(instances[instances > 0]).tolist():
+            mask = instances == number
+            rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
+            left, top = int(columns[0]), int(rows[0])
+            kind = int(np.bincount(classes[mask]).argmax())
+            alive = self.image.living.get(number) if kind == OYSTER else None
+            found.append(
+                {
+                    "id": int(number),
+                    "category": CLASSES[kind],
+                    "bbox": [left, top, int(columns[-1]) - left + 1, int(rows[-1]) - top + 1],
+                    "area": int(mask.sum()),
+                    "state": "unknown" if alive is None else "live" if alive else "dead",
+                }
+            )
+        return found
+
+    def conditions(self) -> str:
+        """What it was taken in, as a JSON object."""
+        return json.dumps(dict(self.image.conditions), sort_keys=True)
+
+    def planes(self) -> dict[str, NDArray[Any]]:
+        """Classes uint8, instances uint16, and where nothing may be said (255), each (H, W)."""
+        ignore = np.where(self.image.ignore, 255, 0).astype(np.uint8)
+        return {"class": self.image.classes, "instance": self.image.instances, "ignore": ignore}
+
+
+def parted(sets: Sequence[LabelledSet]) -> Parts:
+    """The images by part; train, val and test first. Raises LabelError where two have one name for files."""
+    found: Parts = {TRAIN: [], VAL: [], TEST: []}
+    for one in sets:
+        own = next((part for part in (TRAIN, VAL, TEST) if one.name.endswith(f"-{part}")), TRAIN)
+        for entry in one.entries:
+            found.setdefault(entry.split or own, []).append(entry)
+    names: dict[str, str] = {}
+    for entry in (entry for entries in found.values() for entry in entries):
+        key = key_of(entry.name)
+        if key in names:
+            raise LabelError(
+                f"two images have one name, {names[key]} and {entry.name}: expected names that differ, as names of "
+                "files, too; were two sets given that hold the same?"
+            )
+        names[key] = entry.name
+    return {part: entries for part, entries in found.items() if entries}
+
+
+def key_of(name: str) -> str:
+    """The name of an image as that of a file: no folders and no dots, which WebDataset cuts names at.
+
+    >>> key_of("mini-01/cam_front/1767225600000000000")
+    'mini-01_cam_front_1767225600000000000'
+    """
+    return re.sub(r"[^A-Za-z0-9_-]", "-", name.replace("/", "_"))
+
+
+def examples(entries: Sequence[Entry]) -> Iterator[Example]:
+    """Each image, read, with its picture: as the bytes that it is stored as where they show the same, else as PNG."""
+    for entry in entries:
+        image = entry.read()
+        suffix, data = _stored(entry, image) or ("png", png_bytes(image.pixels))
+        yield Example(key_of(entry.name), image, suffix, data)
+
+
+def _stored(entry: Entry, image: LabelledImage) -> tuple[str, bytes] | None:
+    """Suffix and bytes of the picture as its set keeps it; None where these show another, as where a viewer is asked to
+    turn them."""
+    file = entry.files[0]
+    if file.suffix == ".mcap":
+        camera, stamp = entry.name.rsplit("/", 2)[1:]
+        found = next(encoded_pictures(_opened(file), camera, int(stamp), int(stamp) + 1), None)
+        return None if found is None else (SUFFIXES[found.form], found.data)
+    suffix = {".jpg": "jpg", ".jpeg": "jpg", ".png": "png"}.get(file.suffix.lower())
+    if suffix is None:
+        return None
+    data = file.read_bytes()
+    pixels = decode_picture(data, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
+    return (suffix, data) if pixels is not None and np.array_equal(pixels, image.pixels) else None
+
+
+@lru_cache(maxsize=4)
+def _opened(file: Path) -> OpenSequence:
+    return open_sequence(file)
+
+
+def rendered(parts: Parts) -> bool:
+    """Whether all of it comes out of sequences, and none of it is anybody's photographs."""
+    return all(entry.files[0].suffix == ".mcap" for entries in parts.values() for entry in entries)

@@ -1,0 +1,127 @@
+"""YOLO: data.yaml, images/PART/ and labels/PART/, once with polygons (segment/) and once with boxes (detect/).
+
+One class, oyster. A line is `0 x1 y1 x2 y2 ...`, or `0 x y width height` about the centre, in fractions of width and
+height. An oyster that others cut into pieces is one polygon, whose pieces are joined by slits of no width.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from oysterbench.annotations.export.examples import TRAIN, VAL, Example, Parts, examples
+from oysterbench.annotations.image import OYSTER, Entry
+from oysterbench.core.files import link
+from oysterbench.core.geometry import Array
+from oysterbench.core.polygons import mask_polygons
+from oysterbench.core.streams import stream
+
+SEGMENT, DETECT = "segment", "detect"
+VAL_SHARE = 0.2  # of the clips, where no set for validation was given
+DIGITS = 7  # of a fraction: a hundredth of a pixel in pictures of 100 000 px
+
+
+def write(name: str, parts: Parts, folder: Path, step: Callable[[], None]) -> list[str]:
+    """Both folders; a picture is one file under two names where the disk can do that."""
+    parts, notes = with_val(parts)
+    ignored = 0
+    for part, entries in parts.items():
+        for task in (SEGMENT, DETECT):
+            (folder / task / "images" / part).mkdir(parents=True)
+            (folder / task / "labels" / part).mkdir(parents=True)
+        for example in examples(entries):
+            file = f"{example.key}.{example.suffix}"
+            picture = folder / SEGMENT / "images" / part / file
+            picture.write_bytes(example.data)
+            link(str(picture), str(folder / DETECT / "images" / part / file))
+            for task, line in ((SEGMENT, _polygon), (DETECT, _box)):
+                text = "".join(f"{line(mask)}\n" for mask in oyster_masks(example))
+                (folder / task / "labels" / part / f"{example.key}.txt").write_text(text, encoding="utf-8")
+            ignored += bool((example.image.ignore & example.image.oysters).any())
+            step()
+    for task in (SEGMENT, DETECT):
+        (folder / task / "data.yaml").write_text(_data(name, task, parts), encoding="utf-8")
+    counts = ", ".join(f"{len(entries)} {part}" for part, entries in parts.items())
+    if ignored:
+        notes.append(
+            f"{ignored} pictures show oysters too small or too hidden to be counted, which have no label: YOLO has no "
+            "place for what is to be ignored"
+        )
+    return [f"{counts}; class 0 is oyster", *notes]
+
+
+def with_val(parts: Parts) -> tuple[Parts, list[str]]:
+    """The parts with one for validation, for which whole clips of train are taken where there is none; and what there
+    is to say of that. Clips are drawn by their names, so that the same clips give the same parts."""
+    if VAL in parts or TRAIN not in parts:
+        return parts, []
+    entries = parts[TRAIN]
+    clips = sorted({entry.clip for entry in entries})
+    if len(clips) > 1:
+        order = stream(0, b"", "export", "val", *clips).permutation(len(clips))
+        chosen = {clips[k] for k in order[: max(1, round(VAL_SHARE * len(clips)))]}
+        held = [entry for entry in entries if entry.clip in chosen]
+        note = f"val is {len(chosen)} of {len(clips)} clips of train: {', '.join(sorted(chosen)[:8])}"
+    else:
+        held = entries[math.ceil((1 - VAL_SHARE) * len(entries)) :] or entries[-1:]
+        note = "val is the end of the only clip, which resembles the rest of it; another split (-val) says more"
+    taken = {entry.name for entry in held}
+    kept: list[Entry] = [entry for entry in entries if entry.name not in taken]
+    found = {TRAIN: kept or held, VAL: held, **{part: of for part, of in parts.items() if part != TRAIN}}
+    return found, [note]
+
+
+def oyster_masks(example: Example) -> Iterator[NDArray[np.bool_]]:
+    """(H, W) of each oyster, by its number."""
+    instances = np.where(example.image.classes == OYSTER, example.image.instances, 0)
+    return (instances == number for number in np.unique(instances[instances > 0]))
+
+
+def joined_polygon(polygons: list[Array]) -> Array:
+    """One polygon (N, 2) of several, each joined to those before by a slit between their nearest corners: filled by the
+    even-odd rule it covers what they cover."""
+    whole = polygons[0]
+    for piece in polygons[1:]:
+        between = np.linalg.norm(whole[:, None] - piece[None], axis=2)
+        at, start = np.unravel_index(int(between.argmin()), between.shape)
+        around = np.concatenate([piece[start:], piece[: start + 1]])
+        whole = np.concatenate([whole[: at + 1], around, whole[at:]])
+    return whole
+
+
+def _polygon(mask: NDArray[np.bool_]) -> str:
+    left, right, top, bottom = _edges(mask)
+    pieces = [np.array(polygon).reshape(-1, 2) for polygon in mask_polygons(mask[top:bottom, left:right])]
+    whole = joined_polygon(sorted(pieces, key=lambda piece: -len(piece)))
+    height, width = mask.shape
+    return _line(((whole + np.array([left, top])) / [width, height]).ravel().tolist())
+
+
+def _box(mask: NDArray[np.bool_]) -> str:
+    left, right, top, bottom = _edges(mask)
+    height, width = mask.shape
+    return _line(
+        [(left + right) / 2 / width, (top + bottom) / 2 / height, (right - left) / width, (bottom - top) / height]
+    )
+
+
+def _edges(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Left, right, top and bottom of the box around a mask, px."""
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    return int(columns[0]), int(columns[-1]) + 1, int(rows[0]), int(rows[-1]) + 1
+
+
+def _line(values: list[float]) -> str:
+    return " ".join(["0", *(f"{value:.{DIGITS}g}" for value in values)])
+
+
+def _data(name: str, task: str, parts: Parts) -> str:
+    """data.yaml, whose paths are from the folder that it lies in; YOLO needs a train and a val in any case."""
+    only = next(iter(parts))
+    places = {part: part if part in parts else only for part in (TRAIN, VAL)} | {part: part for part in parts}
+    lines = [f"{part}: images/{place}" for part, place in places.items()]
+    return "\n".join([f"# oysterbench {name}, labels to {task}", *lines, "names:", "  0: oyster", ""])
