@@ -16,7 +16,7 @@ demo: $(VENV)/.demo
 
 HERE = import json, sys; print(*(one["model"] for one in json.load(sys.stdin)["models"] if one["file"]))
 
-hub: $(VENV)/.demo
+hub: $(VENV)/.dev
 	@test -f "$(KEY)" || { echo "make hub KEY=FILE: expected a private key; '$(VENV)/bin/oysterbench keygen FILE' makes one"; exit 2; }
 	for split in slam-mini seg-mini steer-mini; do $(VENV)/bin/oysterbench render $$split && \
 		$(VENV)/bin/oysterbench publish $$split build/hub --key "$(KEY)" || exit; done

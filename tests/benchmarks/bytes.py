@@ -34,7 +34,7 @@ def main() -> None:
         flags = target.COMPILER_FLAGS.partition(" -target-cpu")[0]
         target.KERNEL_OPTIONS["cpu_compiler_flags"] = f"{flags} -target-cpu {options.target}"
 
-    found = {}
+    found: dict[str, str] = {}
     for named in options.splits:
         split, _, sequence = named.partition("/")
         found |= hashes(split, sequence, options.frames)
