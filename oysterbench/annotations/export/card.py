@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -43,7 +44,7 @@ def write_card(folder: Path, name: str, parts: Parts, objects: Mapping[str, int]
     head = [
         "---",
         *(["license: cc-by-4.0"] if ours else []),
-        f"pretty_name: {name}",
+        f"pretty_name: {json.dumps(name)}",
         "task_categories:",
         "- image-segmentation",
         "- object-detection",

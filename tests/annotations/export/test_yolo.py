@@ -1,0 +1,119 @@
+"""YOLO: polygons that give back each oyster, boxes around them, and clips that stay on one side."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from oysterbench.annotations import open_labelled
+from oysterbench.annotations.export import export_set
+from oysterbench.annotations.export.examples import examples, key_of
+from oysterbench.annotations.export.yolo import joined_polygon, oyster_masks, with_val
+from oysterbench.annotations.image import Entry
+from oysterbench.annotations.yolo import read_yolo
+from oysterbench.core.polygons import mask_polygons, rasterise
+
+OYSTER = {0: "oyster"}
+
+
+@pytest.fixture(scope="module")
+def labelled(dive_file):
+    return open_labelled(dive_file)
+
+
+@pytest.fixture(scope="module")
+def folder(labelled, tmp_path_factory):
+    return export_set([labelled], "yolo", tmp_path_factory.mktemp("yolo") / "out")[0]
+
+
+def found(folder: Path, key: str, ending: str) -> Path:
+    (path,) = folder.glob(f"segment/{ending}/*/{key}.*")
+    return path
+
+
+def test_polygons_give_back_each_oyster_of_several_pieces_too(labelled, folder):
+    pieces = 0
+    for example in examples(labelled.entries):
+        polygons = read_yolo(found(folder, example.key, "labels"), OYSTER)
+        masks = list(oyster_masks(example))
+        assert len(polygons) == len(masks) > 0
+        for polygon, mask in zip(polygons, masks, strict=True):
+            height, width = mask.shape
+            assert np.array_equal(rasterise(polygon * [width, height], height, width), mask)
+            pieces = max(pieces, len(mask_polygons(mask)))
+    assert pieces > 1
+
+
+def test_pieces_with_holes_are_joined_by_slits_that_cover_nothing():
+    mask = np.zeros((40, 60), dtype=bool)
+    mask[5:25, 5:25], mask[10:15, 10:18] = True, False
+    mask[2:8, 40:55] = mask[30:38, 30:33] = True
+    polygons = [np.array(polygon).reshape(-1, 2) for polygon in mask_polygons(mask)]
+    assert len(polygons) == 3
+    assert np.array_equal(rasterise(joined_polygon(polygons), *mask.shape), mask)
+
+
+def test_boxes_are_around_the_same_oysters(labelled, folder):
+    for example in examples(labelled.entries):
+        (path,) = folder.glob(f"detect/labels/*/{example.key}.txt")
+        rows = np.loadtxt(path, ndmin=2)
+        assert (rows[:, 0] == 0).all()
+        height, width = example.image.classes.shape
+        for (_, x, y, w, h), mask in zip(rows, oyster_masks(example), strict=True):
+            at = np.argwhere(mask)
+            low, high = at.min(axis=0), at.max(axis=0) + 1
+            np.testing.assert_allclose([x * width, y * height], (low + high)[::-1] / 2, atol=1e-4)
+            np.testing.assert_allclose([w * width, h * height], (high - low)[::-1], atol=1e-4)
+
+
+@pytest.mark.parametrize("task", ["segment", "detect"])
+def test_data_yaml_leads_to_pictures_that_have_labels(folder, task):
+    data = yaml.safe_load((folder / task / "data.yaml").read_text())
+    assert data["names"] == {0: "oyster"}
+    for part in ("train", "val"):
+        pictures = sorted((folder / task / data[part]).iterdir())
+        labels = sorted((folder / task / data[part].replace("images", "labels")).iterdir())
+        assert [path.stem for path in pictures] == [path.stem for path in labels]
+        assert pictures
+
+
+def test_a_picture_takes_its_room_once(folder):
+    for path in (folder / "segment" / "images").rglob("*.png"):
+        assert os.path.samefile(path, folder / "detect" / path.relative_to(folder / "segment"))
+
+
+def entry(name: str, clip: str) -> Entry:
+    return Entry(name, clip, lambda: pytest.fail("it was read"), (Path("x.mcap"),))
+
+
+def test_whole_clips_are_kept_for_validation_and_always_the_same():
+    entries = [entry(f"clip-{k}/{n}", f"clip-{k}") for k in range(10) for n in range(3)]
+    parts, notes = with_val({"train": entries})
+    clips = {part: {one.clip for one in of} for part, of in parts.items()}
+    assert len(clips["val"]) == 2
+    assert not clips["val"] & clips["train"]
+    assert len(parts["train"]) + len(parts["val"]) == 30
+    assert "val is 2 of 10 clips" in notes[0]
+    backwards, _ = with_val({"train": entries[::-1]})
+    assert {one.clip for one in backwards["val"]} == clips["val"]
+
+
+def test_the_only_clip_is_divided_by_time_and_that_is_said():
+    parts, notes = with_val({"train": [entry(f"a/{n}", "a") for n in range(10)]})
+    assert [one.name for one in parts["val"]] == ["a/8", "a/9"]
+    assert "resembles the rest" in notes[0]
+    parts, _ = with_val({"train": [entry("a/0", "a")]})
+    assert parts["train"] == parts["val"]
+
+
+def test_a_part_for_validation_is_taken_as_it_is():
+    parts = {"train": [entry("a/0", "a")], "val": [entry("b/0", "b")]}
+    assert with_val(parts) == (parts, [])
+
+
+def test_names_become_names_of_files():
+    assert key_of("set/a b/cam.left/17") == "set_a-b_cam-left_17"

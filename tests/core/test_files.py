@@ -1,0 +1,76 @@
+"""Folders that appear whole or not at all, whatever ends the process that fills them."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from oysterbench.core.files import appearing_folder
+
+
+def test_a_folder_appears_when_it_is_whole(tmp_path):
+    with appearing_folder(tmp_path / "deep" / "out") as draft:
+        (draft / "one").write_text("1")
+        (draft / "sub").mkdir()
+        assert not (tmp_path / "deep" / "out").exists()
+    assert sorted(path.name for path in (tmp_path / "deep" / "out").iterdir()) == ["one", "sub"]
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_what_fails_or_is_interrupted_leaves_nothing(tmp_path, error):
+    def fill():
+        with appearing_folder(tmp_path / "out") as draft:
+            (draft / "one").write_text("1")
+            raise error
+
+    with pytest.raises(error):
+        fill()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_empty_folder_is_filled_and_another_is_left_as_it_is(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with appearing_folder(tmp_path / "empty") as draft:
+        (draft / "one").write_text("1")
+    assert (tmp_path / "empty" / "one").read_text() == "1"
+    with pytest.raises(FileExistsError, match="left as it is"), appearing_folder(tmp_path / "empty"):
+        pytest.fail("it was entered")
+    assert (tmp_path / "empty" / "one").read_text() == "1"
+
+
+HOLDER = """
+import sys, time
+from oysterbench.core.files import appearing_folder
+with appearing_folder(sys.argv[1]) as draft:
+    (draft / "half").write_text("of it")
+    print("there", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_what_a_killed_process_left_is_cleared_and_one_that_runs_is_not_disturbed(tmp_path):
+    holder = subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path / "out")], stdout=subprocess.PIPE)
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == b"there\n"
+    try:
+        with pytest.raises(BlockingIOError) as refused, appearing_folder(tmp_path / "out"):
+            pytest.fail("it was entered")
+        assert (refused.value.errno, refused.value.strerror) == (errno.EAGAIN, "another process is writing it")
+        assert (tmp_path / ".out.draft" / "half").exists()
+    finally:
+        os.kill(holder.pid, signal.SIGKILL)
+        holder.wait()
+        holder.stdout.close()
+    began = time.monotonic()
+    with appearing_folder(tmp_path / "out") as draft:
+        assert list(draft.iterdir()) == []
+        (draft / "whole").write_text("all of it")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert time.monotonic() - began < 5
