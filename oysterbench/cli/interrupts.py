@@ -8,6 +8,7 @@ import sys
 RESUMED = {
     "download": "what was fetched is kept",
     "experiment": "finished trainings and the last checkpoint are kept",
+    "release": "sequences that were read are kept",
     "render": "finished frames are kept",
     "run": "finished runs are kept",
     "segment": "finished pictures are kept",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -193,11 +194,14 @@ def checks(name: str = "") -> Iterator[Check]:
     if name and not (NAME.fullmatch(split) and VERSION_NAME.fullmatch(version or "0")):
         raise HubError(f"{name}: expected a split, a sequence file or a folder, got none of them")
     folders = sorted((home() / "splits").glob(f"{split or '*'}/{version}-*" if version else f"{split or '*'}/*"))
-    found = [path for folder in folders if folder.is_dir() for path in _check_folder(folder)]
-    found += [check_weights(path) for path in sorted(models().glob(f"{split or '*'}.pt"))]
-    if not found and name:
+    here = (check for folder in folders if folder.is_dir() for check in _check_folder(folder))
+    weights = (check_weights(path) for path in sorted(models().glob(f"{split or '*'}.pt")))
+    found = False
+    for check in chain(here, weights):
+        found = True
+        yield check
+    if name and not found:
         raise HubError(f"{name}: nothing of it is here; `oysterbench download {name}` fetches it")
-    yield from found
 
 
 def check_tree(tree: Path) -> Iterator[Check]:
