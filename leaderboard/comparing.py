@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from oysterbench.core.errors import ResultError
+from oysterbench.core.names import did_you_mean, listed, nearest
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.board import LEAST_DIGITS, BoardReader, Query, Row
 from oysterbench_leaderboard.options import Place
@@ -33,7 +34,8 @@ def results_of(text: str, split: str | None, place: Place | None = None) -> list
     if not _DIGEST.fullmatch(text):
         if "/" in text or text.endswith(".json"):
             return None
-        raise ResultError(f"{text}: is neither a file nor a method on the board; {_methods(index, split)}")
+        meant = did_you_mean(nearest(text, [name for name, _, _ in index.methods()]))
+        raise ResultError(f"{text}: is neither a file nor a method on the board; {meant}{_methods(index, split)}")
     record = index.store.record(index.row(text).digest)
     if split is not None and record.split != split:
         raise ResultError(f"{text}: is a record on {record.split}, not on {split}")
@@ -44,7 +46,7 @@ def _methods(index: BoardReader, split: str | None) -> str:
     """What could have been meant."""
     boards = [board for board in index.boards() if board.newest and split in (None, board.split)]
     there = sorted({row.method for board in boards for row in index.page(board.id, Query(size=MOST_NAMED)).rows})
-    return f"the methods{f' on {split}' if split else ''} are: {', '.join(there) or 'none yet'}"
+    return f"the methods{f' on {split}' if split else ''} are: {listed(there)}; `oysterbench leaderboard` shows all"
 
 
 def _one_of_each_board(text: str, rows: Sequence[Row], index: BoardReader, split: str | None) -> list[Row]:

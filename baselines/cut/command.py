@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.labelled import LABELLED
 from oysterbench_baselines.learning.trained import checkpoint_path, device_option, seed_option
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ SHEETS = 20
 """Sample sheets of a training, about."""
 
 source_option = click.option(
-    "--source", "sources", multiple=True, required=True, metavar="SPLIT|PATH", help="Labelled images; repeatable."
+    "--source", "sources", type=LABELLED, multiple=True, required=True, help="Labelled images; repeatable."
 )
 side_option = click.option(
     "--side", help="Only targets of this side of their manifest.csv.  [default: train, where there are sides]"
@@ -32,7 +33,9 @@ clip_option = click.option(
 
 @click.command("cut", short_help="Make rendered images look like real ones, without pairs.")
 @source_option
-@click.option("--target", required=True, metavar="PATH", help="Real images; their labels are not looked at.")
+@click.option(
+    "--target", required=True, type=LABELLED, metavar="PATH", help="Real images; their labels are not looked at."
+)
 @side_option
 @clip_option
 @click.option("--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Folder of the training.")
@@ -127,7 +130,7 @@ def cut_command(checkpoint: Path | None, sources: tuple[str, ...], out: Path) ->
 def _recolour(name: str) -> click.Command:
     @click.command(name, short_help=f"By {name} colour transfer, image by image, without training.")
     @source_option
-    @click.option("--target", required=True, metavar="PATH", help="Real images to take colours from.")
+    @click.option("--target", required=True, type=LABELLED, metavar="PATH", help="Real images to take colours from.")
     @side_option
     @clip_option
     @seed_option

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from oysterbench.cli.echo import echo, message
+from oysterbench.cli.labelled import LABELLED
 from oysterbench.core.errors import MethodError
 from oysterbench.methods.weights import existing, weights_path
 
@@ -39,7 +40,7 @@ def training_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--steps", type=number, default=2000, show_default=True, help="Of the optimiser."),
         seed_option,
         click.option("--out", type=file, help="Checkpoint.  [default: under the home]"),
-        click.option("--data", "names", multiple=True, required=True, metavar="SPLIT|PATH", help="Repeatable."),
+        click.option("--data", "names", type=LABELLED, multiple=True, required=True, help="Repeatable."),
     ):
         command = option(command)
     return command

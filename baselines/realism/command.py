@@ -6,11 +6,14 @@ from pathlib import Path
 
 import click
 
+from oysterbench.cli.labelled import LABELLED
 from oysterbench_baselines.learning.trained import on_torch
 
 
 @click.command("realism", short_help="How far rendered pictures are from real ones.")
-@click.option("--real", required=True, metavar="PATH", help="Real images; each clip of theirs is a set of its own.")
+@click.option(
+    "--real", required=True, type=LABELLED, metavar="PATH", help="Real images; each clip of theirs is a set of its own."
+)
 @click.option(
     "--synthetic",
     "names",

@@ -8,11 +8,18 @@ from typing import Any
 
 import click
 
+from oysterbench.cli.labelled import LABELLED
 from oysterbench_baselines.learning.trained import device_option
 
 
 @click.command("sim2real", short_help="What rendered images add to real ones.")
-@click.option("--real", required=True, metavar="PATH", help="Labelled real images, with manifest.csv: clip and split.")
+@click.option(
+    "--real",
+    required=True,
+    type=LABELLED,
+    metavar="PATH",
+    help="Labelled real images, with manifest.csv: clip and split.",
+)
 @click.option(
     "--synthetic",
     "names",

@@ -14,14 +14,40 @@ if TYPE_CHECKING:
     from oysterbench.annotations import LabelledSet
 
 
+class LabelledData(click.ParamType):  # type: ignore[type-arg]
+    """Labelled data as an option: refused where there is none of that name, before anything heavy is loaded."""
+
+    name = "SPLIT|PATH"
+
+    def convert(self, value: str, param: click.Parameter | None, context: click.Context | None) -> str:
+        """As it was typed."""
+        check_data(value)
+        return value
+
+
+LABELLED = LabelledData()
+
+
+def check_data(name: str) -> None:
+    """Refuse what is neither a split nor there. Raises LabelError."""
+    from oysterbench.core.names import did_you_mean, nearest
+    from oysterbench.recipe.split import split_names
+
+    known = split_names()
+    if name not in known and not name.endswith(".toml") and not Path(name).exists():
+        meant = did_you_mean(nearest(name, known))
+        raise LabelError(
+            f"{name}: no split of that name, nor a file or folder; {meant}`oysterbench splits` lists splits"
+        )
+
+
 def open_data(name: str) -> LabelledSet:
     """The labelled images of a split, of a recipe (.toml), or at a path (`annotations.opening.KINDS`)."""
     from oysterbench.annotations import open_labelled
     from oysterbench.recipe import load_split, split_names
 
+    check_data(name)
     if name not in split_names() and not name.endswith(".toml"):
-        if not Path(name).exists():
-            raise LabelError(f"{name}: no split of that name, nor a file or folder; `oysterbench splits` lists splits")
         return open_labelled(name)
     from oysterbench.annotations.sequences import sequence_set
     from oysterbench.cli.render import render_files
@@ -41,6 +67,7 @@ def named_places(texts: Sequence[str], taken: Collection[str]) -> dict[str, list
             raise click.UsageError(
                 f"--synthetic: expected NAME=SPLIT or NAME=PATH, and a name but {', '.join(taken)}, got {text!r}"
             )
+        check_data(place)
         found.setdefault(name, []).append(place)
     return found
 

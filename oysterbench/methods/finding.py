@@ -9,6 +9,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from oysterbench.core.errors import MethodError
+from oysterbench.core.names import did_you_mean, nearest
 from oysterbench.methods.method import Method
 from oysterbench.methods.options import configure, split_variant, variant_name
 
@@ -63,9 +64,10 @@ def _points() -> dict[str, EntryPoint]:
 def _load_point(name: str) -> Any:
     points = _points()
     if name not in points:
+        meant = did_you_mean(nearest(name, points))
         raise MethodError(
-            f"unknown method {name!r}; installed methods: {', '.join(sorted(points)) or 'none'}; a class is given "
-            "as module:Class, another program with `oysterbench run --command`; `oysterbench systems` lists published "
+            f"unknown method {name!r}; {meant}installed methods: {', '.join(sorted(points)) or 'none'}; a class is "
+            "given as module:Class, another program with `oysterbench run --command`; `oysterbench systems` lists published "
             "ones"
         )
     return points[name].load()
