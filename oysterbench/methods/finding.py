@@ -67,8 +67,8 @@ def _load_point(name: str) -> Any:
         meant = did_you_mean(nearest(name, points))
         raise MethodError(
             f"unknown method {name!r}; {meant}installed methods: {', '.join(sorted(points)) or 'none'}; a class is "
-            "given as module:Class, another program with `oysterbench run --command`; `oysterbench systems` lists published "
-            "ones"
+            "given as module:Class, another program with `oysterbench run --command`; `oysterbench systems` lists "
+            "published ones"
         )
     return points[name].load()
 
