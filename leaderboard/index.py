@@ -134,9 +134,8 @@ class BoardIndex:
         value."""
         with self.database.reading() as connection:
             asked = select(ROWS.c.digest, ROWS.c.summary_data).where(ROWS.c.digest.in_(list(digests)))
-            return {
-                row.digest: RecordSummary.decode(row.summary_data).scores.values for row in connection.execute(asked)
-            }
+            summaries = {row.digest: RecordSummary.decode(row.summary_data) for row in connection.execute(asked)}
+        return {digest: dict(summary.scores.values) for digest, summary in summaries.items()}
 
     def sequence_means(self, digest: str) -> dict[str, dict[str, float | None]]:
         """Sequence -> metric -> mean over runs, for a record."""

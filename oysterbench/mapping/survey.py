@@ -27,6 +27,7 @@ from oysterbench.sequence.types import Sequence
 if TYPE_CHECKING:
     import pandas as pd
 
+EXACT_PATH_M = 0.001  # that a file of the true path may differ from it
 CUT_WEIGHT = 0.5  # of oysters that the edge of what was seen cuts, half have their middle inside
 
 
@@ -37,7 +38,8 @@ class OysterMap:
     tracks:  behind each oyster, what pictures show of it
     path:    (N, 2) m, where the pictures were taken
     pictures, without_pose, without_depth: how many were given, and how many of them had none
-    unassociated: what the pictures show without association (`mapping.unassociated`); None where depths are exact
+    unassociated: what the pictures show without association (`mapping.unassociated`); None where path and depths are
+             the truth's
     magnetic_north_rad: clockwise from +y of the path's world; None where nothing shows it
     """
 
@@ -167,14 +169,29 @@ def build_map(
         if counts[key]:
             notes.append(f"{counts[key]} of {counts['pictures']} pictures have no {what} and are left out")
     found = tracks.joined()
-    exact = sigma_of(depth, settings) * settings.far_m < settings.shell_m
     return OysterMap(
         sequence.name, camera, depth, [_oyster(track) for track in found], found, cover, np.array(places), settings,
         **counts,
         notes=tuple(notes),
-        unassociated=None if exact else unassociated.count,
+        unassociated=None if _exact(sequence, trajectory, depth, settings) else unassociated.count,
         magnetic_north_rad=magnetic_north(source, poses),
     )  # fmt: skip
+
+
+def _exact(sequence: Sequence, trajectory: Trajectory, depth: str, settings: MapSettings) -> bool:
+    """Whether places are sure to less than what tells shells apart: true depths along the true path.
+
+    Of another path nobody knows how far it errs between two passes over the same ground: covariances are promises.
+    Where depths are measured, the truth is not looked at.
+    """
+    if depth != "layer" or sigma_of(depth, settings) * settings.far_m >= settings.shell_m:
+        return False
+    truth, stamps = sequence.truth(), trajectory.stamps_ns
+    within = (stamps >= truth.stamps_ns[0]) & (stamps <= truth.stamps_ns[-1])
+    since = (stamps[within] - truth.stamps_ns[0]).astype(float)
+    known = (truth.stamps_ns - truth.stamps_ns[0]).astype(float)
+    true = np.column_stack([np.interp(since, known, axis) for axis in truth.positions.T])
+    return bool((np.abs(trajectory.positions[within] - true) <= EXACT_PATH_M).all())
 
 
 def sigma_of(depth: str, settings: MapSettings) -> float:

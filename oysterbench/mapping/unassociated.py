@@ -3,6 +3,11 @@
 Every oyster of every picture counts 1 / n, where n pictures saw its place (Horvitz & Thompson 1952, eq. 6): shells that
 depths lay at two places are two in a map, and two halves here. It is low where shells hide one another, for a picture
 that looks at a place does not always show what lies there, and so no better than the map's where places are exact.
+
+This is the model by which intervals hold what depth and path err by: association counts a shell again wherever an error
+lays it beside itself, and so errs upwards; this count errs downwards, by what hides; the truth lies between both, as
+long as an error moves a place by less than pictures see around it. A path that lays the same ground at two places, a
+picture's width apart, makes two grounds of it for either count, and nothing in the pictures' places shows that.
 """
 
 from __future__ import annotations

@@ -12,13 +12,24 @@ from oysterbench.results.records import ResultRecord
 
 @dataclass(frozen=True)
 class DensityRun:
-    """A map, scored: its record, and what was made (`density.OysterMap`), None where it failed; figure: as SVG."""
+    """A map, scored: its record, and what was made (`density.OysterMap`), None where it failed.
+
+    panels: of its figure, by their titles, as SVG; said: count and interval, in words
+    """
 
     record: ResultRecord
     result: Any = None
-    figure: str = ""
+    panels: tuple[tuple[str, str], ...] = ()
+    said: str = ""
 
 
-def map_cards(runs: Sequence[DensityRun]) -> list[Card]:
-    """The maps, sequence by sequence."""
-    return [Card(f"{run.record.sequence}, {run.record.method}", run.figure) for run in runs if run.figure]
+def map_cards(runs: Sequence[DensityRun]) -> list[tuple[Card, ...]]:
+    """The maps, sequence by sequence, those of a run side by side."""
+    return [
+        tuple(
+            Card(f"{run.record.sequence}, {run.record.method}: {title[:1].lower()}{title[1:]}", figure, run.said)
+            for title, figure in run.panels
+        )
+        for run in runs
+        if run.panels
+    ]

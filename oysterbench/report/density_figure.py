@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,17 @@ from numpy.typing import NDArray
 
 from oysterbench.mapping.grid import Total
 from oysterbench.mapping.survey import OysterMap
-from oysterbench.report.figures import INK, POINTS_PER_INCH, add_note, add_scale_bar, figure_style, new_figure, rgb
+from oysterbench.report.density import DensityRun
+from oysterbench.report.figures import (
+    INK,
+    POINTS_PER_INCH,
+    add_note,
+    add_scale_bar,
+    figure_style,
+    new_figure,
+    rgb,
+    svg_of,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +47,10 @@ DEPTHS = {
     "layer": "true depth",
 }
 
+NARROW = 4.6  # the same where a panel stands by itself: it is shown as large on a telephone
+
 SQUARED = "\N{SUPERSCRIPT TWO}"
+PANELS = ("Seen from above, every oyster a dot", f"Live oysters per m{SQUARED}")
 MOSAIC_PX = 1200  # along the longer side
 PANEL = 7.0  # inches of the longer side of a panel
 LINE_SIZE = 12.5  # points, of the numbers below the headline
@@ -49,44 +63,103 @@ TEXT_CELL = 26.0  # points of a cell's edge, from which on its number is written
 @figure_style()
 def figure(found: OysterMap) -> Figure:
     """The counts as headline; two panels of the same ground, +y of the path up, with scale bar, grid and legend."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import from_levels_and_colors
-
-    raster, seen = found.cover.raster, found.cover.closed()
-    first, last, left, right = _frame(seen, raster.edge_m, found.settings.cell_m)
-    inch_m = max(last - first, right - left) * raster.edge_m / PANEL
-    height, width = (last - first) * raster.edge_m / inch_m, (right - left) * raster.edge_m / inch_m
-    page = 2 * max(width, 4.6) + 1.0
+    ground = _ground(found, PANEL)
+    page = 2 * max(ground.width, 4.6) + 1.0
     said = [part for line in numbers(found.total, found.grid.shares()) for part in wrap(line, int(page * LETTERS))]
-    made = new_figure(_headline(found), page, height + 2.7 + len(said) * LINE)
-    grid = made.add_gridspec(2, 2, height_ratios=[len(said) * LINE, height + 1.0])
+    made = new_figure(_headline(found), page, ground.height + 2.7 + len(said) * LINE)
+    grid = made.add_gridspec(2, 2, height_ratios=[len(said) * LINE, ground.height + 1.0])
     _text(made.add_subplot(grid[0, :]), said)
     panels = [made.add_subplot(grid[1, k]) for k in range(2)]
-    west, north = raster.west_m + left * raster.edge_m, raster.north_m - first * raster.edge_m
-    extent = (west, west + width * inch_m, north - height * inch_m, north)
-    for axes, pixels in zip(panels, (mosaic(found, seen), _cell_pixels(found, seen)), strict=True):
-        axes.imshow(_small(pixels[first:last, left:right]), extent=extent)
-        axes.set(xticks=(), yticks=())
-        axes.spines[:].set_visible(True)
-    panels[0].set_title("Seen from above, every oyster a dot")
-    panels[1].set_title(f"Live oysters per m{SQUARED}")
-    _oysters(panels[0], found, POINTS_PER_INCH / inch_m)
-    _cells(panels[1], found, seen, found.settings.cell_m * POINTS_PER_INCH / inch_m)
-    add_scale_bar(panels[0], width * inch_m)
-    _north_arrow(panels[0], found.magnetic_north_rad)
-    cmap, norm = from_levels_and_colors((0.0, *EDGES), COLOURS, extend="max")
-    classes = "below the threshold: under 15; at the target: from 50"
-    made.colorbar(ScalarMappable(norm, cmap), ax=panels[1], location="bottom", label=classes, aspect=30)
-    add_note(
-        made,
+    _seen_from_above(panels[0], found, ground)
+    _density(panels[1], found, ground)
+    add_note(made, *notes(found))
+    return made
+
+
+@figure_style()
+def panels(found: OysterMap) -> tuple[Figure, Figure]:
+    """The same two panels, each by itself and without words, to be read on a narrow screen, too."""
+    ground = _ground(found, NARROW)
+    made = []
+    for title, draw, room in zip(PANELS, (_seen_from_above, _density), (0.5, 0.9), strict=True):
+        one = new_figure(title, max(ground.width, 3.6) + 0.4, ground.height + room)
+        draw(one.subplots(), found, ground)
+        one.axes[0].set_title("")
+        heading = one.suptitle(title)  # which the page writes; here it names the figure for those who do not see it
+        heading.set(visible=False, in_layout=False)
+        made.append(one)
+    return made[0], made[1]
+
+
+def drawn(run: DensityRun) -> DensityRun:
+    """A run with its figures in the place of its map, which is large; one that failed as it is."""
+    if run.result is None:
+        return run
+    figures = tuple(zip(PANELS, map(svg_of, panels(run.result)), strict=True))
+    return replace(run, result=None, panels=figures, said=f"{counted(run.result.total)}.")
+
+
+def notes(found: OysterMap) -> list[str]:
+    """What must be said of it, in sentences."""
+    return [
         f"{len(found.path)} of {found.pictures} pictures of {found.camera}, {DEPTHS[found.depth]}",
         "What no picture shows, as others lie on it, is not counted.",
         "An oyster that the edge always cuts counts a half.",
         "? the 95 % interval reaches into another class. Grey: too little seen.",
         "Up is +y of the path; "
         + ("where north is, is not known." if found.magnetic_north_rad is None else "N is magnetic north."),
-    )
-    return made
+    ]
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What of a map is drawn. rows, columns: of the raster, first and last; extent: west, east, south, north, m;
+    width, height: inches; inch_m: metres of an inch."""
+
+    seen: NDArray[np.bool_]
+    rows: slice
+    columns: slice
+    extent: tuple[float, float, float, float]
+    width: float
+    height: float
+    inch_m: float
+
+
+def _ground(found: OysterMap, panel: float) -> Ground:
+    """panel: inches of the longer side."""
+    raster, seen = found.cover.raster, found.cover.closed()
+    first, last, left, right = _frame(seen, raster.edge_m, found.settings.cell_m)
+    inch_m = max(last - first, right - left) * raster.edge_m / panel
+    height, width = (last - first) * raster.edge_m / inch_m, (right - left) * raster.edge_m / inch_m
+    west, north = raster.west_m + left * raster.edge_m, raster.north_m - first * raster.edge_m
+    extent = (west, west + width * inch_m, north - height * inch_m, north)
+    return Ground(seen, slice(first, last), slice(left, right), extent, width, height, inch_m)
+
+
+def _show(axes: Axes, pixels: NDArray[np.uint8], ground: Ground) -> None:
+    axes.imshow(_small(pixels[ground.rows, ground.columns]), extent=ground.extent)
+    axes.set(xticks=(), yticks=())
+    axes.spines[:].set_visible(True)
+
+
+def _seen_from_above(axes: Axes, found: OysterMap, ground: Ground) -> None:
+    _show(axes, mosaic(found, ground.seen), ground)
+    axes.set_title(PANELS[0])
+    _oysters(axes, found, POINTS_PER_INCH / ground.inch_m)
+    add_scale_bar(axes, ground.extent[1] - ground.extent[0])
+    _north_arrow(axes, found.magnetic_north_rad)
+
+
+def _density(axes: Axes, found: OysterMap, ground: Ground) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import from_levels_and_colors
+
+    _show(axes, _cell_pixels(found, ground.seen), ground)
+    axes.set_title(PANELS[1])
+    _cells(axes, found, ground.seen, found.settings.cell_m * POINTS_PER_INCH / ground.inch_m)
+    cmap, norm = from_levels_and_colors((0.0, *EDGES), COLOURS, extend="max")
+    classes = "below the threshold: under 15; at the target: from 50"
+    axes.figure.colorbar(ScalarMappable(norm, cmap), ax=axes, location="bottom", label=classes, aspect=30)
 
 
 def _north_arrow(axes: Axes, clockwise_rad: float | None) -> None:
@@ -138,12 +211,17 @@ def _text(axes: Axes, lines: list[str]) -> None:
     axes.text(0, 1, "\n".join(lines), va="top", size=LINE_SIZE, transform=axes.transAxes, linespacing=1.35)
 
 
-def numbers(total: Total, shares: dict[str, float]) -> list[str]:
-    """What the map says, in words."""
-    lines = [
+def counted(total: Total) -> str:
+    """The count with its interval, in words."""
+    return (
         f"{_count(total.count)} oysters counted (95 %: {_count(total.count_low)} to {_count(total.count_high)}) on "
         f"{total.area_m2:.1f} m{SQUARED} of seen ground: {_states(total)}"
-    ]
+    )
+
+
+def numbers(total: Total, shares: dict[str, float]) -> list[str]:
+    """What the map says, in words."""
+    lines = [counted(total)]
     if not math.isnan(total.live_per_m2):
         lines.append(
             f"{total.live_per_m2:.1f} live oysters per m{SQUARED} (95 % for the reef that this is a sample of: "

@@ -2,51 +2,88 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from oysterbench.core.files import write_atomically
 from oysterbench.core.html import environment
 from oysterbench.mapping.intervals import LEVEL
 from oysterbench.mapping.settings import CLASSES, TARGET_PER_M2, THRESHOLD_PER_M2
 from oysterbench.mapping.survey import OysterMap
-from oysterbench.report.density_figure import density_pixels, figure, mosaic, numbers
+from oysterbench.report.density_figure import PANELS, density_pixels, figure, mosaic, notes, numbers, panels
 from oysterbench.report.figures import encoded, png_of, svg_of
 from oysterbench.report.formats import csv_of
+from oysterbench.report.geotiff import Place, geotiff
 from oysterbench.report.renderers.html import FOLDER
 from oysterbench.results.records import plain
+
+BANDS = ("live_per_m2", "low_per_m2", "high_per_m2", "seen_m2")
+"""Of density.tif, in their order."""
+
+FILES = {
+    "grid.csv": "cells with counts, intervals and classes",
+    "oysters.csv": "every oyster with its place",
+    "summary.json": "the whole, with the settings",
+    "density.tif": "cells as GeoTIFF: " + ", ".join(BANDS),
+    "mosaic.tif": "what was seen, from above, as GeoTIFF",
+    "density.png": "cells as a picture, with density.pgw",
+    "mosaic.png": "what was seen, as a picture, with mosaic.pgw",
+    "map.png": "both figures, for a document",
+    "map.svg": "the same, to be scaled",
+}
+"""Beside the page, and what they are."""
 
 FORMAT = "oysterbench-map/1"
 
 
 def write_map(found: OysterMap, folder: Path, command: str = "") -> list[Path]:
-    """Write all files of a map; returns them. Rasters lie in the world frame of the trajectory, m, +y up."""
+    """Write all files of a map; returns them. Rasters lie in the world frame of the trajectory, m, +y up; GeoTIFFs are
+    among them where tifffile is there to write them."""
     seen = found.cover.closed()
     drawn = figure(found)
-    svg = svg_of(drawn)
     world = world_file(found)
     clear = np.where(found.cover.views > 0, 255, 0).astype(np.uint8)
+    colours = np.dstack([mosaic(found, seen), clear])
     files: dict[str, bytes] = {
-        "map.html": map_page(found, svg, command).encode(),
         "map.png": png_of(drawn),
-        "map.svg": svg.encode(),
+        "map.svg": svg_of(drawn).encode(),
         "summary.json": (json.dumps(summary(found), indent=2, allow_nan=False) + "\n").encode(),
         "grid.csv": csv_of(list(grid_rows(found))).encode(),
         "oysters.csv": csv_of(list(oyster_rows(found))).encode(),
-        "mosaic.png": encoded(np.dstack([mosaic(found, seen), clear])),
+        **geotiffs(found, colours),
+        "mosaic.png": encoded(colours),
         "mosaic.pgw": world,
         "density.png": encoded(density_pixels(found, seen)),
         "density.pgw": world,
     }
+    files = {"map.html": map_page(found, command, list(files)).encode(), **files}
     folder.mkdir(parents=True, exist_ok=True)
     for name, data in files.items():
         write_atomically(folder / name, data)
     return [folder / name for name in files]
+
+
+def geotiffs(found: OysterMap, colours: NDArray[np.uint8]) -> dict[str, bytes]:
+    """What was seen (rows, columns, 4), and the grid with a pixel for each cell; none where tifffile is not there."""
+    if importlib.util.find_spec("tifffile") is None:
+        return {}
+    raster, grid = found.cover.raster, found.grid
+    frame = f"local frame of the path of {found.name}: x, y in metres, not on the Earth".encode(
+        "ascii", "replace"
+    ).decode()
+    bands = np.dstack([np.where(grid.known, band, np.nan) for band in (grid.density, grid.low, grid.high)])
+    seen = np.where(grid.area_m2 > 0, grid.area_m2, np.nan)
+    return {
+        "mosaic.tif": geotiff(colours, Place(raster.west_m, raster.north_m, raster.edge_m, frame)),
+        "density.tif": geotiff(np.dstack([bands, seen]), Place(grid.west_m, grid.north_m, grid.cell_m, frame), BANDS),
+    }
 
 
 def world_file(found: OysterMap) -> bytes:
@@ -135,13 +172,28 @@ def summary(found: OysterMap) -> dict[str, Any]:
     return made
 
 
-def map_page(found: OysterMap, drawn: str, command: str) -> str:
-    """The figure, what it says in words, how it is made, and what it does not know."""
+def map_page(found: OysterMap, command: str, files: Sequence[str] = ()) -> str:
+    """The figures, what they say in words, the files beside the page, how it is made, and what it does not know."""
     context = {
         "title": f"Oysters of {found.name}",
-        "notes": found.notes,
-        "figure": drawn,
+        "warnings": found.notes,
+        "panels": list(zip(PANELS, map(svg_of, panels(found)), strict=True)),
+        "facts": facts(found),
         "numbers": numbers(found.total, found.grid.shares()),
+        "notes": notes(found),
+        "open": found.unassociated is not None,
+        "files": [(name, FILES[name]) for name in FILES if name in files],
         "command": command,
     }
     return environment(FOLDER).get_template("map.html").render(**context)
+
+
+def facts(found: OysterMap) -> list[tuple[str, str, str]]:
+    """Name, number, and its interval or what it is of."""
+    total = found.total
+    rows = [("Oysters", f"{total.count:,.0f}", f"95 %: {total.count_low:,.0f} to {total.count_high:,.0f}")]
+    if not math.isnan(total.live_per_m2):
+        between = f"95 %: {total.low_per_m2:.1f} to {total.high_per_m2:.1f}"
+        rows.append(("Live per m\N{SUPERSCRIPT TWO}", f"{total.live_per_m2:.1f}", between))
+    rows.append(("Seen ground", f"{total.area_m2:.1f} m\N{SUPERSCRIPT TWO}", f"in {len(found.path)} pictures"))
+    return [(name, value.replace(",", " "), small.replace(",", " ")) for name, value, small in rows]

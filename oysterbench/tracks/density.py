@@ -21,8 +21,7 @@ from oysterbench.methods.interfaces.images import read_predictions
 from oysterbench.methods.outcomes import Job, Outcome
 from oysterbench.recipe import SplitRecipe
 from oysterbench.report.density import DensityRun
-from oysterbench.report.density_figure import figure
-from oysterbench.report.figures import svg_of
+from oysterbench.report.density_figure import drawn
 from oysterbench.sequence import Sequence as SensorSequence
 from oysterbench.sequence import open_sequence
 from oysterbench.tracks.images import PictureSequence, instances_of
@@ -96,8 +95,7 @@ class DensityTrack(Track):
             )
             depth, align = options.get("depth", "layer"), options.get("align", "posyaw")
             for run in evaluate_maps(mapped, sequence.split, settings, depth, align, request.announce):
-                drawn = "" if run.result is None else svg_of(figure(run.result))
-                runs.append(replace(run, figure=drawn, result=None))
+                runs.append(drawn(run))
         return self.show(runs, sequences, request.out)
 
     def show(self, runs: Sequence[DensityRun], sequences: Sequence[RunSequence], out: Path | None) -> Evaluation:

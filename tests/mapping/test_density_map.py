@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
+import re
 from dataclasses import replace
 
 import cv2
@@ -267,3 +269,36 @@ def test_a_trajectory_file_is_as_good_as_its_poses(once, found, tmp_path):
 
     write_tum(tmp_path / "poses.tum", once.truth())
     assert map_of(once, read_trajectory(tmp_path / "poses.tum")).total.count == found.total.count
+
+
+def test_geotiffs_lie_where_the_grid_does_and_hold_its_numbers(found, tmp_path):
+    tifffile = pytest.importorskip("tifffile", reason="needs tifffile: pip install 'oysterbench[maps]'")
+    write_map(found, tmp_path)
+    with tifffile.TiffFile(tmp_path / "density.tif") as file:
+        density, low, high, seen = file.asarray()
+        keys = file.geotiff_metadata
+    grid = found.grid
+    assert np.array_equal(density, grid.density.astype(np.float32), equal_nan=True)
+    assert (low[grid.known] <= density[grid.known]).all()
+    assert (density[grid.known] <= high[grid.known]).all()
+    assert np.nansum(seen) == pytest.approx(found.total.area_m2, rel=1e-6)
+    assert keys["ModelPixelScale"][:2] == [grid.cell_m, grid.cell_m]
+    assert keys["ModelTiepoint"][3:5] == [grid.west_m, grid.north_m]
+    assert keys["GTModelTypeGeoKey"] == 32767, "of no register: nobody knows where on the Earth"
+    assert "local frame of the path of flat" in keys["GTCitationGeoKey"]
+    with tifffile.TiffFile(tmp_path / "mosaic.tif") as file:
+        colours, keys = file.asarray(), file.geotiff_metadata
+    x, y = found.oysters[0].centre[:2]
+    (edge, _, _), (_, _, _, west, north, _) = keys["ModelPixelScale"], keys["ModelTiepoint"]
+    assert colours[int((north - y) / edge), int((x - west) / edge), 3] == 255
+
+
+def test_without_tifffile_a_map_has_its_other_files(found, tmp_path, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *of: find(name, *of) if name != "tifffile" else None)
+    names = {path.name for path in write_map(found, tmp_path)}
+    assert not any(name.endswith(".tif") for name in names)
+    page = (tmp_path / "map.html").read_text()
+    links = set(re.findall(r'<a href="([^"]+)"', page))
+    assert links <= names
+    assert {"grid.csv", "mosaic.png"} <= links

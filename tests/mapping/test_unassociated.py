@@ -1,4 +1,4 @@
-"""The interval of a count and the depths that it was made with."""
+"""The interval of a count, and the depths and the path that it was made with."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from oysterbench.core.measurements import Image
 from oysterbench.mapping import MapSettings
-from tests.helpers.flat_reef import LANE, FlatReef, scattered
+from tests.helpers.flat_reef import LANE, FlatReef, moved, scattered
 from tests.mapping.test_density_map import map_of
 
 DISCS = scattered(-1.2, 3.6)
@@ -46,5 +46,20 @@ def test_two_sources_of_depth_give_intervals_that_hold_each_others_count(exact, 
     assert rough.unassociated == pytest.approx(exact.total.count, rel=0.15)
 
 
-def test_exact_depths_leave_nothing_open(exact):
+@pytest.mark.parametrize("off_m", [(0.05, -0.04, 0.0), (-0.025, 0.04, 0.01), (0.06, 0.05, 0.0)])
+def test_a_path_that_is_off_by_centimetres_between_passes_has_the_true_count_in_its_interval(exact, off_m):
+    reef = FlatReef(LANES, DISCS)
+    path = moved(reef.truth(), np.array(off_m), slice(len(LANE), None))
+    rough = map_of(reef, path, SETTINGS)
+    assert rough.total.count > 1.1 * exact.total.count, "what the error does to association"
+    assert rough.total.count_low <= exact.total.count <= rough.total.count_high
+    assert rough.total.low_per_m2 <= exact.total.live_per_m2 <= rough.total.high_per_m2
+
+
+def test_only_true_depths_along_the_true_path_leave_nothing_open(exact):
     assert exact.unassociated is None
+    reef = FlatReef(LANES, DISCS)
+    assert map_of(reef, moved(reef.truth(), np.full(3, 2e-4), slice(None)), SETTINGS).unassociated is None, (
+        "as a file rounds it"
+    )
+    assert map_of(reef, moved(reef.truth(), np.full(3, 2e-3), slice(None)), SETTINGS).unassociated is not None
