@@ -149,11 +149,11 @@ restore_command = click.command(
 )(_announcing("restored", "put back"))
 
 
-@click.command("rebuild", short_help="Make the index anew from the records.")
+@click.command("rebuild", short_help="Rebuild the index from the records.")
 @AS_JSON
 @click.pass_context
 def rebuild_command(context: click.Context, as_json: bool) -> None:
-    """Make the index anew from the records. Readers see the old one until the new one is whole.
+    """Rebuild the index from the records. Readers see the old one until the new one is whole.
 
     \b
     Examples:

@@ -21,7 +21,7 @@ COMMANDS: dict[str, tuple[str, str, str]] = {
     "add": (ADMIN, "add_command", "Put results on the board."),
     "withdraw": (ADMIN, "withdraw_command", "Take a record off the board, with the reason."),
     "restore": (ADMIN, "restore_command", "Put a withdrawn record back, with the reason."),
-    "rebuild": (ADMIN, "rebuild_command", "Make the index anew from the records."),
+    "rebuild": (ADMIN, "rebuild_command", "Rebuild the index from the records."),
     "verify": (ADMIN, "verify_command", "Check every record, change of status and curve."),
     "rescore": (ADMIN, "rescore_command", "Score kept estimates with this version's evaluator."),
     "serve": (SERVER, "serve_command", "Serve the site, and take submissions."),

@@ -65,7 +65,7 @@ def train_command(
       oysterbench translate cut cut/checkpoint.pt --source seg-closeup --out translated
 
     Leaves checkpoint.pt, losses.csv, losses.png and samples/, sheets of some twenty steps. May be
-    interrupted, even killed: the same command goes on from the last checkpoint, to the same weights.
+    interrupted, even killed: the same command resumes from the last checkpoint, to the same weights.
     """
     from oysterbench.cli.labelled import open_all, open_data
     from oysterbench.cli.render import frames_bar

@@ -31,8 +31,8 @@ def command(
       oysterbench train gtsam_vi_learned --data my-dives --steps 500 --out mine.pt
 
     Data is a split of the track slam, which is rendered where it is not there yet, a sequence file, or a folder of
-    them: rendered ones, since the truth about depth and motion says where each point of a picture is in the others. May
-    be interrupted, even killed: the same command goes on from the last checkpoint, to the same weights.
+    them: rendered ones, since the ground truth of depth and motion says where each point of a picture is in the others.
+    May be interrupted, even killed: the same command resumes from the last checkpoint, to the same weights.
     """
     from oysterbench.cli.render import frames_bar
     from oysterbench_baselines.gtsam_vi_learned.correspondence import files_of, read_footage

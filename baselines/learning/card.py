@@ -32,7 +32,7 @@ def describe(name: str, path: Path) -> Training:
     if not checkpoint.finished or unmeasured:
         raise MethodError(
             f"{path}: the training is not finished, it has done {checkpoint.step} steps; the `oysterbench train` that "
-            "began it goes on where it was left"
+            "began it resumes where it was left"
         )
     identity = checkpoint.identity
     encoder = str(checkpoint.network.get("encoder") or "")

@@ -35,8 +35,8 @@ def training_options(command: Callable[..., Any]) -> Callable[..., Any]:
     number = click.IntRange(min=1)
     file = click.Path(path_type=Path, dir_okay=False)
     for option in (
-        click.option("--again", is_flag=True, help="Begin anew where a checkpoint is there already."),
-        click.option("--threads", type=number, default=2, show_default=True, help="Part of what repeats it."),
+        click.option("--again", is_flag=True, help="Start over where there is a checkpoint already."),
+        click.option("--threads", type=number, default=2, show_default=True, help="Part of what makes it repeatable."),
         click.option("--steps", type=number, default=2000, show_default=True, help="Of the optimiser."),
         seed_option,
         click.option("--out", type=file, help="Checkpoint.  [default: under the home]"),

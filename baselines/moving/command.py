@@ -24,7 +24,7 @@ def command(
       oysterbench train moving --data slam-train --data my-dive.mcap --out mine.pt
 
     Data is a split, which is rendered where it is not there yet; a sequence file or a folder of them; or a labelled
-    folder. Pictures in which nothing moves are passed over. May be interrupted, even killed: the same command goes on
+    folder. Pictures in which nothing moves are passed over. May be interrupted, even killed: the same command resumes
     from the last checkpoint, to the same weights.
     """
     from oysterbench.cli.labelled import open_all

@@ -48,7 +48,7 @@ from oysterbench_baselines.learning.trained import device_option
 @click.option("--leave-site-out", is_flag=True, help="Test on each site in turn, trained on all others.")
 @click.option("--hold-out", multiple=True, metavar="CLIP", help="Test on this training clip instead; repeatable.")
 @device_option("auto")
-@click.option("--only-table", is_flag=True, help="Train nothing; sum up what is finished.")
+@click.option("--only-table", is_flag=True, help="Train nothing; summarise what is finished.")
 def command(
     real: str,
     names: tuple[str, ...],
@@ -79,7 +79,7 @@ def command(
     alone. Translated images are a folder with images/ and masks/, and instances/ where they are known. Each training
     is a folder with its checkpoint, its predictions and results.json. Sites are clips that show one place, as their
     images tell; --leave-site-out takes all real images of the others. May be interrupted, even killed: the same command
-    goes on from there; started twice, both share the work. Training images that nearly are test images are named, and
+    resumes from there; started twice, both share the work. Training images that nearly are test images are named, and
     left out.
     """
     from oysterbench.cli.echo import message

@@ -125,7 +125,7 @@ def _tell_end(folders: list[Path], written: Path, echo: Callable[[str], None]) -
     missing = sum(not (folder / RESULT).is_file() for folder in folders)
     echo(
         f"{len(folders) - missing} of {len(folders)} trainings are finished"
-        + ("; the same command goes on" * bool(missing))
+        + ("; the same command resumes" * bool(missing))
     )
     echo(f"written: {written}")
 

@@ -45,7 +45,7 @@ def command(
 
     Data is a split of the track steering, which is rendered where it is not there yet, a sequence file, or a folder of
     them. --dagger ROUNDS: in each round the network is rolled out over the reefs of the data, the expert says what it
-    would have done, and it is trained further on that, too. May be interrupted, even killed: the same command goes on
+    would have done, and it is trained further on that, too. May be interrupted, even killed: the same command resumes
     from the last checkpoint and the last finished rollout, to the same weights.
     """
     import shutil

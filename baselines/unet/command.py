@@ -60,7 +60,7 @@ def command(
 
     Data is a split, which is rendered where it is not there yet; a sequence file or a folder of them; or a folder with
     images/ and masks/ (PNG), labels/ (YOLO polygons) or one COCO file. The last tenth of each clip is kept back, to
-    measure on it where to cut. May be interrupted, even killed: the same command goes on from the last checkpoint, to
+    measure on it where to cut. May be interrupted, even killed: the same command resumes from the last checkpoint, to
     the same weights. 2000 steps take some 45 minutes of one core.
     """
     from oysterbench_baselines.unet.training import pretrained_settings
@@ -105,7 +105,7 @@ def small_command(
       oysterbench train unet_small --data seg-train
       oysterbench train unet_small --data seg-train --data my-masks --out mine.pt
 
-    Data is as of `oysterbench train unet`; it goes on where it was interrupted.
+    Data is as of `oysterbench train unet`; it resumes after interruption.
     """
     from oysterbench_baselines.unet.training import UNetSettings
 

@@ -92,7 +92,7 @@ def submissions() -> None:
 @FOLDER
 @click.option("--team", "of", help="Of one team.")
 @click.option("--state", help="queued, running, done, failed or withdrawn.")
-@click.option("--limit", type=click.IntRange(min=1), default=50, show_default=True, help="At most so many.")
+@click.option("--limit", type=click.IntRange(min=1), default=50, show_default=True, help="At most this many.")
 @AS_JSON
 def list_submissions(folder: Path, of: str | None, state: str | None, limit: int, as_json: bool) -> None:
     """List submissions, the newest first."""
@@ -114,7 +114,7 @@ def list_submissions(folder: Path, of: str | None, state: str | None, limit: int
 @submissions.command("log", short_help="Events: who, what, when, why; also refusals.")
 @FOLDER
 @click.argument("id", required=False, default="")
-@click.option("--limit", type=click.IntRange(min=1), default=200, show_default=True, help="The newest so many.")
+@click.option("--limit", type=click.IntRange(min=1), default=200, show_default=True, help="The newest N.")
 @AS_JSON
 def show_log(folder: Path, id: str, limit: int, as_json: bool) -> None:
     """Print the log, of one submission where its id is given. Nothing is ever taken out of it."""

@@ -17,7 +17,7 @@ PROVIDERS = "oysterbench.results"
 """Entry points: functions (text, split or None) -> results that the text names, or None. Boards are brought by one."""
 
 
-@click.command("compare", short_help="Set results against each other: ranks, ties, who is better where.")
+@click.command("compare", short_help="Set results against each other: ranks, ties, which is better where.")
 @click.argument("results", metavar="[LABEL=]RESULT...", nargs=-1, required=True)
 @click.option("--track", help="Results of this track alone, such as slam.")
 @click.option("--split", help="Results on this split alone.")

@@ -49,7 +49,7 @@ def eval_command() -> None:
     """Score methods on a split, one after the other and from scratch, or score files that you have already.
 
     For a first number: everything has a default. For experiments there is `oysterbench run`: any program, several
-    runs side by side, variants, and going on where it was interrupted.
+    runs side by side, variants, and resuming after interruption.
 
     \b
     Examples:

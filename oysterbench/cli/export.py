@@ -61,7 +61,7 @@ def export(what: tuple[str, ...], form: str, out: Path, truth: bool, as_json: bo
     they are not here, of recipes (.toml), of sequence files, or of folders with images and labels. A name that ends in
     -train, -val or -test says which part its pictures are.
 
-    The folder is there whole or not at all; an interrupted export leaves nothing, and begins anew.
+    The folder is there whole or not at all; an interrupted export leaves nothing, and starts over.
     """
     from oysterbench.annotations.export import SET_FORMATS
 

@@ -59,8 +59,8 @@ PROXY = click.option(
 @click.option("--data", type=FOLDER, help="Folder of the rendered files.  [default: under the home]")
 @click.option("--salt-file", type=FILE, help="Secret of a hidden split, to find its files under the home.")
 @click.option("--url", default="", help="Address that the tree will have, for the Croissant metadata.")
-@click.option("--hidden", is_flag=True, help="Leave out recipe and truth; publish a commitment to the truth.")
-@click.option("--truth-out", type=FOLDER, help="Folder for the truth package, with --hidden.")
+@click.option("--hidden", is_flag=True, help="Leave out recipe and ground truth; publish a commitment to it.")
+@click.option("--truth-out", type=FOLDER, help="Folder for the ground-truth package, with --hidden.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was published as JSON.")
 def publish(
     split_name: str,
@@ -173,7 +173,7 @@ def download(
       oysterbench download slam-val --dry-run
       oysterbench download unet                   trained weights; `oysterbench models --hub` lists them
 
-    May be interrupted at any time, even killed; the same command goes on from there. Without a hub (--from,
+    May be interrupted at any time, even killed; the same command resumes from there. Without a hub (--from,
     OYSTERBENCH_HUB or hub.toml in the home folder) a split is rendered instead: the same bytes. Weights that were
     trained here are replaced with --again alone.
     """

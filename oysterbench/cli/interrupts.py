@@ -15,11 +15,11 @@ RESUMED = {
     "train": "the last checkpoint is kept",
     "tune": "finished trials are kept",
 }
-"""Command -> what is kept of it; the same command goes on from there."""
+"""Command -> what is kept of it; the same command resumes from there."""
 
 BEGUN_ANEW = {
     "eval": "finished frames are kept, and results of finished runs are in results.json; typed again, it begins with "
-    "the first run: `oysterbench run` goes on where it was",
+    "the first run: `oysterbench run` resumes where it was",
     "publish": "the tree is as it was before",
     "publish-model": "the tree is as it was before",
     "systems": "a system that was not finished is built anew",
@@ -36,5 +36,5 @@ def interruption(command: str) -> str:
     """
     if command in RESUMED:
         typed = shlex.join(["oysterbench", *sys.argv[1:]])
-        return f"interrupted; {RESUMED[command]}, and the same command goes on from there: {typed}"
+        return f"interrupted; {RESUMED[command]}, and the same command resumes from there: {typed}"
     return f"interrupted; {BEGUN_ANEW.get(command, 'nothing was written')}"

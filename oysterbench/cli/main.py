@@ -93,7 +93,7 @@ def main() -> None:
       oysterbench run my_slam --command "..."       experiments: any program, many runs, resumed after interruption
       oysterbench systems                           published systems: build one, then run it by name
       oysterbench tune openvins_dynamic --out tuning    the best options by a stated number of trials
-      oysterbench compare ours theirs               ranks, ties, and who is better where
+      oysterbench compare ours theirs               ranks, ties, and which is better where
       oysterbench train unet --data seg-train       a method that learns
       oysterbench doctor                            what is installed, missing or broken here
       oysterbench splits                            what can be rendered, and what is here

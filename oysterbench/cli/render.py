@@ -57,7 +57,7 @@ def render(
       oysterbench render slam-val --scheduler tcp://10.0.0.1:8786
       oysterbench render slam-test --salt-file secret/slam-test.salt --out secret/slam-test
 
-    May be interrupted at any time, even killed; the same command goes on from there, to the frame. Any number of
+    May be interrupted at any time, even killed; the same command resumes from there, to the frame. Any number of
     workers, here or on a cluster, gives the same bytes. A hidden split needs its salt, which is read from a file or
     from OYSTERBENCH_SALT, as a command line can be read by others; its preview shows how it looks without one.
     """

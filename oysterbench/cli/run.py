@@ -52,8 +52,8 @@ def track_options() -> dict[str, Option]:
     type=click.FloatRange(min=0, min_open=True),
     help="Seconds a run may take.  [default: 10 times the sequence's, 10 a picture, at least 600, or a system's own]",
 )
-@click.option("--again", is_flag=True, help="Run what is finished once more.")
-@click.option("--retry", is_flag=True, help="Run what failed once more.")
+@click.option("--again", is_flag=True, help="Rerun what is finished.")
+@click.option("--retry", is_flag=True, help="Rerun what failed.")
 @click.option("--out", type=FOLDER, help="Folder of the results.  [default: under the home]")
 @output_options
 def run_command(
@@ -78,8 +78,9 @@ def run_command(
 ) -> None:
     """Run methods, or any program, on the sequences of a split, and score what they leave; what is finished is kept.
 
-    For experiments: each run is a process of its own without the truth, with its time and memory measured; several run
-    side by side, and the same command goes on where it was interrupted. For a first number there is `oysterbench eval`.
+    For experiments: each run is a process of its own without the ground truth, with its time and memory measured;
+    several run side by side, and the same command resumes after interruption. For a first number there is `oysterbench
+    eval`.
 
     \b
     Examples:
@@ -97,9 +98,9 @@ def run_command(
     METHOD is the name of an installed method or module:Class; with --command it is only a name for the program.
     Options of a method are the parameters and settings that its class has; a variant is a method of its own in the
     tables, named with them, and can be asked for by that name: gtsam_vi[frontend.max_tracks=70].
-    The program is given the sequence without the truth, and must leave at {out} poses, as TUM or in any format that
-    `oysterbench eval --estimate` reads; of {images} masks in a folder, named as the pictures, or COCO annotations; on
-    the track steering a table stamp_ns,yaw,pitch.
+    The program is given the sequence without the ground truth, and must leave poses at {out}, as TUM or in any format
+    that `oysterbench eval --estimate` reads; of {images} masks in a folder, named as the pictures, or COCO annotations;
+    on the track steering a table stamp_ns,yaw,pitch.
 
     \b
     Placeholders:
@@ -115,8 +116,8 @@ def run_command(
     The folder keeps each run's predictions, logs, cost and versions. A run that ends badly, takes too long, or leaves
     nothing that can be read is a failure in the results; one that the machine killed, or had no room for, is not, and
     the same command runs it again. Trained weights that a METHOD needs and that are not here are fetched first, where
-    a hub is set: `oysterbench models`. Whatever is interrupted, even killed: the same command goes
-    on from there. Files between processes lie in the folder that TMPDIR names; folders that programs are given are kept
+    a hub is set: `oysterbench models`. Whatever is interrupted, even killed: the same command resumes
+    from there. Files between processes lie in the folder that TMPDIR names; folders that programs are given are kept
     under the home for other runs, up to OYSTERBENCH_EXPORTS_GB (20). Lines `progress 120 of 700` of a program are shown
     as a bar.
     """

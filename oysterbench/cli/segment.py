@@ -44,7 +44,7 @@ TOLD = 5
 @click.option("--block", type=click.IntRange(min=1), metavar="N", help="Neighbours that are resampled together.")
 @click.option("--checked", type=click.Path(path_type=Path), help="Results of `run --on` your labels, for the page.")
 @click.option("--coco", is_flag=True, help="Write instances.json as well, to be corrected by hand.")
-@click.option("--again", is_flag=True, help="Count what is finished once more.")
+@click.option("--again", is_flag=True, help="Recount what is finished.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 def segment_command(
     paths: tuple[Path, ...],

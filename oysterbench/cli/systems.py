@@ -50,7 +50,7 @@ def systems_command(context: click.Context, as_json: bool) -> None:
     help="A clone of its repository, or of a submodule's, instead of the network; repeatable.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), help="Compilers at a time.  [default: one per core]")
-@click.option("--again", is_flag=True, help="Build anew what is built.")
+@click.option("--again", is_flag=True, help="Rebuild what is built.")
 def build_command(names: tuple[str, ...], sources: tuple[Path, ...], jobs: int | None, again: bool) -> None:
     """Build published systems from their own sources, which are none of this project's and stay under their licences.
 

@@ -36,7 +36,7 @@ from oysterbench.cli.outputs import print_table
 @click.option("--jobs", type=click.IntRange(min=1), help="At a time, at most.  [default: one per core]")
 @click.option("--timeout", "limit_s", type=click.FloatRange(min=0, min_open=True), help="Seconds a run may take.")
 @click.option("--scheduler", metavar="ADDRESS", help="Run them on the workers of a Dask scheduler instead.")
-@click.option("--out", type=FOLDER, required=True, help="Folder of all runs; the same command goes on in it.")
+@click.option("--out", type=FOLDER, required=True, help="Folder of all runs; the same command resumes in it.")
 def tune_command(
     method: str,
     split_name: str | None,
@@ -59,7 +59,7 @@ def tune_command(
     A trial's options depend on the seed, its number and their names alone, so that methods with the same budget are
     searched alike. A file of ranges has a table for each option: range = [1, 9], log = true, or choices = ["a", "b"].
     A failed run counts as one that answers nothing. The last line is the method with the best options, as `oysterbench
-    run` takes it. Whatever is interrupted, the same command goes on.
+    run` takes it. The same command resumes after interruption.
     """
     from oysterbench.cli.progress import runs_shown
     from oysterbench.cli.render import frames_bar, render_files

@@ -21,7 +21,9 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 @click.option("--start", "begin_s", type=click.FloatRange(min=0), default=0.0, metavar="S", help="Where to begin.")
 @click.option("--seconds", type=click.FloatRange(min=0, min_open=True), metavar="S", help="How long.  [default: all]")
 @click.option("--estimate", "estimates", type=FILE, multiple=True, help="A trajectory beside the true one. Repeatable.")
-@click.option("--align", default=None, metavar="HOW", help="How estimates are brought to the truth.  [default: posyaw]")
+@click.option(
+    "--align", default=None, metavar="HOW", help="How estimates are aligned to the ground truth.  [default: posyaw]"
+)
 @click.option("--rerun", "in_rerun", is_flag=True, help="Open Rerun's viewer; with --out write its file.")
 @click.option("--foxglove", "layout", type=FILE, help="Write a layout for Foxglove here, and nothing else.")
 @click.option("--out", type=FILE, help="File.  [default: NAME.html; with --rerun none]")
@@ -59,7 +61,7 @@ def view(
     if layout is not None and (in_rerun or estimates or out or begin_s or seconds):
         raise click.UsageError("--foxglove: a layout is of a whole file, and goes with no other option")
     if align is not None and not estimates:
-        raise click.UsageError("--align: says how an --estimate is brought to the truth, and there is none")
+        raise click.UsageError("--align: says how an --estimate is aligned to the ground truth, and there is none")
     opened = open_sequence(sequence)
     if layout is not None:
         _write_layout(opened, layout)

@@ -1,4 +1,4 @@
-"""The folder of counts: what is finished is kept picture by picture, so that the same command goes on from there.
+"""The folder of counts: what is finished is kept picture by picture, so that the same command resumes from there.
 
 ```
 masks/NAME.png        16 bits: numbers of oysters, 0 for none; none where a method gives boxes alone

@@ -141,7 +141,7 @@ class Transfer:
         if self._missing:
             total, there = len(self.entry.pieces), len(self.entry.pieces) - len(self._missing)
             error = no_mirror_left(self.entry.name, self.path, self._mirrors)
-            raise type(error)(f"{error}; {there} of {total} pieces are kept, and the same command goes on from there")
+            raise type(error)(f"{error}; {there} of {total} pieces are kept, and the same command resumes from there")
 
     def _work(self, number: int) -> None:
         descriptor = self._part.duplicate()

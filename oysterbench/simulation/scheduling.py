@@ -62,7 +62,7 @@ def _ended_in_order() -> Iterator[None]:
 
 def _terminated(number: int, frame: object) -> None:
     signal.signal(number, signal.SIG_IGN)  # once is enough
-    raise Terminated("terminated; what was finished is kept, and the same command goes on from there")
+    raise Terminated("terminated; what was finished is kept, and the same command resumes from there")
 
 
 def _run_in_processes(

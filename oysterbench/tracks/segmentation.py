@@ -35,9 +35,13 @@ class SegmentationTrack(ImageTrack):
         THRESHOLD,
         KIND,
         Option(
-            "labels", "--truth-kind", "What the truth's numbers are.  [default: mask]", ("mask", "classes"), files=True
+            "labels",
+            "--truth-kind",
+            "What the numbers of the ground truth are.  [default: mask]",
+            ("mask", "classes"),
+            files=True,
         ),
-        Option("ignore_value", "--ignore-value", "Number in the truth that is not asked about.", int, files=True),
+        Option("ignore_value", "--ignore-value", "Number in the ground truth that is not scored.", int, files=True),
     )
     examples = """
       oysterbench eval segmentation --method my_net:MyNet --split seg-val

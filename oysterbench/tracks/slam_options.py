@@ -24,11 +24,13 @@ def seconds(text: str) -> float | str:
 
 
 SETTINGS = (
-    Option("align", "--align", "How it is aligned.  [default: posyaw]", ALIGNMENTS),
-    Option("align_first", "--align-first", "Fit the alignment to so many first poses.  [default: all]", int),
-    Option("associate", "--associate", "How stamps meet.  [default: interpolate]", ("interpolate", "nearest")),
-    Option("max_gap_s", "--max-gap", "Interpolate across at most so many seconds.  [default: 0.3]", float),
-    Option("max_difference_s", "--max-difference", "Nearest poses are at most so many s away.  [default: 0.01]", float),
+    Option("align", "--align", "How it is aligned to the ground truth.  [default: posyaw]", ALIGNMENTS),
+    Option("align_first", "--align-first", "Fit the alignment to this many first poses.  [default: all]", int),
+    Option("associate", "--associate", "How stamps are matched.  [default: interpolate]", ("interpolate", "nearest")),
+    Option("max_gap_s", "--max-gap", "Interpolate across at most this many seconds.  [default: 0.3]", float),
+    Option(
+        "max_difference_s", "--max-difference", "Nearest poses are at most this many s away.  [default: 0.01]", float
+    ),
     Option(
         "time_offset_s",
         "--time-offset",

@@ -35,9 +35,9 @@ from oysterbench.tracks.track import (
 )
 
 LOOP_OPTIONS = (
-    Option("reefs", "--reefs", "Closed loop: the first so many.  [default: all]", int),
+    Option("reefs", "--reefs", "Closed loop: the first N reefs.  [default: all]", int),
     Option("seconds", "--seconds", "Closed loop: length of a rollout.  [default: the split's]", float),
-    Option("again", "--again", "Closed loop: make rollouts anew that are kept in the folder.", bool),
+    Option("again", "--again", "Closed loop: redo rollouts that are kept in the folder.", bool),
 )
 
 

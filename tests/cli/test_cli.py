@@ -308,7 +308,7 @@ def test_an_interruption_is_one_line_and_the_work_goes_on_from_there_to_the_same
     assert process.returncode == 128 + number
     assert "Traceback" not in stderr
     assert "leaked" not in stderr
-    assert "the same command goes on from there" in stderr.splitlines()[-1]
+    assert "the same command resumes from there" in stderr.splitlines()[-1]
     assert not (out / "tiny-01.mcap").exists()
     assert run("render", recipe, "--out", out, "--workers", "1").returncode == 0
     (once,) = generate_split(load_split(str(recipe)), tmp_path / "once", workers=1).values()

@@ -85,7 +85,7 @@ def test_what_was_finished_survives_and_the_same_command_goes_on(number, dive_fi
     if number == signal.SIGINT:
         assert process.returncode == 130
         assert (
-            "interrupted; finished runs are kept, and the same command goes on from there: oysterbench run mine" in err
+            "interrupted; finished runs are kept, and the same command resumes from there: oysterbench run mine" in err
         )
     pid = int(pid_file.read_text())
     until(lambda: not is_alive(pid))  # its supervisor hears of the death and ends it

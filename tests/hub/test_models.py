@@ -183,7 +183,7 @@ def test_an_interrupted_download_goes_on_where_it_was(released, tmp_path):
 
     with serving(Breaks, released.site) as site:
         hub = released.hub(site.url, connections=1)
-        with pytest.raises(NetworkError, match="the same command goes on from there"):
+        with pytest.raises(NetworkError, match="the same command resumes from there"):
             fetch_weights(hub, hub.model("unet"), path)
     card = released.cards["1.1"]
     assert not path.exists()

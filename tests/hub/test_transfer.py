@@ -35,7 +35,7 @@ def attempt(kind, seed, folder):
     if failure is not None:
         assert not target.exists()
         assert failure.exit_code in (3, 4)
-        assert "the same command goes on from there" in str(failure)
+        assert "the same command resumes from there" in str(failure)
         assert site.url in str(failure)
         # What was kept is right: an honest server gives the rest, and the beginnings again that the bad one faked.
         part = target.with_suffix(".part")

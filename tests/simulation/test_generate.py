@@ -217,7 +217,7 @@ def test_sigterm_while_processes_work_is_an_error_like_any_other():
             assert signal.getsignal(signal.SIGTERM) not in (signal.SIG_DFL, signal.SIG_IGN)
             os.kill(os.getpid(), signal.SIGTERM)
 
-    with pytest.raises(scheduling.Terminated, match="the same command goes on from there"):
+    with pytest.raises(scheduling.Terminated, match="the same command resumes from there"):
         terminated()
     assert signal.getsignal(signal.SIGTERM) == before
     assert scheduling.Terminated.exit_code == 143

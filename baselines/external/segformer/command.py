@@ -39,7 +39,7 @@ def command(
       oysterbench train segformer --data seg-train --data my-masks --size b1 --out mine.pt
       oysterbench run "segformer[weights=mine.pt]" --split seg-val
 
-    Data is as of `oysterbench train unet`. May be interrupted, even killed: the same command goes on from the last
+    Data is as of `oysterbench train unet`. May be interrupted, even killed: the same command resumes from the last
     checkpoint, to the same weights.
     """
     from oysterbench.methods.systems.building import interpreter
