@@ -104,7 +104,7 @@ def _drawing(name: str, of: Mapping[str, Path], align: str) -> Drawing:
         ("Height over time", height_plot(heights, f"{name}, height", TIME, AXES[2], span)),
     )
     runs = " and ".join(dict.fromkeys(str(p.run + 1) for p in of.values()))
-    about = f"Run {runs}, shown where it answers, laid on the truth by {align or 'the evaluator'}, thinned."
+    about = f"Run {runs}, shown where it answers, aligned to the ground truth by {align or 'the evaluator'}, thinned."
     entries = [("truth", 0), *((label, k) for k, label in enumerate(of, 1))]
     # `plots` escapes what it is given; labels of the legend are escaped here.
     return Drawing(name, about, legend(entries), tuple(Card(title, Markup(plot)) for title, plot in cards))
@@ -115,5 +115,5 @@ def legend(entries: list[tuple[str, int]], truth: bool = True) -> Markup:
     items = "".join(
         f'<li data-label="{escape(label)}">{swatch(style)}<span>{escape(label)}</span></li>' for label, style in entries
     )
-    marks = '<li class="small">\N{WHITE CIRCLE} start, \N{WHITE SQUARE} end of the truth</li>' if truth else ""
+    marks = '<li class="small">\N{WHITE CIRCLE} start, \N{WHITE SQUARE} end of the true path</li>' if truth else ""
     return Markup(f'<ul class="legend" aria-label="Legend">{items}{marks}</ul>')

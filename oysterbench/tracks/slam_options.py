@@ -65,10 +65,10 @@ OF_BOTH: dict[str, tuple[Any, str]] = {
 READING = (
     *(
         Option(f"{prefix}{name}", f"--{prefix}{name}", f"{whose}: {text}", kind, files=True)
-        for prefix, whose in (("", "Estimate"), ("truth-", "Truth"))
+        for prefix, whose in (("", "Estimate"), ("truth-", "Ground truth"))
         for name, (kind, text) in OF_BOTH.items()
     ),
-    Option("times", "--times", "KITTI: a file with one time a line.  [default: the truth's]", Path, files=True),
+    Option("times", "--times", "KITTI: a file with one time a line.  [default: the true ones]", Path, files=True),
     Option("frame", "--frame", "Estimate: whose poses they are.", ("body", "optical"), files=True),
     Option(
         "T_body_estimate",

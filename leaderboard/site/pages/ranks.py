@@ -9,7 +9,7 @@ from oysterbench_leaderboard.board import Row
 
 TIERS = {
     "baseline": "Run and scored by us, from this project's own tree.",
-    "scored": "Estimates of others, scored by a server against truth that they need not have seen.",
+    "scored": "Estimates of others, scored by a server against ground truth that they need not have seen.",
     "reported": "Results that their authors computed themselves: shown, and not ranked.",
 }
 """Tier -> who vouches for the numbers."""

@@ -33,7 +33,7 @@ DETECTION: dict[str, Metric] = {
     "sq": higher("SQ")("Segmentation quality: mean overlap of the matches, those above 0.5."),
     "rq": higher("RQ")("Recognition quality: matches by the mean number of truths and estimates (F1)."),
     "f1_live": higher("F1 live")(
-        "Live oysters as a class: twice the matches that are alive and said to be, by the live ones of the truth and "
+        "Live oysters as a class: twice the matches that are alive and said to be, by the truly live ones and "
         "those of the estimate."
     ),
     "f1_dead": higher("F1 dead")("The same of dead ones: boxes and single valves."),

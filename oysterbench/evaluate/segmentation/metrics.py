@@ -14,7 +14,7 @@ SEGMENTATION: dict[str, Metric] = {
     ),
     "image_iou": higher("IoU by image", column=Column("IoU", "by image"), weight="scored_images")(
         "Mean over images of their IoU of the class oyster, each image one vote: 1 where neither truth nor estimate "
-        "has an oyster, 0 where the truth has none and the estimate has."
+        "has an oyster, 0 where the ground truth has none and the estimate has."
     ),
     "boundary_iou": higher("Boundary IoU", column=Column("IoU", "boundary"), weight="boundary_union_px")(
         "Boundary IoU (Cheng et al. 2021) over the data set: intersection over union of the masks' inner borders, deep "
@@ -44,7 +44,7 @@ SEGMENTATION: dict[str, Metric] = {
         "Share of the pixels called oyster less the share that is: above 0 where too much is called oyster."
     ),
     "best_iou": higher("Best IoU")(
-        "Greatest IoU over thresholds in steps of 1/256, chosen with the truth in sight: what the best threshold would "
+        "Greatest IoU over thresholds in steps of 1/256, chosen with the ground truth in sight: what the best threshold would "
         "give, not what is reached."
     ),
     "best_threshold": neutral("Best threshold")("The threshold of best_iou."),

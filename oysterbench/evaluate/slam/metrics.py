@@ -29,20 +29,20 @@ def _consistency(part: str, freedom: int, of: str) -> dict[str, Metric]:
 
 SLAM: dict[str, Metric] = {
     "score": higher("Score", column=Column("score"))(
-        "Area (0 to 1) under the recall curve of the position error over ALL truth stamps, unanswered ones counted as "
+        "Area (0 to 1) under the recall curve of the position error over ALL true poses, unanswered ones counted as "
         "failures: the mean of 1 / (1 + e / e0), 0 where there is no answer, with e0 = 1 % of the true path "
         "(recall_scale_percent). An estimate that stops after a tenth is below one that ends with ten times its error."
     ),
     **{
         f"recall_{percent}percent": higher(f"Recall {percent} %")(
-            f"Share (0 to 1) of all truth stamps at which the position errs by at most {percent} % of the true path; "
+            f"Share (0 to 1) of all true poses at which the position errs by at most {percent} % of the true path; "
             "unanswered ones are failures."
         )
         for percent in ("0.5", "1", "2", "5")
     },
     "ate_rmse_m": lower("ATE", "m", Column("ATE", "m", small=0.01))(
         "Absolute trajectory error: root mean square distance between true and aligned estimated position over all "
-        "matched truth stamps."
+        "matched true poses."
     ),
     "ate_percent": lower("ATE of path", "%", Column("ATE", "%", 2, small=0.1))(
         "ATE (RMSE) as a percentage of the length of the whole true path."
@@ -51,7 +51,7 @@ SLAM: dict[str, Metric] = {
     "ate_median_m": lower("ATE median", "m")("Median of the distances that ate_rmse_m is taken over."),
     "ate_max_m": lower("ATE max", "m")("Largest of the distances that ate_rmse_m is taken over."),
     "ate_rotation_rmse_deg": lower("Rotation", "deg", Column("rot", "deg", 2, small=0.1))(
-        "Root mean square angle of R_truth^T R_estimate over all matched truth stamps, the estimate's attitudes turned "
+        "Root mean square angle of R_truth^T R_estimate over all matched true poses, the estimate's attitudes turned "
         "by the alignment."
     ),
     "ate_rotation_median_deg": lower("Rotation median", "deg")(
@@ -77,7 +77,7 @@ SLAM: dict[str, Metric] = {
     ),
     "rpe_1s_translation_rmse_m": lower("RPE 1 s", "m", Column("RPE 1s", "m", small=0.01))(
         "Relative pose error over 1 s: root mean square translation of (Q_i^-1 Q_j)^-1 (P_i^-1 P_j), truth Q, aligned "
-        "estimate P, over all pairs of matched truth stamps that are 1 s apart (or consecutive ones: rpe_pairs)."
+        "estimate P, over all pairs of matched true poses that are 1 s apart (or consecutive ones: rpe_pairs)."
     ),
     "rpe_1s_rotation_rmse_deg": lower("RPE 1 s rotation", "deg", Column("RPE 1s", "deg", 2, small=0.1))(
         "Relative pose error over 1 s: root mean square rotation angle over the same pairs."
@@ -105,7 +105,7 @@ SLAM: dict[str, Metric] = {
     ),
     "subpath_segments": neutral("Segments")("Number of segments that are answered at both ends."),
     "subpath_coverage": higher("Segments answered")(
-        "Share (0 to 1) of the segments of the truth that are answered at both ends."
+        "Share (0 to 1) of the segments of the true path that are answered at both ends."
     ),
     "subpath_scale": neutral("Scale of segments")(
         "Median over the same segments of the estimated over the true distance between their ends, where these are "
@@ -113,26 +113,26 @@ SLAM: dict[str, Metric] = {
     ),
     "subpath_scale_error_percent": lower("Scale error", "%")("Median distance of those ratios from 1."),
     "drift_percent": lower("End drift", "%")(
-        "Position error at the last matched pose when the first is laid on the truth, by the true path between them."
+        "Position error at the last matched pose when the first is laid on the true one, by the true path between them."
     ),
     "drift_deg_per_m": lower("End drift rotation", "deg/m")(
-        "Angle by which the attitude errs at the last matched pose when the first is laid on the truth, by the true "
+        "Angle by which the attitude errs at the last matched pose when the first is laid on the true one, by the true "
         "path between them."
     ),
     "velocity_rmse_m_per_s": lower("Velocity", "m/s")(
-        "Root mean square length of the difference of true and estimated mean velocity, in the truth's world, over "
+        "Root mean square length of the difference of true and estimated mean velocity, in the true world frame, over "
         "velocity_step_s (0.2 s)."
     ),
     "coverage": higher("Coverage", column=Column("cover", "%", 1, factor=100.0))(
-        "Share (0 to 1) of all truth stamps that the estimate answers: those on one of its poses (matched to one, with "
+        "Share (0 to 1) of all true poses that the estimate answers: those on one of its poses (matched to one, with "
         "nearest association), or between two poses at most max_gap_s apart."
     ),
     "first_fix_s": lower("First fix", "s")("Time from the first truth stamp to the first answered one."),
-    "gaps": lower("Gaps")("Number of runs of unanswered truth stamps after the first fix."),
+    "gaps": lower("Gaps")("Number of runs of unanswered true poses after the first fix."),
     "longest_gap_s": lower("Longest gap", "s")(
         "Longest of the gaps: from the last answered truth stamp before it to the first after it, or to the end."
     ),
-    "matched": neutral("Matched")("Number of truth stamps that the errors are taken over."),
+    "matched": neutral("Matched")("Number of true poses that the errors are taken over."),
     "path_length_m": neutral("Path", "m")("Length of the whole true path."),
     "duration_s": neutral("Duration", "s")("Time from the first to the last truth stamp."),
     "scale": neutral("Scale")("Scale that the alignment put on the estimate; 1 unless by sim3 or scale."),
