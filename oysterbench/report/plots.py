@@ -107,14 +107,17 @@ def time_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, s
 def signed_plot(curves: Sequence[Curve], title: str, x_label: str, y_label: str, span: tuple[float, float]) -> str:
     """Curves over time in s within `span`, with a line at zero, as far up as down.
 
-    Where one is LOG_RATIO times as large as another, it leaves the picture, which is said: others would be flat.
+    One that is LOG_RATIO times as large as another is left out, which is said: it would flatten the others.
     """
-    tops = [top for curve in curves if (top := float(np.max(np.abs(_known(curve.y))))) > 1e-12]
-    top = 1.08 * max([top for top in tops if top <= LOG_RATIO * min(tops)], default=1.0)
+    tops = {curve.label: float(np.max(np.abs(_known(curve.y)))) for curve in curves}
+    smallest = min((top for top in tops.values() if top > 1e-12), default=1.0)
+    drawn = [curve for curve in curves if tops[curve.label] <= LOG_RATIO * smallest]
+    top = 1.08 * max([tops[curve.label] for curve in drawn if tops[curve.label] > 1e-12], default=1.0)
     x_axis, y_axis = _time_axis(span), Axis(-top, top, TOP + 150.0, TOP, 40.0)
-    note = _note([curve.label for curve in curves if _leaves(curve.y, -top, top)])
+    away = [f"{label} up to {value:.2g}" for label, value in tops.items() if value > LOG_RATIO * smallest]
+    note = away[0] if len(away) == 1 and len(away[0]) <= 30 else f"{len(away)} larger are not drawn" if away else ""
     zero = f'<path class="zero" d="M{LEFT} {TOP + 75.0:.1f}H{LEFT + INNER}"/>'
-    return _drawing(curves, x_axis, y_axis, title, x_label, y_label, note, zero)
+    return _drawing(drawn, x_axis, y_axis, title, x_label, y_label, note, zero)
 
 
 def nees_plot(
@@ -305,9 +308,9 @@ def _mark(truth: Curve, i: int, kind: str, x_axis: Axis, y_axis: Axis) -> str:
     """Start: an open circle; end: a square."""
     x, y = float(x_axis.place(truth.x[i])), float(y_axis.place(truth.y[i]))
     if kind == "start":
-        return f'<circle class="mark" cx="{x:.1f}" cy="{y:.1f}" r="5"><title>start of the truth</title></circle>'
+        return f'<circle class="mark" cx="{x:.1f}" cy="{y:.1f}" r="5"><title>start of the true path</title></circle>'
     corner = f'x="{x - 4.5:.1f}" y="{y - 4.5:.1f}" width="9" height="9"'
-    return f'<rect class="mark" {corner}><title>end of the truth</title></rect>'
+    return f'<rect class="mark" {corner}><title>end of the true path</title></rect>'
 
 
 def _path(curve: Curve, x_axis: Axis, y_axis: Axis) -> str:

@@ -63,13 +63,14 @@ def test_signed_errors_have_zero_in_the_middle_and_a_large_one_does_not_flatten_
     t = np.arange(5.0)
     small, large = Curve("small", t, 0.1 * np.sin(t), 1), Curve("large", t, 100.0 * t, 2)
     svg = signed_plot([small, large], "e", "t [s]", "error [m]", (0, 4))
-    assert "large leaves this picture" in svg
+    assert "large up to 4e+02" in svg
+    assert 'data-label="large"' not in svg
     assert float(re.search(r'class="zero" d="M56.0 (\S+)H', svg).group(1)) == 32.0 + 75.0
     ys = [float(y) for y in re.findall(r"[ML]\S+ ([\d.]+)", re.search('data-label="small" d="([^"]*)"', svg).group(1))]
     assert ys[0] == 107.0
     assert min(ys) == pytest.approx(107.0 - 75.0 * max(small.y) / (1.08 * max(abs(small.y))), abs=0.01)
-    assert "leaves" not in signed_plot([small], "e", "t [s]", "error [m]", (0, 4))
-    assert "leaves" not in signed_plot([Curve("none", t, 0 * t, 1)], "e", "t [s]", "error [m]", (0, 4))
+    assert "up to" not in signed_plot([small], "e", "t [s]", "error [m]", (0, 4))
+    assert "up to" not in signed_plot([Curve("none", t, 0 * t, 1)], "e", "t [s]", "error [m]", (0, 4))
 
 
 def test_a_curve_is_lifted_where_it_is_broken():
