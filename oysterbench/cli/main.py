@@ -15,6 +15,7 @@ from oysterbench.cli.doctor import doctor
 from oysterbench.cli.echo import echo, message
 from oysterbench.cli.eval import eval_command
 from oysterbench.cli.export import export
+from oysterbench.cli.extras import extra_of
 from oysterbench.cli.hub import COMMANDS as HUB_COMMANDS
 from oysterbench.cli.interrupts import interruption
 from oysterbench.cli.learn import Installed, experiment, train, translate
@@ -62,6 +63,13 @@ class Commands(click.Group):
             _fail(str(error), error.exit_code)
         except KeyboardInterrupt:
             _fail(interruption(context.invoked_subcommand or ""), INTERRUPTED)
+        except ModuleNotFoundError as error:
+            extra = extra_of(error.name or "")
+            if extra is None:
+                raise
+            _fail(
+                f"{context.invoked_subcommand}: {error}; install what it needs: pip install 'oysterbench[{extra}]'", 1
+            )
         except BrokenPipeError:
             raise
         except OSError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +16,8 @@ from oysterbench.core.errors import MethodError, OysterbenchError, SequenceError
 from oysterbench.core.files import write_atomically
 from oysterbench.core.trajectory import ReadOptions, Trajectory, write_tum
 from oysterbench.core.trajectory.frames import with_scale
-from oysterbench.evaluate.slam.inputs import read_pair
+from oysterbench.evaluate.slam.inputs import open_pair
 from oysterbench.evaluate.slam.scoring import EVALUATOR, SlamResult, SlamSettings, score
-from oysterbench.evaluate.slam.settings import SCALED
 from oysterbench.evaluate.slam.stretches import errors_by_state, states_at
 from oysterbench.methods.adapters import MethodAdapter
 from oysterbench.methods.health import HEALTH, NAMES, write_health
@@ -267,13 +267,21 @@ def score_files(
     estimate_options: ReadOptions | None = None,
 ) -> SlamRun:
     """Score one trajectory file against another; the options say what the files leave open."""
-    pair = read_pair(truth, estimate, truth_options, estimate_options, settings.time_offset_s, settings.align in SCALED)
+    pair = open_pair(_true_poses(truth, truth_options), estimate, settings, truth_options, estimate_options)
     result = score(*pair, settings)
     about = about_sequence("slam", None, truth.name, truth_digest(pair[0]), settings.as_dict(), EVALUATOR)
     record = ResultRecord(
         **about, method=estimate.name, metrics=result.metrics, reasons=result.reasons, notes=result.notes
     )
     return SlamRun(record, result, [])
+
+
+def _true_poses(place: Path, options: ReadOptions | None) -> Path | Trajectory:
+    """The truth of a sequence of this program, where the file is one and no topic is asked for; else the file."""
+    if place.suffix == ".mcap" and (options is None or options.topic is None):
+        with suppress(SequenceError):
+            return open_sequence(place).truth()
+    return place
 
 
 def truth_digest(truth: Trajectory) -> str:

@@ -75,3 +75,10 @@ def test_compare_refuses_what_is_no_result_in_one_line(tmp_path):
     assert_one_line(run("compare", tmp_path / "absent.json"), "absent.json: no such file")
     assert_one_line(run("compare", tmp_path / "empty.json"), "holds no result")
     assert_one_line(run("compare", tmp_path / "other.json"), "expected an object with the list 'results'")
+
+
+def test_results_of_one_track_are_taken_and_those_that_there_are_named(two_results):
+    one = run("compare", *two_results, "--track", "slam", "--json")
+    assert one.stdout == run("compare", *two_results, "--json").stdout
+    refused = run("compare", *two_results, "--track", "steering")
+    assert_one_line(refused, "expected results of the track steering, got slam on own data")

@@ -81,6 +81,26 @@ def test_what_differs_in_more_than_the_method_is_kept_apart(change, remark):
     assert remarks(found)[0] == f"kept apart as 2 comparisons, as they differ in {remark}"
 
 
+def test_settings_that_only_another_track_has_are_not_told_of():
+    found = boards([*runs("a", [0.9]), *runs("b", [0.8], track="steering", split="steer-mini", settings={"start": 0})])
+    assert remarks(found)[0] == (
+        "kept apart as 2 comparisons, as they differ in track (slam, steering), split (slam-mini, steer-mini)"
+    )
+
+
+def test_many_values_are_counted_and_not_listed():
+    found = boards([one for k in range(7) for one in runs("a", [0.9], settings={"align": "se3", "step": k})])
+    assert remarks(found)[0].endswith("setting step (0, 1, 2, 3 and 3 more)")
+
+
+def test_methods_that_differ_in_many_settings_have_short_labels_all_of_their_own():
+    many = [{f"k{i}": i + (i == 9 and n) for i in range(10)} | {"other": n // 9} for n in range(3)]
+    found = boards([one for given in many for one in runs("a", [0.9], method_settings=given)])
+    labels = [entry.label for entry in found[0].entries]
+    assert len(set(labels)) == 3
+    assert max(map(len, labels)) < 60
+
+
 def test_standings_are_over_the_sequences_that_all_were_run_on():
     found = boards([*runs("a", [0.5, 0.5]), *runs("b", [0.4, 0.6, 1.0])])
     assert (found[0].sequences, found[0].left_out) == (("s0", "s1"), ("s2",))
