@@ -11,6 +11,7 @@ import pytest
 
 from docs.generate import generated_pages
 from docs.generate.commands import all_commands
+from docs.generate.docstrings import as_markdown
 from docs.generate.fields import told_fields
 from docs.generate.recipes import recipe_tables
 from docs.generate.splits import split_facts
@@ -146,3 +147,12 @@ def test_the_constants_of_image_formation_are_those_of_the_code():
     assert len(rows) > 15
     for name, module, value in rows:
         assert float(getattr(importlib.import_module(module), name)) == pytest.approx(float(value)), name
+
+
+def test_the_layout_of_a_docstring_becomes_markdown():
+    text = "Title.\n\n>>> 1 + 1\n2\n\na:  first,\n    and more\nb, c: (N,) m\n\nPlain: text\nof two lines."
+    example = "```pycon\n>>> 1 + 1\n2\n```"
+    listed = "- `a`: first,\n    and more\n- `b, c`: (N,) m"
+    assert as_markdown(text) == f"Title.\n\n{example}\n\n{listed}\n\nPlain: text\nof two lines."
+    section = "Title.\n\nExamples\n--------\n>>> 1\n1\n"
+    assert as_markdown(section) == section

@@ -44,8 +44,8 @@ SEGMENTATION: dict[str, Metric] = {
         "Share of the pixels called oyster less the share that is: above 0 where too much is called oyster."
     ),
     "best_iou": higher("Best IoU")(
-        "Greatest IoU over thresholds in steps of 1/256, chosen with the ground truth in sight: what the best one would "
-        "give, not what is reached."
+        "Greatest IoU over thresholds in steps of 1/256, chosen with the ground truth in sight: what the best "
+        "would give, not what is reached."
     ),
     "best_threshold": neutral("Best threshold")("The threshold of best_iou."),
     "images": neutral("Images")("Number of images."),

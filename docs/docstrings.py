@@ -1,0 +1,17 @@
+"""A griffe extension, which mkdocstrings loads: docstrings as Markdown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import griffe
+
+from docs.generate.docstrings import as_markdown
+
+
+class Layout(griffe.Extension):
+    """Applies `as_markdown` to every docstring."""
+
+    def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
+        if obj.docstring:
+            obj.docstring.value = as_markdown(obj.docstring.value)
