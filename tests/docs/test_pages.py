@@ -87,6 +87,7 @@ def test_what_a_page_shows_of_the_network_is_its_class():
     assert shown is not None
     first, last = map(int, shown.groups())
     lines = (DOCS / "paths" / "my_net.py").read_text().splitlines()[first - 1 : last]
+    assert f'--8<-- "docs/paths/my_net.py:{first}:{last}"' in (DOCS / "paths" / "segmentation.md").read_text()
     assert lines[0] == "class MyNet:"
     assert lines[-1].lstrip().startswith("yield Segmentation(")
 
