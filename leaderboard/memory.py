@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
+from operator import itemgetter
 from typing import Any
 
 from oysterbench.core.errors import ResultError
@@ -126,20 +128,25 @@ def _asked(row: dict[str, Any], query: Query) -> bool:
     )
 
 
+def _metric(key: str, row: dict[str, Any]) -> float | None:
+    value: float | None = row["metrics"].get(key)
+    return value
+
+
 def _sorted(rows: Iterable[dict[str, Any]], board: BoardInfo, query: Query) -> list[dict[str, Any]]:
     """Records without the value come last, whichever way round; equal ones by rank."""
     values: dict[str, Callable[[dict[str, Any]], Any]] = {
-        "rank": lambda row: row["position"],
-        "method": lambda row: row["words"],
-        board.metric: lambda row: row["score"],
-        **{key: lambda row, key=key: row["metrics"].get(key) for key in board.columns},
-        **{key: lambda row, key=key: row[key] for key in ("team", "created", "score", "data_set", "coverage")},
+        "rank": itemgetter("position"),
+        "method": itemgetter("words"),
+        board.metric: itemgetter("score"),
+        **{key: partial(_metric, key) for key in board.columns},
+        **{key: itemgetter(key) for key in ("team", "created", "score", "data_set", "coverage")},
     }
     if query.sort not in values:
         raise ResultError(f"sort: expected one of {', '.join(values)}, got {query.sort!r:.40}")
     value = values[query.sort]
-    absent = (lambda row: row["place"]) if query.sort == "rank" and query.descending else value
-    found = sorted(rows, key=lambda row: int(row["position"]))
+    absent = itemgetter("place") if query.sort == "rank" and query.descending else value
+    found = sorted(rows, key=itemgetter("position"))
     known = sorted((row for row in found if absent(row) is not None), key=value, reverse=query.descending)
     rest = [row for row in found if absent(row) is None]
     return known + (rest[::-1] if query.sort == "rank" and query.descending else rest)

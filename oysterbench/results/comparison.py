@@ -305,7 +305,7 @@ def _board(records: Sequence[ResultRecord]) -> Board:
 
 def _labels(keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], str]:
     """The method's name, with the settings that tell it from another of that name."""
-    found = {}
+    found: dict[tuple[str, str], str] = {}
     for name, settings in keys:
         others = [json.loads(other) for n, other in keys if n == name]
         own = json.loads(settings)
@@ -357,10 +357,10 @@ def _differences(found: Sequence[Board]) -> str:
     differing: dict[str, dict[str, None]] = {}
     for group in by_data.values():
         for key in dict.fromkeys(key for board in group for key in board.settings):
-            values = dict.fromkeys(json.dumps(plain(board.settings.get(key))) for board in group)
-            if len(values) > 1:
-                differing.setdefault(key, {}).update(values)
-    parts += [f"setting {key} ({_few(list(values))})" for key, values in differing.items()]
+            written = dict.fromkeys(json.dumps(plain(board.settings.get(key))) for board in group)
+            if len(written) > 1:
+                differing.setdefault(key, {}).update(written)
+    parts += [f"setting {key} ({_few(list(written))})" for key, written in differing.items()]
     return ", ".join(parts)
 
 

@@ -212,12 +212,13 @@ def _hub_with_weights(torch, folder: Path, monkeypatch) -> tuple[Path, str]:
 
     from click.testing import CliRunner
 
+    from oysterbench_baselines.learning.efficientnet import EfficientNetLite
     from oysterbench_baselines.unet import network
     from oysterbench_baselines.unet.network import UNetworkSettings
     from oysterbench_baselines.unet.training import train
     from tests.helpers.small_trainings import SMALL, small_set
 
-    monkeypatch.setattr(network, "pretrained", network.EfficientNetLite)
+    monkeypatch.setattr(network, "pretrained", EfficientNetLite)
     settings = dataclasses.replace(
         SMALL,
         network=UNetworkSettings(groups=8, encoder="lite0", side=64),

@@ -1,0 +1,57 @@
+"""What is said to who interrupts a command is so: what is kept, and what to type."""
+
+from __future__ import annotations
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from oysterbench.cli import main as module
+from oysterbench.cli.interrupts import BEGUN_ANEW, RESUMED, interruption
+from oysterbench.cli.main import main
+
+
+def test_only_commands_that_there_are_have_a_sentence():
+    assert {*RESUMED, *BEGUN_ANEW} <= set(main.list_commands(click.Context(main)))
+    assert not RESUMED.keys() & BEGUN_ANEW.keys()
+
+
+@pytest.mark.parametrize("name", sorted(RESUMED))
+def test_a_command_that_goes_on_says_so_where_it_is_interrupted(name):
+    """In its help, which is where a user learns of it beforehand."""
+    command = main.get_command(click.Context(main), name)
+    text = command.help if not isinstance(command, click.Group) else _help_of_first(command)
+    assert any(word in text for word in ("goes on", "resume", "is kept", "finished")), text
+
+
+def _help_of_first(group: click.Group) -> str:
+    context = click.Context(group)
+    found = [group.get_command(context, name) for name in group.list_commands(context)]
+    return " ".join([group.help or "", *(one.help or "" for one in found if one is not None)])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["info", "x.mcap"], "interrupted; nothing was written"),
+        (["splits"], "interrupted; nothing was written"),
+        (["render", "slam-mini"], "interrupted; finished frames are kept, and the same command resumes from there: "),
+        (["eval", "slam"], "interrupted; finished frames are kept, and results of finished runs are in results.json"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_an_interruption_is_one_line_and_130(words, said, home, monkeypatch):
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(click.Command, "invoke", interrupt)
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 130
+    assert done.stderr.startswith(f"oysterbench: {said}")
+    assert done.stderr.count("\n") == 1
+
+
+def test_what_is_typed_again_is_what_was_typed(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["/usr/bin/oysterbench", "run", "my slam", "--split", "slam-mini"])
+    assert interruption("run").endswith(": oysterbench run 'my slam' --split slam-mini")
+    assert module.interruption is interruption
