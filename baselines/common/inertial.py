@@ -23,6 +23,10 @@ class Segment:
     def duration(self) -> float:
         return float(self.dt.sum())
 
+    def first(self, count: int) -> Segment:
+        """So many of its measurements, from the first on; they stay where they are, and take no memory of their own."""
+        return Segment(self.dt[:count], self.gyro[:count], self.accel[:count])
+
     @staticmethod
     def join(segments: list[Segment]) -> Segment:
         """Consecutive segments as one."""

@@ -19,6 +19,9 @@ from oysterbench_baselines.gtsam_vi.calibration import CLOCK, CameraUncertainty,
 from oysterbench_baselines.gtsam_vi.frontend import distort, homogeneous, undistort
 from oysterbench_baselines.gtsam_vi.settings import LandmarkSettings, NoiseSettings
 
+BLOCK = 50_000
+"""Views of landmarks that are triangulated at once: 50 MB of matrices. More are halved, landmark by landmark."""
+
 
 class CameraRig:
     """Projection, triangulation and reprojection errors.
@@ -139,6 +142,19 @@ class CameraRig:
         """
         if len(track) == 0:
             return track, np.empty((0, 3))
+        if len(track) > BLOCK and (early := track < np.sort(track)[len(track) // 2]).any():
+            halves = [
+                self.triangulate(
+                    track[own],
+                    rays[own],
+                    T_odom_imu[own],
+                    max_error_px,
+                    settings,
+                    None if camera is None else camera[own],
+                )
+                for own in (early, ~early)
+            ]
+            return np.concatenate([ids for ids, _ in halves]), np.concatenate([points for _, points in halves])
         order = np.argsort(track, kind="stable")
         by = np.zeros(len(track), dtype=np.intp) if camera is None else camera[order]
         track, rays, cameras = track[order], self._now(rays[order], by), T_odom_imu[order] @ self.T_imu_cams[by]

@@ -28,8 +28,9 @@ from oysterbench_baselines.common.filter import (
     cross,
 )
 from oysterbench_baselines.common.inertial import Segment
+from oysterbench_baselines.gtsam_vi.bundle import Bundle
 from oysterbench_baselines.gtsam_vi.calibration import MODELS
-from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
+from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.marginals import marginal_covariances
 from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, read_state
 
@@ -129,8 +130,15 @@ def pose_covariances(bundle: Bundle, keyframes: list[Keyframe], lever: Array, mo
     graph = discounted(
         bundle.graph, model.rig.correlation(model.settings.noise.correlation), model.settings.noise.huber
     )
-    values, found = bundle.values, []
-    marginals = marginal_covariances(graph, values, [X(keyframe.index) for keyframe in keyframes])
+    marginals = marginal_covariances(graph, bundle.values, [X(keyframe.index) for keyframe in keyframes])
+    return about_odom(marginals, bundle.values, keyframes, lever)
+
+
+def about_odom(
+    marginals: Mapping[int, Array], values: gtsam.Values, keyframes: list[Keyframe], lever: Array
+) -> list[Array]:
+    """The same from the covariances (6, 6) of the tangents of the poses, by their keys."""
+    found = []
     for keyframe in keyframes:
         rotation = values.atPose3(X(keyframe.index)).rotation().matrix()
         change = np.zeros((6, 6))

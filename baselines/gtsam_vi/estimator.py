@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from gtsam.symbol_shorthand import B, V, X
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -22,20 +21,19 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import Health, LandmarkMap
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
 from oysterbench_baselines.common.aiding import Aiding
-from oysterbench_baselines.common.filter import CORE, FLOOR, VELOCITY, InertialNoise, InvariantFilter
+from oysterbench_baselines.common.filter import FLOOR, VELOCITY, InertialNoise, InvariantFilter
 from oysterbench_baselines.common.inertial import Segment, relative_rotation
+from oysterbench_baselines.common.memory import hand_back
+from oysterbench_baselines.gtsam_vi.bundle import Bundle
 from oysterbench_baselines.gtsam_vi.calibration import CameraUncertainty
 from oysterbench_baselines.gtsam_vi.closed_form import level_rotation
 from oysterbench_baselines.gtsam_vi.covariance import (
     between_keyframes,
     covariances_until,
-    filter_covariance,
-    filter_slopes,
-    pose_covariances,
-    set_state,
 )
 from oysterbench_baselines.gtsam_vi.frontend import NO_TRACKS, FeatureTracks, Observations, Translation
-from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
+from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.handover import correct_filter
 from oysterbench_baselines.gtsam_vi.health import HealthWatch
 from oysterbench_baselines.gtsam_vi.initialisation import FilterStartSettings, Initialiser, Start
 from oysterbench_baselines.gtsam_vi.keyframes import DataAssociation, is_keyframe, is_stationary, is_under_way
@@ -148,7 +146,7 @@ class Estimator:
             else:
                 self._smooth(self.window)
             if self.window is not None:
-                self._correct_filter(self.window)
+                correct_filter(self.filter, self.window, self.keyframes[-1], self.model)
             if self.loops is not None and image is not None:
                 self.loops.add_keyframe(self.keyframes, image)
                 self._watch.look_for_ties(self.loops)
@@ -198,6 +196,10 @@ class Estimator:
 
     def _add_keyframe(self, stamp_ns: int, observations: Observations) -> None:
         segment, self._since_keyframe = Segment.join(self._since_keyframe), []
+        for frame in reversed(self.frames):  # what they have measured is a beginning of what the key frame has
+            if frame.keyframe != len(self.keyframes) - 1:
+                break
+            frame.since = segment.first(len(frame.since.dt))
         if not self.keyframes and "dvl" in self.aiding.sensors:
             self._hold_start()
         self.aiding.add_keyframe(len(self.keyframes), stamp_ns, self.filter, segment.duration)
@@ -263,31 +265,6 @@ class Estimator:
         velocity = f.covariance[VELOCITY, VELOCITY] + np.eye(3) * 1e-6
         self.model.initial_covariances[self._initialiser.first] = f.pose_covariance(f.position), velocity
 
-    def _correct_filter(self, window: Window) -> None:
-        """The filter goes on from the window's estimate of the last key frame, with its covariance."""
-        self.aiding.forget_intervals()
-        k, shared = self.keyframes[-1].index, self.aiding.shared_states()
-        f, state = self.filter, self.keyframes[-1].estimate
-        set_state(f, self.model.at_stamp(self.keyframes[-1], state))
-        try:
-            values, joint = window.joint([X(k), V(k), B(k), *shared])
-        except RuntimeError:  # GTSAM: the system of equations cannot be solved
-            return
-        slopes = filter_slopes(state, k, len(f.covariance))
-        for key, (rows, unit) in shared.items():
-            slopes[key] = np.zeros((len(f.covariance), len(unit)))
-            slopes[key][rows] = np.diag(unit)
-        covariance = filter_covariance(joint, slopes)
-        if covariance is None:
-            return
-        for key, (rows, unit) in shared.items():
-            f.extra[rows.start - CORE : rows.stop - CORE] = unit * values.atVector(key)
-        unshared = np.setdiff1d(
-            np.arange(len(covariance)), np.flatnonzero(np.hstack(list(slopes.values())).any(axis=1))
-        )
-        covariance[np.ix_(unshared, unshared)] = f.covariance[np.ix_(unshared, unshared)]
-        f.covariance = covariance
-
     def _add_frame(self, stamp_ns: int, landmarks: NDArray[np.int64]) -> None:
         frame = Frame(stamp_ns, self.keyframes[-1].index, Segment.join(self._since_keyframe))
         if self.navigating:
@@ -350,6 +327,8 @@ class Estimator:
         self.info["initialised"] = int(self.window is not None)
         if self.loops is not None:
             self.info["places"], self.info["loops"] = len(self.loops.places), len(self.loops.loops)
+            self.loops.rest()
+        hand_back()  # before the final smoothing asks for more
         if self.aiding.knows_velocity:
             self.info |= {f"refused_{kind}": count for kind, count in self.aiding.refused.items()}
         if self.window is None:
@@ -377,21 +356,20 @@ class Estimator:
             return self.online()
         keyframes = self.keyframes if self.loops is None else self.loops.joined(self.keyframes)
         try:
-            bundle, poses = smooth(self.model, keyframes, self.frames)
+            smoothed = smooth(self.model, keyframes, self.frames)
         except RuntimeError:  # GTSAM: the system of equations cannot be solved
             self.info["smoothing_failed"] = 1
             return self.online()
-        self._smoothed = keyframes, bundle
+        self._smoothed = keyframes, smoothed.bundle
         self.info |= self.aiding.counts()
-        if len(bundle.errors_px):
-            self.info["smoothed_error_px"] = float(np.median(bundle.errors_px))
-        lever = invert(self.imu.T_base_imu)[:3, 3]
+        if len(smoothed.bundle.errors_px):
+            self.info["smoothed_error_px"] = float(np.median(smoothed.bundle.errors_px))
         try:
-            known = pose_covariances(bundle, keyframes, lever, self.model)
+            known = smoothed.covariances(invert(self.imu.T_base_imu)[:3, 3], self.model)
         except RuntimeError:  # GTSAM: a landmark is too weakly known to be eliminated; the poses are none the worse
             self.info["covariances_failed"] = 1
-            return self._trajectory(poses, [])
-        return self._trajectory(poses, between_keyframes(known, keyframes, self.frames))
+            return self._trajectory(smoothed.poses, [])
+        return self._trajectory(smoothed.poses, between_keyframes(known, keyframes, self.frames))
 
     def health(self) -> NDArray[np.uint8]:
         """How the pose of each frame was had, one `Health` each."""

@@ -1,14 +1,12 @@
-"""The factor graph: factors of motion and priors, and bundle adjustment of a stretch of key frames."""
+"""The factor graph: the model that its factors are made of, and in which order its variables are eliminated."""
 
 from __future__ import annotations
 
-from copy import copy
-from dataclasses import dataclass
+from collections.abc import Collection
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, L, V, X
-from numpy.typing import NDArray
+from gtsam.symbol_shorthand import B, V, X
 
 from oysterbench.core.geometry import Array
 from oysterbench.sequence.types import CameraCalibration, ImuCalibration
@@ -18,7 +16,7 @@ from oysterbench_baselines.gtsam_vi.cameras import CameraRig
 from oysterbench_baselines.gtsam_vi.clock import clocked, moved_on
 from oysterbench_baselines.gtsam_vi.preintegration import inertial_factor, preintegration_params
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
-from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
+from oysterbench_baselines.gtsam_vi.states import Keyframe, State
 
 LEAST = np.array([1e-4] * 3 + [1e-4] * 3)
 """rad and m, 1 sigma: what the start is held with where it is exact by definition."""
@@ -139,97 +137,23 @@ class Model:
         ]
 
 
-@dataclass(frozen=True)
-class Bundle:
-    """An adjusted stretch: the graph, its values, the ids of its landmarks (L,), reprojection errors (M,) px."""
-
-    graph: gtsam.NonlinearFactorGraph
-    values: gtsam.Values
-    landmarks: NDArray[np.int64]
-    errors_px: Array
-
-
-def adjust(
-    model: Model, keyframes: list[Keyframe], states: list[State], gates_px: tuple[float, ...], min_views: int = 1
-) -> Bundle:
-    """Visual-inertial bundle adjustment of consecutive key frames from given states.
-
-    Landmarks are triangulated anew and adjusted once for each gate on their reprojection error: wide first, while the
-    states are rough. min_views: key frames that must have seen a landmark.
-    """
-    rig, settings = copy(model.rig), model.settings
-    rows = [k.observations.rows() for k in keyframes]
-    row = np.concatenate([np.full(len(ids), n) for n, (ids, _, _) in enumerate(rows)])
-    track, rays, camera = (np.concatenate(part) for part in zip(*rows, strict=True))
-    seen_often = np.isin(track, _seen_in([k.observations.ids for k in keyframes], min_views))
-    row, track, rays, camera = row[seen_often], track[seen_often], rays[seen_often], camera[seen_often]
-    noises = [rig.pixel_noise(settings.noise, k.observations.inflation) for k in keyframes]
-    first = keyframes[0].index
-    for gate in gates_px:
-        poses = np.array([state.matrix for state in states])
-        ids, points = rig.triangulate(track, rays, poses[row], gate, settings.landmarks, camera)
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for factor in model.start_priors(first, states[0]):
-            graph.push_back(factor)
-        for factor in model.calibration_priors():
-            graph.push_back(factor)
-        for calibration in model.aiding.calibrations():
-            values.insert(calibration.key, calibration.value)
-        rig.insert(values)
-        for n, (keyframe, state) in enumerate(zip(keyframes, states, strict=True)):
-            insert_state(values, keyframe.index, state)
-            if n:
-                # Integrated about one bias for all: the average, whose corrections are smallest.
-                for factor in model.motion(keyframes[n - 1], keyframe, states[n - 1], state, states[-1].bias):
-                    graph.push_back(factor)
-            if keyframe.stationary:
-                graph.push_back(model.zero_velocity(keyframe.index))
-        for landmark, point in zip(ids, points, strict=True):
-            values.insert(L(int(landmark)), point)
-        seen = np.flatnonzero(np.isin(track, ids))
-        views = (first + row[seen]).tolist(), track[seen].tolist(), rays[seen], camera[seen]
-        for factor in rig.projection_factors(*views, [noises[n] for n in row[seen]]):
-            graph.push_back(factor)
-        for factor in model.aiding.stretch_factors(keyframes, states, ids, points):
-            graph.push_back(factor)
-        values = _optimise(graph, values, settings.smoothing.iterations)
-        states = [read_state(values, k.index) for k in keyframes]
-        rig.read(values)
-    poses = np.array([state.matrix for state in states])
-    points = np.array([values.atPoint3(L(int(i))) for i in ids]).reshape(-1, 3)
-    errors = rig.errors_px(poses[row[seen]], points[np.searchsorted(ids, track[seen])], rays[seen], camera[seen])
-    return Bundle(graph, values, ids, errors)
-
-
-def _seen_in(ids: list[NDArray[np.int64]], least: int) -> NDArray[np.int64]:
-    """Ids that are in so many of the lists."""
-    found, counts = np.unique(np.concatenate(ids), return_counts=True)
-    return found[counts >= least]
-
-
-def nested_dissection(graph: gtsam.NonlinearFactorGraph) -> gtsam.Ordering:
+def nested_dissection(
+    graph: gtsam.NonlinearFactorGraph | gtsam.GaussianFactorGraph, left: Collection[int] = ()
+) -> gtsam.Ordering:
     """An order of elimination by METIS (Karypis & Kumar 1998), which cuts a path of many passes across all of them.
 
-    A third of the memory that COLAMD's takes. METIS writes beyond its arrays where a variable shares no factor with any
-    other (a calibration that nothing measures), so these are kept from it, and come last. So do the cameras, which all
-    landmarks share.
+    left: variables that are not to be eliminated. A third of the memory that COLAMD's takes. METIS writes beyond its
+    arrays where a variable shares no factor with any other (a calibration that nothing measures), so these are kept
+    from it, and come last. So do the cameras, which all landmarks share.
     """
     linked, known = gtsam.SymbolicFactorGraph(), set[int]()
     for n in range(graph.size()):
-        keys = {key for key in graph.at(n).keys() if key >> 56 not in LAST}  # noqa: SIM118 (no dictionary)
+        keys = {key for key in graph.at(n).keys() if key >> 56 not in LAST}.difference(left)  # noqa: SIM118
         if len(keys) > 1:
             linked.push_back(gtsam.SymbolicFactor.FromKeys(sorted(keys)))
             known |= keys
     ordering = gtsam.Ordering.MetisSymbolicFactorGraph(linked) if known else gtsam.Ordering()
     for key in graph.keyVector():
-        if key not in known:
+        if key not in known and key not in left:
             ordering.push_back(key)
     return ordering
-
-
-def _optimise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, iterations: int) -> gtsam.Values:
-    params = gtsam.LevenbergMarquardtParams()
-    params.setMaxIterations(iterations)
-    params.setRelativeErrorTol(1e-4)
-    params.setOrdering(nested_dissection(graph))
-    return gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()

@@ -8,10 +8,11 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from oysterbench_baselines.common.filter import InvariantFilter
+from oysterbench_baselines.gtsam_vi.bundle import Bundle, adjust
 from oysterbench_baselines.gtsam_vi.closed_form import closed_form_start
 from oysterbench_baselines.gtsam_vi.covariance import joint_covariance
 from oysterbench_baselines.gtsam_vi.frontend import Observations
-from oysterbench_baselines.gtsam_vi.graph import Bundle, Model, adjust
+from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.recovery import Anchor, grown_covariance, unlevelled
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.states import (

@@ -53,6 +53,7 @@ class LoopCloser:
         self._waiting: list[tuple[int, bytes]] = []  # key frames whose state is not known yet, with their pictures
         self._settled = 0  # places in the pose graph: their key frames have left the window
         self._centres: list[Array] = []  # of the ground view of each place, in its level frame
+        self._kept: list[int] = []  # places that are more than nodes of the graph
         self._weak: list[LoopClosure] = []  # those with few landmarks, which wait for a neighbour that says the same
 
     @property
@@ -83,7 +84,18 @@ class LoopCloser:
             if k == keyframes[-1].index and self._find_loops(keyframes, picture) and len(self.places) > limit:
                 place.forget()
             self.index.add(place.descriptors)
+            if not place.forgotten:
+                self._kept.append(len(self.places) - 1)
+            if len(self._kept) > self.settings.recognition.kept_places:
+                self._thin_out()
         self._waiting = []
+
+    def _thin_out(self) -> None:
+        """Forget every other place of those that are kept: the path of a long dive is known again at twice the step."""
+        for n in self._kept[1::2]:
+            self.places[n].forget()
+            self.index.forget(n)
+        self._kept = self._kept[::2]
 
     def _make_place(
         self, keyframes: list[Keyframe], k: int, coded: bytes, picture: NDArray[np.uint8] | None
@@ -117,14 +129,20 @@ class LoopCloser:
                 break
             pose = keyframes[place.keyframe].estimate.matrix
             level = level_pose(pose)
-            ids, rays, points = landmarks_of(self.model, keyframes, place.keyframe, settings.window.keyframes)
-            if len(ids) >= settings.recognition.min_landmarks:
-                back = invert(level)
-                place.ids, place.rays, place.points = ids, rays, points @ back[:3, :3].T + back[:3, 3]
-                place.T_level_cam = back @ pose @ self.model.rig.T_imu_cam
-                place.plane = fit_ground(place.points)
+            if not place.forgotten:
+                self._bring_up_to_date(place, keyframes, level)
             self.graph.add(level, self._drift(keyframes, self._settled))
             self._settled += 1
+
+    def _bring_up_to_date(self, place: Place, keyframes: list[Keyframe], level: Array) -> None:
+        """Landmarks and ground of a place by the last state of its key frame, whose level pose is `level`."""
+        settings = self.settings
+        ids, rays, points = landmarks_of(self.model, keyframes, place.keyframe, settings.window.keyframes)
+        if len(ids) >= settings.recognition.min_landmarks:
+            back = invert(level)
+            place.ids, place.rays, place.points = ids, rays, points @ back[:3, :3].T + back[:3, 3]
+            place.T_level_cam = back @ keyframes[place.keyframe].estimate.matrix @ self.model.rig.T_imu_cam
+            place.plane = fit_ground(place.points)
 
     def _drift(self, keyframes: list[Keyframe], n: int) -> Drift:
         """Of the step to place n: a random walk, more where there was little to see, anything where it was lost."""
@@ -170,6 +188,14 @@ class LoopCloser:
             self.graph.close(n, anchor, T, covariance)
             certain |= len(loop.ids) >= settings.loops.strong_inliers
         return certain
+
+    def rest(self) -> None:
+        """Keep what `joined` needs and nothing by which places are known again: no key frame will follow."""
+        for place in self.places:
+            place.forget()
+        self.index = Index(self.settings)
+        self.graph.rest()
+        self._waiting = []
 
     def joined(self, keyframes: list[Keyframe]) -> list[Keyframe]:
         """The key frames with what the loops have taught: states of the pose graph, merged tracks, ties."""

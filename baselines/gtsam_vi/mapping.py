@@ -13,8 +13,9 @@ from scipy.spatial.transform import Rotation
 from oysterbench.core.geometry import invert
 from oysterbench.core.trajectory import Trajectory
 from oysterbench.methods import LandmarkMap
+from oysterbench_baselines.gtsam_vi.bundle import Bundle
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks
-from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
+from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe, read_state
 
 PATCH_PX = 3

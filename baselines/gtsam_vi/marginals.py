@@ -39,8 +39,14 @@ def marginal_covariances(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, keys: Collection[int]
 ) -> dict[int, Array]:
     """Covariances (d, d) of variables, in their tangents, by key; RuntimeError where the equations cannot be solved."""
-    linear, wanted = graph.linearize(values), set(keys)
-    net = linear.eliminateSequential(nested_dissection(graph))
+    return marginals_of(graph.linearize(values), nested_dissection(graph), keys)
+
+
+def marginals_of(
+    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, keys: Collection[int]
+) -> dict[int, Array]:
+    """The same of a linear graph, eliminated in this order."""
+    wanted, net = set(keys), linear.eliminateSequential(ordering)
     # From the first eliminated to the last: a variable hangs on the first of its parents. What has nothing on it that
     # is asked for, as have most landmarks, is left out.
     conditionals, widths, children = dict[int, gtsam.GaussianConditional](), dict[int, int](), dict[int, list[int]]()

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from oysterbench.core.geometry import Array, invert
 from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.pieces import parts_of
 from oysterbench_baselines.gtsam_vi.places import Place, level_pose
 from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings
 from oysterbench_baselines.gtsam_vi.states import Keyframe
@@ -120,14 +121,17 @@ def join(keyframes: list[Keyframe], places: list[Place], loops: list[LoopClosure
 
     A landmark found again within `merge_px` of a track is that track. Where the merged views of a landmark do not
     meet in a point, at the states of the key frames, its tracks stay apart. A loop on ground that `merge_keyframes` see
-    already is no more than a tie.
+    already, or between pieces of a long path, is no more than a tie.
     """
     settings = model.settings
     merger, ties = Merger(keyframes), Ties(settings.loops.tie_places)
+    parts = parts_of(len(keyframes), settings.smoothing.piece_keyframes)
+    piece = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     added: dict[int, list[tuple[int, Array]]] = {}
     involved: set[int] = set()
     for loop in loops:
-        if max(merger.views(track) for track in loop.ids.tolist()) >= settings.loops.merge_keyframes:
+        across = piece[places[loop.first].keyframe] != piece[places[loop.second].keyframe]
+        if across or max(merger.views(track) for track in loop.ids.tolist()) >= settings.loops.merge_keyframes:
             ties.offer(loop)
             continue
         k = places[loop.second].keyframe

@@ -82,7 +82,14 @@ class Place:
 
     def forget(self) -> None:
         """Keep what a node of the pose graph needs, and nothing by which it is known again."""
-        self.descriptors, self.corners, self.picture = self.descriptors[:0], self.corners[:0], b""
+        # New arrays: a part of one holds all of it.
+        self.descriptors, self.corners, self.picture = np.empty((0, 32), dtype=np.uint8), np.empty((0, 3)), b""
+        self.ids, self.rays, self.points = np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 3))
+
+    @property
+    def forgotten(self) -> bool:
+        """Whether it is no more than a node of the pose graph."""
+        return not self.picture
 
     @property
     def size(self) -> int:
@@ -240,6 +247,7 @@ class Index:
         self._none = 1 << bits  # stands for a corner that is not there
         self._places_with = np.zeros((len(self._bits), self._none + 1), dtype=np.int32)
         self._words = np.empty((8, len(self._bits), settings.recognition.corners), dtype=np.int32)
+        self._rows: list[int] = []  # the place of each row of words
         self.count = 0
 
     def _words_of(self, descriptors: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -248,15 +256,35 @@ class Index:
         return np.stack([unpacked[:, bits] @ self._powers for bits in self._bits])
 
     def add(self, descriptors: NDArray[np.uint8]) -> None:
-        """The next place."""
-        if self.count == len(self._words):
-            self._words = np.concatenate([self._words, np.empty_like(self._words)])
-        words = self._words_of(descriptors)[:, : self._words.shape[2]]
-        self._words[self.count] = self._none
-        self._words[self.count, :, : words.shape[1]] = words
-        for table, row in zip(self._places_with, words, strict=True):
-            table[np.unique(row)] += 1
+        """The next place; one without descriptors takes its number, and no memory."""
+        if len(descriptors):
+            row = len(self._rows)
+            if row == len(self._words):
+                self._words = np.concatenate([self._words, np.empty_like(self._words)])
+            words = self._words_of(descriptors)[:, : self._words.shape[2]]
+            self._words[row] = self._none
+            self._words[row, :, : words.shape[1]] = words
+            self._count_words(row, 1)
+            self._rows.append(self.count)
         self.count += 1
+
+    @property
+    def size(self) -> int:
+        """Memory, bytes."""
+        return self._places_with.nbytes + self._words.nbytes
+
+    def forget(self, place: int) -> None:
+        """Give a place no votes from now on."""
+        if place not in self._rows:
+            return
+        row, last = self._rows.index(place), len(self._rows) - 1
+        self._count_words(row, -1)
+        self._words[row], self._rows[row] = self._words[last], self._rows[last]
+        self._rows.pop()
+
+    def _count_words(self, row: int, by: int) -> None:
+        for table, words in zip(self._places_with, self._words[row], strict=True):
+            table[np.unique(words)] += by
 
     def votes(self, descriptors: NDArray[np.uint8]) -> Array:
         """Votes (count,) for each place: its corners that share a word, each counting the more the rarer the word."""
@@ -265,5 +293,5 @@ class Index:
             weight = np.zeros(self._none + 1, dtype=np.float32)
             words = words[self._places_with[t, words] > 0]
             weight[words] = np.log((self.count + 1) / self._places_with[t, words])
-            votes += weight[self._words[: self.count, t]].sum(axis=1)
+            votes[self._rows] += weight[self._words[: len(self._rows), t]].sum(axis=1)
         return votes

@@ -33,11 +33,11 @@ class PoseGraph:
 
     def __init__(self, settings: GtsamViSettings) -> None:
         self.settings = settings
-        params = gtsam.ISAM2Params()
-        params.setRelinearizeThreshold(1e-3)  # m and rad: robust weights are renewed only then
-        params.relinearizeSkip = 1
-        params.findUnusedFactorSlots = True
-        self._isam = gtsam.ISAM2(params)
+        self._params = gtsam.ISAM2Params()
+        self._params.setRelinearizeThreshold(1e-3)  # m and rad: robust weights are renewed only then
+        self._params.relinearizeSkip = 1
+        self._params.findUnusedFactorSlots = True
+        self._isam = gtsam.ISAM2(self._params)
         self.odometry: list[Array] = []  # T_odom_level as the window had them
         self.poses: list[Array] = []  # with what the loops have corrected
         self._sums = np.zeros((1, 5))  # of heading variance times 1, x, y, x^2 + y^2; of position variance
@@ -92,6 +92,11 @@ class PoseGraph:
             self._isam.update()
         values = self._isam.calculateEstimate()
         self.poses = [values.atPose3(X(n)).matrix() for n in range(len(self.poses))]
+
+    def rest(self) -> None:
+        """Keep the poses, and not the graph they come from: no place will follow."""
+        self._isam = gtsam.ISAM2(self._params)
+        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
 
     def uncertainty(self, first: int, second: int) -> tuple[float, float]:
         """1 sigma of heading (rad) and of position along any one axis (m), of the second place as seen from the first

@@ -139,6 +139,7 @@ class SmoothingSettings:
     """The final smoothing."""
 
     iterations: int = 15
+    piece_keyframes: int = 200  # a path of two such pieces or more is adjusted piece by piece; a minute or two
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,7 @@ class RecognitionSettings:
     words: int = 8  # words of a descriptor
     word_bits: int = 18  # two descriptors of one corner, 25 bits apart, share a word in 3 cases of 4
     max_places: int = 300  # beyond, ground that a loop has shown to be known is not kept again
+    kept_places: int = 600  # of which pictures and descriptors are held, some 60 MB; beyond, every other one goes
     min_age_s: float = 8.0  # since the place was seen; sooner, tracks and window know it all
     candidates: int = 3  # a place is compared with
     prior_sigmas: float = 4.0  # of odometry's own uncertainty

@@ -2,27 +2,52 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from scipy.spatial.transform import Rotation
 
 from oysterbench.core.geometry import Array
 from oysterbench_baselines.common.inertial import Segment
-from oysterbench_baselines.gtsam_vi.graph import Bundle, Model, adjust
+from oysterbench_baselines.gtsam_vi.bundle import Bundle, adjust
+from oysterbench_baselines.gtsam_vi.covariance import about_odom, pose_covariances
+from oysterbench_baselines.gtsam_vi.graph import Model
+from oysterbench_baselines.gtsam_vi.pieces import Piecewise, adjust_piecewise, parts_of
 from oysterbench_baselines.gtsam_vi.states import Frame, Keyframe, State, forward, read_state
 
 
-def smooth(model: Model, keyframes: list[Keyframe], frames: list[Frame]) -> tuple[Bundle, list[Array]]:
-    """The adjusted key frames, and T_odom_imu (4, 4) of every frame; RuntimeError where they cannot be solved for."""
-    gate = model.settings.landmarks.max_error_px
-    bundle = adjust(
-        model,
-        keyframes,
-        [keyframe.estimate for keyframe in keyframes],
-        (3 * gate, gate),
-        model.settings.landmarks.min_views,
-    )
+@dataclass(frozen=True)
+class Smoothed:
+    """A smoothed path: the adjusted key frames, and T_odom_imu (4, 4) of every frame. pieces: of a long one."""
+
+    keyframes: list[Keyframe]
+    bundle: Bundle
+    poses: list[Array]
+    pieces: Piecewise | None
+
+    def covariances(self, lever: Array, model: Model) -> list[Array]:
+        """(6, 6) of the pose of a frame fixed to the IMU at `lever` (3,) in it, at every key frame; RuntimeError where
+        they cannot be had."""
+        if self.pieces is None:
+            return pose_covariances(self.bundle, self.keyframes, lever, model)
+        times = model.rig.correlation(model.settings.noise.correlation)
+        marginals = self.pieces.system(self.bundle.values, times).pose_covariances()
+        return about_odom(marginals, self.bundle.values, self.keyframes, lever)
+
+
+def smooth(model: Model, keyframes: list[Keyframe], frames: list[Frame]) -> Smoothed:
+    """One adjustment of all key frames, of a long path piece by piece; RuntimeError where they cannot be solved for."""
+    settings = model.settings
+    gate, views = settings.landmarks.max_error_px, settings.landmarks.min_views
+    given, gates = [keyframe.estimate for keyframe in keyframes], (3 * gate, gate)
+    parts = parts_of(len(keyframes), settings.smoothing.piece_keyframes)
+    pieces = None
+    if len(parts) == 1:
+        bundle = adjust(model, keyframes, given, gates, views)
+    else:
+        bundle, pieces = adjust_piecewise(model, keyframes, given, gates, views, parts)
     model.rig.read(bundle.values)
     states = [model.at_stamp(keyframe, read_state(bundle.values, keyframe.index)) for keyframe in keyframes]
-    return bundle, between(model, keyframes, states, frames)
+    return Smoothed(keyframes, bundle, between(model, keyframes, states, frames), pieces)
 
 
 def between(model: Model, keyframes: list[Keyframe], states: list[State], frames: list[Frame]) -> list[Array]:

@@ -15,9 +15,10 @@ from gtsam.symbol_shorthand import B, L, V, X
 from numpy.typing import NDArray
 
 from oysterbench.core.geometry import Array
+from oysterbench_baselines.gtsam_vi.bundle import Bundle
 from oysterbench_baselines.gtsam_vi.covariance import joint_covariance
 from oysterbench_baselines.gtsam_vi.fixed_lag import FixedLagSmoother
-from oysterbench_baselines.gtsam_vi.graph import Bundle, Model
+from oysterbench_baselines.gtsam_vi.graph import Model
 from oysterbench_baselines.gtsam_vi.states import Keyframe, State, insert_state, read_state
 
 

@@ -272,3 +272,22 @@ def test_a_place_that_is_forgotten_takes_no_more_memory_and_gets_no_votes():
     votes = index.votes(described)
     assert votes[0] == 0.0
     assert votes[1] > 0.0
+
+
+def test_a_place_that_is_taken_out_of_the_index_leaves_its_row_to_the_next():
+    generator = np.random.default_rng(0)
+    described = [generator.integers(0, 256, size=(200, 32), dtype=np.uint8) for _ in range(12)]
+    index, fewer = Index(SETTINGS), Index(SETTINGS)
+    for n, descriptors in enumerate(described):
+        index.add(descriptors)
+        fewer.add(descriptors if n % 2 else descriptors[:0])
+    for n in range(0, 12, 2):
+        index.forget(n)
+        index.forget(n)  # once more is no harm
+    for descriptors in described:
+        np.testing.assert_allclose(index.votes(descriptors), fewer.votes(descriptors))
+    memory = index.size
+    for n in range(12, 1000):
+        index.add(described[0])
+        index.forget(n)
+    assert index.size == memory

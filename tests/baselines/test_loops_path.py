@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -17,7 +17,14 @@ from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FeatureTracks, undistort
 from oysterbench_baselines.gtsam_vi.merging import LoopClosure, Merger, Ties, join, tie
 from oysterbench_baselines.gtsam_vi.places import Place, heading_pose, level_pose, project
-from oysterbench_baselines.gtsam_vi.settings import GtsamViSettings, LandmarkSettings, LoopSettings
+from oysterbench_baselines.gtsam_vi.settings import (
+    GtsamViSettings,
+    LandmarkSettings,
+    LoopSettings,
+    RecognitionSettings,
+    SmoothingSettings,
+)
+from oysterbench_baselines.gtsam_vi.smoothing import smooth
 from tests.helpers import synthetic_dive as dive
 
 GREY = np.zeros((480, 640), dtype=np.uint8)
@@ -43,6 +50,9 @@ class Knowing:
     def add(self, descriptors: np.ndarray) -> None:
         self.count += 1
 
+    def forget(self, place: int) -> None:
+        pass
+
     def votes(self, descriptors: np.ndarray) -> Array:
         return np.linspace(1, 2, self.count)
 
@@ -65,15 +75,24 @@ class Knowing:
         return T, np.diag([1e-6] + [1e-5] * 3), index, found, undistort(found, camera)
 
 
-def estimate(measured: dive.Dive, loops: bool, false_m: float = 0.0, **settings: int) -> Estimator:
+def estimate(
+    measured: dive.Dive,
+    loops: bool,
+    false_m: float = 0.0,
+    kept_places: int = 600,
+    knowing: type[Knowing] = Knowing,
+    **settings: int,
+) -> Estimator:
     # The dive's points, unlike corners of relief, are the same from all sides.
     chosen = GtsamViSettings(
-        landmarks=LandmarkSettings(max_turn_deg=180.0), loops=LoopSettings(enabled=loops, **settings)
+        landmarks=LandmarkSettings(max_turn_deg=180.0),
+        recognition=RecognitionSettings(kept_places=kept_places),
+        loops=LoopSettings(enabled=loops, **settings),
     )
     estimator = Estimator([measured.camera], measured.inertial, chosen)
     if estimator.loops is not None:
-        knowing = Knowing(measured, estimator, false_m)
-        estimator.loops.viewer = estimator.loops.index = estimator.loops.verifier = knowing  # type: ignore[assignment]
+        knows = knowing(measured, estimator, false_m)
+        estimator.loops.viewer = estimator.loops.index = estimator.loops.verifier = knows  # type: ignore[assignment]
     samples = SampleBuffer()
     for item in measured.stream():
         if isinstance(item, ImuMeasurement):
@@ -199,6 +218,45 @@ def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain)
     assert not any(keyframe.aiding for keyframe in estimator.keyframes)
     truth = lap_and_a_half.truth
     assert position_error(truth, estimator.smoothed()) < 0.7 * position_error(truth, plain.smoothed())
+
+
+def test_pieces_of_a_long_path_share_no_landmark_and_ties_close_the_lap(lap_and_a_half, plain, closed):
+    """In pieces it is as good as in one, and none of its pieces is much of it."""
+    model, whole = closed.model, closed.model.settings
+    model.settings = replace(whole, smoothing=SmoothingSettings(piece_keyframes=25))
+    try:
+        joined = closed.loops.joined(closed.keyframes)
+        smoothed = smooth(model, joined, closed.frames)
+        assert sum(len(keyframe.aiding) for keyframe in joined) > 1
+        path = smoothed.pieces
+        assert path is not None
+        assert len(path.parts) > 2
+        sizes = [path.graph(p).size() for p in range(len(path.parts))]
+        assert max(sizes) < 0.6 * sum(sizes)
+        assert max(map(len, path.shared)) < 0.5 * 3 * len(joined)
+        truth = lap_and_a_half.truth
+        assert position_error(truth, closed.smoothed()) < 0.7 * position_error(truth, plain.smoothed())
+    finally:
+        model.settings = whole
+
+
+def test_no_more_places_are_kept_than_wanted_and_none_in_the_end():
+    kept = list[int]()
+
+    class Counting(Knowing):
+        def votes(self, descriptors: np.ndarray) -> Array:
+            kept.append(sum(not place.forgotten for place in self.estimator.loops.places))
+            return super().votes(descriptors)
+
+    estimator = estimate(dive.make_dive(3, duration_s=16.0, most=60), True, kept_places=6, knowing=Counting)
+    assert len(estimator.loops.places) > 12
+    assert min(kept[-4:]) >= 4
+    assert max(kept) <= 7  # with the newest, before others are forgotten
+    assert all(place.forgotten for place in estimator.loops.places)
+    # What a frame has measured since its key frame is held once, by the next key frame.
+    for frame in estimator.frames:
+        if frame.keyframe + 1 < len(estimator.keyframes) and len(frame.since.dt):
+            assert np.shares_memory(frame.since.gyro, estimator.keyframes[frame.keyframe + 1].segment.gyro)
 
 
 @pytest.mark.slow

@@ -18,14 +18,14 @@ import cv2
 
 import oysterbench
 from oysterbench.sequence.types import Sequence
-from oysterbench_baselines.gtsam_vi import GtsamVi
+from oysterbench_baselines.gtsam_vi import GtsamVi, estimator
 from oysterbench_baselines.gtsam_vi.estimator import Estimator
 from oysterbench_baselines.gtsam_vi.frontend import FrontEnd
 from oysterbench_baselines.gtsam_vi.loops import LoopCloser
 from oysterbench_baselines.gtsam_vi.stereo import StereoMatcher
 from oysterbench_baselines.gtsam_vi.window import Window
 
-STAGES: tuple[tuple[type, str, str], ...] = (
+STAGES: tuple[tuple[Any, str, str], ...] = (
     (FrontEnd, "equalise", "equalise"),
     (FrontEnd, "_follow", "track"),
     (FrontEnd, "_replenish", "find corners"),
@@ -33,11 +33,11 @@ STAGES: tuple[tuple[type, str, str], ...] = (
     (Estimator, "_initialise", "initialise"),
     (Estimator, "propagate", "propagate state and covariance"),
     (Window, "add", "smooth the window"),
-    (Estimator, "_correct_filter", "covariance of the window"),
+    (estimator, "correct_filter", "covariance of the window"),
     (LoopCloser, "add_keyframe", "places and loops"),
     (Estimator, "smoothed", "final smoothing"),
 )
-"""Methods that are stages, by class and name."""
+"""Methods and functions that are stages, by the class or module that calls them so."""
 REST = "the rest"
 LAST = "final smoothing"
 

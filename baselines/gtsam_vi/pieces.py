@@ -1,0 +1,245 @@
+"""Bundle adjustment of a long path, piece by piece, so that its memory is that of one piece.
+
+A path is cut into pieces of some hundred key frames each. The factors of a piece are those of its key frames and of the
+landmarks that were first seen in it. Most of their variables no other piece has: eliminated, they leave on the few that
+it shares (states at its ends, key frames that a landmark or a tie reaches across them, calibrations) one message of
+what the whole piece says of them. What the messages of all others say of a piece's shared variables, together with its
+own factors, is all that is known of it: its step, and its marginal covariances, are those of the whole path's system,
+to rounding. Only messages outlive a piece; its factors and its elimination are made again when they are asked for.
+(Submaps whose separators are eliminated last: Ni, Steedly & Dellaert 2007, whose submaps keep their own frames.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import X
+from numpy.typing import NDArray
+
+from oysterbench.core.geometry import Array
+from oysterbench_baselines.common.memory import hand_back
+from oysterbench_baselines.gtsam_vi.bundle import (
+    Bundle,
+    Views,
+    add_views,
+    motion_factors,
+    points_of,
+    values_of,
+)
+from oysterbench_baselines.gtsam_vi.cameras import CameraRig
+from oysterbench_baselines.gtsam_vi.graph import Model, nested_dissection
+from oysterbench_baselines.gtsam_vi.marginals import marginals_of
+from oysterbench_baselines.gtsam_vi.states import Keyframe, State, read_state
+
+TOLERANCE = 1e-4
+"""By which share the error falls at least, or the adjustment ends."""
+HALVINGS = 3
+"""Of a step that does not lower the error, before it is given up."""
+
+
+def parts_of(count: int, size: int) -> list[range]:
+    """The pieces of so many key frames, of `size` each or up to half as many again; one where there would be no two."""
+    ends = np.linspace(0, count, max(1, count // size) + 1).round().astype(int).tolist()
+    return [range(start, stop) for start, stop in pairwise(ends)]
+
+
+@dataclass
+class Piecewise:
+    """A path of key frames in pieces, about states that it was given.
+
+    ids (L,), points (L, 3): landmarks, sorted; owner (L,): their pieces. others: by piece, the factors that are no
+    views, which are few.
+    """
+
+    model: Model
+    rig: CameraRig
+    keyframes: list[Keyframe]
+    parts: list[range]
+    views: Views
+    states: list[State]
+    ids: NDArray[np.int64]
+    points: Array
+    owner: NDArray[np.intp]
+    others: list[list[gtsam.NonlinearFactor]]
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        rig: CameraRig,
+        keyframes: list[Keyframe],
+        parts: list[range],
+        views: Views,
+        states: list[State],
+        gate_px: float,
+    ) -> Piecewise:
+        """With landmarks triangulated from the states."""
+        poses = np.array([state.matrix for state in states])
+        piece = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+        tracks, first = np.unique(views.track, return_index=True)  # rows are in the order of time
+        owners = piece[views.row[first]]
+        found = [
+            views.of_tracks(tracks[owners == p]).triangulate(rig, poses, gate_px, model.settings.landmarks)
+            for p in range(len(parts))
+        ]
+        ids, points = (np.concatenate(part) for part in zip(*found, strict=True))
+        owner = np.repeat(np.arange(len(parts)), [len(own) for own, _ in found])
+        order = np.argsort(ids)
+        ids, points, owner = ids[order], points[order], owner[order]
+        others = [motion_factors(model, keyframes, states, part) for part in parts]
+        of_pose = {X(keyframe.index): p for keyframe, p in zip(keyframes, piece.tolist(), strict=True)}
+        for factor in model.aiding.stretch_factors(keyframes, states, ids, points):
+            others[max(of_pose.get(key, 0) for key in factor.keys())].append(factor)  # noqa: SIM118 (no dictionary)
+        return cls(model, rig, keyframes, parts, views, states, ids, points, owner, others)
+
+    @cached_property
+    def shared(self) -> list[list[int]]:
+        """Keys of the variables of every piece that another one has too."""
+        return _shared(set(self.graph(p).keyVector()) for p in range(len(self.parts)))
+
+    def values(self) -> gtsam.Values:
+        """All variables as they were given."""
+        return values_of(self.model, self.rig, self.keyframes, self.states, self.ids, self.points)
+
+    def graph(self, piece: int, times: float = 1.0) -> gtsam.NonlinearFactorGraph:
+        """The factors of a piece, the sigma of views so many times as large."""
+        graph = gtsam.NonlinearFactorGraph()
+        for factor in self.others[piece]:
+            graph.push_back(factor)
+        seen = self.views.of_tracks(self.ids[self.owner == piece])
+        add_views(graph, self.model, self.rig, self.keyframes, seen, times)
+        return graph
+
+    def errors_px(self, values: gtsam.Values) -> Array:
+        """Reprojection errors (M,) px of all views."""
+        poses = np.array([values.atPose3(X(keyframe.index)).matrix() for keyframe in self.keyframes])
+        found = []
+        for p in range(len(self.parts)):
+            ids = self.ids[self.owner == p]
+            found.append(self.views.of_tracks(ids).errors_px(self.rig, poses, ids, points_of(values, ids)))
+        return np.concatenate(found)
+
+    def system(self, values: gtsam.Values, times: float = 1.0) -> PiecewiseSystem:
+        """All pieces linearised at values."""
+        return PiecewiseSystem(self, values, times)
+
+
+class PiecewiseSystem:
+    """The linearised system of a piecewise path, of which no more than one piece stands at a time.
+
+    values: at which it is linearised. error: of all factors there.
+    """
+
+    def __init__(self, path: Piecewise, values: gtsam.Values, times: float = 1.0) -> None:
+        self._path, self.values, self._times = path, values, times
+        self.error = 0.0
+        count = len(path.parts)
+        self._shared = path.shared
+        self._messages: list[gtsam.GaussianFactorGraph] = []
+        for p in range(count):
+            graph = path.graph(p, times)
+            self.error += graph.error(values)
+            linear = graph.linearize(values)
+            own = nested_dissection(linear, self._shared[p])
+            self._messages.append(linear.eliminatePartialMultifrontal(own)[1])
+
+    def step(self) -> gtsam.Values:
+        """The values after one step of Gauss and Newton."""
+        moved = gtsam.Values(self.values)
+        for p in range(len(self._messages)):
+            linear, ordering = self._piece(p)
+            step = linear.optimize(ordering)
+            moved.insert_or_assign(self.values.extract(list(linear.keyVector())).retract(step))
+        return moved
+
+    def pose_covariances(self) -> dict[int, Array]:
+        """(6, 6) of the pose of every key frame, in its tangent, by its key."""
+        found = dict[int, Array]()
+        for p, part in enumerate(self._path.parts):
+            linear, ordering = self._piece(p)
+            found |= marginals_of(linear, ordering, [X(self._path.keyframes[n].index) for n in part])
+            hand_back()
+        return found
+
+    def _piece(self, piece: int) -> tuple[gtsam.GaussianFactorGraph, gtsam.Ordering]:
+        """A piece's own factors and what all others say of what it shares; an order of elimination."""
+        linear, shared = self._path.graph(piece, self._times).linearize(self.values), self._shared[piece]
+        ordering = nested_dissection(linear, shared)
+        outside = self._outside(piece)
+        for n in range(outside.size()):
+            linear.push_back(outside.at(n))
+        for key in shared:
+            ordering.push_back(key)
+        return linear, ordering
+
+    def _outside(self, piece: int) -> gtsam.GaussianFactorGraph:
+        """What all other pieces say of the variables that a piece shares."""
+        others, shared = gtsam.GaussianFactorGraph(), self._shared[piece]
+        for p, message in enumerate(self._messages):
+            for n in range(message.size() if p != piece else 0):
+                others.push_back(message.at(n))
+        if not shared:
+            return others
+        constrained = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(others, shared)
+        own = gtsam.Ordering()
+        for n in range(constrained.size() - len(shared)):
+            own.push_back(constrained.at(n))
+        return others.eliminatePartialMultifrontal(own)[1] if own.size() else others
+
+
+def _shared(keys: Iterable[set[int]]) -> list[list[int]]:
+    """Of the variables of every piece those that another one has too, sorted."""
+    seen, twice, all_keys = set[int](), set[int](), []
+    for own in keys:
+        twice |= seen & own
+        seen |= own
+        all_keys.append(own)
+    return [sorted(own & twice) for own in all_keys]
+
+
+def adjust_piecewise(
+    model: Model,
+    keyframes: list[Keyframe],
+    states: list[State],
+    gates_px: tuple[float, ...],
+    min_views: int,
+    parts: list[range],
+) -> tuple[Bundle, Piecewise]:
+    """As `bundle.adjust`, by steps of Gauss and Newton, which are halved where the error does not fall.
+
+    The bundle's graph is empty: the path in pieces stands for it. RuntimeError where the equations cannot be solved.
+    """
+    rig = copy(model.rig)
+    views = Views.of(keyframes, min_views)
+    for gate in gates_px:
+        path = Piecewise.of(model, rig, keyframes, parts, views, states, gate)
+        values = _optimise(path, model.settings.smoothing.iterations)
+        states = [read_state(values, k.index) for k in keyframes]
+        rig.read(values)
+    return Bundle(gtsam.NonlinearFactorGraph(), values, path.ids, path.errors_px(values)), path
+
+
+def _optimise(path: Piecewise, iterations: int) -> gtsam.Values:
+    best = path.system(path.values())
+    for _ in range(iterations):
+        stepped = best.step()
+        for _ in range(HALVINGS):
+            system = path.system(stepped)
+            if system.error < best.error:
+                break
+            off = best.values.localCoordinates(stepped)
+            stepped = best.values.retract(off.scale(0.5))
+        else:
+            break
+        done = best.error - system.error < TOLERANCE * best.error
+        best = system
+        hand_back()
+        if done:
+            break
+    return best.values
