@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from oysterbench.core.errors import HubError, IntegrityError
 
 if TYPE_CHECKING:
     from oysterbench.hub.download import Hub
-    from oysterbench.hub.manifest import Manifest
+    from oysterbench.hub.manifest import FileEntry, Manifest
     from oysterbench.hub.model import Model
     from oysterbench.recipe import SplitRecipe
 
@@ -177,7 +178,7 @@ def download(
     OYSTERBENCH_HUB or hub.toml in the home folder) a split is rendered instead: the same bytes. Weights that were
     trained here are replaced with --again alone.
     """
-    from oysterbench.hub.download import Hub, choose, download, find_here, plan
+    from oysterbench.hub.download import Hub, choose, download, find_here
     from oysterbench.hub.settings import hub_key, hub_places
 
     name, _, version = name.partition("@")
@@ -200,7 +201,7 @@ def download(
     folder = folder or out or _folder(split, manifest)
     entries = choose(manifest, patterns)
     if dry_run:
-        _print_plan(manifest, plan(manifest, entries, folder), as_json)
+        _print_plan(manifest, _planned(hub, manifest, entries, folder, topics), as_json)
         return
     from oysterbench.cli.progress import bytes_bar
 
@@ -363,11 +364,27 @@ def _print_files(files: dict[str, Path], split: str, as_json: bool) -> None:
         echo(path)
 
 
-def _print_plan(manifest: Manifest, steps: list[Any], as_json: bool) -> None:
-    rows = [
+def _planned(
+    hub: Hub, manifest: Manifest, entries: Sequence[FileEntry], folder: Path, topics: tuple[str, ...]
+) -> list[dict[str, Any]]:
+    """What would be fetched of each file; of topics, the pieces that hold them."""
+    from oysterbench.hub.download import plan
+    from oysterbench.hub.topics import plan_topics
+
+    if topics:
+        sizes = plan_topics(hub, entries, folder, topics)
+        states = {True: "to fetch", False: "here"}
+        return [
+            {"file": entry.name, "state": states[size > 0], "size_bytes": size, "there_bytes": 0}
+            for entry, size in zip(entries, sizes.values(), strict=True)
+        ]
+    return [
         {"file": str(step.path), "state": step.state, "size_bytes": step.entry.size, "there_bytes": step.there}
-        for step in steps
+        for step in plan(manifest, entries, folder)
     ]
+
+
+def _print_plan(manifest: Manifest, rows: list[dict[str, Any]], as_json: bool) -> None:
     if as_json:
         echo(json.dumps({**_facts(manifest), "files": rows}, indent=2))
         return

@@ -6,7 +6,8 @@ is made on this machine: it is a sequence file like any other, but no hub knows 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from mcap.summary import Summary
@@ -24,6 +25,10 @@ from oysterbench.sequence.cut import chunks_with, cut, match_topics
 from oysterbench.sequence.file import Reading, damaged
 
 Count = Callable[[int], None]
+Span = tuple[int, int]
+"""Bytes [start, end) of a file."""
+
+Fetch = Callable[[Iterable[Span]], None]
 
 
 def fetch_topics(
@@ -48,7 +53,7 @@ def fetch_topics(
         if target.exists() and out.resolve() == folder.resolve():
             raise HubError(f"{target}: the whole file is here; it was left as it is: choose another folder with --out")
         source = folder / entry.name
-        if source.is_file() and source.stat().st_size == entry.size:
+        if _is_here(source, entry):
             _cut_into(target, source, names)
         else:
             _fetch_and_cut(hub, entry, folder, target, names, lambda n, done=done: progress(done + n, total))  # type: ignore[misc]
@@ -58,34 +63,74 @@ def fetch_topics(
     return files
 
 
+def plan_topics(hub: Hub, entries: Sequence[FileEntry], folder: Path, wanted: Sequence[str]) -> dict[str, int]:
+    """Sequence -> bytes that `fetch_topics` would fetch of its file: whole pieces; 0 where the file is here.
+
+    The index at the end of each file tells, which is fetched for it. Raises SequenceError where a pattern fits no
+    topic.
+    """
+    sizes = {}
+    for entry in entries:
+        names = match_topics(entry.content, wanted, entry.name)
+        if _is_here(folder / entry.name, entry):
+            sizes[entry.sequence] = 0
+            continue
+        with _part_of(hub, entry, folder, lambda n: None) as (path, fetch):
+            summary, ends = _index(path, entry, fetch)
+            pieces = _pieces([*_spans(summary, names), *ends], entry)
+            sizes[entry.sequence] = sum(entry.length(piece) for piece in pieces)
+    return sizes
+
+
 def _fetch_and_cut(hub: Hub, entry: FileEntry, folder: Path, target: Path, names: Sequence[str], tell: Count) -> None:
-    """Fetch what the index of the file says, then cut. A part that was there before goes on growing later."""
+    """Fetch what the index of the file says, then cut."""
+    check_space(folder, entry.size)
+    with _part_of(hub, entry, folder, tell) as (path, fetch):
+        summary, _ = _index(path, entry, fetch)
+        fetch(_spans(summary, names))
+        _cut_into(target, path, names)
+
+
+@contextmanager
+def _part_of(hub: Hub, entry: FileEntry, folder: Path, tell: Count) -> Iterator[tuple[Path, Fetch]]:
+    """A file of which bytes can be fetched. A part that was there before goes on growing later; another one is gone
+    afterwards."""
     path = part_path(folder, entry)
     kept = path.is_file()
-    check_space(folder, entry.size)
     part = Part(path, entry)
     there: set[int] = set()
 
-    def fetch(spans: Iterable[tuple[int, int]]) -> None:
-        pieces = {
-            piece for start, end in spans for piece in range(start // entry.piece_size, -(-end // entry.piece_size))
-        }
+    def fetch(spans: Iterable[Span]) -> None:
+        pieces = _pieces(spans, entry)
         Transfer(part, hub.mirrors, hub.connections, hub.patience, lambda n: None).fetch(sorted(pieces - there))
         there.update(pieces)
         tell(sum(entry.length(piece) for piece in there))
 
     try:
-        fetch([(0, len(MAGIC)), (entry.size - FOOTER.size - len(MAGIC), entry.size)])
-        fetch([(_summary_start(path, entry.size), entry.size)])
-        with Reading(path) as (_, summary):
-            pass
-        fetch(_spans(summary, names))
-        _cut_into(target, path, names)
+        yield path, fetch
     finally:
         part.close()
     if not kept:
         path.unlink(missing_ok=True)
         remove_drafts(path)
+
+
+def _pieces(spans: Iterable[Span], entry: FileEntry) -> set[int]:
+    return {piece for start, end in spans for piece in range(start // entry.piece_size, -(-end // entry.piece_size))}
+
+
+def _index(path: Path, entry: FileEntry, fetch: Fetch) -> tuple[Summary, list[Span]]:
+    """The index of a file, fetched; and where that lies."""
+    ends = [(0, len(MAGIC)), (entry.size - FOOTER.size - len(MAGIC), entry.size)]
+    fetch(ends)
+    ends.append((_summary_start(path, entry.size), entry.size))
+    fetch(ends[-1:])
+    with Reading(path) as (_, summary):
+        return summary, ends
+
+
+def _is_here(path: Path, entry: FileEntry) -> bool:
+    return path.is_file() and path.stat().st_size == entry.size
 
 
 def _summary_start(path: Path, size: int) -> int:
@@ -98,7 +143,7 @@ def _summary_start(path: Path, size: int) -> int:
     return start
 
 
-def _spans(summary: Summary, names: Sequence[str]) -> list[tuple[int, int]]:
+def _spans(summary: Summary, names: Sequence[str]) -> list[Span]:
     """Bytes [start, end) of all that a smaller file is made from."""
     found = [(index.offset, index.length) for index in summary.attachment_indexes]
     found += [(index.offset, index.length) for index in summary.metadata_indexes]

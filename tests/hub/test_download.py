@@ -14,7 +14,7 @@ from oysterbench.hub.canonical import canonical
 from oysterbench.hub.download import Hub, choose, download, find_here, part_path, plan
 from oysterbench.hub.index import read_index
 from oysterbench.hub.manifest import Manifest, build_manifest
-from oysterbench.hub.topics import fetch_topics
+from oysterbench.hub.topics import fetch_topics, plan_topics
 from oysterbench.sequence.file import read_messages
 from tests.helpers.blobs import CALM
 from tests.helpers.trees import (
@@ -333,6 +333,25 @@ def test_topics_are_cut_from_the_pieces_that_hold_them(long_dive, published, tmp
         assert list(read_messages(files["dive-01"], [topic])) == list(read_messages(file, [topic]))
     assert small.attachments["split.toml"] == oysterbench.open(file).attachments["split.toml"]
     assert not list((tmp_path / "split").glob(".*.part"))
+
+
+def test_what_topics_would_take_is_what_they_take(long_dive, published, tmp_path):
+    _, manifest, tree = long_dive
+    wanted = ["/imu", "/pressure"]
+    with serving(Honest, tree_bytes(tree)) as site:
+        sizes = plan_topics(hub_at(published, site.url), manifest.files, tmp_path / "split", wanted)
+        assert not [path for path in (tmp_path / "split").rglob("*") if path.is_file()]
+        told = []
+        fetch_topics(
+            hub_at(published, site.url),
+            manifest.files,
+            tmp_path / "split",
+            wanted,
+            progress=lambda done, total: told.append(done),
+        )
+    (size,) = sizes.values()
+    assert 0 < size < manifest.size / 2
+    assert told[-2] == size  # before it goes on to the next file
 
 
 def test_topics_of_a_file_that_is_here_need_no_hub(long_dive, tmp_path):
