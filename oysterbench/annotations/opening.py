@@ -17,7 +17,13 @@ KINDS = {
 
 def open_labelled(path: str | Path) -> LabelledSet:
     """The labelled images at a path, of the kind that its content says (`KINDS`). Raises LabelError where it is none,
-    or where it could be several."""
+    or where it could be several.
+
+    Examples
+    --------
+    >>> len(open_labelled("mini-01.mcap"))
+    4
+    """
     path = Path(path)
     if not path.exists():
         raise LabelError(f"{path}: no such file or folder; expected {'; or '.join(KINDS.values())}")

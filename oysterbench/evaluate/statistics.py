@@ -142,6 +142,14 @@ def summarise(sample: Sample, weights: Sample | None = None) -> Summary:
     """Mean, median, spread and interval of a metric. An empty sample has none of them, and says so.
 
     weights: of the values, shaped like the sample; the mean, and its interval, are then weighed by them.
+
+    Examples
+    --------
+    >>> found = summarise({"val-01": [0.8, 0.9], "val-02": [0.7]})
+    >>> round(found.mean, 3), found.sequences, found.runs
+    (0.775, 2, 3)
+    >>> found.interval.reason
+    '2 sequences: no 95% interval can be had from fewer than 6'
     """
     means = np.array(list(weighed_means(sample, weights).values()))
     shares = None if weights is None else np.array(list(sequence_weights(sample, weights).values()))
@@ -238,6 +246,16 @@ def compare(
 
     Sequences on which only one has a value are left out; their number is the caller's to show. For the score there are
     none, since a failed run scores 0. Two ratios over a data set have weights each of its own.
+
+    Examples
+    --------
+    Runs by sequence, here one on each of eight:
+
+    >>> mine = {f"val-0{k}": [0.80 + 0.01 * k] for k in range(8)}
+    >>> theirs = {f"val-0{k}": [0.70 + 0.02 * k] for k in range(8)}
+    >>> found = compare(mine, theirs, "higher")
+    >>> round(found.difference, 3), found.wins, found.verdict
+    (0.065, 8, 'better')
     """
     of_a, of_b = weights or (None, None)
     means_a, means_b = weighed_means(a, of_a), weighed_means(b, of_b)

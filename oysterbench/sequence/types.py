@@ -65,6 +65,16 @@ class Sequence(ABC):
     file than that. SequenceError where the sequence has no such sensor, or its file is damaged.
 
     It may stand in a `with`, and need not: a file is open while an iterator reads it, and at no other time.
+
+    Examples
+    --------
+    >>> import oysterbench
+    >>> sequence = oysterbench.open("mini-01.mcap")
+    >>> list(sequence.cameras), round(sequence.duration_s, 3)
+    (['cam_left', 'cam_right'], 1.99)
+    >>> pressure = next(sequence.pressure())
+    >>> sequence.frame("/dvl/velocity").index.name
+    'stamp_ns'
     """
 
     name: str

@@ -26,6 +26,13 @@ class Trajectory:
 
     Nothing is checked or sorted here: `read_trajectory` names what is wrong in a file, `evaluate.validate` what is
     wrong with a trajectory.
+
+    Examples
+    --------
+    >>> stamps_ns = np.array([0, 500_000_000, 1_000_000_000])
+    >>> level = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    >>> Trajectory(stamps_ns, np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]]), level)
+    <Trajectory: 3 poses over 1 s and 2 m>
     """
 
     stamps_ns: NDArray[np.int64]

@@ -31,6 +31,15 @@ def read_trajectory(path: str | os.PathLike[str], options: ReadOptions | None = 
     TUM (`s x y z qx qy qz qw`). Stamps that can only be nanoseconds are read as such, since ORB-SLAM3 writes that.
     What was decided in reading is said in the trajectory's `notes`. Raises TrajectoryError naming file and line, and
     the option that decides.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> written = Path("poses.txt").write_text("10.0 0 0 0 0 0 0 1\\n10.5 3 4 0 0 0 0 1\\n")
+    >>> read_trajectory("poses.txt")
+    <Trajectory: 2 poses over 0.5 s and 5 m>
+    >>> read_trajectory("poses.txt", unit="mm").path_length
+    0.005
     """
     options = replace(options or ReadOptions(), **changes)
     path = Path(path)

@@ -47,6 +47,16 @@ class SlamSettings(EvaluatorSettings):
     subpath_m:            lengths in m of the segments; none given: 10, 20, 30, 40 and 50 % of the true path
     subpath_step:         a segment starts at every so many truth stamps
     velocity_step_s:      over which time velocities are differenced
+
+    Examples
+    --------
+    >>> SlamSettings(align="se3").align
+    'se3'
+    >>> SlamSettings(align="se4")
+    Traceback (most recent call last):
+    ...
+    oysterbench.core.errors.TrajectoryError: evaluator setting 'align': expected one of none, origin, se3, posyaw, sim3, scale,
+    got 'se4'
     """
 
     error = TrajectoryError
