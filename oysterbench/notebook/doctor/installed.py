@@ -27,6 +27,7 @@ EXTRAS = {
     "s3": "keeps a board's files in an object store",
     "rerun": "shows sequences in Rerun",
     "parquet": "writes data sets as Parquet, for Hugging Face",
+    "maps": "writes maps of oysters as GeoTIFF, for GIS",
 }
 """Extra -> what it is for. `all` is all of them; `dev` and `docs` are for those who work on this program."""
 
