@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from oysterbench.core.errors import ResultError
-from oysterbench.core.names import did_you_mean, listed, nearest
+from oysterbench.core.names import did_you_mean, nearest
 from oysterbench.results.records import ResultRecord
 from oysterbench_leaderboard.board import LEAST_DIGITS, BoardReader, Query, Row
 from oysterbench_leaderboard.options import Place
@@ -46,7 +46,7 @@ def _methods(index: BoardReader, split: str | None) -> str:
     """What could have been meant."""
     boards = [board for board in index.boards() if board.newest and split in (None, board.split)]
     there = sorted({row.method for board in boards for row in index.page(board.id, Query(size=MOST_NAMED)).rows})
-    return f"the methods{f' on {split}' if split else ''} are: {listed(there)}; `oysterbench leaderboard` shows all"
+    return f"the methods{f' on {split}' if split else ''} are: {', '.join(there[:MOST_NAMED]) or 'none yet'}"
 
 
 def _one_of_each_board(text: str, rows: Sequence[Row], index: BoardReader, split: str | None) -> list[Row]:
