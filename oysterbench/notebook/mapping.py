@@ -84,9 +84,8 @@ def oyster_map(
     poses = trajectory if isinstance(trajectory, Trajectory) else read_trajectory(trajectory)
     which = camera or next(iter(opened.cameras), "")
     if which not in opened.cameras:
-        raise SequenceError(
-            f"{opened.name} has no camera {which!r}; {instead(which, opened.cameras, f'oysterbench info {opened.name}')}"
-        )
+        there = instead(which, opened.cameras, f"oysterbench info {opened.name}")
+        raise SequenceError(f"{opened.name} has no camera {which!r}; {there}")
 
     def seen() -> Iterable[Seen]:
         if masks is None:
