@@ -67,7 +67,7 @@ def test_a_landmark_too_weakly_known_costs_the_covariances_and_not_the_path(monk
     def unsolvable(*given):
         raise RuntimeError("Indeterminate linear system detected")
 
-    monkeypatch.setattr("oysterbench_baselines.gtsam_vi.estimator.pose_covariances", unsolvable)
+    monkeypatch.setattr("oysterbench_baselines.gtsam_vi.smoothing.pose_covariances", unsolvable)
     sequence = FlatBottom(5.0)
     result = GtsamVi().run(sequence.for_method())
     assert result.trajectory.covariances is None

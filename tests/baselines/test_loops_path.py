@@ -223,7 +223,7 @@ def test_passes_that_share_no_landmarks_are_tied_by_poses(lap_and_a_half, plain)
 def test_pieces_of_a_long_path_share_no_landmark_and_ties_close_the_lap(lap_and_a_half, plain, closed):
     """In pieces it is as good as in one, and none of its pieces is much of it."""
     model, whole = closed.model, closed.model.settings
-    model.settings = replace(whole, smoothing=SmoothingSettings(piece_keyframes=25))
+    model.settings = replace(whole, smoothing=SmoothingSettings(piece_keyframes=20))
     try:
         joined = closed.loops.joined(closed.keyframes)
         smoothed = smooth(model, joined, closed.frames)
