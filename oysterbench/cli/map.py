@@ -6,14 +6,18 @@ import json
 import shlex
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from oysterbench.cli.echo import echo, message
 from oysterbench.core.errors import OysterbenchError
+
+if TYPE_CHECKING:
+    from oysterbench.sequence import Sequence
 
 SOURCES = ("pictures", "echoes")
 DEPTHS = ("stereo", "motion", "plane", "layer")
@@ -40,7 +44,7 @@ MAP_OPTIONS = {"depth": "--depth", "kind": "--masks-kind", "cell_m": "--cell", "
 @click.option("--cell", "cell_m", type=float, help="Map: edge of the grid's cells, in m.  [default: 1]")
 @click.option("--threshold", type=float, help="Map: called oyster from this score on.  [default: 0.5]")
 @click.option("--from", "source", type=click.Choice(SOURCES), help="Cloud: what it is made of.  [default: pictures]")
-@click.option("--voxel", "voxel_m", type=float, help="Cloud: one point per cube of so many metres.  [default: 0.01]")
+@click.option("--voxel", "voxel_m", type=float, help="Cloud: one point per cube of this edge, in m.  [default: 0.01]")
 @click.option("--json", "as_json", is_flag=True, help="Print what was made as JSON.")
 def map_command(
     sequence: Path,
@@ -70,7 +74,7 @@ def map_command(
     \b
     Depths:
       stereo   between two cameras that see the same       motion   between pictures of one moving camera
-      plane    the bottom as a plane under DVL, altimeter  layer    the truth of a rendered sequence
+      plane    the bottom as a plane under DVL, altimeter  layer    the ground truth of a rendered sequence
 
     The folder gets map.html and map.png to look at, grid.csv, oysters.csv, summary.json, and the rasters mosaic.png and
     density.png with world files, in the trajectory's frame.
@@ -109,6 +113,7 @@ def _cloud(
     voxel_m: float | None,
     far_m: float | None,
 ) -> dict[str, Any]:
+    from oysterbench.cli.progress import late_bar
     from oysterbench.core.trajectory import read_trajectory
     from oysterbench.mapping import CloudSettings, build_cloud
     from oysterbench.sequence import open_sequence
@@ -122,7 +127,12 @@ def _cloud(
         settings = replace(settings, far_m=far_m)
     opened = open_sequence(sequence)
     start = time.process_time()
-    cloud = build_cloud(opened, read_trajectory(trajectory), source, cameras, settings)
+    looks = max(len(cameras), 1)
+    if source == "echoes":
+        looks += len(opened.altimeters) + len(opened.sonars) + (opened.dvl_calibration is not None)
+    with late_bar(f"cloud of {opened.name}", "s of the sequence") as progress:
+        watch = _watching(opened, looks, progress)
+        cloud = build_cloud(opened, read_trajectory(trajectory), source, cameras, settings, watch)
     if len(cloud) == 0:
         raise OysterbenchError(
             f"{opened.name}: no point was found from {source} along {trajectory}; nothing is written"
@@ -140,6 +150,22 @@ def _cloud(
     return {**facts, "summary": f"{out}: {len(cloud)} points from {source}, {sides} m"}
 
 
+def _watching(opened: Sequence, looks: int, progress: Callable[[int, int], None]) -> Callable[[int], None]:
+    """Turns stamps into progress: seconds of the sequence, as often as it is gone through from its begin."""
+    first = next(iter(opened.imu()), None)
+    begin_ns, last_ns, done = (0 if first is None else first.stamp_ns), 0, 0
+    each = max(round(opened.duration_s), 1)
+
+    def watch(stamp_ns: int) -> None:
+        nonlocal last_ns, done
+        if stamp_ns < last_ns:  # of the next sensor
+            done += each
+        last_ns = stamp_ns
+        progress(min(done + round((stamp_ns - begin_ns) * 1e-9), looks * each), looks * each)
+
+    return watch
+
+
 def _oysters(
     sequence: Path,
     trajectory: Path,
@@ -150,6 +176,7 @@ def _oysters(
     kind: str,
     chosen: dict[str, Any],
 ) -> dict[str, Any]:
+    from oysterbench.cli.progress import late_bar
     from oysterbench.core.trajectory import read_trajectory
     from oysterbench.mapping import MapSettings, build_map, default_depth, read_seen, true_seen
     from oysterbench.mapping.views import check_time
@@ -176,11 +203,14 @@ def _oysters(
     start = time.process_time()
 
     def seen() -> Any:
-        if own:
-            return true_seen(opened, first)
-        return read_seen(masks, opened, first, kind, settings.threshold)
+        shown = true_seen(opened, first) if own else read_seen(masks, opened, first, kind, settings.threshold)
+        for picture in shown:
+            yield picture
+            watch(picture.stamp_ns)
 
-    found = build_map(opened, poses, seen, first, depth, settings)
+    with late_bar(f"map of {opened.name}", "s of the sequence") as progress:
+        watch = _watching(opened, 1, progress)
+        found = build_map(opened, poses, seen, first, depth, settings)
     command = shlex.join(["oysterbench", *sys.argv[1:]])
     written = write_map(found, out, command)
     facts = {**summary(found), "files": [str(path) for path in written]}

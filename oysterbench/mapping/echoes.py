@@ -12,7 +12,7 @@ from oysterbench.core.geometry import Array, invert
 from oysterbench.core.measurements import SonarImage
 from oysterbench.mapping.cloud import PointCloud
 from oysterbench.mapping.cloud_settings import CloudSettings
-from oysterbench.mapping.views import Pinhole, PoseInterpolator
+from oysterbench.mapping.views import Pinhole, PoseInterpolator, Watch, unwatched
 from oysterbench.sequence.types import Sequence, SonarCalibration
 
 UNSEEN = 128  # grey level of what no camera saw
@@ -21,9 +21,12 @@ Echo = tuple[int, Array, Array]
 """Stamp, ns, points (N, 3) m in the sensor's frame, and its pose on the vehicle, T_base_sensor (4, 4)."""
 
 
-def heard_points(sequence: Sequence, poses: PoseInterpolator, settings: CloudSettings) -> Iterator[Array]:
+def heard_points(
+    sequence: Sequence, poses: PoseInterpolator, settings: CloudSettings, watch: Watch = unwatched
+) -> Iterator[Array]:
     """Points (N, 3) m in odom, of one sample after the other, where the pose is known."""
     for stamp_ns, points, T_base_sensor in chain(range_echoes(sequence), _pings(sequence, settings)):
+        watch(stamp_ns)
         T_odom_base = poses.at(stamp_ns)
         if T_odom_base is not None and len(points):
             T = T_odom_base @ T_base_sensor
@@ -76,7 +79,12 @@ def _fan(sonar: SonarCalibration, settings: CloudSettings) -> Callable[[SonarIma
 
 
 def coloured(
-    cloud: PointCloud, sequence: Sequence, cameras: list[str], poses: PoseInterpolator, settings: CloudSettings
+    cloud: PointCloud,
+    sequence: Sequence,
+    cameras: list[str],
+    poses: PoseInterpolator,
+    settings: CloudSettings,
+    watch: Watch = unwatched,
 ) -> PointCloud:
     """The points with the colours of the frame that sees each from the least distance; grey where none does.
 
@@ -88,6 +96,7 @@ def coloured(
         pinhole = Pinhole(camera, sequence.cameras[camera], settings.width_px)
         last_ns = -(2**62)
         for image in sequence.images(camera):
+            watch(image.stamp_ns)
             T_odom_base = poses.at(image.stamp_ns)
             if T_odom_base is None or image.stamp_ns - last_ns < settings.colour_every_s * 1e9:
                 continue

@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from oysterbench.core.geometry import Array
 from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.mapping.sweep import DepthMap, agreeing, sweep
-from oysterbench.mapping.views import Pinhole, PoseInterpolator, View, frames, partner
+from oysterbench.mapping.views import Pinhole, PoseInterpolator, View, Watch, frames, partner, unwatched
 from oysterbench.sequence.types import Sequence
 
 FIRST_DISTANCE_M = 1.0  # of the scene, as long as nothing is known of it
 
 
 def seen_points(
-    sequence: Sequence, camera: str, poses: PoseInterpolator, settings: CloudSettings
+    sequence: Sequence, camera: str, poses: PoseInterpolator, settings: CloudSettings, watch: Watch = unwatched
 ) -> Iterator[tuple[Array, NDArray[np.uint8]]]:
     """Points (N, 3) m in odom and their colours (N, 3) uint8, of one view after the other.
 
     Each point is there that the view before or the view after has at the same place.
     """
     latest: list[DepthMap] = []
-    for depths in depth_maps(sequence, camera, poses, settings):
+    for depths in depth_maps(sequence, camera, poses, settings, watch):
         latest = [*latest[-2:], depths]
         if len(latest) > 1:
             middle = latest[-2]
@@ -34,7 +34,9 @@ def seen_points(
         yield agreeing(latest[-1], latest[-2:-1], settings.agreement).points()
 
 
-def depth_maps(sequence: Sequence, camera: str, poses: PoseInterpolator, settings: CloudSettings) -> Iterator[DepthMap]:
+def depth_maps(
+    sequence: Sequence, camera: str, poses: PoseInterpolator, settings: CloudSettings, watch: Watch = unwatched
+) -> Iterator[DepthMap]:
     """Depths of views along a trajectory."""
     other = partner(sequence, camera, settings)
     pinhole = Pinhole(camera, sequence.cameras[camera], settings.width_px)
@@ -43,6 +45,7 @@ def depth_maps(sequence: Sequence, camera: str, poses: PoseInterpolator, setting
     views: list[View] = []
     moved = 0
     for image, partner_image in frames(sequence, camera, other, settings):
+        watch(image.stamp_ns)
         T_odom_base = poses.at(image.stamp_ns)
         if T_odom_base is None:
             views.clear()  # what lies before a gap has moved by nobody knows how much

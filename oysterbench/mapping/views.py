@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +17,13 @@ from oysterbench.core.trajectory import Trajectory
 from oysterbench.mapping.cloud_settings import CloudSettings
 from oysterbench.sequence.export.parts import undistorting_maps
 from oysterbench.sequence.types import CameraCalibration, Sequence
+
+Watch = Callable[[int], None]
+"""Told the stamp, ns, of each measurement that was looked at."""
+
+
+def unwatched(stamp_ns: int) -> None:
+    """Tell nobody."""
 
 
 @dataclass(frozen=True)

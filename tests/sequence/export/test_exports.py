@@ -240,6 +240,21 @@ def test_kitti_projects_a_point_where_each_camera_sees_it(sequence, folders):
     assert baseline == pytest.approx(0.12)
 
 
+def test_kitti_opens_in_pykitti(sequence, folders):
+    pykitti = pytest.importorskip("pykitti", reason="pykitti is not installed")
+    loaded = pykitti.odometry(str(folders["kitti"]), "00")
+    assert len(loaded) == len(loaded.cam0_files) == len(loaded.cam1_files) == 20
+    assert loaded.calib.b_gray == pytest.approx(0.12)
+    np.testing.assert_allclose(loaded.calib.T_cam0_velo @ T_BASE_LEFT, np.eye(4), atol=1e-9)
+    np.testing.assert_allclose(loaded.calib.K_cam0, sequence.cameras["cam_left"].matrix)
+    assert [time.total_seconds() for time in loaded.timestamps] == pytest.approx(np.arange(20) * 0.1, abs=1e-6)
+    assert len(loaded.poses) == len(loaded.cam0_files)
+    left, right = next(loaded.gray)
+    whole = next(iter(sequence.images("cam_left"))).pixels
+    assert np.array_equal(np.array(left), cv2.cvtColor(whole, cv2.COLOR_RGB2GRAY))
+    assert right.size == left.size
+
+
 def test_kitti_has_four_projections_of_a_camera_alone(sequence):
     lines = _projections(sequence, ["cam_left"], sequence.cameras["cam_left"].matrix)
     assert [line[:3] for line in lines] == ["P0:", "P1:", "P2:", "P3:"]
