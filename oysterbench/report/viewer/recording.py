@@ -114,7 +114,8 @@ class Recording:
         if first is None:
             raise SequenceError(f"{sequence.name} has no inertial sample: nothing to show")
         self.origin_ns = first.stamp_ns
-        self.start_ns, self.end_ns = span_ns or (None, None)
+        self.start_ns = None if span_ns is None else span_ns[0]
+        self.end_ns = None if span_ns is None else span_ns[1]
         self.topics = {topic: count for topic, _, count in sequence.contents()}
 
     def log(self, estimates: Several[EstimatedPath] = ()) -> None:

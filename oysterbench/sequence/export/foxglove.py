@@ -175,9 +175,9 @@ def _plots(panels: dict[str, Any], types: dict[str, str]) -> Node | None:
 
 def _plot(panels: dict[str, Any], topic: str, unit: str, field: str, parts: tuple[str, ...]) -> str:
     paths = [
-        {"value": ".".join([topic, field, *part]), "enabled": True, "label": "".join(part) or field, "color": colour,
-         "timestampMethod": "headerStamp", "showLine": True}
-        for part, colour in zip([(part,) for part in parts] or [()], COLOURS, strict=False)
+        {"value": ".".join([topic, field, *([part] if part else [])]), "enabled": True, "label": part or field,
+         "color": colour, "timestampMethod": "headerStamp", "showLine": True}
+        for part, colour in zip(parts or ("",), COLOURS, strict=False)
     ]  # fmt: skip
     config = {"paths": paths, "xAxisVal": "timestamp", "isSynced": True, "yAxisLabel": unit, "showLegend": bool(parts),
               "legendDisplay": "floating", "foxglovePanelTitle": f"{topic} {unit}"}  # fmt: skip

@@ -61,9 +61,9 @@ def _write_depth(sequence: Sequence, name: str, folder: Path, steps: Steps) -> i
     rows, far = [f"# depth maps of {name}, {DEPTH_STEPS:g} to the metre", "# timestamp filename"], 0
     for image in steps.counted(sequence.layer(name, "depth")):
         file = f"depth/{ns_to_seconds(image.stamp_ns)}.png"
-        steps = np.rint(image.pixels * DEPTH_STEPS)
-        far += int(np.count_nonzero(steps > 65535))
-        write_png(folder / file, np.where(steps > 65535, 0, steps).astype(np.uint16))
+        levels = np.rint(image.pixels * DEPTH_STEPS)
+        far += int(np.count_nonzero(levels > 65535))
+        write_png(folder / file, np.where(levels > 65535, 0, levels).astype(np.uint16))
         rows.append(f"{ns_to_seconds(image.stamp_ns)} {file}")
     write_lines(folder / "depth.txt", rows)
     return far
