@@ -100,8 +100,8 @@ def installed(wheel, tmp_path_factory):
 @pytest.mark.slow
 def test_the_demo_renders_what_was_released_and_two_methods_localise_on_it(installed):
     assert installed.run("oysterbench", "--version").stdout.strip().endswith(VERSION)
-    runs = json.loads(installed.run("oysterbench", "eval", "--track", "slam", "--json").stdout)["runs"]
-    assert len({run["method"] for run in runs}) >= 2
+    results = json.loads(installed.run("oysterbench", "eval", "--track", "slam", "--json").stdout)["results"]
+    assert len({result["method"] for result in results}) >= 2
     checked = json.loads(installed.run("oysterbench", "verify", "slam-mini", "--json").stdout)["files"]
     assert [row["state"] for row in checked] == ["right"]
     assert installed.run("oysterbench", "render", "slam-mini").stderr.endswith("as released, 1 of 1 files\n")

@@ -20,6 +20,7 @@ WORKING_M = (0.5, 2.0)  # distances along the axis between which a target is sho
 DISTANCES = 5  # planes of it, evenly in 1 / distance, as parallax goes
 GRID = (25, 19)  # of its corners over the picture
 PX_DIGITS, DIGITS = 3, 6  # to which results are rounded, so that a processor's last bits do not show
+COEFFICIENT_DIGITS = (5, 4, 3, 2)  # of k1 to k4: those of high orders are determined worse, and stand for less
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,9 @@ def fit_in_water(camera: CameraRecipe) -> InWater:
     """The equidistant lens (Kannala-Brandt k1 to k4) that fits a camera behind a flat port best: least squares in px.
 
     What a port leaves is a strong pincushion: Brown-Conrady fits it no better, and the usual way to undo that, a fixed
-    number of fixed-point steps (cv2.undistortPoints), is tens of pixels off in the corners.
+    number of fixed-point steps (cv2.undistortPoints), is tens of pixels off in the corners. The coefficients stand in
+    for one another, so that the fit leaves digits of them to a processor's rounding: each is rounded in turn, from k4
+    on, and what is left is fitted again, which makes up for it.
     """
     from oysterbench.render.lens import distort, pixel_rays
 
@@ -52,7 +55,8 @@ def fit_in_water(camera: CameraRecipe) -> InWater:
     pixels = np.broadcast_to(np.stack([columns, rows], axis=-1), (DISTANCES, len(rows), 2))
     focal = camera.width / 2 / np.tan(np.radians(camera.hfov_deg) / 2)
 
-    def miss(parameters: Array) -> Array:
+    def miss(free: Array, *known: float) -> Array:
+        parameters = np.concatenate([free, known])
         fx, fy, cx, cy, axial = parameters[:5] * [focal, focal, focal, focal, 0.01]
         points = np.stack([x / (z - axial), y / (z - axial)], axis=-1).reshape(-1, 2)
         bent = distort(points, dataclasses.replace(camera, lens="fisheye", distortion=tuple(parameters[5:])))
@@ -61,12 +65,16 @@ def fit_in_water(camera: CameraRecipe) -> InWater:
 
     middle = [(n - 1) / 2 / focal for n in _size(camera)]
     start = np.array([1.0, 1.0, *middle, 0.0, *np.zeros(4)])
-    found = least_squares(miss, start, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    known: tuple[float, ...] = ()
+    for digits in (*reversed(COEFFICIENT_DIGITS), None):
+        found = least_squares(miss, start, args=known, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        if digits is not None:
+            start, known = found.x[:-1], (float(np.round(found.x[-1], digits)), *known)
     apart = np.hypot(*found.fun.reshape(-1, 2).T)
     fx, fy, cx, cy = np.round(found.x[:4] * focal, PX_DIGITS)
     return InWater(
         np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
-        tuple(np.round(found.x[5:], DIGITS).tolist()),
+        known,
         float(np.round(found.x[4] * 0.01, DIGITS)),
         float(np.round(np.sqrt(np.mean(apart**2)), 4)),
         float(np.round(apart.max(), 4)),

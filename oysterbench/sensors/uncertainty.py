@@ -167,8 +167,8 @@ def uncertainty_of(model: ErrorModel) -> Uncertainty:
     """The covariance that the errors of a model have."""
     sigmas = np.sqrt((model.sizes**2).sum(axis=1))
     shares = model.sizes / sigmas[:, None]
-    # Correlations are rounded, so that those of nothing in common are zero on any processor.
-    correlation = np.round(shares @ shares.T, DIGITS)
+    # Correlations are rounded, so that those of nothing in common are zero on any processor, and of one sign.
+    correlation = np.round(shares @ shares.T, DIGITS) + 0.0
     return Uncertainty(model.parameters, np.round(sigmas, DIGITS)[:, None] * correlation * np.round(sigmas, DIGITS))
 
 

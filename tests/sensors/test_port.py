@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from oysterbench.recipe import CameraRecipe, SiteRecipe
+from oysterbench.render import lens
 from oysterbench.render.lens import project
 from oysterbench.sensors.camera import KIND
+from oysterbench.sensors.port import fit_in_water
 
 PORT = CameraRecipe(name="cam", width=640, height=480, hfov_deg=69.0, rate_hz=10.0, port_mm=10.0, pitch_deg=40.0)
 SITE = SiteRecipe()
@@ -61,3 +63,17 @@ def test_without_a_port_a_perfect_calibration_is_the_truth():
 def test_a_calibration_whose_pictures_cannot_be_is_refused(edge):
     with pytest.raises(ValueError, match="expected a width and height of 1 to 65535 px"):
         KIND.read_calibration({**KIND.calibrate(PORT, SITE), "height": edge})
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_last_bits_of_a_processor_do_not_show_in_the_fit(seed, monkeypatch):
+    generator = np.random.default_rng(seed)
+
+    def roughly(points, camera):
+        return exactly(points, camera) * (1.0 + 1e-15 * generator.standard_normal(points.shape))
+
+    expected, exactly = fit_in_water(PORT), lens.distort
+    monkeypatch.setattr(lens, "distort", roughly)
+    found = fit_in_water.__wrapped__(PORT)
+    np.testing.assert_array_equal(found.matrix, expected.matrix)
+    assert dataclasses.astuple(found)[1:] == dataclasses.astuple(expected)[1:]
