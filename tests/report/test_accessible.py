@@ -1,0 +1,55 @@
+"""Reports and maps as axe-core sees them, and their width on a telephone."""
+
+from __future__ import annotations
+
+import pytest
+
+from oysterbench.mapping import MapSettings
+from oysterbench.report import html_report
+from oysterbench.report.density_files import map_page
+from tests.helpers.axe import WHY_NOT, axe_file, violations
+from tests.helpers.browser import CHROMIUM, browsing
+from tests.helpers.flat_reef import LANE, FlatReef, scattered
+from tests.mapping.test_density_map import map_of
+from tests.report.test_report import EVERYTHING, many
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    """Addresses, by what they show."""
+    folder = tmp_path_factory.mktemp("pages")
+    found = map_of(FlatReef(LANE[:4], scattered(-0.6, 1.8)), settings=MapSettings(cell_m=0.5))
+    texts = {
+        "one sequence": html_report(EVERYTHING[:4], "oysterbench eval slam"),
+        "several sequences": html_report(many(), "oysterbench eval slam"),
+        "map": map_page(found, "oysterbench map", ["grid.csv", "mosaic.png"]),
+    }
+    for name, text in texts.items():
+        (folder / f"{name}.html").write_text(text, encoding="utf-8")
+    return {name: (folder / f"{name}.html").as_uri() for name in texts}
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with browsing() as found:
+        yield found
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_no_page_is_wider_than_a_telephone(browser, pages, dark):
+    browser.look(390, dark)
+    for name, address in pages.items():
+        browser.go(address)
+        root = "document.documentElement"
+        assert browser.value(f"{root}.scrollWidth <= {root}.clientWidth"), name
+
+
+@pytest.mark.skipif(axe_file() is None, reason=WHY_NOT)
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
+def test_axe_finds_nothing_wrong(browser, pages, width, dark):
+    browser.look(width, dark)
+    for name, address in pages.items():
+        browser.go(address)
+        assert violations(browser) == [], name
