@@ -16,7 +16,7 @@ from oysterbench.report.table import MINUS, Cell, Column, Table, TableRow, inter
 from oysterbench.report.tables import difference_column
 from oysterbench.results.records import ResultRecord, samples
 
-INTERVALS = ("skill", "yaw_macro_f1", "pitch_macro_f1")
+INTERVALS = ("yaw_macro_f1", "pitch_macro_f1")
 """Metrics over all pictures that are shown with their interval."""
 
 OF_PAIRS = ("oysters_per_min", "covered_share", "contacts_per_min")
@@ -40,9 +40,10 @@ def whole_of(runs: Sequence[PictureRun]) -> dict[str, Whole]:
 
 
 def pictures_table(wholes: Mapping[str, Whole]) -> Table:
-    """A row per method, over all pictures together."""
+    """A row per method, over all pictures together: of what is a mean over pictures, or counts them. Skill is not among
+    it: that of a method is the mean of its sequences' everywhere, in standings, ranks and on boards."""
     columns = list(name_columns("method"))
-    for column in metric_columns(STEERING.table):
+    for column in metric_columns(key for key in STEERING.table if key != "skill"):
         columns += [column, interval_column(column)] if column.key in INTERVALS else [column]
     rows = []
     for method, whole in wholes.items():
@@ -52,7 +53,7 @@ def pictures_table(wholes: Mapping[str, Whole]) -> Table:
     for whole in list(wholes.values())[:1]:
         n, pictures = whole.sequences, whole.score.metrics["pictures"]
         notes.append(f"{pictures:.0f} pictures of {n} sequence{'' if n == 1 else 's'} together; these are resampled.")
-        if reason := whole.intervals["skill"].reason:
+        if reason := whole.intervals[INTERVALS[0]].reason:
             notes.append(f"{capital(reason)}.")
     return Table("Over all pictures", tuple(columns), tuple(rows), tuple(notes))
 

@@ -145,7 +145,7 @@ def test_files_sort_and_link_from_the_disk(browser, made, tmp_path):
     browser.go((tmp_path / "site" / "index.html").as_uri())
     browser.follow("document.querySelector('.boards h3 a').click()")
     assert browser.value("document.querySelector('form')") is None
-    methods = "[...document.querySelectorAll('tbody th a')].map((a) => a.textContent)"
+    methods = "[...document.querySelectorAll('#board tbody th a')].map((a) => a.textContent)"
     before = browser.value(methods)
     score = "[...document.querySelectorAll('thead button')].find((b) => b.textContent.trim() === 'Score')"
     browser.value(f"{score}.click()")
