@@ -245,6 +245,7 @@ def test_no_more_places_are_kept_than_wanted_and_none_in_the_end():
 
     class Counting(Knowing):
         def votes(self, descriptors: np.ndarray) -> Array:
+            assert self.estimator.loops is not None
             kept.append(sum(not place.forgotten for place in self.estimator.loops.places))
             return super().votes(descriptors)
 

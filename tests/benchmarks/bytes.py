@@ -2,8 +2,8 @@
 `--out here.json` in the one, with `--against here.json` in the other.
 
 Of each split some parts, frames and pings spread over a sequence and its small sensors, are hashed: seconds each, where
-the split takes hours. `--target x86-64-v4` compiles the kernels for another processor; NumPy's, OpenCV's and OpenBLAS's own
-paths are chosen by their variables (NPY_DISABLE_CPU_FEATURES, OPENCV_CPU_DISABLE, OPENBLAS_CORETYPE).
+the split takes hours. `--target x86-64-v4` compiles the kernels for another processor; the paths of NumPy, OpenCV and
+OpenBLAS are chosen by their variables (NPY_DISABLE_CPU_FEATURES, OPENCV_CPU_DISABLE, OPENBLAS_CORETYPE).
 """
 
 from __future__ import annotations

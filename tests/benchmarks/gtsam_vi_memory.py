@@ -69,7 +69,7 @@ def measure(seconds: float, rate: float) -> dict[str, Any]:
         found["rested_mb"] = resident_mb()
         peaks.append(Peak())
 
-    Estimator.finish = finishing  # type: ignore[method-assign]
+    Estimator.finish = finishing  # type: ignore[method-assign, assignment]
     estimate = GtsamVi().run(laps.for_method())
     found["peak_of_smoothing_mb"], found["in_all_s"] = peaks[0].mb, time.process_time()
     found |= {name: estimate.info[name] for name in ("keyframes", "places", "loops")}

@@ -52,11 +52,10 @@ class SlamSettings(EvaluatorSettings):
     --------
     >>> SlamSettings(align="se3").align
     'se3'
-    >>> SlamSettings(align="se4")
+    >>> SlamSettings(align="se4")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    oysterbench.core.errors.TrajectoryError: evaluator setting 'align': expected one of none, origin, se3, posyaw, sim3, scale,
-    got 'se4'
+    oysterbench.core.errors.TrajectoryError: evaluator setting 'align': expected one of none, origin, ..., got 'se4'
     """
 
     error = TrajectoryError
