@@ -218,11 +218,11 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
         ),
         *(replace(metric_column(key, sort=True), hidden=key not in shown) for key in keys[1:]),
         Column("failures", "Failed", "runs", "number", about="Runs that failed, and sequences not answered."),
+        Column("code", "Code", hidden=not any(row.code for row in rows), about=CODE),
+        Column("paper", "Paper", hidden=not any(row.paper for row in rows), about=PAPER),
         Column(
             "created", "Date", "tier", sort="created", about="Of the record, in UTC, and who vouches for its numbers."
         ),
-        Column("code", "Code", hidden=not any(row.code for row in rows), about=CODE),
-        Column("paper", "Paper", hidden=not any(row.paper for row in rows), about=PAPER),
         *(
             Column(key, kind="number" if key in ("place", "sequences", "runs") else "text", hidden=True)
             for key in HIDDEN
@@ -242,9 +242,9 @@ def board_table(site: Site, found: BoardPage, title: str) -> Table:
                     row.data_set,
                     *(row.metrics.get(key) for key in keys[1:]),
                     Cell(row.failures, f"{row.failures} of {row.runs}", kind="warn" if row.failures else ""),
-                    Cell(row.created, row.created[:10], about=TIERS.get(row.tier, ""), small=row.tier),
                     code_cell(row.code),
                     paper_cell(row.paper),
+                    Cell(row.created, row.created[:10], about=TIERS.get(row.tier, ""), small=row.tier),
                     *(row.digest if key == "record" else getattr(row, key) for key in HIDDEN),
                 ),
                 row.state if row.state != "current" else "",

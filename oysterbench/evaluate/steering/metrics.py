@@ -39,9 +39,9 @@ def _axis(axis: str, sides: str) -> dict[str, Metric]:
 
 PICTURES: dict[str, Metric] = {
     "skill": higher("Skill", column=Column("skill"), limits=(-math.inf, 1.0))(
-        "1 - regret / regret of commands drawn evenly from all pairs of classes, over all pictures: 1 of the expert's "
-        "own commands, 0 of chance, below 0 of what is worse than chance. Where several commands are as good, any of "
-        "them is right. A failed run counts 0."
+        "1 - regret / regret of commands drawn evenly from all pairs of classes, over the pictures of a sequence: 1 of "
+        "the expert's own commands, 0 of chance, below 0 of what is worse than chance. Where several commands are as "
+        "good, any of them is right. A failed run counts 0."
     ),
     "regret_oysters": lower("Regret", "oysters", Column("regret", "oysters", 2))(
         "Mean over pictures of the value of the expert's best pair of classes less that of the commanded pair: oysters "
