@@ -24,6 +24,9 @@ TRACKS: dict[str, TrackMetrics] = {
 FAILED = {name: track.failed for name, track in TRACKS.items()}
 """Track -> the values of a run without a scored estimate."""
 
+SPEEDS = ("realtime_factor", "cpu_s_per_s", "steps_per_s", "pictures_per_s")
+"""What a failed run has not, whatever it cost: nothing that it got through can be scored."""
+
 
 def find_metric(key: str, track: str = "") -> Metric | None:
     """The metric of that key, of that track where it has one (each has its own coverage), else of the first that has.

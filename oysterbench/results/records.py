@@ -19,7 +19,7 @@ import msgspec
 from oysterbench.core.documents import read_json
 from oysterbench.core.errors import ResultError
 from oysterbench.core.files import write_atomically
-from oysterbench.evaluate.metrics import FAILED, find_metric
+from oysterbench.evaluate.metrics import FAILED, SPEEDS, find_metric
 from oysterbench.evaluate.statistics import summarise
 from oysterbench.version import VERSION
 
@@ -97,7 +97,8 @@ class ResultRecord:
             object.__setattr__(self, key, dict(getattr(self, key)))
         object.__setattr__(self, "notes", tuple(self.notes))
         if self.failure is not None:
-            object.__setattr__(self, "metrics", {**self.metrics, **FAILED.get(self.track, {"coverage": 0.0})})
+            spent = {key: value for key, value in self.metrics.items() if key not in SPEEDS}
+            object.__setattr__(self, "metrics", {**spent, **FAILED.get(self.track, {"coverage": 0.0})})
         for key, value in self.metrics.items():
             if abs(value) > sys.float_info.max:  # JSON has integers that no float holds
                 got = f"{value!s:.60}"

@@ -46,9 +46,6 @@ from oysterbench.tracks.track import (
 FRAMES_IN_REPORT = 6
 FRAME_WIDTH = 480  # px, in the report
 
-SPEEDS = ("realtime_factor", "cpu_s_per_s")
-"""What a failed run has not, whatever it cost: nothing that it got through can be scored."""
-
 PATH_METRICS = (
     "ate_rmse_m",
     "ate_percent",
@@ -228,14 +225,13 @@ def record_outcome(
     cost = cost_of(outcome, "realtime_factor", duration)
     if "realtime_factor" in cost:
         cost["cpu_s_per_s"] = outcome.cpu_s / duration
-    spent = {key: value for key, value in cost.items() if key not in SPEEDS}
     if failure is not None or estimate is None:
-        return ResultRecord(**about, failure=failure, metrics=spent, notes=tuple(outcome.notes)), None
+        return ResultRecord(**about, failure=failure, metrics=cost, notes=tuple(outcome.notes)), None
     try:
         # The notes are of the reading of its file; the one that is scored here has been read before.
         result = score(truth, replace(estimate, notes=tuple(outcome.notes)), settings)
     except TrajectoryError as error:
-        return ResultRecord(**about, failure=str(error), metrics=spent), None
+        return ResultRecord(**about, failure=str(error), metrics=cost), None
     metrics = {**result.metrics, **cost}
     return ResultRecord(**about, metrics=metrics, reasons=result.reasons, notes=result.notes), result
 

@@ -170,6 +170,14 @@ def test_several_runs_on_one_sequence_have_one_vote():
     assert (row["sequences"], row["runs"], row["counts"]["ate_rmse_m"]) == (2, 3, 2)
 
 
+def test_a_failed_run_has_no_speed_whatever_it_says():
+    metrics = {"wall_s": 4.0, "cpu_s": 1.5, "realtime_factor": 75.6, "cpu_s_per_s": 0.005}
+    lost = record(metrics=metrics, failure="it answers nothing")
+    assert lost.metrics == {"wall_s": 4.0, "cpu_s": 1.5, "score": 0.0, "coverage": 0.0}
+    again = ResultRecord.from_dict({**lost.to_dict(), "metrics": metrics})
+    assert again.metrics == lost.metrics
+
+
 def test_a_failed_run_counts_with_score_and_coverage_zero_and_has_no_error():
     scored = record(metrics={"ate_rmse_m": 0.5, "score": 0.8, "coverage": 1.0})
     (row,) = aggregate([scored, failed(sequence="mini-02")])
