@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from oysterbench.core.errors import RecipeError
-from oysterbench.recipe import PathRecipe, as_plain, load_split, parse_split, split_names, vary_split
-from oysterbench.recipe.path import PATH_KINDS
+from oysterbench.recipe import as_plain, load_split, parse_split, split_names, vary_split
 from oysterbench.sensors.imu import ImuRecipe
 from oysterbench.simulation.simulated_sequence import build_sequence
-from tests.helpers.paths import ROOT
 from tests.helpers.tiny import TINY_RIG, TINY_SPLIT, make_split
 
 
@@ -65,7 +63,11 @@ def test_a_rig_may_lie_beside_its_recipe(tmp_path):
         ("oysters = 60", "density_per_m2 = -1", r"'sequence\.reef\.density_per_m2': expected 0 to 1000, got -1"),
         ("oysters = 60", 'oysters = 60\nbottom = "tar"', r"expected one of sand, mud, gravel, shell, got 'tar'"),
         ("oysters = 60", "oysters = 60\nsilt = 1.5", r"'sequence\.reef\.silt': expected 0 to 1, got 1\.5"),
-        ("oysters = 60", "oyster = 60", r"unknown key 'sequence\.reef\.oyster'; did you mean oysters or .*known keys here: size_m"),
+        (
+            "oysters = 60",
+            "oyster = 60",
+            r"unknown key 'sequence\.reef\.oyster'; did you mean oysters or .*known keys here: size_m",
+        ),
         ("altitude_m = 0.9", "altitude_m = 3.0", r"the vehicle would leave the water.*got 3"),
         ("radius_m = 1.0", "radius_m = 2.4", r"the path leaves the reef; expected at most 1\.88.*got 2\.4"),
         ('track = "slam"', 'track = "swim"', r"key 'track': expected one of slam, segmentation, steering, got 'swim'"),
@@ -231,12 +233,6 @@ def test_a_bad_key_of_a_path_is_named(text, message):
         with_path(text)
     assert re.search(message, str(caught.value)), caught.value
     assert "\n" not in str(caught.value)
-
-
-def test_every_kind_of_path_and_each_of_its_keys_is_in_the_readme():
-    text = (ROOT / "README.md").read_text()
-    keys = {field.name for field in dataclasses.fields(PathRecipe)}
-    assert [name for name in (*PATH_KINDS, *sorted(keys)) if f"`{name}`" not in text] == []
 
 
 def rigged(changes):
