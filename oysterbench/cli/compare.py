@@ -45,8 +45,9 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
     from oysterbench.core.errors import ResultError
     from oysterbench.core.names import listed
     from oysterbench.report import SlamRun, comparison_tables, results_tables
-    from oysterbench.results.comparison import as_plain, boards, remarks
+    from oysterbench.results.comparison import as_plain, boards
     from oysterbench.results.records import dump, labelled_results
+    from oysterbench.results.remarks import remarks
 
     def find(text: str) -> list[ResultRecord] | None:
         return _provided(text, split)

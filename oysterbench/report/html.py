@@ -39,8 +39,9 @@ from oysterbench.report.tables import (
     standings_table,
     strata_table,
 )
-from oysterbench.results.comparison import Board, boards, remarks
+from oysterbench.results.comparison import Board, boards
 from oysterbench.results.records import ResultRecord
+from oysterbench.results.remarks import remarks
 
 SHOWN_CONDITIONS = 6  # plots of the score over a condition, per board
 LEAST_POINTS = 6  # sequences of a board, below which points over a condition show nothing but chance

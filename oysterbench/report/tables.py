@@ -13,8 +13,9 @@ from oysterbench.evaluate.metrics import TRACKS, find_metric
 from oysterbench.evaluate.statistics import LEVEL, Interval
 from oysterbench.report.columns import COSTS_OF_TRACK, OF_TRACK, STANDING_OF_TRACK, metric_column, name_columns
 from oysterbench.report.table import Cell, Column, Estimate, Table, TableRow, Value, interval_column
-from oysterbench.results.comparison import Board, SequenceRuns, boards, remarks
+from oysterbench.results.comparison import Board, SequenceRuns, boards
 from oysterbench.results.records import ResultRecord, aggregate, comparable_key, method_key
+from oysterbench.results.remarks import remarks
 
 COMPLETE = 0.95
 """Of the highest coverage on a sequence: what a run must answer to be called the best there."""

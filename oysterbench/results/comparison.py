@@ -267,7 +267,7 @@ def _apart(board: Board, found: Sequence[Board]) -> str:
     for key, value in board.settings.items():
         if any(other.settings.get(key) != value for other in others):
             parts.append(f"{key} = {value}")
-    return _few(parts)
+    return few(parts)
 
 
 def _board(records: Sequence[ResultRecord]) -> Board:
@@ -311,60 +311,14 @@ def _labels(keys: Sequence[tuple[str, str]]) -> dict[tuple[str, str], str]:
         own = json.loads(settings)
         absent = object()
         differing = [key for key in own if any(other.get(key, absent) != own[key] for other in others)]
-        inside = _few([f"{key} = {own[key]!s:.40}" for key in differing]) or "defaults"
+        inside = few([f"{key} = {own[key]!s:.40}" for key in differing]) or "defaults"
         label = name if len(others) == 1 else f"{name} ({inside})"
         same = sum(other == label or other.startswith(f"{label} #") for other in found.values())
         found[name, settings] = f"{label} #{same + 1}" if same else label  # which differ in what is not named
     return found
 
 
-def remarks(found: Sequence[Board]) -> list[str]:
-    """What a reader must know before the numbers: boards kept apart and why, sequences left out, no intervals."""
-    notes = []
-    if len(found) > 1:
-        notes.append(f"kept apart as {len(found)} comparisons, as they differ in {_differences(found)}")
-    for board in found:
-        where = f"{board.name}: " if len(found) > 1 else ""
-        if board.left_out:
-            names = ", ".join(board.left_out)
-            notes.append(
-                f"{where}standings are over the {len(board.sequences)} sequences that every method was run on, without "
-                f"{names}"
-            )
-        reasons = dict.fromkeys(
-            row.summaries[board.metric].interval.reason for row in board.standings if board.metric in row.summaries
-        )
-        notes += [f"{where}{reason}" for reason in reasons if reason and not reason.startswith("no run")]
-        notes += [
-            f"{where}{row.label} has no {board.metric} and no place"
-            for row in board.standings
-            if row.standing.place is None and board.sequences
-        ]
-    return notes
-
-
-def _differences(found: Sequence[Board]) -> str:
-    parts = []
-    for key, noun in (("track", "track"), ("split", "split"), ("evaluator_version", "evaluator")):
-        values = list(dict.fromkeys(getattr(board, key) or "no split" for board in found))
-        if len(values) > 1:
-            parts.append(f"{noun} ({_few(values)})")
-    if any(a.split == b.split and a.split_digest != b.split_digest for a in found for b in found):
-        parts.append("recipe of the split")
-    by_data: dict[tuple[str, str], list[Board]] = {}  # other tracks have other settings, which tell nothing
-    for board in found:
-        by_data.setdefault((board.track, board.split), []).append(board)
-    differing: dict[str, dict[str, None]] = {}
-    for group in by_data.values():
-        for key in dict.fromkeys(key for board in group for key in board.settings):
-            written = dict.fromkeys(json.dumps(plain(board.settings.get(key))) for board in group)
-            if len(written) > 1:
-                differing.setdefault(key, {}).update(written)
-    parts += [f"setting {key} ({_few(list(written))})" for key, written in differing.items()]
-    return ", ".join(parts)
-
-
-def _few(values: Sequence[str]) -> str:
+def few(values: Sequence[str]) -> str:
     """The first of them, and how many more there are."""
     more = len(values) - MOST_LISTED
     return ", ".join(values) if more <= 0 else f"{', '.join(values[:MOST_LISTED])} and {more} more"

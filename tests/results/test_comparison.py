@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from oysterbench.core.errors import ResultError
-from oysterbench.results.comparison import as_plain, boards, remarks
+from oysterbench.results.comparison import as_plain, boards
+from oysterbench.results.remarks import remarks
 from tests.results.test_results import record
 
 

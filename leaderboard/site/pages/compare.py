@@ -11,9 +11,10 @@ from oysterbench.evaluate.conditions import CONDITIONS, STRATA
 from oysterbench.evaluate.statistics import Comparison
 from oysterbench.report.columns import OF_TRACK, STANDING_OF_TRACK, metric_column
 from oysterbench.report.table import Cell, Column, Table, TableRow, Value
-from oysterbench.results.comparison import Board, MethodPair, as_plain, remarks
+from oysterbench.results.comparison import Board, MethodPair, as_plain
 from oysterbench.results.comparison import boards as boards_of
 from oysterbench.results.records import ResultRecord, plain
+from oysterbench.results.remarks import remarks
 from oysterbench_leaderboard.board import BoardInfo, Row
 from oysterbench_leaderboard.record import Record
 from oysterbench_leaderboard.site import numbers, standing
