@@ -115,14 +115,14 @@ def show_command(context: click.Context, digest: str, as_json: bool) -> None:
 
     DIGEST is the record's name, or its first 8 digits or more.
     """
-    from oysterbench.evaluate.metrics import TRACKS
+    index = find_place(context).reader()
+    row = index.row(digest)
+
+    from oysterbench.evaluate.metrics import TRACKS  # once there is such a record
     from oysterbench.report import terminal_table
     from oysterbench.results.records import dump
     from oysterbench_leaderboard.tables import record_table
 
-    place = find_place(context)
-    index = place.reader()
-    row = index.row(digest)
     record = index.store.record(row.digest)
     if as_json:
         echo(dump({"row": asdict(row), "record": record.to_dict()}))

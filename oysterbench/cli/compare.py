@@ -44,8 +44,6 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
     """
     from oysterbench.core.errors import ResultError
     from oysterbench.core.names import listed
-    from oysterbench.report import SlamRun, comparison_tables, results_tables
-    from oysterbench.results.comparison import as_plain, boards
     from oysterbench.results.records import dump, labelled_results
     from oysterbench.results.remarks import remarks
 
@@ -58,6 +56,9 @@ def compare_command(results: tuple[str, ...], track: str | None, split: str | No
         asked = " ".join([*([f"of the track {track}"] if track else []), *([f"on {split}"] if split else [])])
         there = dict.fromkeys(f"{one.track} on {one.split or 'own data'}" for one in given)
         raise ResultError(f"expected results {asked}, got {listed(there)}")
+    from oysterbench.report import SlamRun, comparison_tables, results_tables  # once the results are there
+    from oysterbench.results.comparison import as_plain, boards
+
     found = boards(records)
     for path in outputs.write([SlamRun(record) for record in records]):
         message(f"written: {path}")
