@@ -33,6 +33,15 @@ def home(tmp_path, monkeypatch) -> Path:
     return tmp_path / "home"
 
 
+@pytest.fixture(scope="module")
+def browser():
+    """One tab of Chromium."""
+    from tests.helpers.browser import browsing
+
+    with browsing() as found:
+        yield found
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Folder of data that is not part of the project; tests that need it skip where it is absent."""

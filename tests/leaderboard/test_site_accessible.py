@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from oysterbench_leaderboard.site.export import export
-from tests.helpers.axe import WHY_NOT, axe_file, violations
-from tests.helpers.browser import CHROMIUM, browsing
+from tests.helpers.axe import WHY_NOT, axe_file
+from tests.helpers.browser import CHROMIUM
+from tests.helpers.pages import faults, too_wide
 from tests.helpers.site_made import make_site
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
@@ -23,35 +24,20 @@ PAGES = (
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory):
-    """Its pages as files, and the digests of its records."""
+def pages(tmp_path_factory):
+    """Addresses, by where they are on the site."""
     made, digests = make_site(tmp_path_factory.mktemp("board"))
     folder = tmp_path_factory.mktemp("site") / "site"
     export(made, folder)
-    return folder, digests
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with browsing() as found:
-        yield found
+    return {page: (folder / page.format(**digests) / "index.html").as_uri() for page in PAGES}
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_no_page_is_wider_than_a_telephone(browser, site, dark):
-    folder, digests = site
-    browser.look(390, dark)
-    for page in PAGES:
-        browser.go((folder / page.format(**digests) / "index.html").as_uri())
-        root = "document.documentElement"
-        assert browser.value(f"{root}.scrollWidth <= {root}.clientWidth"), page
+def test_no_page_is_wider_than_a_telephone(browser, pages, dark):
+    assert too_wide(browser, pages, dark=dark) == []
 
 
 @pytest.mark.skipif(axe_file() is None, reason=WHY_NOT)
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
-def test_axe_finds_nothing_wrong(browser, site, width, dark):
-    folder, digests = site
-    browser.look(width, dark)
-    for page in PAGES:
-        browser.go((folder / page.format(**digests) / "index.html").as_uri())
-        assert violations(browser) == [], page
+def test_axe_finds_nothing_wrong(browser, pages, width, dark):
+    assert faults(browser, pages, width, dark=dark) == {}

@@ -14,7 +14,7 @@ import pytest
 from oysterbench.hub.connections import server_settings
 from oysterbench_leaderboard.site.export import export
 from oysterbench_leaderboard.site.running import whole
-from tests.helpers.browser import CHROMIUM, browsing
+from tests.helpers.browser import CHROMIUM
 from tests.helpers.site_made import make_site
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
@@ -75,12 +75,6 @@ def address(made, tmp_path_factory):
     yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
     server.should_exit = True
     thread.join()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with browsing() as found:
-        yield found
 
 
 def test_from_the_first_page_to_board_record_comparison_and_submission(browser, address):

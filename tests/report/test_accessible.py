@@ -7,9 +7,10 @@ import pytest
 from oysterbench.mapping import MapSettings
 from oysterbench.report import html_report
 from oysterbench.report.density_files import map_page
-from tests.helpers.axe import WHY_NOT, axe_file, violations
-from tests.helpers.browser import CHROMIUM, browsing
+from tests.helpers.axe import WHY_NOT, axe_file
+from tests.helpers.browser import CHROMIUM
 from tests.helpers.flat_reef import LANE, FlatReef, scattered
+from tests.helpers.pages import faults, too_wide
 from tests.mapping.test_density_map import map_of
 from tests.report.test_report import EVERYTHING, many
 
@@ -31,25 +32,12 @@ def pages(tmp_path_factory):
     return {name: (folder / f"{name}.html").as_uri() for name in texts}
 
 
-@pytest.fixture(scope="module")
-def browser():
-    with browsing() as found:
-        yield found
-
-
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_no_page_is_wider_than_a_telephone(browser, pages, dark):
-    browser.look(390, dark)
-    for name, address in pages.items():
-        browser.go(address)
-        root = "document.documentElement"
-        assert browser.value(f"{root}.scrollWidth <= {root}.clientWidth"), name
+    assert too_wide(browser, pages, dark=dark) == []
 
 
 @pytest.mark.skipif(axe_file() is None, reason=WHY_NOT)
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
 def test_axe_finds_nothing_wrong(browser, pages, width, dark):
-    browser.look(width, dark)
-    for name, address in pages.items():
-        browser.go(address)
-        assert violations(browser) == [], name
+    assert faults(browser, pages, width, dark=dark) == {}
