@@ -1,4 +1,4 @@
-"""oysterbench: benchmarks for underwater robots on seeded, re-creatable oyster reefs.
+"""oysterbench: benchmarks for underwater robots on seeded, reproducible oyster reefs.
 
 Data come by name, rendered or downloaded on first use:
 

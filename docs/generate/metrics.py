@@ -11,7 +11,7 @@ HEAD = """# Evaluators and metrics
 
 Each number that a result may hold: its key in `results.json` and in the tables of `--csv`, its unit, which direction
 is better, the values that it can have, and what it is. The first of a track is what ranks its methods. As functions
-they are in [`oysterbench.metrics`](api/metrics.md); versions of the evaluators: [versions here](evaluators.md).
+they are in [`oysterbench.metrics`](api/metrics.md); versions of the evaluators: [current versions](evaluators.md).
 
 Some keys have a relative of any other size: `rpe_1s_...` of another interval, `recall_...` within another distance.
 They are described where the first of their kind is.

@@ -90,7 +90,7 @@ def _fail(why: str, code: int) -> None:
 )
 @click.version_option(VERSION, prog_name="oysterbench")
 def main() -> None:
-    """Benchmarks for underwater robots on seeded, re-creatable oyster reefs.
+    """Benchmarks for underwater robots on seeded, reproducible oyster reefs.
 
     \b
     Examples:
